@@ -39,9 +39,9 @@ class DiffDrive:
     | rotor       | inertia of a driven wheel with its motor and gears, about its axle               | kg m^2  |
 
     Wheel rates are (v -+ omega slip track / 2) / radius, left with minus. For a skid-steer see A. Mandow et al.,
-    "Experimental kinematics for wheeled skid-steer mobile robots", IROS 2007. The origin of the joints is the point that
-    never moves sideways: the middle of the axle of two wheels; of a skid-steer the point about which it turns in place,
-    ahead of the middle of its wheels if its mass is.
+    "Experimental kinematics for wheeled skid-steer mobile robots", IROS 2007. The origin of the joints is the point
+    that never moves sideways: the middle of the axle of two wheels; of a skid-steer the point about which it turns in
+    place, ahead of the middle of its wheels if its mass is.
 
     Raises:
         SettingError: If a number is not finite and above 0, or the joints are not three different names.

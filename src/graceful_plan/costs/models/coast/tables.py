@@ -83,8 +83,9 @@ def _body(base: DiffDrive, model: mujoco.MjModel, data: mujoco.MjData, body: int
     R = data.ximat[bodies].reshape(-1, 3, 3)
     about = (R[:, 2] ** 2 * model.body_inertia[bodies]).sum(axis=1) + mass * ((x - centre) ** 2).sum(axis=1)
     gyration = float(np.sqrt(about.sum() / total)) if total > 0.0 else base.track
-    wheels = data.xpos[[model.body(name).id for name in base.wheels] or [body]][:, :2].mean(axis=0)
-    cx, cy, mx, my = ((np.array([centre, wheels]) - data.xpos[body][:2]) @ data.xmat[body].reshape(3, 3)[:2, :2]).ravel()
+    middle = data.xpos[[model.body(name).id for name in base.wheels] or [body]][:, :2].mean(axis=0)
+    from_origin = np.array([centre, middle]) - data.xpos[body][:2]
+    (cx, cy), (mx, my) = from_origin @ data.xmat[body].reshape(3, 3)[:2, :2]
     return BaseBody(base=base, mass=max(total, 1e-9), gyration=max(gyration, 1e-3), centre=(cx, cy), middle=(mx, my))
 
 
