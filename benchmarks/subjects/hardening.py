@@ -310,6 +310,9 @@ def fuzzed(options: suite.Options) -> Iterator[report.Target]:
         for what, (name, *given) in jobs.items()
     }
     for what, process in begun.items():
-        last = process.communicate()[0].splitlines()[-1:]
+        told = process.communicate()[0]
+        last = told.splitlines()[-1:]
         met = bool(last) and last[0].endswith(" 0 wrong") and process.returncode == 0
+        if not met:
+            print(told, file=sys.stderr)
         yield report.Target(what=what, wanted="0 wrong", measured=last[0][-40:] if last else "crashed", met=met)

@@ -96,14 +96,3 @@ def test_ends_are_free_and_there_is_a_way(name):
     for q in (task.start, *task.goal):
         assert float(gp.clearance(task.scene, q)) >= _ROOM
     assert gp.plan(task.start, task.goal, task.scene, w=0.0, speed=0.5, iterations=1000).trajectory is not None
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [2, 4])
-def test_opened_fingers_strip_nothing_on_the_way(seed):
-    """Half of such motions led fingers so near past the music player that opened ones took it along: harm 7, not 2."""
-    task = suite.task("play_table/crown_tower")
-    planned = gp.plan(task.start, task.goal, task.scene, w=1.0, iterations=1000, seed=seed)
-    drops = failbench.faults()["gripper_failure"](degree="critical")
-    report = failbench.validate(planned, task.scene, drops, n=40)
-    assert report.observed.mean < 4.0

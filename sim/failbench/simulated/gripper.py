@@ -9,7 +9,7 @@ import numpy as np
 
 from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
-from graceful_plan.scene.model_parts import finger_joints, subtree
+from graceful_plan.scene.model_parts import subtree
 
 Array = np.ndarray
 
@@ -36,7 +36,8 @@ def find_gripper(scene: Scene) -> Gripper:
     model = scene.model
     tool = int(model.site(scene.tool).bodyid[0])
     bodies = tuple(sorted(subtree(model, tool)))
-    joints = finger_joints(model, tool, [int(model.joint(name).id) for name in scene.joints])
+    planned = {int(model.joint(name).id) for name in scene.joints}
+    joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies and j not in planned]
     actuators = [a for a in range(model.nu) if _acts_on(model, a, joints) and model.actuator_biasprm[a, 1] < 0.0]
     fingers = {int(model.jnt_bodyid[j]) for j in joints}
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)

@@ -291,11 +291,7 @@ def shortest_stretch(place: Float[Array, " n"], mass: Float[Array, " n"], share:
 # --- in words ---------------------------------------------------------------------------------------------------------
 
 _PHRASES: Mapping[str, Mapping[str, str]] = {
-    "drop": {
-        "body": "opened fingers into {entity}",
-        "carried": "dropped {object} onto {entity}",
-        "contents": "contents of dropped {object} onto {entity}",
-    },
+    "drop": {"carried": "dropped {object} onto {entity}", "contents": "contents of dropped {object} onto {entity}"},
     "spill": {"contents": "spilt contents of {object} onto {entity}"},
     "stop": {"contents": "contents of {object} thrown onto {entity} by a stop"},
     "collapse": {"body": "collapsing arm into {entity}", "carried": "{object} held by a collapsing arm into {entity}"},

@@ -84,21 +84,6 @@ class WorldArrays:
     triangles: Float[Array, "triangle 3 3"]
     geom: Int[Array, " obstacle"]
 
-    def some(self, rows: Int[Array, " row"]) -> WorldArrays:
-        """Return some of the obstacles."""
-        starts, ends = self.hull_start[:-1][rows], self.hull_start[1:][rows]
-        triangles = [self.triangles[first:end] for first, end in zip(starts, ends, strict=True)]
-        return WorldArrays(
-            kind=self.kind[rows],
-            pose=self.pose[rows],
-            size=self.size[rows],
-            bound=self.bound[rows],
-            ignores=self.ignores[rows],
-            hull_start=np.append(0, np.cumsum(ends - starts)),
-            triangles=np.concatenate([self.triangles[:0], *triangles]),
-            geom=self.geom[rows],
-        )
-
     @classmethod
     def nothing(cls) -> WorldArrays:
         """Return surroundings in which nothing stands."""

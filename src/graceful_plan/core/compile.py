@@ -136,8 +136,7 @@ def _reference_data(scene: Scene) -> mujoco.MjData:
     return scene.data_at(scene.model.qpos0[scene.qpos_adr])
 
 
-def pose(rotation: Array, position: Array) -> Float[Array, "4 4"]:
-    """Return the pose with a rotation, a matrix or row by row, and a position [m]."""
+def _pose(rotation: Array, position: Array) -> Float[Array, "4 4"]:
     X = np.eye(4)
     X[:3, :3] = np.reshape(rotation, (3, 3))
     X[:3, 3] = position
@@ -155,7 +154,7 @@ def _frames(scene: Scene, data: mujoco.MjData) -> _Frames:
             if joint not in frame_of_joint:
                 continue
             parent[frame_of_joint[joint]], frame = frame, frame_of_joint[joint]
-            X_W[frame] = pose(_rotation_with_z(data.xaxis[joint]), data.xanchor[joint])
+            X_W[frame] = _pose(_rotation_with_z(data.xaxis[joint]), data.xanchor[joint])
         of_body[body] = frame
     if scene.carried is not None:
         tool_body = model.site_bodyid[model.site(scene.tool).id]
@@ -274,7 +273,7 @@ def _robot_arrays(
         lower=scene.limits.position[:, 0].copy(),
         upper=scene.limits.position[:, 1].copy(),
         tool_link=tool_frame,
-        X_LT=np.linalg.inv(frames.X_W[tool_frame]) @ pose(tool.xmat, tool.xpos),
+        X_LT=np.linalg.inv(frames.X_W[tool_frame]) @ _pose(tool.xmat, tool.xpos),
         sphere_link=np.array(links, dtype=int),
         sphere=np.concatenate(spheres) if spheres else np.zeros((0, 4)),
         bound=np.stack([bound.get(link, np.array([0.0, 0.0, 0.0, -1.0])) for link in range(len(parent))]),
@@ -290,7 +289,7 @@ def _covers(model: mujoco.MjModel, data: mujoco.MjData, frames: _Frames, groups:
     X_LG = [
         np.stack(
             [
-                np.linalg.inv(frames.X_W[group.frame]) @ pose(data.geom_xmat[geom], data.geom_xpos[geom])
+                np.linalg.inv(frames.X_W[group.frame]) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
                 for geom in group.geoms
             ]
         )
@@ -370,7 +369,7 @@ def _world_arrays(scene: Scene, data: mujoco.MjData, groups: list[_Group]) -> Wo
             local = hull_triangles(model, int(model.geom_dataid[geom]))
             triangles.append(local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
         hull_start.append(hull_start[-1] + (len(triangles[-1]) if name == "mesh" else 0))
-    poses = np.concatenate([data.geom_xmat[geoms], data.geom_xpos[geoms]], axis=1) if geoms else np.zeros((0, 12))
+    pose = np.concatenate([data.geom_xmat[geoms], data.geom_xpos[geoms]], axis=1) if geoms else np.zeros((0, 12))
     radius = (
         np.where(model.geom_type[geoms] == _GEOM.mjGEOM_PLANE, -1.0, model.geom_rbound[geoms] + 1e-6)
         if geoms
@@ -378,9 +377,9 @@ def _world_arrays(scene: Scene, data: mujoco.MjData, groups: list[_Group]) -> Wo
     )
     return WorldArrays(
         kind=np.array(kind, dtype=int),
-        pose=poses,
+        pose=pose,
         size=model.geom_size[geoms].reshape(-1, 3).copy(),
-        bound=np.column_stack([poses[:, 9:], radius]),
+        bound=np.column_stack([pose[:, 9:], radius]),
         ignores=np.array(ignores, dtype=int),
         hull_start=np.array(hull_start, dtype=int),
         triangles=np.concatenate(triangles),
@@ -397,7 +396,7 @@ def _hazard_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> Hazard
     boxes = []
     for _, geom in parts:
         frame = frames.of_body[model.geom_bodyid[geom]]
-        X = np.linalg.inv(frames.X_W[frame]) @ pose(data.geom_xmat[geom], data.geom_xpos[geom])
+        X = np.linalg.inv(frames.X_W[frame]) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
         centre = X[:3, :3] @ model.geom_aabb[geom, :3] + X[:3, 3]
         boxes.append(np.concatenate([X[:3, :3].ravel(), centre, model.geom_aabb[geom, 3:]]))
     targets = [(e, geom) for e, entity in enumerate(scene.entities.values()) for geom in entity.geoms]

@@ -39,8 +39,6 @@ REACTIONS: Mapping[str, Mapping[str, float]] = MappingProxyType({"protective_sto
 """Effects of what the robot does on purpose, whatever the degree: what they are, not what was fitted."""
 ARM = ("collapse", "joint", "stuck", "stray")
 """Those that are about the arm; they exclude one another."""
-OPENING = ("gripper_failure", "stuck_gripper")
-"""Faults that open the gripper; of others, what it holds slips out of it, or drops out of fingers without force."""
 DEGREES = ("minor", "moderate", "severe", "critical")
 """How bad a fault can be, as in FailBench."""
 
@@ -183,10 +181,6 @@ class FaultPrior:
             parts = {fault: p * self._share(fault, generator) for fault, p in self.probabilities().items()}
             found[generator] = MappingProxyType({fault: part for fault, part in parts.items() if part > 0.0})
         return MappingProxyType(found)
-
-    def opening_shares(self) -> Mapping[str, float]:
-        """Return the part of each fault in drops from fingers that open; others let what they hold slip."""
-        return {fault: part for fault, part in self.fault_shares()["drop"].items() if fault in OPENING}
 
     def _effect(self, fault: str, generator: str) -> float:
         return self.effects[fault].get(generator, 0.0)

@@ -52,7 +52,7 @@ def cheaper(objective: SceneObjective) -> SceneObjective | None:
     if not isinstance(impact, ImpactCost):
         return Objective(w=0.0).bind(objective.scene, objective.paces)
     drops = ImpactCost(model=Footprint())
-    mixed = isinstance(impact.model, Footprint) and impact.model.arm_may_fail
+    mixed = isinstance(impact.model, Footprint) and impact.model.components != drops.components
     if mixed or impact.consequence != "contact":
         return Objective(impact=drops, w=objective.w).bind(objective.scene, objective.paces)
     return None

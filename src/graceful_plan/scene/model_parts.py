@@ -72,12 +72,6 @@ def rigid_group(model: mujoco.MjModel, body: int) -> frozenset[int]:
     return frozenset(b for b in subtree(model, body) if model.body_weldid[b] == model.body_weldid[body])
 
 
-def finger_joints(model: mujoco.MjModel, tool_body: int, planned: Collection[int]) -> list[int]:
-    """Return the joints that hang on the tool's body and are not planned."""
-    hand = subtree(model, tool_body)
-    return [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in hand and j not in planned]
-
-
 def collides(model: mujoco.MjModel) -> Bool[Array, " geom"]:
     """Tell which geoms take part in collisions at all."""
     taking_part = (np.asarray(model.geom_contype) != 0) | (np.asarray(model.geom_conaffinity) != 0)

@@ -7,7 +7,9 @@ from typing import final
 
 import numpy as np
 
+from graceful_plan.array_types import Int
 from graceful_plan.core import _native
+from graceful_plan.core.arrays import WorldArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel, Kernels
 from graceful_plan.costs.blocks.native_cost import NativeCost
@@ -64,9 +66,25 @@ def _seeing(scene: Scene, to: str) -> Kernels:
     compiled = compile_scene(scene)
     robot, world = compiled.robot, compiled.world
     if to == SELF:
-        return Kernels(robot, world.some(np.zeros(0, dtype=int)), compiled.hazards)
+        return Kernels(robot, _some(world, np.zeros(0, dtype=int)), compiled.hazards)
     if to != SURROUNDINGS:
-        world = world.some(np.flatnonzero(np.isin(world.geom, scene.entities[to].geoms)))
+        world = _some(world, np.flatnonzero(np.isin(world.geom, scene.entities[to].geoms)))
     return Kernels(
         replace(robot, self_pair=robot.self_pair[:0], self_slack=robot.self_slack[:0]), world, compiled.hazards
+    )
+
+
+def _some(world: WorldArrays, rows: Int[Array, " row"]) -> WorldArrays:
+    """Keep some of the obstacles."""
+    starts, ends = world.hull_start[:-1][rows], world.hull_start[1:][rows]
+    triangles = [world.triangles[first:end] for first, end in zip(starts, ends, strict=True)]
+    return WorldArrays(
+        kind=world.kind[rows],
+        pose=world.pose[rows],
+        size=world.size[rows],
+        bound=world.bound[rows],
+        ignores=world.ignores[rows],
+        hull_start=np.append(0, np.cumsum(ends - starts)),
+        triangles=np.concatenate([world.triangles[:0], *triangles]),
+        geom=world.geom[rows],
     )

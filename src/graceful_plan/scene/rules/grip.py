@@ -9,7 +9,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import UnsupportedError
-from graceful_plan.scene.model_parts import finger_joints, subtree
+from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
@@ -88,8 +88,7 @@ def find_grip(scene: Scene) -> Grip:
         geom.margin = _REACH
     model = spec.compile()
     body, site = int(model.body(scene.carried.body).id), int(model.site(scene.tool).id)
-    planned = [int(model.joint(name).id) for name in scene.joints]
-    joints = np.array(finger_joints(model, int(model.site_bodyid[site]), planned), dtype=int)
+    joints = _finger_joints(scene, model, int(model.site_bodyid[site]))
     data = Placement(scene, model).place(scene.home_qpos[scene.qpos_adr])
     mujoco.mj_fwdPosition(model, data)
     X_BW = data.xmat[body].reshape(3, 3).T
@@ -117,6 +116,13 @@ def find_grip(scene: Scene) -> Grip:
         torsion=min(float(pad[:, 7].min()) for pad in touched) + friction * spread,
         force=_force(model, data, joints),
     )
+
+
+def _finger_joints(scene: Scene, model: mujoco.MjModel, tool: int) -> Int[Array, " joint"]:
+    """Return the joints that hang on the tool's body and are not planned."""
+    hand = subtree(model, tool)
+    planned = {int(model.joint(name).id) for name in scene.joints}
+    return np.array([j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in hand and j not in planned], dtype=int)
 
 
 def _touched(model: mujoco.MjModel, data: mujoco.MjData, finger: int, body: int) -> Float[Array, "contact 8"]:

@@ -109,8 +109,6 @@ entities that move need it.
           own <- own + B c_k (product of 1 - c over the targets before it) max(0, damage(g pos(h - Z), k) - known)
         A <- A keep + Z' sum of M over the level;  K <- K keep + T_l p_l         Z': top of the level's first target
 
-What fingers touch that have let go is told by `fingers.py`, of motions that are known.
-
 References:
     Own work, fitted to rollouts in MuJoCo; see the head of `drop.yaml`.
 

@@ -5,7 +5,6 @@ The models that are mixed have their specifications beside them, in `drop`, `spi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -25,7 +24,6 @@ from graceful_plan.costs.models.body.tables import ROWS as HOLDING
 from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.drop.constants import DropSettings
-from graceful_plan.costs.models.drop.fingers import opening_probability
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.moving.model import MovingModel
@@ -84,13 +82,8 @@ class Footprint(NativeModel):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """The robot's body counts if there are failures of the arm, or fingers that open, to fear."""
-        return COMPONENTS if self.arm_may_fail or self._opening > 0.0 else FALLING
-
-    @property
-    def arm_may_fail(self) -> bool:
-        """Whether there are failures of the arm to fear."""
-        return bool(self._arm_weights().any())
+        """The robot's body counts if there are failures of the arm to fear."""
+        return COMPONENTS if self._arm_weights().any() else FALLING
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return P of a contact, summed over all that may go wrong."""
@@ -164,7 +157,7 @@ class Footprint(NativeModel):
 
         Those of the body model are good for descents but not exact: see `BodyModel.impact_gradient`.
         """
-        if self.arm_may_fail:
+        if self._arm_weights().any():
             return None
         scene, aboard, found = (
             batch.scene,
@@ -185,7 +178,7 @@ class Footprint(NativeModel):
         return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
-        """What comes of drops, those of fingers that open among them, of spills and of stops."""
+        """What comes of drops, of spills and of stops."""
         scene, weights = batch.scene, self.prior.weights()
         names = [name for name in ("drop", "spill", "stop") if weights[name] > 0.0]
         found = {name: np.zeros((len(batch), len(scene.components), len(scene.entities))) for name in names}
@@ -196,9 +189,6 @@ class Footprint(NativeModel):
             for own, source in _SOURCE.get(component, ()):
                 if source in found:
                     found[source][:, row] += weights[source] * P[:, ROWS.index(own)]
-        if self._opening > 0.0 and batch.ahead is not None:
-            body = list(scene.components).index("body")
-            found["drop"][:, body] = self._opening * opening_probability(scene, batch.q, batch.ahead)
         return found
 
     def _arm_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
@@ -217,11 +207,6 @@ class Footprint(NativeModel):
                         k = HOLDING.index(component)
                         found[name][:, row] = weights[g, k] * P[:, g, k]
         return found
-
-    @property
-    def _opening(self) -> float:
-        """Weight of fingers that open."""
-        return math.fsum(self.prior.opening_shares().values())
 
     def _arm_weights(self) -> Float[Array, "generator 2"]:
         """Weight of each of `GENERATORS` for the arm and for what it still holds."""
