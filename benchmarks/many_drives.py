@@ -29,7 +29,7 @@ if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
 import graceful_plan as gp  # noqa: E402
-from benchmarks.many_motions import Checker  # noqa: E402
+from benchmarks.many_motions import Checker, cubics  # noqa: E402
 from failbench.policies.bases.driving import drive  # noqa: E402
 from graceful_plan.compare.runs import machine  # noqa: E402
 from graceful_plan.floor.generated import floor_plan  # noqa: E402
@@ -139,11 +139,8 @@ def ends(motion: gp.Trajectory, start: Array, goal: Array) -> Iterator[tuple[str
 
 def rolling(motion: gp.Trajectory, base: gp.DiffDrive) -> dict[str, float]:
     """Return the greatest shares of what is allowed: sideways speed, and limits of body and wheels."""
-    h = np.diff(motion.t)[:, None, None]
     s = np.linspace(0.0, 1.0, BETWEEN)[None, :, None]
-    a, b = motion.q[:-1, None, :3], motion.q[1:, None, :3]
-    va, vb = motion.qd[:-1, None, :3] * h, motion.qd[1:, None, :3] * h
-    c, d = 3.0 * (b - a) - 2.0 * va - vb, 2.0 * (a - b) + va + vb
+    h, a, va, c, d = (part[:, None, :3] for part in cubics(motion))
     yaw = (a + s * (va + s * (c + s * d)))[..., 2]
     rate = (va + s * (2.0 * c + 3.0 * s * d)) / h
     push = (2.0 * c + 6.0 * s * d) / h**2

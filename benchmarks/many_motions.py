@@ -149,10 +149,7 @@ class Checker:
 
     def over(self, motion: gp.Trajectory) -> Iterator[str]:
         """Yield limits that the cubics do not keep."""
-        limits, h = self.scene.limits, np.diff(motion.t)[:, None]
-        a, b, va, vb = motion.q[:-1], motion.q[1:], motion.qd[:-1] * h, motion.qd[1:] * h
-        # q(s) = a + va s + c s^2 + d s^3 on [0, 1]
-        c, d = 3.0 * (b - a) - 2.0 * va - vb, 2.0 * (a - b) + va + vb
+        limits, (h, a, va, c, d) = self.scene.limits, cubics(motion)
         with np.errstate(divide="ignore", invalid="ignore"):
             turn = np.clip(np.nan_to_num(-c / (3.0 * d)), 0.0, 1.0)
             root = np.sqrt(np.maximum(c * c - 3.0 * d * va, 0.0))
@@ -198,6 +195,13 @@ class Checker:
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
         return data.contact.geom, data.contact.dist
+
+
+def cubics(motion: gp.Trajectory) -> tuple[Array, Array, Array, Array, Array]:
+    """Return how long each piece takes [s], and a, b, c and d of its q(s) = a + b s + c s^2 + d s^3 on [0, 1]."""
+    h = np.diff(motion.t)[:, None]
+    a, b, va, vb = motion.q[:-1], motion.q[1:], motion.qd[:-1] * h, motion.qd[1:] * h
+    return h, a, va, 3.0 * (b - a) - 2.0 * va - vb, 2.0 * (a - b) + va + vb
 
 
 def ancestors(model: mujoco.MjModel, body: int) -> Iterator[int]:
