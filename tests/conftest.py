@@ -10,6 +10,7 @@ import pytest
 from hypothesis import settings
 
 import shape_checks
+import sizes
 
 if TYPE_CHECKING:
     import graceful_plan as gp
@@ -22,6 +23,19 @@ shape_checks.install()
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # What a shell starts in the background ignores interrupts, and so would every program that tests interrupt.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let a run do a part of the tests."""
+    parser.addoption("--part", type=sizes.portion, metavar="K/N", help="run the k-th of n parts of the tests")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what is not in the part that was asked for."""
+    if (part := config.getoption("--part")) is not None:
+        left_out = [item for item in items if item.nodeid not in part]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item.nodeid in part]
 
 
 def pytest_runtest_logstart() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import zlib
+from argparse import ArgumentTypeError
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import pytest
 from _pytest.mark import ParameterSet
@@ -11,3 +14,26 @@ from _pytest.mark import ParameterSet
 def first_quick(cases: Iterable[object]) -> list[ParameterSet]:
     """Mark all cases of a parameter but the first as long."""
     return [pytest.param(case, marks=[pytest.mark.long] if i else []) for i, case in enumerate(cases)]
+
+
+@dataclass(frozen=True)
+class Portion:
+    """The k-th of n parts, counted from 1."""
+
+    k: int
+    n: int
+
+    def __contains__(self, name: str) -> bool:
+        return zlib.crc32(name.encode()) % self.n == self.k - 1
+
+
+def portion(text: str) -> Portion:
+    """Read "K/N".
+
+    Raises:
+        ArgumentTypeError: If it is not that, with 1 <= K <= N.
+    """
+    k, _, n = text.partition("/")
+    if not (k.isdecimal() and n.isdecimal() and 1 <= int(k) <= int(n)):
+        raise ArgumentTypeError(f"{text!r} is not K/N with 1 <= K <= N")
+    return Portion(int(k), int(n))
