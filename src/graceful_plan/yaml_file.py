@@ -121,6 +121,12 @@ class Block:
         """Return a list of texts."""
         return tuple(child.string() for child in self.entries())
 
+    def flag(self) -> bool:
+        """Return whether it is true."""
+        if self.value not in ("true", "false"):
+            raise self.error(f"{self.name} has to be true or false")
+        return self.value == "true"
+
     def number(self) -> float:
         """Return a finite number."""
         number = _number(self.value) if isinstance(self.value, str) else None

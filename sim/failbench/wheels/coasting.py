@@ -40,6 +40,7 @@ class BaseFailure:
         askew: By how much its heading is off there [rad].
         bend: Curvature that is added to what is commanded [1/m].
         left: Which side fails, if one does.
+        steered: Whether a controller that does not know of it steers the other side until the delay is over.
         friction: Coefficient of tyres, if wheels of one side turn freely.
         brakes: Deceleration of the rims of the side that works, once it is stopped [m/s^2].
     """
@@ -54,6 +55,7 @@ class BaseFailure:
     left: bool = True
     friction: float = 0.6
     brakes: float = 1.5
+    steered: bool = False
 
     def __post_init__(self) -> None:
         if self.wheels not in WHEELS:
@@ -76,7 +78,7 @@ class BaseHit:
 
 
 def drawn(settings: CoastSettings, rng: np.random.Generator) -> BaseFailure:
-    """Draw a failure as the settings of the coast model say."""
+    """Draw a failure that is not harmless as the settings of the coast model say."""
     names = list(settings.ways)
     weights = np.array([settings.ways[name].weight for name in names])
     way = settings.ways[names[int(rng.choice(len(names), p=weights / weights.sum()))]]
@@ -92,6 +94,7 @@ def drawn(settings: CoastSettings, rng: np.random.Generator) -> BaseFailure:
         left=bool(rng.integers(2)),
         friction=settings.friction,
         brakes=settings.brakes,
+        steered=way.steered,
     )
 
 

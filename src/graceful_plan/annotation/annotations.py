@@ -119,15 +119,12 @@ class Annotations:
         root = read_yaml(path_of(file))
         root.only("version", "scene", "model", "endpoint", "pictures", "entities")
         root.check_version("annotations")
-        pictures = root["pictures"]
-        if pictures.value not in ("true", "false"):
-            raise pictures.error(f"{pictures.name} has to be true or false")
         table = table or SeverityTable.shipped()
         return cls(
             scene=root["scene"].string(),
             model=root["model"].string(),
             endpoint=root["endpoint"].string(),
-            pictures=pictures.value == "true",
+            pictures=root["pictures"].flag(),
             rows={name: _row(block, table) for name, block in root["entities"].items()},
         )
 

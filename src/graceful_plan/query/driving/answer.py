@@ -50,7 +50,7 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
         found = found if found.paths or found.stopped else plain
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         reference = drives.reference(ordinary)
-        first = _first(drives, reference, found)
+        first = _first(drives, drives.soon(ordinary, reference), found)
         if found.paths:  # now it is known what timing and judging take here
             budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
         judged = first
@@ -80,9 +80,9 @@ def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> tuple
     return searched, drives.ordinary(searched, budget)
 
 
-def _first(drives: Drives, reference: Motion | None, found: Search) -> Judged | None:
+def _first(drives: Drives, soon: list[Motion], found: Search) -> Judged | None:
     """Return a motion that is had should all others come too late."""
-    first = None if reference is None else first_verified([reference], drives.request)
+    first = first_verified(soon, drives.request)
     return first if _passed(first) else first_verified(drives.stops(found), drives.request) or first
 
 

@@ -97,6 +97,13 @@ class Drives:
             return None
         return recharged(ordinary[0][0], self._closely)
 
+    def soon(self, ordinary: Sequence[tuple[Motion, Drive]], reference: Motion | None) -> list[Motion]:
+        """Return motions that take no search and no descent: the reference, and slower where it pays; the best first."""
+        if reference is None or self.walkers is not None:
+            return [] if reference is None else [reference]
+        motion, drive = ordinary[0]
+        return self._in_order([other for other, _ in self._timed(drive, motion.path, motion.arrival)], reference)
+
     def motions(
         self,
         searched: Search,

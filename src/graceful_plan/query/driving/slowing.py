@@ -20,7 +20,7 @@ Array = np.ndarray
 SHARES = np.array([1.0, 0.85, 0.7, 0.55, 0.4, 0.3, 0.2])
 """Of the fastest speed, that are compared."""
 _LEAST = 0.05
-"""Of the fastest speed along the curve, below which nothing is slowed down: it begins and ends at rest."""
+"""Of the fastest speed of all joints, below which nothing is slowed down: it begins and ends at rest."""
 _LOOKS = 200
 """Places of a motion that are looked at, about."""
 _FREE = 1e9
@@ -58,9 +58,11 @@ def capped(grid: CurveGrid, trajectory: Trajectory, share: Float[Array, " point"
     """
     if (share == 1.0).all():
         return None
-    rate = _path_speed(grid, trajectory)
-    least = _LEAST * rate.max()
-    cap = np.where(share < 1.0, np.maximum(share * rate, least) ** 2, _FREE)
+    slope = np.linalg.norm(np.concatenate([grid.slope[:, 0], grid.slope[-1:, 1]]), axis=1)
+    speed = np.linalg.norm(trajectory.qd, axis=1)
+    # A stretch may be parametrised by metres, and the next one by shares of its length.
+    slow = np.maximum(share * speed, _LEAST * speed.max()) / np.maximum(slope, 1e-12)
+    cap = np.where(share < 1.0, slow**2, _FREE)
     s = grid.s
 
     def limits(of: CurveGrid) -> Float[Array, "interval limit 3"]:
@@ -73,9 +75,3 @@ def capped(grid: CurveGrid, trajectory: Trajectory, share: Float[Array, " point"
         return np.stack([begin, end], axis=1)
 
     return limits
-
-
-def _path_speed(grid: CurveGrid, trajectory: Trajectory) -> Float[Array, " point"]:
-    slope = np.concatenate([grid.slope[:, 0], grid.slope[-1:, 1]])
-    length = np.linalg.norm(slope, axis=1)
-    return np.linalg.norm(trajectory.qd, axis=1) / np.maximum(length, 1e-12)

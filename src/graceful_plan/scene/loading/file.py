@@ -177,7 +177,7 @@ def _base(block: Block | None) -> DiffDrive | None:
         if name in ("joints", "wheels"):
             given[name] = child.strings()
         elif name == "reverse":
-            given[name] = _flag(child)
+            given[name] = child.flag()
         else:
             given[name] = child.number()
     missing = [i.name for i in fields(DiffDrive) if i.default is MISSING and i.name not in given]
@@ -187,12 +187,6 @@ def _base(block: Block | None) -> DiffDrive | None:
         return DiffDrive(**given)
     except SettingError as error:
         raise block.error(str(error)) from None
-
-
-def _flag(block: Block) -> bool:
-    if block.value not in ("true", "false"):
-        raise block.error(f"{block.name} is neither true nor false")
-    return block.value == "true"
 
 
 def _limits(block: Block | None) -> dict[str, tuple[float, float]]:

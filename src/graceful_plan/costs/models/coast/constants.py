@@ -22,7 +22,7 @@ Array = np.ndarray
 
 WHEELS = ("driven", "released", "locked", "side_locked", "side_dead")
 """What wheels do: all go on as commanded and then stop, all turn freely, all are held; those of one side are held or
-turn freely while the other side goes on as commanded for the delay and then stops."""
+turn freely while the other side goes on for the delay and then stops."""
 ONE_SIDE = ("side_locked", "side_dead")
 
 
@@ -38,6 +38,8 @@ class Way:
         delay: How long what is driven goes on at full speed before [s].
         wheels: What they do, one of `WHEELS`.
         bend: Curvatures that are added to that of the motion, each as likely as each other [1/m].
+        steered: Of one side that fails: whether the other one is steered along the way until the delay is over, by a
+            controller that does not know of it, rather than going on at its speed.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -49,10 +51,13 @@ class Way:
     delay: tuple[float, ...]
     wheels: str = "driven"
     bend: tuple[float, ...] = (0.0,)
+    steered: bool = False
 
     def __post_init__(self) -> None:
         if self.wheels not in WHEELS:
             raise SettingError("way.wheels", self.wheels, f"one of {', '.join(WHEELS)}")
+        if not isinstance(self.steered, bool):
+            raise SettingError("way.steered", self.steered, "True or False")
         if not self.bend or not all(abs(b) < math.inf for b in self.bend):
             raise SettingError("way.bend", self.bend, "finite numbers")
         for name, least in (("weight", 0.0), ("drag", 0.0)):
@@ -73,6 +78,7 @@ class CoastSettings(YamlTable):
     Args:
         share: Of failures, those of the base rather than of gripper and arm; all of a robot that has neither are.
         thrown: Of failures of a base without an arm, those that throw off what stands on it.
+        harmless: Of failures of the base, those that stop nothing and lead nowhere; the others go one of the ways.
         reference_speed: Speed of a hit that severities are for [m/s].
         position_spread: Standard deviation of where the base is across its way [m].
         drift: How much farther it strays per metre [m/m].
@@ -91,6 +97,7 @@ class CoastSettings(YamlTable):
     keys = (
         "share",
         "thrown",
+        "harmless",
         "reference_speed",
         "position_spread",
         "drift",
@@ -102,6 +109,7 @@ class CoastSettings(YamlTable):
 
     share: float
     thrown: float
+    harmless: float
     reference_speed: float
     position_spread: float
     drift: float
@@ -111,9 +119,11 @@ class CoastSettings(YamlTable):
     ways: Mapping[str, Way]
 
     def __post_init__(self) -> None:
-        for name in ("share", "thrown"):
+        for name in ("share", "thrown", "harmless"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise SettingError(name, getattr(self, name), "a number in [0, 1]")
+        if self.harmless == 1.0:
+            raise SettingError("harmless", self.harmless, "a number below 1")
         for name in ("reference_speed", "position_spread", "friction", "brakes"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingError(name, getattr(self, name), "a finite number above 0")
@@ -138,8 +148,8 @@ class CoastSettings(YamlTable):
         """Make them of the values in a file."""
         ways = {}
         for name, block in root["ways"].items():
-            block.only("weight", "wheels", "deceleration", "drag", "delay", "bend")
-            bend = block.get("bend")
+            block.only("weight", "wheels", "deceleration", "drag", "delay", "bend", "steered")
+            bend, steered = block.get("bend"), block.get("steered")
             ways[name] = Way(
                 weight=block["weight"].number(),
                 deceleration=block["deceleration"].numbers(),
@@ -147,6 +157,7 @@ class CoastSettings(YamlTable):
                 delay=block["delay"].numbers(),
                 wheels=block["wheels"].string(),
                 bend=(0.0,) if bend is None else bend.numbers(),
+                steered=False if steered is None else steered.flag(),
             )
         return cls(**{key: root[key].number() for key in cls.keys if key != "ways"}, ways=ways)
 
@@ -192,12 +203,12 @@ class CoastSettings(YamlTable):
         )
 
     def only(self, *names: str) -> CoastSettings:
-        """Return settings with these ways alone."""
-        return replace(self, ways={name: self.ways[name] for name in names})
+        """Return settings with these ways alone, which all failures then go."""
+        return replace(self, harmless=0.0, ways={name: self.ways[name] for name in names})
 
     def _each(self) -> list[tuple[Way, float]]:
         """Return ways that happen and the probability of each of their combinations."""
-        total = sum(way.weight for way in self.ways.values())
+        total = sum(way.weight for way in self.ways.values()) / (1.0 - self.harmless)
         return [
             (way, way.weight / total / (len(way.deceleration) * len(way.delay) * len(way.bend)))
             for way in self.ways.values()

@@ -2,7 +2,7 @@ r"""A base of which one side fails: four wheels with dry friction, integrated in
 
 Each wheel carries its share of the weight on the driven ones and slides over the floor at the velocity s of its rim
 against it; the floor pushes with :math:`-\mu N s / \sqrt{|s|^2 + \epsilon^2}`. Rims on the side that works go on at
-their speed for the delay and then stop; rims that are held stand; rims that turn freely are moved by the floor against
+their speed for the delay, or as a controller steers them (`steering`), and then stop; rims that are held stand; rims that turn freely are moved by the floor against
 the friction of their gears and the inertia of their motors. Two wheels with casters are four of which the front and
 rear ones coincide. Everything is per mass of the base, so that only its radius of gyration and its centre of mass
 count.
@@ -20,19 +20,20 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.costs.models.coast.steering import MOTORS, TICK, Steering
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
 
-SAMPLES = 28
+SAMPLES = 40
 """Places along each way."""
-_SPEEDS, _RATES = 6, 7
+_SPEEDS, _RATES = 8, 9
 _GRAVITY = 9.81
-_STEP = 0.0025
+_STEP = 0.004
 _AFTER = 0.5
 """How long places are kept after the last rim has stopped [s]."""
-_KEPT = 8
-"""Steps between places that are kept."""
+_KEPT = round(TICK / _STEP)
+"""Steps between places that are kept, and between commands."""
 _SMOOTH = 0.04
 """Speed of sliding at which friction is 70 % of what it is at most [m/s]."""
 _LEAST_ROTOR = 0.02
@@ -65,7 +66,8 @@ class Ways(NamedTuple):
     | share  | probability of each table                                               | table                        |
     | speeds | along the heading when it fails, from 0 on [m/s]                        | speed                        |
     | rates  | of turning then [rad/s]                                                 | rate                         |
-    | places | x, y, turned in the frame of the base then; speed [m/s]; time [s]       | speed rate table sample 5    |
+    | places | x, y, turned in the frame of the base then; speed of its fastest point  | speed rate table sample 5    |
+    |        | [m/s]; time [s]                                                         |                              |
     """
 
     share: Float[Array, " table"]
@@ -91,6 +93,8 @@ class Case(NamedTuple):
     """How long the other side goes on [s]."""
     brakes: float
     """Deceleration of its rims then [m/s^2]."""
+    steered: Array = np.array(False)
+    """Whether a controller steers it until then."""
 
 
 @lru_cache(maxsize=8)
@@ -103,15 +107,16 @@ def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
         return Ways(np.zeros(0), speeds, rates, np.zeros((len(speeds), len(rates), 0, SAMPLES, 5)))
     rows = [
         (left, way.wheels == "side_locked", a / _GRAVITY if way.wheels == "side_locked" else settings.friction, a,
-         way.drag, delay)
+         way.drag, delay, way.steered)
         for _, way, a, delay in found
         for left in (True, False)
     ]  # fmt: skip
-    left, held, friction, rolling, drag, delay = (np.array(column) for column in zip(*rows, strict=True))
-    case = Case(left, held, friction, rolling, drag, delay=delay, brakes=settings.brakes)
+    left, held, friction, rolling, drag, delay, steered = (np.array(column) for column in zip(*rows, strict=True))
+    case = Case(left, held, friction, rolling, drag, delay=delay, brakes=settings.brakes, steered=steered)
     v, omega = speeds[:, None, None], rates[None, :, None]
     shape = (len(speeds), len(rates), len(rows))
     places = integrated(body, np.broadcast_to(v, shape), np.broadcast_to(omega, shape), case)
+    places[..., 3] = _fastest(places, base)
     share = np.repeat([0.5 * p for p, *_ in found], 2)
     return Ways(share, speeds, rates, resampled(places, _reach(base), SAMPLES))
 
@@ -143,6 +148,8 @@ def integrated(
     rolling, drag = (np.asarray(value)[..., None] * weight / 4.0 for value in (case.rolling, case.drag))
     rim = v[..., None] - side * base.lever * omega[..., None]
     driven, rim = rim.copy(), np.where(held, 0.0, rim)
+    steered, faster = np.broadcast_to(np.asarray(case.steered)[..., None], rim.shape), MOTORS * base.a_max * _STEP
+    steering = Steering(base, v, omega)
     vx, vy, w = v - omega * cy, omega * cx, omega.astype(float)
     px, py, turned = np.zeros_like(w), np.zeros_like(w), np.zeros_like(w)
     kept = []
@@ -155,7 +162,12 @@ def integrated(
             speed = np.hypot(vx + w * cy, vy - w * cx)
             kept.append(np.stack([ox, oy, turned, speed, np.full_like(w, step * _STEP)], axis=-1))
         late = np.maximum(0.0, step * _STEP - np.asarray(case.delay))[..., None]
+        if step % _KEPT == 0 and steered.any():
+            told = steering.tell(step * _STEP, (ox, oy, turned), w, (rim[..., 0], rim[..., 2]))
+            told = np.repeat(np.stack(told, axis=-1), 2, axis=-1)
+            driven = np.where(steered & (late <= 0.0), told, driven)
         going = np.sign(driven) * np.maximum(0.0, np.abs(driven) - case.brakes * late)
+        going = np.where(steered, rim + np.clip(going - rim, -faster, faster), going)
         rim = np.where(broken, rim, going)
         sx, sy = vx[..., None] - w[..., None] * (y - cy) - rim, vy[..., None] + w[..., None] * (x - cx)
         share = grip / np.sqrt(sx**2 + sy**2 + _SMOOTH**2)
@@ -182,6 +194,12 @@ def resampled(places: Float[Array, "*batch time 5"], reach: float, count: int) -
         at = np.linspace(0.0, most, count)
         out[row] = np.stack([np.interp(at, s + 1e-12 * np.arange(len(s)), place[:, k]) for k in range(5)], axis=-1)
     return out.reshape(*places.shape[:-2], count, 5)
+
+
+def _fastest(places: Float[Array, "*batch time 5"], base: DiffDrive) -> Float[Array, "*batch time"]:
+    """Return the speed of what is farthest from the origin of a base that spins: that is what hits [m/s]."""
+    turned, speed = places[..., 2], places[..., 3]
+    return speed + _reach(base) * np.abs(np.diff(turned, axis=-1, append=turned[..., -1:])) / TICK
 
 
 def _wheels(base: DiffDrive) -> int:
