@@ -14,12 +14,12 @@ import numpy as np
 
 from failbench.simulated.rolling import Rolling
 from failbench.simulated.world import World
-from failbench.wheels.following import Controller, Course, CourseFollower, check_course, timed, untimed
+from failbench.wheels.following import Controller, Course, CourseFollower, check_course, timed, untimed, within_reach
 from failbench.wheels.slipping import fitted_tracking
 from graceful_plan import Scene, Trajectory
 from graceful_plan.array_types import Float
 from graceful_plan.control.diff_drive_controller import Tracking
-from graceful_plan.control.drive_state import DriveCommand, DriveState
+from graceful_plan.control.drive_state import DriveState
 from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
@@ -28,9 +28,6 @@ TICK = 10
 """Steps from one command of the loop to the next."""
 _SLACK = 0.5
 """How far the angle that a wheel's servo is told may be from what it reads [rad]: its integral winds up no further."""
-_BEHIND = 3.0
-"""How far the rate that a wheel is told goes ahead of its own [rad/s]."""
-
 
 Misreadings = Callable[[], Float[Array, " wheel"]]
 """Tells how wrong the readings of the wheels are now: reading minus truth [rad]."""
@@ -103,30 +100,6 @@ class BasePlan:
             reach=TICK * dt * _hardest(world),
         )
 
-    def reached(
-        self, wanted: DriveCommand, before: Float[Array, " wheel"], qvel: Float[Array, " qvel"]
-    ) -> DriveCommand:
-        """Return what comes nearest to a command that the wheels can do before the next one.
-
-        Half of what motors give is kept for the speed: a base that asks for more turning than they have would stand
-        and spin.
-
-        Args:
-            wanted: What the base should do.
-            before: Rates of the wheels that were asked for last [rad/s]; wheels that are far from them count.
-            qvel: Velocities of everything.
-        """
-        turning = qvel[self.rim]
-        rims = self.rolling.base.radius * np.clip(before, turning - _BEHIND, turning + _BEHIND)
-        half = len(rims) // 2
-        left, right = float(rims[:half].mean()), float(rims[half:].mean())
-        v, turn, lever = 0.5 * (left + right), 0.5 * (right - left), self.rolling.base.lever
-        faster = min(max(wanted.v - v, -0.5 * self.reach), 0.5 * self.reach)
-        room = self.reach - abs(faster)
-        more = lever * wanted.omega - turn
-        omega = wanted.omega if abs(more) <= room else (turn + np.copysign(room, more)) / lever
-        return DriveCommand(v + faster, float(omega))
-
     def loop(self, angles: Float[Array, " wheel"], summed: float = 0.0) -> BaseLoop:
         """Return a loop whose servos stand at these angles of the wheels [rad]."""
         return BaseLoop(self, np.array(angles, dtype=float), summed)
@@ -178,7 +151,8 @@ class BaseLoop:
         command = self.follower.command(state, step)
         summed = self.follower.gains.summed(self.summed, command, state, TICK * plan.dt)
         wanted = self.follower.gains.held(command, state, summed)
-        told = plan.reached(wanted, self._told[-1] if self._told else qvel[plan.rim], qvel)
+        turning = qvel[plan.rim]
+        told = within_reach(wanted, self._told[-1] if self._told else turning, turning, base, plan.reach)
         if told.omega == wanted.omega or abs(summed) < abs(self.summed):
             self.summed = summed
         half = len(plan.wheel) // 2

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 
+from failbench.wheels.following import within_reach
 from failbench.wheels.slipping import steady_drive
 from failbench.wheels.wheeled import TIMESTEP, Wheeled
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.control.diff_drive_controller import Tracking
+from graceful_plan.control.drive_state import DriveState
 from graceful_plan.costs.models.coast.constants import ONE_SIDE, WHEELS, CoastSettings
+from graceful_plan.costs.models.coast.steering import MOTORS, TICK
 from graceful_plan.exceptions import UnknownNameError
 
 Array = np.ndarray
@@ -20,6 +24,8 @@ Array = np.ndarray
 _STILL = 0.02
 """Speed of the base below which it has come to rest [m/s]; it is looked at every `_LOOK` seconds."""
 _LOOK = 0.05
+_FASTER = 1.3
+"""Greatest speed of rims that it asks for, over that of motions."""
 _SKEWS = 0.1
 """Speed below which a base that turns is not held at an angle to its way [m/s]."""
 
@@ -136,15 +142,52 @@ def coasting(
     data.qvel[wheels.dof : wheels.dof + 2] = c * x - s * y, s * x + c * y
     data.qvel[wheels.dof + 5] = steady.omega
     data.qvel[wheels.wheel] = data.ctrl[wheels.motor] = steady.wheel
-    data = _moved(model, data)
+    data, rates = _moved(model, data), steady.wheel
+    steers = _Steers(wheels, (float(q[0]), float(q[1]), float(q[2])), v, omega) if failure.steered else None
     for step in range(int(seconds / TIMESTEP)):
-        _command(wheels, data, failure, (v, steady.wheel), step * TIMESTEP)
+        if steers is not None and step % round(TICK / TIMESTEP) == 0 and step * TIMESTEP <= failure.delay:
+            rates = steers.rates(data, step * TIMESTEP)
+        _command(wheels, data, failure, (v, rates), step * TIMESTEP)
         speed = float(np.hypot(*data.qvel[wheels.dof : wheels.dof + 2]))
         mujoco.mj_step(model, data)
         yield data, speed
         waited = step * TIMESTEP > failure.delay or failure.wheels in ("released", "locked")
         if waited and step % int(_LOOK / TIMESTEP) == 0 and speed < _STILL and abs(data.qvel[wheels.dof + 5]) < _STILL:
             return
+
+
+@dataclass(eq=False)
+class _Steers:
+    """A controller that follows the arc that a base drove when it failed, and does not know of it."""
+
+    wheels: Wheeled
+    begin: tuple[float, float, float]
+    v: float
+    omega: float
+    follows: Tracking = field(default_factory=Tracking)
+    summed: float = 0.0
+    told: Float[Array, " wheel"] | None = None
+
+    def rates(self, data: mujoco.MjData, time: float) -> Float[Array, " wheel"]:
+        """Return what it tells the wheels [rad/s], a time after the failure [s]."""
+        (x0, y0, yaw0), wheels = self.begin, self.wheels
+        x, y, yaw = wheels.pose(data)
+        ahead = data.qvel[wheels.dof] * np.cos(yaw) + data.qvel[wheels.dof + 1] * np.sin(yaw)
+        state = DriveState(x, y, yaw, float(ahead), float(data.qvel[wheels.dof + 5]))
+        turned = self.omega * time
+        chord, middle = self.v * time * np.sinc(0.5 * turned / np.pi), yaw0 + 0.5 * turned
+        wanted = DriveState(
+            x0 + chord * np.cos(middle), y0 + chord * np.sin(middle), yaw0 + turned, self.v, self.omega
+        )
+        command = self.follows.command(state, wanted)
+        self.summed = self.follows.summed(self.summed, command, state, TICK)
+        told = self.follows.held(command, state, self.summed)
+        base, turning = wheels.base, data.qvel[wheels.wheel]
+        reach = MOTORS * base.a_max * TICK
+        told = within_reach(told, turning if self.told is None else self.told, turning, base, reach)
+        most = _FASTER * base.rim_max / base.radius
+        self.told = np.clip(wheels.wheel_rates(told.v, told.omega), -most, most)
+        return self.told
 
 
 def _failing(wheels: Wheeled, failure: BaseFailure) -> mujoco.MjModel:

@@ -15,6 +15,7 @@ from graceful_plan.control.drive_state import DriveCommand, DriveState
 from graceful_plan.control.dwa import DynamicWindow, seen
 from graceful_plan.control.pure_pursuit import PurePursuit
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
 
@@ -27,6 +28,8 @@ SETTLES = 0.5
 THERE = 0.08
 """Distance to the end of a path at which it counts as reached [m]."""
 SLOW = 0.02
+_BEHIND = 3.0
+"""How far the rate that a wheel is told goes ahead of its own [rad/s]."""
 _APART = 0.02
 """Least distance between places of a path [m]."""
 
@@ -148,3 +151,34 @@ class CourseFollower:
         choice = controller.choose(state, course.path, seen(self.scene, course.begins + step * self.dt))
         self.stops += not choice.admissible
         return choice.command
+
+
+def within_reach(
+    wanted: DriveCommand,
+    before: Float[Array, " wheel"],
+    turning: Float[Array, " wheel"],
+    base: DiffDrive,
+    reach: float,
+) -> DriveCommand:
+    """Return what comes nearest to a command that the wheels can do before the next one.
+
+    Half of what motors give is kept for the speed: a base that asks for more turning than they have would stand and
+    spin.
+
+    Args:
+        wanted: What the base should do.
+        before: Rates of the wheels that were asked for last, left ones first [rad/s]; where wheels are far from them,
+            the wheels count.
+        turning: Rates that they have [rad/s].
+        base: How it drives.
+        reach: By how much the rims can get faster until then [m/s].
+    """
+    rims = base.radius * np.clip(before, turning - _BEHIND, turning + _BEHIND)
+    half = len(rims) // 2
+    left, right = float(rims[:half].mean()), float(rims[half:].mean())
+    v, turn, lever = 0.5 * (left + right), 0.5 * (right - left), base.lever
+    faster = min(max(wanted.v - v, -0.5 * reach), 0.5 * reach)
+    room = reach - abs(faster)
+    more = lever * wanted.omega - turn
+    omega = wanted.omega if abs(more) <= room else (turn + np.copysign(room, more)) / lever
+    return DriveCommand(v + faster, float(omega))

@@ -241,13 +241,13 @@ def _base_replay(failure: Failure, motion: ShownMotion) -> Replay:
     settings = CoastSettings.shipped()
     way, onset = settings.ways[failure.fault], failure.moment * motion.duration
     middle = way.deceleration[len(way.deceleration) // 2], way.drag, way.delay[len(way.delay) // 2]
-    broken = coasting.BaseFailure(way.wheels, *middle, bend=way.bend[len(way.bend) // 2])
+    broken = coasting.BaseFailure(way.wheels, *middle, bend=way.bend[len(way.bend) // 2], steered=way.steered)
     state = motion.trajectory.at(motion.trajectory.t[0] + onset)
     hits = coasting.coasted(wheels, state.q, state.qd, broken, _COASTING)
     each = max(1, round(_STEP / wheeled.TIMESTEP))
     states = (data for data, _ in coasting.coasting(wheels, state.q, state.qd, broken, _COASTING))
     frames = [(data.xpos.copy(), data.xquat.copy()) for i, data in enumerate(states) if i % each == 0]
-    alone = Coast(replace(settings, ways={failure.fault: way}))
+    alone = Coast(settings.only(failure.fault))
     entities = tuple(scene.entities.values())
     worth = [min(1.0, (hit.speed / settings.reference_speed) ** 2) for hit in hits]
     return Replay(

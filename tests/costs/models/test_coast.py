@@ -23,7 +23,7 @@ SHIPPED = CoastSettings.shipped()
 
 def only(**way):
     given = {"weight": 1.0, "deceleration": (1.0,), "drag": 0.0, "delay": (0.0,)} | way
-    return replace(SHIPPED, ways={"only": Way(**given)}, position_spread=1e-3, drift=0.0)
+    return replace(SHIPPED, harmless=0.0, ways={"only": Way(**given)}, position_spread=1e-3, drift=0.0)
 
 
 def hit(x, v, *, y=0.8, yaw=0.0, omega=0.0, scene=SCENE, settings=SHIPPED):

@@ -1,8 +1,7 @@
-"""A coast model of few ways, for searches among those who move: ten times faster than the whole one, and close to it.
+"""A coast model of few ways, for searches among those who move: three times faster than the whole one, and close to it.
 
-What goes straight on or along the motion's own arc decides whom a base meets; how one side bends it off, and how many
-decelerations and delays there are, hardly does. On random states around somebody who walks, sums of P by 8 of the 46
-ways differ by 1 % from those by all, with a correlation of 0.999.
+How many decelerations and delays there are hardly decides whom a base meets. On 3,000 random states around somebody who
+walks, sums of P differ by 0.5 %, with a correlation of 0.999.
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ from graceful_plan.costs.models.coast.constants import ONE_SIDE, CoastSettings
 
 
 def thinned(settings: CoastSettings) -> CoastSettings:
-    """Return settings without ways that bend, each with two decelerations and delays at most."""
+    """Return settings without ways that bend, each with two decelerations and delays at most, and one of one side."""
+    happens = {name: way for name, way in settings.ways.items() if way.weight > 0.0}
     ways = {
         name: replace(
             way,
@@ -23,10 +23,19 @@ def thinned(settings: CoastSettings) -> CoastSettings:
             deceleration=_halves(way.deceleration),
             delay=_halves(way.delay),
         )
-        for name, way in settings.ways.items()
+        for name, way in happens.items()
         if way.wheels not in ONE_SIDE
     }
-    return replace(settings, ways=ways) if any(way.weight > 0.0 for way in ways.values()) else settings
+    sides = {name: way for name, way in happens.items() if way.wheels in ONE_SIDE}
+    if sides:
+        name = max(sides, key=lambda side: sides[side].weight)
+        ways[name] = replace(
+            sides[name],
+            weight=sum(way.weight for way in sides.values()),
+            deceleration=(float(np.mean(sides[name].deceleration)),),
+            delay=(float(np.mean(sides[name].delay)),),
+        )
+    return replace(settings, ways=ways)
 
 
 def _halves(values: tuple[float, ...]) -> tuple[float, ...]:
