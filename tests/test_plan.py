@@ -122,7 +122,7 @@ def test_settings_objects_and_weights_of_objectives(task):
     assert b.cost.w == 2.0
 
 
-@pytest.mark.parametrize("exposure", ["length", "time", "waypoints"])
+@pytest.mark.parametrize("exposure", ["length", "time", pytest.param("waypoints", marks=pytest.mark.long)])
 def test_every_exposure_plans(task, exposure):
     result = _quick(task, objective=gp.Objective(exposure=exposure))
     assert result.status is gp.PlanStatus.SOLVED, result.detail

@@ -30,7 +30,7 @@ FILES = sorted(planning.BEST.folder.glob("*.json"))
 
 @pytest.fixture(scope="module")
 def record() -> Run:
-    (found,) = planning.runs([planning.job(TASK, "rrt_connect", seconds=5.0)], 1, "test")
+    (found,) = planning.runs([planning.job(TASK, "rrt_connect", seconds=2.0)], 1, "test")
     assert found.solved, found
     return found
 
@@ -92,7 +92,7 @@ def test_the_reference_of_gaps_is_the_best_of_file_and_run(folder, record):
     best, doubts = planners.references([(5.0, [record])], [TASK], keep=True)
     assert best == {TASK: total} and TASK in doubts[0]
     kept = folder.load(TASK, suite.task(TASK))
-    assert kept is not None and (kept.planner, kept.seed, kept.seconds) == ("rrt_connect", 0, 5.0)
+    assert kept is not None and (kept.planner, kept.seed, kept.seconds) == ("rrt_connect", 0, 2.0)
 
 
 # --- records and statistics ------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ _NAMES = (
 )  # fmt: skip
 
 _ITERATIONS = {
-    "auto": 150, "anytime": 150, "chomp": 200, "casadi": 60, "prm": 120, "prm_star": 150, "rrt_star": 150,
+    "auto": 150, "anytime": 150, "chomp": 200, "stomp": 150, "casadi": 40, "prm": 120, "prm_star": 150, "rrt_star": 150,
     "informed_rrt_star": 150,
 }  # fmt: skip
 """Iterations that are ample in the plane; what one is differs from planner to planner."""

@@ -27,7 +27,7 @@ def task(name: str = NAME) -> gp.Task:
 def found() -> Run:
     note = ProblemNote(name=TASK, kind="task", source=SCENE, item=NAME)
     planner = PlannerNote(label="rrt_connect", name="rrt_connect")
-    return run(PlannerJob(problem=note, planner=planner, seed=0, seconds=5.0, w=1.0, measured=False))
+    return run(PlannerJob(problem=note, planner=planner, seed=0, seconds=2.0, w=1.0, measured=False))
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def motions(tmp_path) -> BestMotions:
 def stored(found, motions) -> BestMotion:
     best = motions.offer(task(), None, found, 5.0)
     assert best is not None, found
-    attempt = Attempt(planner="rrt_connect", seed=0, seconds=5.0, total=best.total)
+    attempt = Attempt(planner="rrt_connect", seed=0, seconds=2.0, total=best.total)
     return dataclasses.replace(best, runs=(attempt, dataclasses.replace(attempt, seed=1, total=None)))
 
 

@@ -258,8 +258,8 @@ def slowly(seconds):
 
 
 def test_what_prepares_has_no_deadline_and_what_does_has_one():
-    work = workers.Work(do=str, prepare=slowly, allowed=lambda job: 2.0, lost=lambda job, status, detail: status)
-    assert list(workers.spread(work, [2.5], 1)) == ["2.5"]
+    work = workers.Work(do=str, prepare=slowly, allowed=lambda job: 1.0, lost=lambda job, status, detail: status)
+    assert list(workers.spread(work, [1.3], 1)) == ["1.3"]
     assert list(workers.spread(dataclasses.replace(work, do=slowly, prepare=abs), [30.0], 1)) == ["HUNG"]
 
 
