@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,7 +38,7 @@ constant was fitted to anything: those of the coast model are assumptions, and f
 assumptions, so that this measures closed forms and geometry, not how real bases fail. In MuJoCo the base stands on four
 wheels that turn (armature 0.1, effective track 1.5 times the real one), fails at a random moment of its motion with the
 speed that it has there, and is watched until it rests. Harm of a failure: sum over what it touches of severity times
-min(1, (speed / 1 m/s)^2). **Per task**: failures come per hour, so harm per executed task is mean harm x duration.
+min(1, (speed / 1 m/s)^2), speeds along the normal. **Per task**: failures come per hour, so harm per executed task is mean harm x duration.
 "Rolled": the motion is followed by a controller (Kanayama 1990) from its start to its end, without failure.
 """
 
@@ -115,7 +115,8 @@ def examine(job: tuple[int, float, int]) -> Driven:
     state = trajectory.at(np.linspace(0.0, trajectory.duration, 20_000))
     c, s = np.cos(state.q[:, 2]), np.sin(state.q[:, 2])
     rolled = drive(trajectory, scene)
-    rng, model = np.random.default_rng((SEED, number, 1)), Coast()
+    rng = np.random.default_rng((SEED, number, 1))
+    model = Coast(replace(CoastSettings.shipped(), harmless=0.0))  # none that does nothing is drawn
     severity = np.array([entity.severity["body"] for entity in scene.entities.values()])
     unit = CoastSettings.shipped().reference_speed
     harm, predicted, events = [], [], []

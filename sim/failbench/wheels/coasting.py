@@ -74,7 +74,7 @@ class BaseHit:
 
     Args:
         entity: Its number in the scene.
-        speed: Of the base at that moment [m/s].
+        speed: Of what touches it, along the normal [m/s].
         time: After the failure [s].
     """
 
@@ -117,15 +117,17 @@ def coasted(
         seconds: How long it is watched, unless it comes to rest before [s].
     """
     hits: dict[int, BaseHit] = {}
-    for data, speed in coasting(wheels, q, qd, failure, seconds):
-        _note(wheels, data, hits, speed)
+    for data, before in coasting(wheels, q, qd, failure, seconds):
+        _note(wheels, data, hits, before)
     return sorted(hits.values(), key=lambda hit: hit.time)
 
 
 def coasting(
     wheels: Wheeled, q: Float[Array, " nq"], qd: Float[Array, " nq"], failure: BaseFailure, seconds: float = 4.0
-) -> Iterator[tuple[mujoco.MjData, float]]:
-    """Yield the data after each step of `coasted`, and the speed of the base before it [m/s]. The data are changed.
+) -> Iterator[tuple[mujoco.MjData, Float[Array, " 3"]]]:
+    """Yield the data after each step of `coasted`; and the base's velocity in W before it [m/s], and rate of turning.
+
+    The data are changed.
 
     It begins as a controller that keeps the base on its way has it drive: a skid-steer at an angle to its heading.
     """
@@ -148,11 +150,11 @@ def coasting(
         if steers is not None and step % round(TICK / TIMESTEP) == 0 and step * TIMESTEP <= failure.delay:
             rates = steers.rates(data, step * TIMESTEP)
         _command(wheels, data, failure, (v, rates), step * TIMESTEP)
-        speed = float(np.hypot(*data.qvel[wheels.dof : wheels.dof + 2]))
+        before = data.qvel[[wheels.dof, wheels.dof + 1, wheels.dof + 5]]
         mujoco.mj_step(model, data)
-        yield data, speed
+        yield data, before
         waited = step * TIMESTEP > failure.delay or failure.wheels in ("released", "locked")
-        if waited and step % int(_LOOK / TIMESTEP) == 0 and speed < _STILL and abs(data.qvel[wheels.dof + 5]) < _STILL:
+        if waited and step % int(_LOOK / TIMESTEP) == 0 and np.hypot(*before[:2]) < _STILL and abs(before[2]) < _STILL:
             return
 
 
@@ -239,11 +241,13 @@ def _command(
         data.ctrl[wheels.motor] = left * (rates + wheels.wheel_rates(0.0, failure.bend * abs(v)))
 
 
-def _note(wheels: Wheeled, data: mujoco.MjData, hits: dict[int, BaseHit], speed: float) -> None:
+def _note(wheels: Wheeled, data: mujoco.MjData, hits: dict[int, BaseHit], before: Float[Array, " 3"]) -> None:
     for k in range(data.ncon):
         first, second = int(data.contact.geom1[k]), int(data.contact.geom2[k])
         if data.contact.dist[k] > 0.0 or (first in wheels.robot) == (second in wheels.robot):
             continue
         entity = int(wheels.entity[second if first in wheels.robot else first])
         if entity >= 0 and entity not in hits:
-            hits[entity] = BaseHit(entity, speed, float(data.time))
+            x, y = data.contact.pos[k, :2] - data.qpos[wheels.qpos : wheels.qpos + 2]
+            there = before[:2] + before[2] * np.array([-y, x])
+            hits[entity] = BaseHit(entity, abs(float(data.contact.frame[k, :2] @ there)), float(data.time))
