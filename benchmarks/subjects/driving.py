@@ -38,8 +38,9 @@ constant was fitted to anything: those of the coast model are assumptions, and f
 assumptions, so that this measures closed forms and geometry, not how real bases fail. In MuJoCo the base stands on four
 wheels that turn (armature 0.1, effective track 1.5 times the real one), fails at a random moment of its motion with the
 speed that it has there, and is watched until it rests. Harm of a failure: sum over what it touches of severity times
-min(1, (speed / 1 m/s)^2), speeds along the normal. **Per task**: failures come per hour, so harm per executed task is mean harm x duration.
-"Rolled": the motion is followed by a controller (Kanayama 1990) from its start to its end, without failure.
+min(1, (speed / 1 m/s)^2), speeds along the normal. **Per task**: failures come per hour, so harm per executed task is
+mean harm x duration. "Rolled": the motion is followed by a controller (Kanayama 1990) from its start to its end,
+without failure.
 """
 
 

@@ -178,9 +178,7 @@ class _Steers:
         state = DriveState(x, y, yaw, float(ahead), float(data.qvel[wheels.dof + 5]))
         turned = self.omega * time
         chord, middle = self.v * time * np.sinc(0.5 * turned / np.pi), yaw0 + 0.5 * turned
-        wanted = DriveState(
-            x0 + chord * np.cos(middle), y0 + chord * np.sin(middle), yaw0 + turned, self.v, self.omega
-        )
+        wanted = DriveState(x0 + chord * np.cos(middle), y0 + chord * np.sin(middle), yaw0 + turned, self.v, self.omega)
         command = self.follows.command(state, wanted)
         self.summed = self.follows.summed(self.summed, command, state, TICK)
         told = self.follows.held(command, state, self.summed)

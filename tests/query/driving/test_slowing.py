@@ -24,7 +24,9 @@ def test_shares_of_the_speed_hold_on_every_stretch(share):
     fast = timed(drive, SCENE.limits, SCENE.joints, speed=1.0)
     grid = next(g for g in map(drive.grid, (1, 2, 4)) if len(g.q) == len(fast))
     rolls = (fast.q[:, 0] > -2.0) & (fast.q[:, 0] < 0.0)
-    slow = timed(drive, SCENE.limits, SCENE.joints, speed=1.0, restraint=capped(grid, fast, np.where(rolls, share, 1.0)))
+    slow = timed(
+        drive, SCENE.limits, SCENE.joints, speed=1.0, restraint=capped(grid, fast, np.where(rolls, share, 1.0))
+    )
     there = (slow.q[:, 0] > -1.95) & (slow.q[:, 0] < -0.05)
     along = slice(np.argmax(fast.q[:, 0] > 6.999))
     wanted = share * np.interp(slow.q[there, 0], fast.q[along, 0], np.abs(fast.qd[along, 0]))

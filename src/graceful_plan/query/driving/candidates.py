@@ -98,7 +98,7 @@ class Drives:
         return recharged(ordinary[0][0], self._closely)
 
     def soon(self, ordinary: Sequence[tuple[Motion, Drive]], reference: Motion | None) -> list[Motion]:
-        """Return motions that take no search and no descent: the reference, and slower where it pays; the best first."""
+        """Return motions that take no search and no descent: the reference, slower where it pays; the best first."""
         if reference is None or self.walkers is not None:
             return [] if reference is None else [reference]
         motion, drive = ordinary[0]

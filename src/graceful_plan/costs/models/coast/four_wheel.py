@@ -2,10 +2,10 @@ r"""A base of which one side fails: four wheels with dry friction, integrated in
 
 Each wheel carries its share of the weight on the driven ones and slides over the floor at the velocity s of its rim
 against it; the floor pushes with :math:`-\mu N s / \sqrt{|s|^2 + \epsilon^2}`. Rims on the side that works go on at
-their speed for the delay, or as a controller steers them (`steering`), and then stop; rims that are held stand; rims that turn freely are moved by the floor against
-the friction of their gears and the inertia of their motors. Two wheels with casters are four of which the front and
-rear ones coincide. Everything is per mass of the base, so that only its radius of gyration and its centre of mass
-count.
+their speed for the delay, or as a controller steers them (`steering`), and then stop; rims that are held stand; rims
+that turn freely are moved by the floor against the friction of their gears and the inertia of their motors. Two
+wheels with casters are four of which the front and rear ones coincide. Everything is per mass of the base, so that
+only its radius of gyration and its centre of mass count.
 
 There are no closed forms: what comes out is tabulated over speeds and rates of turning, as `Coast` reads it.
 """
@@ -135,7 +135,8 @@ def integrated(
     Returns:
         x, y [m], angle turned [rad] in the frame of the base when it fails; speed of its origin [m/s]; time [s].
     """
-    base = body.base
+    base, batch = body.base, np.shape(v)
+    v, omega = np.atleast_1d(v, omega)
     (cx, cy), (mx, my) = body.centre, body.middle
     side = np.array([1.0, 1.0, -1.0, -1.0])
     x = mx + 0.5 * base.wheel_base * np.array([1.0, -1.0, 1.0, -1.0])
@@ -147,28 +148,19 @@ def integrated(
     weight = 1.0 + 4.0 * rotor
     rolling, drag = (np.asarray(value)[..., None] * weight / 4.0 for value in (case.rolling, case.drag))
     rim = v[..., None] - side * base.lever * omega[..., None]
-    driven, rim = rim.copy(), np.where(held, 0.0, rim)
-    steered, faster = np.broadcast_to(np.asarray(case.steered)[..., None], rim.shape), MOTORS * base.a_max * _STEP
-    steering = Steering(base, v, omega)
+    drive, rim = _Drive(case, rim, Steering(base, v, omega)), np.where(held, 0.0, rim)
+    lasts = float(np.max(case.delay) + np.abs(drive.told).max() / case.brakes) + _AFTER
     vx, vy, w = v - omega * cy, omega * cx, omega.astype(float)
     px, py, turned = np.zeros_like(w), np.zeros_like(w), np.zeros_like(w)
     kept = []
-    lasts = float(np.max(case.delay) + np.abs(driven).max() / case.brakes) + _AFTER
-    steps = int(lasts / _STEP)
-    for step in range(steps + 1):
+    for step in range(int(lasts / _STEP) + 1):
         c, s = np.cos(turned), np.sin(turned)
         if step % _KEPT == 0:
             ox, oy = px + cx - (c * cx - s * cy), py + cy - (s * cx + c * cy)
             speed = np.hypot(vx + w * cy, vy - w * cx)
             kept.append(np.stack([ox, oy, turned, speed, np.full_like(w, step * _STEP)], axis=-1))
-        late = np.maximum(0.0, step * _STEP - np.asarray(case.delay))[..., None]
-        if step % _KEPT == 0 and steered.any():
-            told = steering.tell(step * _STEP, (ox, oy, turned), w, (rim[..., 0], rim[..., 2]))
-            told = np.repeat(np.stack(told, axis=-1), 2, axis=-1)
-            driven = np.where(steered & (late <= 0.0), told, driven)
-        going = np.sign(driven) * np.maximum(0.0, np.abs(driven) - case.brakes * late)
-        going = np.where(steered, rim + np.clip(going - rim, -faster, faster), going)
-        rim = np.where(broken, rim, going)
+            drive.tell(step * _STEP, (ox, oy, turned), w, rim)
+        rim = np.where(broken, rim, drive.going(step * _STEP, rim))
         sx, sy = vx[..., None] - w[..., None] * (y - cy) - rim, vy[..., None] + w[..., None] * (x - cx)
         share = grip / np.sqrt(sx**2 + sy**2 + _SMOOTH**2)
         fx, fy = -share * sx, -share * sy
@@ -179,7 +171,36 @@ def integrated(
         vx, vy = vx + _STEP * (ax + w * vy), vy + _STEP * (ay - w * vx)
         w = w + _STEP * alpha
         px, py, turned = px + _STEP * (c * vx - s * vy), py + _STEP * (s * vx + c * vy), turned + _STEP * w
-    return np.stack(kept, axis=-2)
+    return np.stack(kept, axis=-2).reshape(*batch, len(kept), 5)
+
+
+@dataclass(eq=False)
+class _Drive:
+    """What the rims of a side that works do.
+
+    Args:
+        case: What fails.
+        told: Speeds that the rims are told, at first those that they have [m/s].
+        steering: Who tells them.
+    """
+
+    case: Case
+    told: Float[Array, "*batch wheel"]
+    steering: Steering
+
+    def tell(self, time: float, pose: tuple[Array, Array, Array], rate: Array, rim: Array) -> None:
+        """Ask the controller, where there is one and nobody has stopped it, what is next; see `Steering.tell`."""
+        asked = np.asarray(self.case.steered) & (time <= np.asarray(self.case.delay))
+        if asked.any():
+            told = self.steering.tell(time, pose, rate, (rim[..., 0], rim[..., 2]))
+            self.told = np.where(asked[..., None], np.repeat(np.stack(told, axis=-1), 2, axis=-1), self.told)
+
+    def going(self, time: float, rim: Float[Array, "*batch wheel"]) -> Float[Array, "*batch wheel"]:
+        """Return the speeds of rims a step after they had these [m/s]; who steers has no more than the motors give."""
+        late = np.maximum(0.0, time - np.asarray(self.case.delay))[..., None]
+        going = np.sign(self.told) * np.maximum(0.0, np.abs(self.told) - self.case.brakes * late)
+        faster = MOTORS * self.steering.base.a_max * _STEP
+        return np.where(np.asarray(self.case.steered)[..., None], rim + np.clip(going - rim, -faster, faster), going)
 
 
 def resampled(places: Float[Array, "*batch time 5"], reach: float, count: int) -> Float[Array, "*batch count 5"]:
