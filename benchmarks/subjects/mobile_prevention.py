@@ -16,7 +16,7 @@ from graceful_plan.floor.generated import floor_plan
 Array = np.ndarray
 
 TITLE = "Robots that drive: harm per executed task under all faults"
-PLANS, PEOPLE, FAILURES, HORIZON, SECONDS, SEED = 20, 12, 4, 3.0, 5.0, 2016
+PLANS, PEOPLE, FAILURES, HORIZON, SECONDS, SEED = 20, 12, 8, 3.0, 5.0, 2016
 DEGREE = "severe"
 LEAST = 0.1
 """Hits that count where none was seen."""
