@@ -67,6 +67,12 @@ def test_hits_are_told_once_with_speed_and_time():
     assert hit.speed == pytest.approx(1.5, abs=0.05) and hit.time == pytest.approx((1.0 - 0.2 - 0.229) / 1.5, abs=0.05)
 
 
+def test_who_is_grazed_is_hit_with_the_speed_along_the_normal():
+    scene = jackal((1.0, 0.35))  # the side of the base passes 14 cm nearer to its axis than its middle
+    (hit,) = coasted(wheeled(scene), np.zeros(3), np.array([1.5, 0.0, 0.0]), BaseFailure("driven", 1.0, 0.0, 2.0))
+    assert 0.2 < hit.speed < 1.4
+
+
 def test_failures_are_drawn_as_often_as_the_settings_say():
     settings, rng = CoastSettings.shipped(), np.random.default_rng(0)
     words = [drawn(settings, rng).wheels for _ in range(2000)]

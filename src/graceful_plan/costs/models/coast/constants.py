@@ -58,6 +58,8 @@ class Way:
             raise SettingError("way.wheels", self.wheels, f"one of {', '.join(WHEELS)}")
         if not isinstance(self.steered, bool):
             raise SettingError("way.steered", self.steered, "True or False")
+        if self.steered and self.wheels not in ONE_SIDE:
+            raise SettingError("way.steered", self.steered, f"False unless wheels are one of {', '.join(ONE_SIDE)}")
         if not self.bend or not all(abs(b) < math.inf for b in self.bend):
             raise SettingError("way.bend", self.bend, "finite numbers")
         for name, least in (("weight", 0.0), ("drag", 0.0)):
