@@ -194,7 +194,14 @@ def test_gradients_are_those_of_differences():
 
 @pytest.mark.parametrize(
     "change",
-    [{"share": 1.5}, {"harmless": 1.0}, {"reference_speed": 0.0}, {"position_spread": np.nan}, {"drift": -1.0}, {"ways": {}}],
+    [
+        {"share": 1.5},
+        {"harmless": 1.0},
+        {"reference_speed": 0.0},
+        {"position_spread": np.nan},
+        {"drift": -1.0},
+        {"ways": {}},
+    ],
 )
 def test_settings_are_checked(change):
     with pytest.raises(SettingError):

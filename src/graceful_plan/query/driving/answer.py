@@ -23,7 +23,6 @@ from graceful_plan.query.motions import Motion
 from graceful_plan.query.request import Request
 from graceful_plan.query.search import ALL, Search, search
 from graceful_plan.result import PlanResult
-from graceful_plan.timing.drive_curve import Drive
 
 _SHARE, _ARM_SHARE = 0.5, 0.3
 """Of the time, for the search of a base's path, of one without and with an arm or among those who move; the rest is for
@@ -44,19 +43,22 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
     for problem in problems(request, ends):
         drives = Drives(request=request, ends=ends, problem=problem, cancelled=budget.cancelled)
         # Who listens is told of paths soon; among those who move a first motion takes longer than a search.
-        early, chance = request.callback is None and drives.walkers is None, copy.deepcopy(rng)
-        plain, ordinary = _ordinary(drives, budget, chance) if early else (Search(), [])
+        chance, heard = copy.deepcopy(rng), request.callback is not None
+        early = drives.walkers is None and not heard
+        plain = Search() if heard else _plain(drives, budget, chance)
+        ordinary = drives.ordinary(plain, budget) if early else []
+        insured = first_verified(drives.stops(plain), request) if drives.walkers is not None else None
         found = _searched(request, problem, budget, rng)
         found = found if found.paths or found.stopped else plain
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         reference = drives.reference(ordinary)
-        first = _first(drives, drives.soon(ordinary, reference), found)
+        first = insured if _passed(insured) else _first(drives, drives.soon(ordinary, reference), found)
         if found.paths:  # now it is known what timing and judging take here
             budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
-        judged = first
-        if not (_passed(first) and (budget.cancelled() or wants_it_soon(found))):
+        judged, soon = first, budget.cancelled() or wants_it_soon(found)
+        if not (_passed(first) and soon) and request.clock.may_do("timing", "judging"):
             if not early:
-                ordinary = _ordinary(drives, budget, chance)[1]
+                ordinary = drives.ordinary(plain if plain.paths else _plain(drives, budget, chance), budget)
                 reference = drives.reference(ordinary)
             with budget.share(_MOTIONS_SHARE * budget.remaining_seconds) as part:
                 candidates = drives.motions(found, (ordinary, reference), part, rng)
@@ -70,14 +72,13 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
     return failed((found, ends), refused, "", budget, stats)
 
 
-def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> tuple[Search, list[tuple[Motion, Drive]]]:
-    """Return what a call with a weight of 0 and the same chance would find and make."""
+def _plain(drives: Drives, budget: Budget, rng: np.random.Generator) -> Search:
+    """Return what a call with a weight of 0 and the same chance would find."""
     if drives.request.objective.w == 0.0 or budget.exhausted:
-        return Search(), []
+        return Search()
     plain = drives.without_regard_for_impact().request
     with budget.share(iterations=_ORDINARY_SHARE * budget.remaining_iterations) as part:
-        searched = _searched(plain, drives.problem, part, rng, share=_ORDINARY_SHARE)
-    return searched, drives.ordinary(searched, budget)
+        return _searched(plain, drives.problem, part, rng, share=_ORDINARY_SHARE)
 
 
 def _first(drives: Drives, soon: list[Motion], found: Search) -> Judged | None:
