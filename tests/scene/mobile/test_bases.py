@@ -49,7 +49,7 @@ def test_scene_files_have_bases(tmp_path):
 
 @pytest.mark.parametrize(
     ("extra", "message"),
-    [(", slip: 0.5", "slip"), (", reverse: maybe", "true nor false"), (", colour: red", "colour")],
+    [(", slip: 0.5", "slip"), (", reverse: maybe", "true or false"), (", colour: red", "colour")],
 )
 def test_broken_bases_are_refused_with_their_line(tmp_path, extra, message):
     with pytest.raises(SceneError, match=message) as caught:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -150,7 +150,7 @@ class CoastSettings(YamlTable):
         """Make them of the values in a file."""
         ways = {}
         for name, block in root["ways"].items():
-            block.only("weight", "wheels", "deceleration", "drag", "delay", "bend", "steered")
+            block.only(*(item.name for item in fields(Way)))
             bend, steered = block.get("bend"), block.get("steered")
             ways[name] = Way(
                 weight=block["weight"].number(),

@@ -20,7 +20,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.models.coast.constants import CoastSettings
-from graceful_plan.costs.models.coast.steering import MOTORS, TICK, Steering
+from graceful_plan.costs.models.coast.steering import MOTORS, TICK, OneSideSteering
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
@@ -148,7 +148,7 @@ def integrated(
     weight = 1.0 + 4.0 * rotor
     rolling, drag = (np.asarray(value)[..., None] * weight / 4.0 for value in (case.rolling, case.drag))
     rim = v[..., None] - side * base.lever * omega[..., None]
-    drive, rim = _Drive(case, rim, Steering(base, v, omega)), np.where(held, 0.0, rim)
+    drive, rim = _Drive(case, rim, OneSideSteering(base, v, omega)), np.where(held, 0.0, rim)
     lasts = float(np.max(case.delay) + np.abs(drive.told).max() / case.brakes) + _AFTER
     vx, vy, w = v - omega * cy, omega * cx, omega.astype(float)
     px, py, turned = np.zeros_like(w), np.zeros_like(w), np.zeros_like(w)
@@ -186,10 +186,10 @@ class _Drive:
 
     case: Case
     told: Float[Array, "*batch wheel"]
-    steering: Steering
+    steering: OneSideSteering
 
     def tell(self, time: float, pose: tuple[Array, Array, Array], rate: Array, rim: Array) -> None:
-        """Ask the controller, where there is one and nobody has stopped it, what is next; see `Steering.tell`."""
+        """Ask the controller, where there is one and nobody has stopped it, what is next; see `OneSideSteering.tell`."""
         asked = np.asarray(self.case.steered) & (time <= np.asarray(self.case.delay))
         if asked.any():
             told = self.steering.tell(time, pose, rate, (rim[..., 0], rim[..., 2]))

@@ -32,7 +32,7 @@ _FASTER = 1.3
 
 
 @dataclass(eq=False)
-class Steering:
+class OneSideSteering:
     """Controllers of a batch of bases.
 
     Args:
