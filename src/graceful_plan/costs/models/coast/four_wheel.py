@@ -189,7 +189,7 @@ class _Drive:
     steering: OneSideSteering
 
     def tell(self, time: float, pose: tuple[Array, Array, Array], rate: Array, rim: Array) -> None:
-        """Ask the controller, where there is one and nobody has stopped it, what is next; see `OneSideSteering.tell`."""
+        """Ask the controller what is next, where there is one that nobody has stopped; see `OneSideSteering`."""
         asked = np.asarray(self.case.steered) & (time <= np.asarray(self.case.delay))
         if asked.any():
             told = self.steering.tell(time, pose, rate, (rim[..., 0], rim[..., 2]))
