@@ -92,7 +92,7 @@ def test_the_reference_of_gaps_is_the_best_of_file_and_run(folder, record):
     best, doubts = planners.references([(5.0, [record])], [TASK], keep=True)
     assert best == {TASK: total} and TASK in doubts[0]
     kept = folder.load(TASK, suite.task(TASK))
-    assert kept is not None and (kept.planner, kept.seed, kept.seconds) == ("rrt_connect", 0, 2.0)
+    assert kept is not None and (kept.planner, kept.seed, kept.seconds) == ("rrt_connect", 0, 5.0)
 
 
 # --- records and statistics ------------------------------------------------------------------------------------------
