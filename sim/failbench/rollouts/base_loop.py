@@ -20,6 +20,7 @@ from graceful_plan import Scene, Trajectory
 from graceful_plan.array_types import Float
 from graceful_plan.control.diff_drive_controller import Tracking
 from graceful_plan.control.drive_state import DriveState
+from graceful_plan.costs.models.coast.steering import FASTER
 from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
@@ -203,4 +204,4 @@ def _hardest(world: World) -> float:
 
 def _rim(most: float) -> tuple[float, float]:
     """Bounds of what is sent, with room for what tracking adds to the fastest motion."""
-    return -1.3 * most, 1.3 * most
+    return -FASTER * most, FASTER * most

@@ -16,7 +16,7 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.control.diff_drive_controller import Tracking
 from graceful_plan.control.drive_state import DriveState
 from graceful_plan.costs.models.coast.constants import ONE_SIDE, WHEELS, CoastSettings
-from graceful_plan.costs.models.coast.steering import MOTORS, TICK
+from graceful_plan.costs.models.coast.steering import FASTER, MOTORS, TICK
 from graceful_plan.exceptions import UnknownNameError
 
 Array = np.ndarray
@@ -24,8 +24,6 @@ Array = np.ndarray
 _STILL = 0.02
 """Speed of the base below which it has come to rest [m/s]; it is looked at every `_LOOK` seconds."""
 _LOOK = 0.05
-_FASTER = 1.3
-"""Greatest speed of rims that it asks for, over that of motions."""
 _SKEWS = 0.1
 """Speed below which a base that turns is not held at an angle to its way [m/s]."""
 
@@ -185,7 +183,7 @@ class _Steers:
         base, turning = wheels.base, data.qvel[wheels.wheel]
         reach = MOTORS * base.a_max * TICK
         told = within_reach(told, turning if self.told is None else self.told, turning, base, reach)
-        most = _FASTER * base.rim_max / base.radius
+        most = FASTER * base.rim_max / base.radius
         self.told = np.clip(wheels.wheel_rates(told.v, told.omega), -most, most)
         return self.told
 

@@ -14,6 +14,7 @@ from graceful_plan.control.diff_drive_controller import Tracking, drive_states, 
 from graceful_plan.control.drive_state import DriveCommand, DriveState
 from graceful_plan.control.dwa import DynamicWindow, seen
 from graceful_plan.control.pure_pursuit import PurePursuit
+from graceful_plan.costs.models.coast.steering import BEHIND
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
@@ -28,8 +29,6 @@ SETTLES = 0.5
 THERE = 0.08
 """Distance to the end of a path at which it counts as reached [m]."""
 SLOW = 0.02
-_BEHIND = 3.0
-"""How far the rate that a wheel is told goes ahead of its own [rad/s]."""
 _APART = 0.02
 """Least distance between places of a path [m]."""
 
@@ -173,7 +172,7 @@ def within_reach(
         base: How it drives.
         reach: By how much the rims can get faster until then [m/s].
     """
-    rims = base.radius * np.clip(before, turning - _BEHIND, turning + _BEHIND)
+    rims = base.radius * np.clip(before, turning - BEHIND, turning + BEHIND)
     half = len(rims) // 2
     left, right = float(rims[:half].mean()), float(rims[half:].mean())
     v, turn, lever = 0.5 * (left + right), 0.5 * (right - left), base.lever

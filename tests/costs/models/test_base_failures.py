@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from failbench.wheels.coasting import BaseFailure, coasting
+from failbench.wheels.following import within_reach
 from failbench.wheels.wheeled import wheeled
+from graceful_plan.control.diff_drive_controller import Tracking
+from graceful_plan.control.drive_state import DriveState
 from graceful_plan.costs.models.coast.closed_forms import (
     coasting_distance,
     overshoot_of_delay,
@@ -22,6 +25,7 @@ from graceful_plan.costs.models.coast.closed_forms import (
 )
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.coast.four_wheel import Case, integrated, one_sided_ways
+from graceful_plan.costs.models.coast.steering import FASTER, MOTORS, TICK, OneSideSteering
 from graceful_plan.costs.models.coast.tables import coast_tables
 from graceful_plan.scene.mobile.known_bases import known_base
 from hall import hall
@@ -133,3 +137,27 @@ def test_tables_share_out_the_probability_and_are_made_once():
     assert settings.only("runaway").stops()[:, 0].sum() == pytest.approx(1.0)
     assert one_sided_ways(BODY, settings) is ways
     assert len(one_sided_ways(BODY, settings.only("runaway")).share) == 0
+
+
+def test_what_steers_on_says_what_the_tracking_controller_and_its_motors_do():
+    base, rng = BODY.base, np.random.default_rng(0)
+    for _ in range(20):
+        v, omega = rng.uniform(0.0, 2.0), rng.uniform(-2.0, 2.0)
+        steers, follows, summed, told = OneSideSteering(base, np.array([v]), np.array([omega])), Tracking(), 0.0, None
+        for tick in range(3):
+            (x, y, turned, rate), rims = rng.normal(0.0, 0.3, 4), rng.uniform(-2.0, 2.0, 2)
+            t = tick * TICK
+            way = omega * t
+            chord = v * t * np.sinc(0.5 * way / np.pi)
+            wanted = DriveState(chord * np.cos(0.5 * way), chord * np.sin(0.5 * way), way, v, omega)
+            state = DriveState(x, y, turned, v, rate)
+            command = follows.command(state, wanted)
+            summed = follows.summed(summed, command, state, TICK)
+            before = (np.array([-1.0, 1.0]) * base.lever * omega + v) / base.radius if told is None else told
+            held = follows.held(command, state, summed)
+            held = within_reach(held, before, rims / base.radius, base, MOTORS * base.a_max * TICK)
+            told = (held.v + np.array([-1.0, 1.0]) * base.lever * held.omega) / base.radius
+            told = np.clip(told, -FASTER * base.rim_max / base.radius, FASTER * base.rim_max / base.radius)
+            pose, two = tuple(np.array([p]) for p in (x, y, turned)), tuple(np.array([rim]) for rim in rims)
+            found = steers.tell(t, pose, np.array([rate]), two)
+            np.testing.assert_allclose(np.concatenate(found), base.radius * told, atol=1e-9)

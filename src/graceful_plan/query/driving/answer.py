@@ -15,7 +15,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.answers.outcome import failed, problems, solved, until_last_steps
 from graceful_plan.query.deadline.quick import wants_it_soon
 from graceful_plan.query.driving.among.searching import search_among_walkers
-from graceful_plan.query.driving.candidates import Drives
+from graceful_plan.query.driving.candidates import Drives, Ordinary
 from graceful_plan.query.driving.postures import BASE
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.finish import Judged, first_verified
@@ -46,25 +46,23 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
         chance, heard = copy.deepcopy(rng), request.callback is not None
         early = drives.walkers is None and not heard
         plain = Search() if heard else _plain(drives, budget, chance)
-        ordinary = drives.ordinary(plain, budget) if early else []
+        ordinary = drives.ordinary(plain, budget) if early else Ordinary()
         insured = first_verified(drives.stops(plain), request) if drives.walkers is not None else None
         found = _searched(request, problem, budget, rng)
         found = found if found.paths or found.stopped else plain
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        reference = drives.reference(ordinary)
-        first = insured if _passed(insured) else _first(drives, drives.soon(ordinary, reference), found)
+        first = insured if _passed(insured) else _first(drives, drives.soon(ordinary), found)
         if found.paths:  # now it is known what timing and judging take here
             budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
         judged, soon = first, budget.cancelled() or wants_it_soon(found)
         if not (_passed(first) and soon) and request.clock.may_do("timing", "judging"):
             if not early:
                 ordinary = drives.ordinary(plain if plain.paths else _plain(drives, budget, chance), budget)
-                reference = drives.reference(ordinary)
             with budget.share(_MOTIONS_SHARE * budget.remaining_seconds) as part:
-                candidates = drives.motions(found, (ordinary, reference), part, rng)
+                candidates = drives.motions(found, ordinary, part, rng)
             judged = _better(first_verified(candidates, request), first)
         if judged is not None and judged.verdict.passed:
-            judged = _in_full(judged, reference, drives)
+            judged = _in_full(judged, ordinary.reference, drives)
             return solved(judged, (found, ends), request, budget, stats)
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused):

@@ -55,6 +55,22 @@ _INTO = 1e6
 """What is added to the ranking of motions that drive into somebody."""
 
 
+@dataclass(frozen=True, eq=False)
+class Ordinary:
+    """What is made without any regard for impact.
+
+    | field     | meaning                                                                            |
+    |-----------|------------------------------------------------------------------------------------|
+    | made      | motions and what they are along, the best first, charged for a weight of 0         |
+    | reference | the best of them, charged by J as `Drives.motions` are, None if it drives into somebody |
+    | along     | motions along the same curve, also with the law of time that pays, charged so      |
+    """
+
+    made: Sequence[tuple[Motion, Drive]] = ()
+    reference: Motion | None = None
+    along: Sequence[Motion] = ()
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drives:
     """What motions of a base are made for.
@@ -83,31 +99,27 @@ class Drives:
         objective = of.objective.with_weight(0.0).bind(of.scene, of.paces)
         return replace(self, request=replace(self.request, objective=objective, preference=None, callback=None))
 
-    def ordinary(self, searched: Search, budget: Budget) -> list[tuple[Motion, Drive]]:
-        """Return motions near paths for a weight of 0, and what they are along, the best first; charged for that."""
+    def ordinary(self, searched: Search, budget: Budget) -> Ordinary:
+        """Return motions near paths that were found for a weight of 0."""
         if not searched.paths or budget.exhausted:
-            return []
+            return Ordinary()
         share = _ORDINARY_SHARE if self.walkers is None else _ORDINARY_AMONG
         with budget.share(share * budget.remaining_seconds) as part:
-            return self.without_regard_for_impact()._made(searched, part, np.random.default_rng(0))
+            made = self.without_regard_for_impact()._made(searched, part, np.random.default_rng(0))
+        if not made:
+            return Ordinary()
+        best, drive = made[0]
+        along = [motion for motion, _ in self._timed(drive, best.path, best.arrival)]
+        return Ordinary(made, recharged(best, self._closely) if best.ranking < _INTO else None, along)
 
-    def reference(self, ordinary: Sequence[tuple[Motion, Drive]]) -> Motion | None:
-        """Return the best of them, charged by J as `motions` are, None if it drives into somebody."""
-        if not ordinary or ordinary[0][0].ranking >= _INTO:
-            return None
-        return recharged(ordinary[0][0], self._closely)
-
-    def soon(self, ordinary: Sequence[tuple[Motion, Drive]], reference: Motion | None) -> list[Motion]:
-        """Return motions that take no search and no descent: the reference, slower where it pays; the best first."""
-        if reference is None or self.walkers is not None:
-            return [] if reference is None else [reference]
-        motion, drive = ordinary[0]
-        return self._in_order([other for other, _ in self._timed(drive, motion.path, motion.arrival)], reference)
+    def soon(self, ordinary: Ordinary) -> list[Motion]:
+        """Return motions that take no further search and no descent, the best first."""
+        return self._in_order(list(ordinary.along), ordinary.reference)
 
     def motions(
         self,
         searched: Search,
-        besides: tuple[Sequence[tuple[Motion, Drive]], Motion | None],
+        ordinary: Ordinary,
         budget: Budget,
         rng: np.random.Generator,
     ) -> list[Motion]:
@@ -117,21 +129,17 @@ class Drives:
 
         Args:
             searched: The paths that were found, the best at the end.
-            besides: What was made for a weight of 0, along which the law of time that pays is found as well, and the
-                `reference` of it.
+            ordinary: What was made for a weight of 0, along which the law of time that pays is found as well.
             budget: Time for descents.
             rng: Chance for postures.
         """
-        ordinary, reference = besides
-        found: list[Motion] = []
-        for motion, drive in ordinary[:1]:
-            found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
+        found = list(ordinary.along)
         found += [motion for motion, _ in self._made(searched, budget, rng, some=bool(found))]
-        for motion, drive in ordinary[1:KEPT]:
+        for motion, drive in ordinary.made[1:KEPT]:
             if budget.over or not self._has_plenty():
                 break
             found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
-        return self._in_order(found, reference)
+        return self._in_order(found, ordinary.reference)
 
     def stops(self, searched: Search) -> list[Motion]:
         """Return motions along the best path itself, with a stop at each of its corners; none if it leads nowhere."""

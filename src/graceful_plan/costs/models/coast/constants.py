@@ -121,11 +121,11 @@ class CoastSettings(YamlTable):
     ways: Mapping[str, Way]
 
     def __post_init__(self) -> None:
-        for name in ("share", "thrown", "harmless"):
+        for name in ("share", "thrown"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise SettingError(name, getattr(self, name), "a number in [0, 1]")
-        if self.harmless == 1.0:
-            raise SettingError("harmless", self.harmless, "a number below 1")
+        if not 0.0 <= self.harmless < 1.0:
+            raise SettingError("harmless", self.harmless, "a number in [0, 1)")
         for name in ("reference_speed", "position_spread", "friction", "brakes"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingError(name, getattr(self, name), "a finite number above 0")

@@ -25,10 +25,10 @@ _ALONG, _ACROSS, _HEADING = 6.0, 20.0, 6.0
 _SPARE = 3.0
 """Angular acceleration to bring it back from a turn [rad/s^2]."""
 _RATE, _SUM, _WINDS = 1.0, 5.0, 0.15
-_BEHIND = 3.0
+BEHIND = 3.0
 """How far from what was told the rates of wheels may be before they count instead [rad/s]."""
-_FASTER = 1.3
-"""Greatest speed of rims that is told, over that of motions."""
+FASTER = 1.3
+"""Greatest speed of rims that is told, over that of motions: room for what tracking adds to the fastest."""
 
 
 @dataclass(eq=False)
@@ -68,14 +68,14 @@ class OneSideSteering:
         self._summed = np.clip(self._summed + TICK * (turn - rate), -_WINDS, _WINDS)
         turn = turn + _RATE * (turn - rate) + _SUM * self._summed
         reach, lever = MOTORS * self.base.a_max * TICK, self.base.lever
-        near = _BEHIND * self.base.radius
+        near = BEHIND * self.base.radius
         left, right = (np.clip(told, rim - near, rim + near) for told, rim in zip(self._told, rims, strict=True))
         before, turned = 0.5 * (left + right), 0.5 * (right - left)
         faster = np.clip(v - before, -0.5 * reach, 0.5 * reach)
         room = reach - np.abs(faster)
         turned = turned + np.clip(lever * turn - turned, -room, room)
-        most = _FASTER * self.base.rim_max
-        self._told = tuple(np.clip(before + faster + side * turned, -most, most) for side in (-1.0, 1.0))  # type: ignore[assignment]
+        most, v = FASTER * self.base.rim_max, before + faster
+        self._told = np.clip(v - turned, -most, most), np.clip(v + turned, -most, most)
         return self._told
 
     def _wanted(self, time: float, pose: tuple[Array, Array, Array]) -> tuple[Array, Array]:
