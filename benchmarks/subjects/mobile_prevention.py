@@ -108,7 +108,26 @@ def run(options: suite.Options) -> str:
     jobs = [(name, options.seconds or SECONDS, each) for name in suite.chosen(names, options.tasks)]
     found = list(suite.spread(examine, jobs, options.processes, "tasks"))
     header = ("task", "harm per failure, w = 0", "default", "harm per task, x less", "duration", "predicted", "worse")
-    return f"{MEASURED}\n{report.targets(_targets(found))}\n{report.table(header, [_row(one) for one in found])}"
+    table, groups = report.table(header, [_row(one) for one in found]), report.table(GROUPED, list(_groups(found)))
+    return f"{MEASURED}\n{report.targets(_targets(found))}\n{groups}\n{table}"
+
+
+GROUPED = ("group", "tasks with figures", "harm per task, x less, median", "ratio of the means", "duration, median")
+
+
+def _groups(found: Sequence[Prevented]) -> Iterator[list[str]]:
+    """Yield what came of floors, where nothing is aboard, and of bundled tasks."""
+    for name, floors in (("generated floors", True), ("bundled tasks", False)):
+        done = [one for one in found if not one.note and one.task.startswith("floor ") == floors]
+        if done:
+            less, longer = np.median([one.times_less for one in done]), np.median([one.longer for one in done])
+            plain, ours = _mean_harm(done)
+            yield [name, f"{len(done)}", f"{less:.2f}", f"{plain / ours:.2f}", f"{100 * (longer - 1):+.1f} %"]
+
+
+def _mean_harm(done: Sequence[Prevented]) -> Array:
+    """Return harm per executed task, the mean at w = 0 and at the default weight."""
+    return np.array([[h * t for h, t in zip(one.harm, one.duration, strict=True)] for one in done]).mean(axis=0)
 
 
 def _row(one: Prevented) -> list[str]:
@@ -139,7 +158,7 @@ def _targets(found: Sequence[Prevented]) -> Iterator[report.Target]:
         measured=f"{less:.2f} x less, {100 * (longer - 1):+.1f} %",
         met=bool(less >= 5.0 and longer <= 1.15),
     )
-    mean = np.array([[h * t for h, t in zip(one.harm, one.duration, strict=True)] for one in done]).mean(axis=0)
+    mean = _mean_harm(done)
     yield report.Target(
         what="ratio of the means",
         wanted="5 x less",
