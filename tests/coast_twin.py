@@ -37,25 +37,30 @@ def _one_sided(batch, tables, settings):
         if abs(v) <= _STILL:
             continue
         at = np.clip([abs(v), qd[2]], [0.0, ways.rates[0]], [ways.speeds[-1], ways.rates[-1]])
-        x, y, turned, speed, _ = np.moveaxis(table(at)[0], -1, 0)
+        x, y, turned, speed, time = np.moveaxis(table(at)[0], -1, 0)
         x, y = np.sign(v) * x, np.sign(v) * y
         ch, sh = np.cos(q[2] + turned), np.sin(q[2] + turned)
-        touch = _touch(tables, (q[0] + c * x - s * y, q[1] + s * x + c * y, ch, sh), settings, np.hypot(x, y))
+        place = q[0] + c * x - s * y, q[1] + s * x + c * y, ch, sh
+        touch, along = _touch(tables, place, settings, np.hypot(x, y), speed[:, 1:] * np.diff(time, axis=1))
         wall = np.maximum.accumulate(touch[..., tables.entity < 0].max(axis=-1, initial=0.0), axis=1)
-        worth = np.minimum(1.0, speed**2 / settings.reference_speed**2)
+        worth = np.minimum(1.0, speed[..., None] ** 2 * along / settings.reference_speed**2)
         for entity in range(total.shape[1]):
-            before = np.maximum(wall, _met_before(touch, tables.entity, entity))
-            own = touch[..., tables.entity == entity].max(axis=-1, initial=0.0)
-            total[i, entity] += ways.share @ (worth * (1.0 - before) * own).max(axis=1)
+            before = np.maximum(wall, _met_before(touch * along, tables.entity, entity))
+            own = (worth * touch)[..., tables.entity == entity].max(axis=-1, initial=0.0)
+            total[i, entity] += ways.share @ ((1.0 - before) * own).max(axis=1)
     return total
 
 
-def _touch(tables, at, settings, way):
+def _touch(tables, at, settings, way, gone):
+    """How likely each place touches each shape, and the share of the energy that is along the normal there."""
     d = np.full((*np.shape(at[0]), len(tables.shape)), np.inf)
     for part in tables.outline:
         d = np.minimum(d, _between(part, at, tables.shape))
     spread = np.hypot(settings.position_spread, settings.drift * way)[..., None]
-    return 0.5 * erfc(d / spread / np.sqrt(2.0))
+    closing = np.clip(-np.diff(d, axis=1) / np.maximum(gone, 1e-9)[..., None], 0.0, 1.0)
+    unknown = spread**2 / (spread**2 + (np.hypot(tables.shape[:, 4], tables.shape[:, 5]) + tables.shape[:, 6]) ** 2)
+    along = (1.0 - unknown) * np.concatenate([closing[:, :1], closing], axis=1) ** 2 + 0.5 * unknown
+    return 0.5 * erfc(d / spread / np.sqrt(2.0)), along
 
 
 def _family(batch, tables, settings, stops, which):
@@ -72,8 +77,7 @@ def _family(batch, tables, settings, stops, which):
     # What is touched at a place may have been met anywhere since the place before.
     met = np.concatenate([way[:, :1], 0.5 * (way[:, :-1] + way[:, 1:])], axis=1)
     left = 1.0 - (met[:, :, None] - free[:, None]) / np.maximum(braked, 1e-12)[:, None]
-    worth = np.clip(left, 0.0, 1.0) * (speed**2)[:, :, None] / settings.reference_speed**2
-    energy = stops[:, 0] * np.minimum(1.0, worth)
+    energy = np.clip(left, 0.0, 1.0) * (speed**2)[:, :, None] / settings.reference_speed**2
     moves, sign = np.abs(v) > _STILL, np.sign(v)[:, None]
     bend = (np.where(moves, qd[:, 2], 0.0) / np.where(moves, v, 1.0))[:, None] * sign + added
     arc = np.where(bend != 0.0, most[:, None] / np.where(bend != 0.0, np.abs(bend), 1.0), np.inf)
@@ -84,18 +88,19 @@ def _family(batch, tables, settings, stops, which):
     ch, sh = np.cos(heading), np.sin(heading)
     x = q[:, 0:1] + chord * np.cos(middle) + sign * straight * ch
     y = q[:, 1:2] + chord * np.sin(middle) + sign * straight * sh
-    touch = _touch(tables, (x, y, ch, sh), settings, way)
+    touch, along = _touch(tables, (x, y, ch, sh), settings, way, np.diff(way, axis=1))
+    worth = np.minimum(1.0, energy[:, :, None] * along[..., None]) * touch[..., None]
     wall = np.maximum.accumulate(touch[:, :, tables.entity < 0].max(axis=2, initial=0.0), axis=1)
     P = np.zeros((len(q), len(batch.scene.entities)))
     for entity in range(P.shape[1]):
-        before = np.maximum(wall, _met_before(touch, tables.entity, entity))
-        own = touch[..., tables.entity == entity].max(axis=-1, initial=0.0)
-        P[:, entity] = (energy * ((1.0 - before) * own)[:, :, None]).max(axis=1).sum(axis=1)
+        before = np.maximum(wall, _met_before(touch * along, tables.entity, entity))
+        own = worth[:, :, tables.entity == entity].max(axis=2, initial=0.0)
+        P[:, entity] = ((1.0 - before)[:, :, None] * own).max(axis=1) @ stops[:, 0]
     return P
 
 
 def _met_before(touch, owner, entity):
-    """How likely another entity has stopped the base before each place."""
+    """How likely another entity has taken the base's energy before each place."""
     others = touch[..., (owner >= 0) & (owner != entity)].max(axis=-1, initial=0.0)
     met = np.maximum.accumulate(others, axis=-1)
     return np.concatenate([np.zeros_like(met[..., :1]), met[..., :-1]], axis=-1)

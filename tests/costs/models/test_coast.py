@@ -81,7 +81,7 @@ def test_a_hit_is_where_mujoco_has_the_geoms_touch(x, y, yaw):
     body = scene.model.body("cart/base").id
     mine = [g for g in range(scene.model.ngeom) if scene.model.geom_bodyid[g] == body]
     near = min(mujoco.mj_geomDistance(scene.model, data, g, scene.model.geom("box").id, 1.0, fromto) for g in mine)
-    settings = replace(only(deceleration=(1e3,)), reference_speed=1e-3, position_spread=0.02)
+    settings = replace(only(deceleration=(1e3,)), reference_speed=1e-5, position_spread=0.02)
     qd = 0.01 * np.array([[np.cos(yaw), np.sin(yaw), 0.0]])
     P = Coast(settings).probability(moving_batch(scene, q[None], qd))[0, 0, 0]
     if near > 0.0:
@@ -119,6 +119,41 @@ def test_harm_grows_with_the_square_of_the_speed_up_to_that_of_the_table():
     slow, twice, fast = (hit(1.2, v, settings=settings) for v in (0.2, 0.4, 2.0))
     assert slow == pytest.approx(0.04, rel=0.25) and twice == pytest.approx(4 * 0.04, rel=0.25)
     assert fast == pytest.approx(1.0, abs=0.01)
+
+
+SIDE = '<body name="side" pos="0 1 .5"><geom type="box" size="6 .05 .5"/></body>'
+
+
+@pytest.mark.parametrize("angle", [0.3, 0.6, 1.0, np.pi / 2])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_energy_counts_along_the_normal(angle, backwards):
+    """Who drives against a long side at an angle hits it with the sine of the angle times the speed."""
+    scene = hall(walls="", extra=SIDE, entities={"side": "adult"})
+    settings, v = only(deceleration=(1e-4,), delay=(5.0,)), 0.8
+    turned, v = (angle + np.pi, -v) if backwards else (angle, v)
+    P = hit(-2.0, v, y=0.0, yaw=turned, scene=scene, settings=settings)
+    assert P == pytest.approx((v * np.sin(angle)) ** 2, rel=0.02)
+
+
+def test_who_is_grazed_does_not_stop_it():
+    behind = '<body name="behind" pos="2.6 0 .5"><geom type="cylinder" size=".25 .5"/></body>'
+    names = {"person": "adult", "behind": "adult"}
+    scene, settings = hall(walls="", extra=behind, entities=names), only(deceleration=(0.1,), delay=(2.0,))
+
+    def second(y):
+        q, qd = np.array([[0.0, y, 0.0]]), np.array([[1.0, 0.0, 0.0]])
+        return Coast(settings).probability(moving_batch(scene, q, qd))[0, 0, 1]
+
+    assert second(0.35) > 0.5  # the person's rim overlaps the base's side by 6 cm
+    assert hit(0.0, 1.0, y=0.7, scene=scene, settings=settings) > 0.9 and second(0.7) == 0.0
+
+
+@pytest.mark.parametrize("y", [0.2, 0.8])
+def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
+    """Half of the energy, where the base drives by and where it comes straight on."""
+    settings = replace(only(deceleration=(1e-4,), delay=(5.0,)), position_spread=3.0)
+    touched = hit(0.0, 0.5, y=y, settings=replace(settings, reference_speed=1e-6))
+    assert hit(0.0, 0.5, y=y, settings=settings) / touched == pytest.approx(0.5 * 0.5**2, rel=0.05)
 
 
 @given(st.floats(-4, 4), st.floats(-1.4, 1.4), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))

@@ -16,6 +16,7 @@ struct FloorShape {
   double x, y, ux, uy, a, b, round, vx, vy;
   double spread = 0;  // standard deviation of its place
 
+  double around() const { return std::hypot(a, b) + round; }  // radius of a circle around it
   // Of a point at a time; inside of a rectangle minus the way to its nearest side.
   double distance(double px, double py, double time) const {
     const double dx = px - x - vx * time, dy = py - y - vy * time;
@@ -68,7 +69,7 @@ class Footprint2d {
                           shape.round,
                           0,
                           0};
-    const double around = std::hypot(shape.a, shape.b) + shape.round;
+    const double around = shape.around();
     double d = std::numeric_limits<double>::infinity();
     for (size_t k = 0; k < part_.size(); ++k) {
       const double apart = std::hypot(seen.x - part_[k].x, seen.y - part_[k].y);
@@ -119,22 +120,26 @@ struct CoastingArrays {
 };
 
 class Coasting {
-  // Places of one way, in the order in which the base comes there.
+  // Places of one way, in the order in which the base comes there; `gone` is how far what is fastest of it went since
+  // the place before.
   struct Place {
-    double at[4], time, spread;
+    double at[4], time, spread, gone;
   };
 
  public:
   // The same of a base that spins, in its own frame.
   struct Spun {
-    double x, y, cos, sin, time, spread, worth;
+    double x, y, cos, sin, time, spread, gone, energy;
   };
 
   // What is written to for each state.
   struct Work {
     Work(const Coasting& of, size_t n_entity) : hit(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
-    std::vector<double> hit, most, met, free, braked, touched;
-    std::vector<double> worth;       // by place and stop: probability of the stop, times what a hit is worth there
+    std::vector<double> hit, most, met, free, braked;
+    std::vector<double> apart, touched;  // by place and shape that is near enough
+    std::vector<double> stops;           // by shape that is near enough: how likely the base loses its energy there
+    std::vector<double> energy;          // by place and stop, over that at the speed that severities are for
+    std::vector<double> share;           // probability of each stop
     std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
     std::vector<Place> place;
     std::vector<Spun> spun;          // of the tables, at the speed and rate of turning of the state before
@@ -261,37 +266,61 @@ class Coasting {
   };
   bool has(const Family& family) const { return std::find(family_.begin(), family_.end(), family) != family_.end(); }
 
-  // How likely a base at a place touches a shape there.
-  double touch(const FloorShape& shape, const double at[4], double time, double spread) const {
-    if (shape.spread > 0) spread = std::hypot(spread, shape.spread);
-    if (shape.distance(at[0], at[1], time) > footprint_.reach() + kFarOff * spread) return 0.0;
-    const double d = footprint_.distance(shape, at[0], at[1], at[2], at[3], time);
-    return 0.5 * std::erfc(d / spread * 0.7071067811865476);
+  // Distance of a shape from a base at a place, if it is near enough to be touched.
+  double apart(const FloorShape& shape, const Place& place) const {
+    const double reach = footprint_.reach() + kFarOff * blur(shape, place);
+    if (shape.distance(place.at[0], place.at[1], place.time) > reach) return std::numeric_limits<double>::infinity();
+    return distance(shape, place);
+  }
+  double distance(const FloorShape& shape, const Place& place) const {
+    return footprint_.distance(shape, place.at[0], place.at[1], place.at[2], place.at[3], place.time);
+  }
+  static double blur(const FloorShape& shape, const Place& place) {
+    return shape.spread > 0 ? std::hypot(place.spread, shape.spread) : place.spread;
+  }
+  // How likely it is touched.
+  static double touch(double apart, const FloorShape& shape, const Place& place) {
+    return std::isinf(apart) ? 0.0 : 0.5 * std::erfc(apart / blur(shape, place) * 0.7071067811865476);
+  }
+  // Share of the energy that is along the normal where shape j of work.whom is touched: the base closes in on it by
+  // part of the way alone that it goes. Of who is small beside the blur the normal is as unknown: half of the energy.
+  double head_on(const FloorShape& shape, size_t k, size_t j, const Work& work) const {
+    const size_t n = work.whom.size(), to = std::max<size_t>(k, 1);
+    const auto from = [&](size_t i) {
+      const double known = work.apart[i * n + j];
+      return std::isinf(known) ? distance(shape, work.place[i]) : known;
+    };
+    const double closing = (from(to - 1) - from(to)) / std::max(work.place[to].gone, kHardly);
+    const double along = std::clamp(closing, 0.0, 1.0), spread = blur(shape, work.place[k]), size = shape.around();
+    const double unknown = spread * spread / (spread * spread + size * size);
+    return (1 - unknown) * along * along + 0.5 * unknown;
   }
   // Raise work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth
   // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
-  void meet(const std::vector<FloorShape>& shape, double share, Work& work) const {
+  void meet(const std::vector<FloorShape>& shape, Work& work) const {
     if (work.place.empty()) return;
-    const size_t stops = work.worth.size() / work.place.size();
+    const size_t stops = work.share.size(), n = work.whom.size();
     work.most.assign(work.hit.size() * stops, 0.0);
     size_t last = 0;
-    work.touched.assign(work.place.size() * work.whom.size(), 0.0);
+    work.apart.resize(work.place.size() * n), work.touched.resize(work.place.size() * n);
     for (size_t k = 0; k < work.place.size(); ++k) {
       const Place& place = work.place[k];
-      for (size_t j = 0; j < work.whom.size(); ++j) {
-        const double touches = touch(shape[work.whom[j]], place.at, place.time, place.spread);
-        work.touched[k * work.whom.size() + j] = touches;
+      for (size_t j = 0; j < n; ++j) {
+        const FloorShape& who = shape[work.whom[j]];
+        const double d = work.apart[k * n + j] = apart(who, place);
+        const double touches = work.touched[k * n + j] = touch(d, who, place);
         if (touches > kHardly) last = k + 1;
       }
     }
     double stopped = 0;
-    const size_t n = work.whom.size();
     work.met.assign(work.hit.size(), 0.0);
+    work.stops.resize(n);
     for (size_t k = 0; k < last; ++k) {
       const Place& place = work.place[k];
-      for (const size_t j : work.what) stopped = std::max(stopped, touch(shape[j], place.at, place.time, place.spread));
+      for (const size_t j : work.what) stopped = std::max(stopped, touch(apart(shape[j], place), shape[j], place));
       for (size_t j = 0; j < n; ++j) {
         const double touches = work.touched[k * n + j];
+        work.stops[j] = 0;
         if (touches <= kHardly) continue;
         const size_t own = size_t(shape[work.whom[j]].entity);
         double before = stopped;  // whom it met before stops it as well
@@ -299,26 +328,30 @@ class Coasting {
           const size_t other = size_t(shape[work.whom[i]].entity);
           if (other != own) before = std::max(before, work.met[other]);
         }
-        const double* worth = &work.worth[k * stops];
+        const double along = head_on(shape[work.whom[j]], k, j, work);
+        work.stops[j] = touches * along;
+        const double* energy = &work.energy[k * stops];
         double* most = &work.most[own * stops];
-        for (size_t i = 0; i < stops; ++i) most[i] = std::max(most[i], worth[i] * ((1 - before) * touches));
+        for (size_t i = 0; i < stops; ++i)
+          most[i] = std::max(most[i], std::min(1.0, energy[i] * along) * ((1 - before) * touches));
       }
       for (size_t j = 0; j < n; ++j) {
         double& met = work.met[size_t(shape[work.whom[j]].entity)];
-        met = std::max(met, work.touched[k * n + j]);
+        met = std::max(met, work.stops[j]);
       }
     }
     if (last == 0) return;
     for (size_t e = 0; e < work.hit.size(); ++e)
-      for (size_t i = 0; i < stops; ++i) work.hit[e] += share * work.most[e * stops + i];
+      for (size_t i = 0; i < stops; ++i) work.hit[e] += work.share[i] * work.most[e * stops + i];
   }
 
   // Follow an arc and what comes after it, and raise work.hit.
   void follow(const State& q, const Way& way, const std::vector<FloorShape>& shape, Work& work) const {
-    const double worth = way.speed * way.speed / (unit_ * unit_);
+    const double whole = way.speed * way.speed / (unit_ * unit_);
     const double arc = way.bend != 0 ? way.most / std::fabs(way.bend) : std::numeric_limits<double>::infinity();
     double time = 0, before = 0;
-    work.place.clear(), work.worth.clear();
+    work.place.clear(), work.energy.clear(), work.share.clear();
+    for (const size_t i : way.stops) work.share.push_back(stop_[i].p);
     for (int k = 0; k < kSamples && kSpacing * (k - 1) < way.far; ++k) {
       const double done = std::min(way.far, kSpacing * k), curved = std::min(done, arc), straight = done - curved;
       const double turned = way.bend * curved, half = 0.5 * turned;
@@ -328,22 +361,23 @@ class Coasting {
                             q.y + chord * std::sin(q.yaw + half) + way.sign * straight * sh, ch, sh};
       // What is touched at a place may have been met anywhere since the place before.
       const double met = k == 0 ? done : 0.5 * (done + kSpacing * (k - 1));
-      double energy = 0, moving = 0, left_of = 0;
-      const size_t row = work.worth.size();
+      double moving = 0, left_of = 0;
+      const size_t row = work.energy.size();
       for (const size_t i : way.stops) {
         const double left = std::clamp(1 - (met - work.free[i]) / std::max(work.braked[i], 1e-12), 0.0, 1.0);
-        work.worth.push_back(stop_[i].p * std::min(1.0, left * worth));
-        energy += work.worth.back();
+        work.energy.push_back(left * whole);
         if (left > 0) moving += stop_[i].p, left_of += stop_[i].p * left;
       }
-      if (energy <= 0) {
-        work.worth.resize(row);
+      if (left_of <= 0 && k > 1) {  // two places tell which way it goes
+        work.energy.resize(row);
         break;
       }
-      time += (done - before) / (way.speed * std::max(std::sqrt(left_of / moving), kSlowest)), before = done;
-      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done)});
+      const double gone = done - before;
+      const double slower = moving > 0 ? std::sqrt(left_of / moving) : 0;
+      time += gone / (way.speed * std::max(slower, kSlowest)), before = done;
+      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done), gone});
     }
-    meet(shape, 1.0, work);
+    meet(shape, work);
   }
 
   // Places of bases that spin, from tables by speed and rate of turning; what drives backwards is the same turned
@@ -358,16 +392,17 @@ class Coasting {
         row += samples_;
         continue;
       }
-      work.place.clear(), work.worth.clear();
+      work.place.clear(), work.energy.clear(), work.share.assign(1, share_[f]);
       for (size_t k = 0; k < samples_; ++k, ++row) {
         const double x = sign * row->x, y = sign * row->y;
         work.place.push_back(
             {{q.x + c * x - s * y, q.y + s * x + c * y, c * row->cos - s * row->sin, s * row->cos + c * row->sin},
              row->time,
-             row->spread});
-        work.worth.push_back(row->worth);
+             row->spread,
+             row->gone});
+        work.energy.push_back(row->energy);
       }
-      meet(shape, share_[f], work);
+      meet(shape, work);
     }
   }
   void spin(double speed, double rate, Work& work) const {
@@ -386,10 +421,10 @@ class Coasting {
             for (size_t n = 0; n < kPlace; ++n) p[n] += weight * row[n];
           }
         }
-        work.spun_reach[f] = std::max(work.spun_reach[f], std::hypot(p[0], p[1]));
-        work.spun.push_back({p[0], p[1], std::cos(p[2]), std::sin(p[2]), p[4],
-                             std::hypot(spread_, drift_ * std::hypot(p[0], p[1])),
-                             std::min(1.0, p[3] * p[3] / (unit_ * unit_))});
+        const double far = std::hypot(p[0], p[1]), gone = k == 0 ? 0.0 : p[3] * (p[4] - work.spun.back().time);
+        work.spun_reach[f] = std::max(work.spun_reach[f], far);
+        work.spun.push_back({p[0], p[1], std::cos(p[2]), std::sin(p[2]), p[4], std::hypot(spread_, drift_ * far), gone,
+                             p[3] * p[3] / (unit_ * unit_)});
       }
     }
   }
@@ -418,6 +453,7 @@ class Coasting {
     const size_t whole = speeds_.size() * rates_.size() * share_.size() * kPlace;
     require(of.places.size() > 0 && of.places.size() % whole == 0, "places of a base");
     samples_ = of.places.size() / whole;
+    require(samples_ > 1, "places of a base");
     place_.assign(of.places.data(), of.places.data() + of.places.size());
     for (size_t k = 0; k < place_.size(); k += kPlace) {
       farthest_ = std::max(farthest_, std::hypot(place_[k], place_[k + 1]));

@@ -11,12 +11,15 @@ what severities are worth: :math:`\min(1, e v^2 / u^2)`, with u the speed that t
 what its geoms are, rectangles that may be rounded; whether one of them touches a shape at a distance d is uncertain by
 :math:`\sigma(s)`: the position spread, and the drift times s. With the probabilities :math:`p_i` of the ways,
 
-.. math:: P = \sum_i p_i \max_s \Phi\left(-\frac{d(s)}{\sigma(s)}\right) B(s) \min(1, e_i(s) v^2 / u^2)
+.. math:: P = \sum_i p_i \max_s \Phi\left(-\frac{d(s)}{\sigma(s)}\right) B(s) \min(1, n(s) e_i(s) v^2 / u^2)
 
-where B is the probability that no obstacle and nobody else has stopped it before. P is the probability of a hit, times
-the share of the severity that its energy is worth. Bases of which one side fails go where
-`four_wheel` integrates them to, at tabulated places; odometry that drifts bends the arc. Ramps, which scenes do not
-have, and what the base pushes along are not modelled. No constant is fitted: `coast.yaml` says where they come from.
+where n is the share of the energy that is along the normal, from how fast the distance closes,
+:math:`\max(0, -d'(s))^2`; where :math:`\sigma` is large beside the size r of who is met, nobody knows the normal, and
+n goes to its mean of 1/2 with :math:`\sigma^2 / (\sigma^2 + r^2)`. B is the probability that no obstacle has stopped
+the base before and nobody else has taken its energy, n of it. P is the probability of a hit, times the share of the
+severity that its energy is worth. Bases of which one side fails go where `four_wheel` integrates them to, at tabulated
+places; odometry that drifts bends the arc. Ramps, which scenes do not have, how who is grazed turns the base aside, and
+what it pushes along are not modelled. No constant is fitted: `coast.yaml` says where they come from.
 """
 
 from __future__ import annotations
