@@ -27,10 +27,10 @@ was fitted on either. Each is planned in {SECONDS:g} s with w = 0 and with the d
 wheels that turn, and fails {FAILURES} times with each fault that its robot can have, degree "{DEGREE}", the same onsets
 (as quantiles) and random numbers for both motions, watched for {HORIZON:g} s. Harm is that of `validate`: what the
 body of the base hits counts by the square of its speed up to 1 m/s, what is carried by what it falls on, the loss of
-itself included. **Per task**: failures come per hour, so it is harm per failure times duration; where nothing is hit,
-{LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the motion, for instance since
-somebody walks into it where it has to pass. "Worse": more harm per task than at w = 0, by more than
-twice the standard error of the paired difference.
+itself included; what others suffer is told beside it. **Per task**: failures come per hour, so it is harm per failure
+times duration; where nothing is hit, {LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot
+execute the motion, for instance since somebody walks into it where it has to pass. "Worse": more harm per task than at
+w = 0, by more than twice the standard error of the paired difference.
 """
 
 
@@ -45,6 +45,8 @@ class Prevented:
     """At w = 0, and at the default weight [s]."""
     harm: tuple[float, float] = (np.nan, np.nan)
     """Of a failure."""
+    others: tuple[float, float] = (np.nan, np.nan)
+    """Without the loss of what is carried itself."""
     predicted: tuple[float, float] = (np.nan, np.nan)
     worse: bool = False
     faults: int = 0
@@ -52,9 +54,15 @@ class Prevented:
     @property
     def times_less(self) -> float:
         """How many times less harm per executed task."""
-        plain, ours = (
-            max(h, LEAST / (FAILURES * self.faults)) * t for h, t in zip(self.harm, self.duration, strict=True)
-        )
+        return self._less(self.harm)
+
+    @property
+    def others_less(self) -> float:
+        """How many times less harm to others per executed task."""
+        return self._less(self.others)
+
+    def _less(self, harm: tuple[float, float]) -> float:
+        plain, ours = (max(h, LEAST / (FAILURES * self.faults)) * t for h, t in zip(harm, self.duration, strict=True))
         return plain / ours
 
     @property
@@ -94,6 +102,7 @@ def examine(job: tuple[str, float, int]) -> Prevented:
         found,
         duration=(plain.duration, ours.duration),
         harm=(plain.observed.mean, ours.observed.mean),
+        others=(plain.observed.mean - plain.own_loss.mean, ours.observed.mean - ours.own_loss.mean),
         predicted=(plain.predicted, ours.predicted),
         worse=more.low > 0.0,
     )
@@ -107,12 +116,14 @@ def run(options: suite.Options) -> str:
     each = 1 if options.quick else FAILURES
     jobs = [(name, options.seconds or SECONDS, each) for name in suite.chosen(names, options.tasks)]
     found = list(suite.spread(examine, jobs, options.processes, "tasks"))
-    header = ("task", "harm per failure, w = 0", "default", "harm per task, x less", "duration", "predicted", "worse")
-    table, groups = report.table(header, [_row(one) for one in found]), report.table(GROUPED, list(_groups(found)))
+    table, groups = report.table(HEADER, [_row(one) for one in found]), report.table(GROUPED, list(_groups(found)))
     return f"{MEASURED}\n{report.targets(_targets(found))}\n{groups}\n{table}"
 
 
-GROUPED = ("group", "tasks with figures", "harm per task, x less, median", "ratio of the means", "duration, median")
+HEADER = ("task", "harm per failure, w = 0", "default", "harm per task, x less", "of others", "duration",
+          "predicted", "worse")  # fmt: skip
+GROUPED = ("group", "tasks with figures", "harm per task, x less, median", "ratio of the means",
+           "of others, median", "ratio of the means", "duration, median")  # fmt: skip
 
 
 def _groups(found: Sequence[Prevented]) -> Iterator[list[str]]:
@@ -120,24 +131,27 @@ def _groups(found: Sequence[Prevented]) -> Iterator[list[str]]:
     for name, floors in (("generated floors", True), ("bundled tasks", False)):
         done = [one for one in found if not one.note and one.task.startswith("floor ") == floors]
         if done:
-            less, longer = np.median([one.times_less for one in done]), np.median([one.longer for one in done])
-            plain, ours = _mean_harm(done)
-            yield [name, f"{len(done)}", f"{less:.2f}", f"{plain / ours:.2f}", f"{100 * (longer - 1):+.1f} %"]
+            less, others = np.median([[one.times_less, one.others_less] for one in done], axis=0)
+            longer = np.median([one.longer for one in done])
+            yield [name, f"{len(done)}", f"{less:.2f}", f"{_of_means(done, 'harm'):.2f}", f"{others:.2f}",
+                   f"{_of_means(done, 'others'):.2f}", f"{100 * (longer - 1):+.1f} %"]  # fmt: skip
 
 
-def _mean_harm(done: Sequence[Prevented]) -> Array:
-    """Return harm per executed task, the mean at w = 0 and at the default weight."""
-    return np.array([[h * t for h, t in zip(one.harm, one.duration, strict=True)] for one in done]).mean(axis=0)
+def _of_means(done: Sequence[Prevented], harm: str) -> float:
+    """Return how many times less harm per executed task in the mean over tasks: all `harm`, or that to `others`."""
+    plain, ours = np.mean([np.multiply(getattr(one, harm), one.duration) for one in done], axis=0)
+    return float(plain / ours)
 
 
 def _row(one: Prevented) -> list[str]:
     if one.note:
-        return [one.task, one.note, "", "", "", "", ""]
+        return [one.task, one.note, *[""] * 6]
     return [
         one.task,
         f"{one.harm[0]:.3f}",
         f"{one.harm[1]:.3f}",
         f"{one.times_less:.2f}",
+        f"{one.others_less:.2f}",
         f"{one.duration[0]:.2f} s, {100 * (one.longer - 1):+.1f} %",
         f"{one.predicted[0]:.2f}, {one.predicted[1]:.2f}",
         "yes" if one.worse else "",
@@ -158,12 +172,11 @@ def _targets(found: Sequence[Prevented]) -> Iterator[report.Target]:
         measured=f"{less:.2f} x less, {100 * (longer - 1):+.1f} %",
         met=bool(less >= 5.0 and longer <= 1.15),
     )
-    mean = _mean_harm(done)
+    mean = _of_means(done, "harm")
+    yield report.Target(what="ratio of the means", wanted="5 x less", measured=f"{mean:.2f} x", met=mean >= 5.0)
+    others = float(np.median([one.others_less for one in done]))
     yield report.Target(
-        what="ratio of the means",
-        wanted="5 x less",
-        measured=f"{mean[0] / mean[1]:.2f} x",
-        met=bool(mean[0] >= 5 * mean[1]),
+        what="harm to others, median", wanted="5 x less", measured=f"{others:.2f} x less", met=others >= 5.0
     )
     worse = sum(one.worse for one in done)
     yield report.none_of("worse than at w = 0", worse, "none")
