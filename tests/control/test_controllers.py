@@ -96,6 +96,8 @@ def test_pivots_move_ahead_in_bends():
     pivot = Pivot(still=0.04, bend=0.12, acceleration=0.5)
     assert pivot.ahead(0.0, 2.0) == 0.04 and pivot.ahead(1.0, 0.5) == pytest.approx(0.1)
     assert pivot.ahead(-1.0, 0.5) == pytest.approx(-0.02)
+    other = Pivot(still=0.04, bend=0.12, acceleration=0.5, back_bend=0.5, back_acceleration=2.0)
+    assert other.ahead(1.0, 0.5) == pivot.ahead(1.0, 0.5) and other.ahead(-1.0, 0.5) == pytest.approx(0.04 - 0.1)
 
 
 def test_pure_pursuit_follows_an_s_and_stops():
@@ -154,6 +156,10 @@ def test_commands_that_are_no_numbers_are_not_limited_to_some():
         Tracking().command(HERE._replace(yaw=NAN), HERE)
     with pytest.raises(SettingError, match=r"Pivot\.acceleration"):
         Pivot(acceleration=0.0)
+    with pytest.raises(SettingError, match=r"Pivot\.back_acceleration"):
+        Pivot(back_acceleration=-1.0)
+    with pytest.raises(SettingError, match=r"Pivot\.bend"):
+        Pivot(bend=NAN)
 
 
 @pytest.mark.parametrize(

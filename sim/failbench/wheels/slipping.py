@@ -21,8 +21,9 @@ _RAMP, _MEASURED = 0.6, 0.8
 """How long the base gets faster, and how long it is watched then [s]."""
 _STEADY = 0.8
 """How long a base is driven until it drives steadily [s]."""
-_BENDS = ((0.25, 0.5), (0.5, 0.3), (0.5, 0.8), (1.0, 0.3), (1.0, 0.8), (-0.5, 0.5))
-"""Shares of the greatest speed, and of the rate at which the acceleration across the heading is the greatest."""
+_BENDS = ((0.25, 0.5), (0.5, 0.3), (0.5, 0.8), (1.0, 0.3), (1.0, 0.8))
+"""Shares of the greatest speed, and of the rate at which the acceleration across the heading is the greatest. They are
+driven forwards and backwards."""
 
 
 class Steady(NamedTuple):
@@ -82,12 +83,20 @@ def fitted_tracking(scene: Scene) -> Tracking:
         return Tracking()
     turning = 0.5 * base.omega_max
     still = 0.5 * sum(_ahead(wheels, 0.0, side * turning) for side in (-1.0, 1.0))
-    across, more = [], []
+    bend, half = _bending(wheels, still, 1.0)
+    back_bend, back_half = _bending(wheels, still, -1.0) if base.reverse else (bend, half)
+    pivot = Pivot(still=still, bend=bend, acceleration=half, back_bend=back_bend, back_acceleration=back_half)
+    return Tracking(pivot=pivot)
+
+
+def _bending(wheels: Wheeled, still: float, gear: float) -> tuple[float, float]:
+    """Return what bends add to where nothing moves sideways at most [m], and where half of it is reached [m/s^2]."""
+    base, across, more = wheels.base, [], []
     for v_share, share in _BENDS:
         v = v_share * base.v_max
-        omega = share * min(base.omega_max, base.lateral_max / abs(v))
-        across.append(abs(v * omega))
-        more.append(np.sign(v) * (_ahead(wheels, v, omega) - still))
+        omega = share * min(base.omega_max, base.lateral_max / v)
+        across.append(v * omega)
+        more.append(gear * (_ahead(wheels, gear * v, omega) - still))
     a, x = np.array(across), np.array(more)
     fits = []
     for half in np.geomspace(0.02, 3.0, 40) * base.lateral_max:
@@ -95,7 +104,7 @@ def fitted_tracking(scene: Scene) -> Tracking:
         bend = float(shape @ x / (shape @ shape))
         fits.append((float(((bend * shape - x) ** 2).sum()), bend, float(half)))
     _, bend, half = min(fits)
-    return Tracking(pivot=Pivot(still=still, bend=bend, acceleration=half))
+    return bend, half
 
 
 def _ahead(wheels: Wheeled, v: float, omega: float) -> float:

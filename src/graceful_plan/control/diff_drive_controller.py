@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -71,29 +71,38 @@ class Pivot:
     r"""Where a base has no sideways speed: ahead of its origin by :math:`p_0 + p_1 v |\omega| / (|v \omega| + a)`.
 
     A skid-steer whose centre of mass is not in the middle turns about another point than its origin, and in bends its
-    tyres have to carry it sideways: it drives at an angle to its heading. Measure it by driving (A. Mandow et al.,
-    IROS 2007).
+    tyres have to carry it sideways: it drives at an angle to its heading. Backwards the other tyres carry more of it.
+    Measure it by driving (A. Mandow et al., IROS 2007).
 
     Args:
         still: p_0, where it turns in place [m].
         bend: p_1, what fast bends add at most [m].
         acceleration: a, acceleration across the heading at which that is half of it [m/s^2].
+        back_bend: p_1 where it drives backwards [m]; as forwards by default.
+        back_acceleration: a, likewise [m/s^2].
     """
 
     still: float = 0.0
     bend: float = 0.0
     acceleration: float = 1.0
+    back_bend: float | None = None
+    back_acceleration: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("still", "bend", "acceleration"):
-            value = getattr(self, name)
-            if not (is_real(value) and math.isfinite(value)) or (name == "acceleration" and value <= 0.0):
-                raise SettingError(f"Pivot.{name}", value, "a finite number, of the acceleration above 0")
+        for field in fields(self):
+            value, above = getattr(self, field.name), field.name.endswith("acceleration")
+            if value is None and field.name.startswith("back_"):
+                continue
+            if not (is_real(value) and math.isfinite(value)) or (above and value <= 0.0):
+                raise SettingError(f"Pivot.{field.name}", value, "a finite number, of the acceleration above 0")
 
     def ahead(self, v: float, omega: float) -> float:
         """Return how far ahead of the origin it is [m]."""
-        across = abs(v * omega)
-        return self.still + math.copysign(self.bend * across / (across + self.acceleration), v)
+        across, bend, half = abs(v * omega), self.bend, self.acceleration
+        if v < 0.0:
+            bend = bend if self.back_bend is None else self.back_bend
+            half = half if self.back_acceleration is None else self.back_acceleration
+        return self.still + math.copysign(bend * across / (across + half), v)
 
 
 @dataclass(frozen=True, kw_only=True)
