@@ -63,6 +63,7 @@ def test_best_known_motions_solve_their_tasks_at_the_cost_they_claim(file):
     assert all(run.total is None or run.total >= found.total * (1.0 - 1e-6) for run in found.runs)
 
 
+@pytest.mark.long
 def test_runs_that_were_done_are_not_repeated(folder, monkeypatch):
     monkeypatch.setattr(suite, "task_names", lambda options: [TASK])
     monkeypatch.setattr(gp, "PLANNERS", {name: gp.PLANNERS[name] for name in ("auto", "rrt_connect")})
@@ -98,6 +99,7 @@ def test_the_reference_of_gaps_is_the_best_of_file_and_run(folder, record):
 # --- records and statistics ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_runs_say_when_which_cost_was_reached(record):
     assert record.solved and record.first <= record.trace[0].time < record.seconds
     assert record.total_at(record.seconds) == pytest.approx(record.total)

@@ -99,6 +99,7 @@ def test_gaps_are_to_the_best_of_all_runs():
     assert better.best == 0.5
 
 
+@pytest.mark.long
 def test_trees_without_projection_find_a_way_too():
     name = "table_pick/0"
     figures = upright.examine(UprightJob(name=name, seeds=1, long=0.3, long_seeds=1))

@@ -88,6 +88,7 @@ def task():
     return suite.task("workbench/shelve_spray")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", first_quick(common_sense.COSTS))
 def test_costs_of_common_sense_are_costs(name, task):
     cost = common_sense.COSTS[name](task.scene)

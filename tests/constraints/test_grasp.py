@@ -162,6 +162,7 @@ def test_gradients_of_descents_are_those_of_finite_differences(name):
     assert np.median(error) < 1e-3 and np.quantile(error, 0.9) < 5e-3
 
 
+@pytest.mark.long
 def test_an_end_that_needs_more_gets_more():
     task = task_of("serve_stew")
     held = SceneConstraints(task.scene, [gp.GraspHolds()]).around(np.vstack([task.start, task.goal]))

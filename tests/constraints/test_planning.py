@@ -29,6 +29,7 @@ def planned(task: gp.Task, **asked: object) -> gp.PlanResult:
     return gp.plan(task.start, task.goal, task.scene, **given)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.long
 def test_contents_are_kept_by_default_and_spilt_where_that_is_switched_off(coffee: gp.Task) -> None:
     kept, free = planned(coffee), planned(coffee, constraints=[])
     assert kept.status is free.status is gp.PlanStatus.SOLVED
@@ -138,6 +139,7 @@ def test_straight_motions_and_poses_on_the_way_keep_contents(coffee: gp.Task) ->
     assert straight.verdict.checks["contents"].passed
 
 
+@pytest.mark.long
 def test_half_speed_allows_more_of_the_cup(coffee: gp.Task) -> None:
     half = replace(planned(coffee, speed=0.5), stats={})
     assert half.status is gp.PlanStatus.SOLVED and half.verdict.checks["contents"].passed

@@ -52,6 +52,7 @@ def test_what_slides_or_tips_earlier_never_makes_a_motion_faster(tray):
             assert check.passed and ("slides" if name == "friction" else "tips") in check.detail
 
 
+@pytest.mark.long
 def test_plans_keep_cakes_on_the_tray(tray):
     free = gp.plan(tray.start, tray.goal, tray.scene, seed=1, iterations=300, constraints=[])
     kept = gp.plan(tray.start, tray.goal, tray.scene, seed=1, iterations=300, constraints=CAKES)

@@ -32,6 +32,7 @@ def report(lift: float) -> ValidationReport:
     return validate(motion(lift), scene(), "drop/*/severe", n=30, horizon=0.5, threads=2)
 
 
+@pytest.mark.long
 def test_pairs_share_their_random_numbers() -> None:
     first, second = report(0.0), report(0.5)
     difference = compare(first, second)

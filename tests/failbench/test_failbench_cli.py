@@ -104,6 +104,7 @@ def pouring(tmp_path_factory):
     return file
 
 
+@pytest.mark.long
 def test_harm_without_failure_is_printed_first(run, pouring, tmp_path):
     given = ("--trajectory", str(pouring), "--horizon", "0.1", "--grasp", "weld")
     code, out, _ = run("validate", "--scene", "desk", "--task", "bring_coffee", "-n", "3", *given)
@@ -145,6 +146,7 @@ def test_generate_resume_and_replay_work_on_a_folder(run, tmp_path):
     assert "rollout = 99, expected between 0 and 11" in err
 
 
+@pytest.mark.long
 def test_replay_writes_frames(run, tmp_path):
     code, out, err = run("replay", DROP, "-n", "2", "--rollout", "1", *QUICK, "--output", str(tmp_path / "film"))
     if "OpenGL" in err:
@@ -153,6 +155,7 @@ def test_replay_writes_frames(run, tmp_path):
     assert len(list((tmp_path / "film").glob("*.png"))) > 3
 
 
+@pytest.mark.long
 def test_dry_run_prints_a_sweep_that_generate_takes(run, tmp_path):
     argv = ("generate", str(tmp_path / "data"), DROP, "-n", "2", *QUICK, "--dry-run")
     code, out, _ = run(*argv)
@@ -194,6 +197,7 @@ def test_misuse_is_one_line_and_exit_code_2(run, tmp_path, monkeypatch, argv, me
     assert not (tmp_path / "folder" / JOURNAL).exists()
 
 
+@pytest.mark.long
 def test_a_sweep_that_failed_in_part_is_exit_code_1(run, tmp_path):
     argv = ("generate", str(tmp_path), DROP, "-n", "1", *QUICK, "--dry-run")
     document = json.loads(run(*argv)[1])

@@ -24,6 +24,7 @@ def found(task, front):
     return validate_front(front, task.scene, n=4, horizon=0.3)
 
 
+@pytest.mark.long
 def test_every_point_is_validated_with_the_same_failures(front, found):
     assert [p.motion for p in found.points] == front.costs[:, 0].tolist()
     reports = [p.report for p in found.points]

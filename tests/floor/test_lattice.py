@@ -145,6 +145,7 @@ def test_costs_are_those_of_dijkstra(seed, steering):
     assert reached >= 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_costs_with_impact_are_those_of_dijkstra(seed):
     occupied = floor(seed)

@@ -156,6 +156,7 @@ def test_gradients_of_edges_that_count_by_time() -> None:
             np.testing.assert_allclose(found[1 + k][:, j], (after - before) / (2.0 * step), rtol=2e-3, atol=2e-4)
 
 
+@pytest.mark.long
 def test_curves_that_land_are_free_and_ordered(task: gp.Task) -> None:
     objective = bound(task)
     result = gp.plan(task.start, task.goal, task.scene, iterations=300)

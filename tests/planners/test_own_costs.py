@@ -126,6 +126,7 @@ def test_whole_paths_are_asked_for_at_once(task: gp.Task) -> None:
     assert core.total == pytest.approx(objective.breakdown(Path(q)).total)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 def test_plans_descend_along_own_costs(task: gp.Task, exposure: str) -> None:
     objective = Objective(impact=Height(), w=20.0 * W[exposure], exposure=exposure)

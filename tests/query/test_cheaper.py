@@ -42,6 +42,7 @@ def test_what_is_cheaper(task: gp.Task, impact: gp.ImpactCost, expected: gp.Impa
     assert cheaper(Objective(impact=impact, w=0.0).bind(task.scene)) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("impact", first_quick([ARM, gp.ImpactCost(consequence="energy")]))
 def test_a_costly_plan_is_no_worse_than_the_cheap_one_in_its_share(task: gp.Task, impact: gp.ImpactCost) -> None:
     objective = gp.Objective(impact=impact)

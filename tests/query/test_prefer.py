@@ -83,6 +83,7 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
         assert by_worst == pytest.approx(found.worst, abs=2.0 * step)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, problem: SceneProblem, kind: str) -> None:
     preference = Preference(gp.RiskMeasure(kind), bound)
@@ -126,6 +127,7 @@ def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objectiv
     assert np.mean(chosen) <= 1.05 * np.mean(plain)  # 1.04 and 0.99 measured
 
 
+@pytest.mark.long
 def test_plans_by_a_measure_are_the_same_again(task: gp.Task, objective: gp.Objective) -> None:
     once, again = (
         gp.plan(task.start, task.goal, task.scene, risk="cvar", objective=objective, iterations=300) for _ in range(2)

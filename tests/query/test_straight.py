@@ -69,6 +69,7 @@ def _worst(result: gp.PlanResult, scene: gp.Scene, goal: gp.PoseGoal) -> tuple[f
 _vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
 
 
+@pytest.mark.long
 @settings(max_examples=40)
 @given(
     name=st.sampled_from(_SCENES),

@@ -177,6 +177,7 @@ def test_other_severities_are_as_if_priced_anew(task, roadmap):
     assert expected.cost.impact == pytest.approx(gp.evaluate(expected.path, other, gp.Objective(w=2.0)).impact)
 
 
+@pytest.mark.long
 @settings(max_examples=25, deadline=None)
 @given(w=st.floats(0.0, 50.0), factor=st.floats(0.1, 20.0))
 def test_no_path_of_the_front_is_cheaper_than_the_answer(task, roadmap, w, factor):

@@ -236,6 +236,7 @@ def test_what_is_not_a_cost_is_refused(scene: Scene) -> None:
         check_cost(lambda batch: batch, scene)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.long
 def test_the_planner_of_the_guide_keeps_the_contract():
     text = (ROOT / "docs" / "comparing-planners.md").read_text()
     known: dict[str, type] = {}

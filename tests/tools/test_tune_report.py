@@ -52,6 +52,7 @@ def test_tune_json_is_one_document(run, tmp_path):
     assert document["validation"] is None
 
 
+@pytest.mark.long
 def test_targets_out_of_reach_fail(run, tmp_path):
     code, out, _ = run(*QUICK, "--target-impact", "1e-9", "--max-detour", "0.01", "--out", str(tmp_path))
     assert code == cli.FAILED
@@ -125,6 +126,7 @@ def page_data(file) -> dict:
     return json.loads(found[1])
 
 
+@pytest.mark.long
 def test_page_holds_the_front_and_asks_nobody(task, front, tmp_path):
     file = tmp_path / "front.html"
     write_front_page(front, task.scene, file, front.choose(), title="</script><b>")

@@ -73,6 +73,7 @@ def test_jerk_is_limited_and_acceleration_does_not_jump(scene: Scene, first: Tra
     assert result.trajectory.duration > 0.95 * first.duration
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("objective", ["effort", "acceleration"])
 def test_effort_falls_within_the_time_allowed(scene: Scene, first: Trajectory, objective: str) -> None:
     short, long = (

@@ -109,6 +109,7 @@ def test_fronts_that_are_known_are_found(name, found):
     assert np.diff(costs[:, 0]).max() < 0.2 * np.ptp(exact[:, 0]), "spread out"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KNOWN)
 @pytest.mark.parametrize("w", [0.1, 0.4, 1.0])
 def test_weights_lead_to_points_of_the_front(w, name, found):

@@ -42,6 +42,7 @@ def test_a_front_is_worth_more_than_its_planner_alone(task, front):
     assert dominated_area(front.costs, reference) > dominated_area(alone, reference)
 
 
+@pytest.mark.long
 def test_front_repeats_itself_by_iterations(task, front):
     again = gp.pareto(task.start, task.goal, task.scene, points=10, iterations=_ITERATIONS)
     assert [p.path.q.tobytes() for p in again.points] == [p.path.q.tobytes() for p in front.points]
@@ -60,6 +61,7 @@ def test_choice_of_a_front(front):
     assert choice.point.impact <= 0.5 * front.points[0].impact
 
 
+@pytest.mark.long
 def test_time_is_kept_and_told(task):
     told: list[FrontProgress] = []
     front = gp.pareto(task.start, task.goal, task.scene, points=4, iterations=_ITERATIONS, callback=told.append)
@@ -112,6 +114,7 @@ def test_several_goals_and_other_exposures(task):
     assert point.impact == pytest.approx(gp.evaluate(point.trajectory, task.scene, by_time).impact)
 
 
+@pytest.mark.long
 def test_planners_that_find_one_path_only_will_do(task):
     front = gp.pareto(task.start, task.goal, task.scene, iterations=400, points=4, planner=gp.RRTConnect())
     assert front.status is gp.PlanStatus.SOLVED
@@ -141,6 +144,7 @@ def test_misuse(task, settings, error, message):
         gp.pareto(task.start, task.goal, task.scene, **settings)
 
 
+@pytest.mark.long
 def test_every_point_keeps_what_is_asked_for(task):
     upright = gp.Upright(np.deg2rad(20.0))
     front = gp.pareto(task.start, task.goal, task.scene, points=3, iterations=400, constraints=[upright])

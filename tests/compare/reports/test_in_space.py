@@ -77,6 +77,7 @@ def test_scenes_that_are_not_here_are_named(asked):
     assert asked == []
 
 
+@pytest.mark.long
 def test_the_view_cannot_end_its_script(asked):
     found = summary([moving("a", 2.0)])
     text = page(found, bench.in_space(found))

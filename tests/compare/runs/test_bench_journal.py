@@ -90,6 +90,7 @@ LATER = {  # what the journal of each version did not have yet
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", LATER)
 def test_journals_of_earlier_versions_are_read_but_not_continued(tmp_path, version):
     suite, out = suite_file(tmp_path), tmp_path / "out"
@@ -147,6 +148,7 @@ def test_only_missing_runs_are_repeated(tmp_path):
     assert (out / NAME).read_bytes().splitlines(keepends=True)[:3] == lines[:3]
 
 
+@pytest.mark.long
 def test_a_changed_planner_is_another_comparison(here):
     suite, word = suite_file(here), own_planner(here)
     bench.compare(suite, planners=[word], out=here / "out", processes=0)

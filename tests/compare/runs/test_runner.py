@@ -220,6 +220,7 @@ def test_importing_is_not_in_the_time_of_a_run(here):
 # --- workers ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_workers_survive_what_planners_do(here):
     died = own_planner(here, "import os; os._exit(3)", "exits")
     crashed = own_planner(here, f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "crashes")
@@ -257,6 +258,7 @@ def slowly(seconds):
     time.sleep(seconds)
 
 
+@pytest.mark.long
 def test_what_prepares_has_no_deadline_and_what_does_has_one():
     work = workers.Work(do=str, prepare=slowly, allowed=lambda job: 1.0, lost=lambda job, status, detail: status)
     assert list(workers.spread(work, [1.3], 1)) == ["1.3"]
@@ -281,6 +283,7 @@ def test_anything_can_be_spread(processes):
     assert list(workers.spread(workers.Work(do=slowly), [0.0, 0.0], processes)) == [None, None]
 
 
+@pytest.mark.long
 def test_a_lost_job_is_an_error_unless_it_is_an_outcome():
     with pytest.raises(workers.WorkerLostError, match="CRASHED: the process ended with exit code 4, over -1"):
         list(workers.spread(workers.Work(do=inverse), [-1], 1))

@@ -196,6 +196,7 @@ def test_wrong_gradients_are_found_beside_kinks_and_rounding(scene: gp.Scene, st
     return None
 
 
+@pytest.mark.long
 def test_planning_stays_in_the_core(task: gp.Task) -> None:
     objective = gp.Objective(impact=gp.ClearanceCost(0.1) + 0.1 * gp.costs.JointCost(), w=2.0, exposure="length")
     plain = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=200)

@@ -111,6 +111,7 @@ def table():
 # --- the specification ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_it_equals_the_slow_oracle(scenes, table):
     for seed, scene in enumerate([*scenes, table]):
         q, qd = states(scene, 6, seed)

@@ -89,6 +89,7 @@ def test_touches_are_those_of_the_joint_that_failed(parts):
         touches(dataclasses.replace(settings, step=0.2), parts, scenes)
 
 
+@pytest.mark.long
 def test_the_command_writes_what_the_model_reads(parts, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(body_fit, "_RESAMPLES", 2)
     kept, written = tmp_path / "failures.npz", tmp_path / "body.yaml"

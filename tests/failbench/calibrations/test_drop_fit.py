@@ -61,6 +61,7 @@ def test_the_model_reads_what_calibration_writes(calibrated: family_fit.FamilyCa
             assert getattr(getattr(read, shape), name) == pytest.approx(fitted.value, rel=1e-4)
 
 
+@pytest.mark.long
 def test_the_command_keeps_its_drops_and_takes_them_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

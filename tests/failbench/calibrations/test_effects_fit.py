@@ -58,6 +58,7 @@ TRUE = (0.6, 0.2, 0.0, 0.35, 0.0, 0.1)
 BOTH = (0.9, 0.0, 0.8, 0.0, 0.0, 0.0)  # a loss of power: the arm falls, and the object, too
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("true", [TRUE, BOTH], ids=["several", "both"])
 def test_the_truth_is_found_and_lies_in_the_intervals(true):
     effect = fit_effects({"weak_grip": draw(true, n=10_000)}, resamples=30, seed=1)["weak_grip"]

@@ -80,6 +80,7 @@ def parts() -> list[Failures]:
     return [part for part in map(failure_jobs.do_job, jobs) if isinstance(part, Failures)]
 
 
+@pytest.mark.long
 def test_the_command_writes_what_the_model_reads(
     parts: list[Failures], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -95,6 +95,7 @@ def test_links_lead_somewhere():
         assert (ROOT / "docs" / link).exists(), link
 
 
+@pytest.mark.long
 def test_example_of_an_own_fault_runs(capsys):
     cls = load_class(f"{EXAMPLE}:Runaway")
     rollouts = sys.modules[cls.__module__].main(count=6)

@@ -92,6 +92,7 @@ def drops() -> list[Failures]:
     return [part for part in found if isinstance(part, Failures)]
 
 
+@pytest.mark.long
 def test_pairs_are_those_of_the_drop_model(drops: list[Failures]) -> None:
     pairs = pairs_of(drops)
     assert len(pairs) > 10 and pairs.hit.any() and not pairs.hit.all()

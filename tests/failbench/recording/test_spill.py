@@ -180,6 +180,7 @@ def _parcel(position: list[float], velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
     return Parcel(time=0.2, volume=volume, position=np.array(position), velocity=np.array(velocity))
 
 
+@pytest.mark.long
 @given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0.05, 0.6), st.floats(-0.5, 1.0))
 def test_it_lands_where_ballistics_say(world: World, vx: float, vy: float, height: float, vz: float) -> None:
     flight = (vz + np.sqrt(vz**2 + 2 * _G * height)) / _G

@@ -62,6 +62,7 @@ def files(folder: Path) -> dict[str, str]:
     return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in found}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("workers", first_quick([2, 1, 4]))
 def test_the_bytes_do_not_depend_on_the_number_of_workers(sweep, reference, tmp_path, workers):
     made = generate(sweep, tmp_path, executor=LocalExecutor(workers=workers))
@@ -128,6 +129,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(sweep, reference, tmp_path):
     assert files(tmp_path) == reference
 
 
+@pytest.mark.long
 def test_a_complete_sweep_is_exported_again_and_nothing_is_done(sweep, reference, tmp_path):
     generate(sweep, tmp_path, executor=InProcess())
     (tmp_path / "rollouts" / "part-00000.parquet").write_bytes(b"oops")
@@ -137,6 +139,7 @@ def test_a_complete_sweep_is_exported_again_and_nothing_is_done(sweep, reference
     assert files(tmp_path) == reference
 
 
+@pytest.mark.long
 def test_failed_chunks_are_tried_again_by_resume(sweep, reference, tmp_path, monkeypatch):
     real = sweeping.run_chunk
 
@@ -194,6 +197,7 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path):
         resume(tmp_path)
 
 
+@pytest.mark.long
 def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, reference, tmp_path):
     with SweepJournal(tmp_path / JOURNAL):
         pass

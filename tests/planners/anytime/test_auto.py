@@ -62,6 +62,7 @@ def test_same_seed_and_iterations_same_bytes_in_every_process(task):
     assert hashlib.sha256(here.path.q.tobytes()).hexdigest() == first
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("workers", first_quick([2, 1, 3]))
 def test_searches_share_the_budget_and_only_improve(task, workers):
     problem, objective = bound(task)
@@ -72,6 +73,7 @@ def test_searches_share_the_budget_and_only_improve(task, workers):
     assert budget.spent == ITERATIONS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("setting", first_quick(["descents", "scouts"]))
 def test_what_a_search_leaves_out_it_does_without(task, setting):
     problem, objective = bound(task)
@@ -118,6 +120,7 @@ def test_an_initial_path_is_brought_into_the_limits(task):
     assert paths and all((path.q >= problem.lower).all() and (path.q <= problem.upper).all() for path in paths)
 
 
+@pytest.mark.long
 def test_an_initial_path_that_grazes_something_between_two_checks_is_only_a_hint(task):
     problem, objective = bound(task)
     coarse = replace(problem, check_step=10.0)  # looks at little more than the ends of edges
@@ -129,6 +132,7 @@ def test_an_initial_path_that_grazes_something_between_two_checks_is_only_a_hint
     assert paths and all(problem.edges_free(path.q[:-1], path.q[1:]).all() for path in paths)
 
 
+@pytest.mark.long
 def test_an_initial_path_is_joined_to_the_ends(task):
     problem, objective = bound(task)
     given = solved(gp.RRTConnect(), problem, objective)[0][-1].q

@@ -238,6 +238,7 @@ class _Clearances:
         return min(found)
 
 
+@pytest.mark.long
 def test_gradient_of_clearance_in_a_scene() -> None:
     """100 configurations near contact and in it, with obstacles and with itself."""
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene

@@ -55,6 +55,7 @@ def _panda(scene: str, task: str, w: float = 1.0):
     return problem, objective, first
 
 
+@pytest.mark.long
 def test_paths_of_an_arm_cost_less() -> None:
     problem, objective, first = _panda("tabletop_l1", "green_to_blue")
     paths = list(CasADi(initial=first).solve(problem, objective, Budget(iterations=80), np.random.default_rng(0)))

@@ -48,6 +48,7 @@ def brute_force_front(edges: list[Edge], start: int, goals: set[int]) -> list[tu
     return sorted(p for p in every if not any(o != p and o[0] <= p[0] and o[1] <= p[1] for o in every))
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(graphs(), st.data())
 def test_the_front_is_that_of_all_paths(case, data):

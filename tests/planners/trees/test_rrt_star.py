@@ -60,6 +60,7 @@ def test_paths_in_a_scene_are_free_and_only_improve(
     assert all(later < earlier for earlier, later in itertools.pairwise(totals))
 
 
+@pytest.mark.long
 @_PLANNERS
 def test_same_seed_same_paths(planner: Planner, query: tuple[SceneProblem, SceneObjective]) -> None:
     first, second, other = (_solved(planner, *query, iterations=40, seed=seed)[0] for seed in (5, 5, 6))

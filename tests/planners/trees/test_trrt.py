@@ -150,6 +150,7 @@ def test_climbs_less_than_half_of_what_the_straight_line_does(planner, variant: 
     assert min(works) >= 1.0 - 1e-3
 
 
+@pytest.mark.long
 def test_more_patience_finds_lower_passes() -> None:
     hasty = [_work(TRRT, seed, variant="jaillet", most_failures=0) for seed in range(8)]
     patient = [_work(TRRT, seed, variant="jaillet", most_failures=20) for seed in range(8)]

@@ -25,6 +25,7 @@ def planned(scene, **given):
     return gp.plan("west", "east", scene, **given)
 
 
+@pytest.mark.long
 def test_laws_of_time_are_as_good_as_the_best_of_all():
     rng, n = np.random.default_rng(0), 3
     speed = np.array([1.0, 1.5, 1.0])
@@ -50,6 +51,7 @@ def test_laws_of_time_are_as_good_as_the_best_of_all():
         assert best - 1e-9 <= found <= 1.03 * best
 
 
+@pytest.mark.long
 def test_a_motion_is_judged_before_the_search_that_takes_long(monkeypatch):
     searching, judging, judged = answer.search_among_walkers, answer.first_verified, []
 

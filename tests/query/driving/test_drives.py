@@ -119,6 +119,7 @@ def test_poses_on_the_way_are_passed():
     assert np.linalg.norm(result.trajectory.q - [0.0, 1.2, 0.0], axis=1).min() < 1e-6
 
 
+@pytest.mark.long
 def test_the_same_seed_is_the_same_motion():
     first, second = (planned(gp.BasePose(3.0, 1.0, 2.0)) for _ in range(2))
     np.testing.assert_array_equal(first.trajectory.q, second.trajectory.q)

@@ -13,6 +13,7 @@ from graceful_plan.exceptions import SettingError
 from jackals import jackal
 
 
+@pytest.mark.long
 def test_a_planned_motion_is_driven():
     scene = jackal((1.0, 0.3))
     result = gp.plan([-3.0, 0.0, 0.0], gp.BasePose(3.0, 0.0, 0.0), scene, iterations=3000)
