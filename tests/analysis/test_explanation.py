@@ -223,6 +223,7 @@ def test_the_document_says_the_same(task, result):
     assert along["time"][-1] == pytest.approx(result.trajectory.duration)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", first_quick([*_OBJECTIVES, "nothing"]))
 def test_a_picture_is_drawn(task, result, name, tmp_path):
     nothing = gp.Objective(impact=gp.ImpactCost(components=()))

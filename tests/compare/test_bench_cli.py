@@ -45,6 +45,7 @@ def test_the_command_leaves_everything_in_its_folder(run, tmp_path):
     assert written == {"journal.jsonl", "report.html", "best_known.yaml", "planner_arena.db", *tables}
 
 
+@pytest.mark.long
 def test_json_is_one_document(run):
     code, out, _ = run("--planners", "rrt_connect", "--seeds", "7,", "--json")
     document = json.loads(out)
@@ -90,6 +91,7 @@ def test_what_another_comparison_knew(run, tmp_path):
     assert "known.yaml is for that weight" in err
 
 
+@pytest.mark.long
 def test_a_planner_of_ones_own(run, here):
     own = own_planner(here)
     code, out, _ = run("--planners", "rrt_connect", "--planner", f"{own}:pieces=2", "--seeds", "1")

@@ -79,6 +79,7 @@ def test_a_path_without_time_is_timed(run, motion, tmp_path):
     assert out.startswith("1 rollouts")
 
 
+@pytest.mark.long
 def test_validate_prints_observed_and_predicted(run, motion):
     argv = ("validate", "--task", "lift_to_goal", "drop/gripper_failure/severe", "-n", "4", *QUICK)
     code, out, err = run(*argv, "--trajectory", str(motion))
@@ -216,6 +217,7 @@ def test_a_sweep_that_failed_in_part_is_exit_code_1(run, tmp_path):
     assert f"failbench resume {tmp_path / 'd'}" in err
 
 
+@pytest.mark.long
 def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
     argv = ("run", DROP, "-n", "2", *QUICK)
     assert run(*argv)[2] == ""
@@ -245,6 +247,7 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_nobody_behind(tmp_path):
     assert len(workers) >= 2 and all_end(workers)
 
 
+@pytest.mark.long
 def test_reader_that_goes_away_is_no_error():
     command = f"{sys.executable} -m failbench.cli scenarios --json | true"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)

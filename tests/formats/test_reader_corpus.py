@@ -103,6 +103,7 @@ def _with(document: Any, place: tuple[Any, ...], value: Any) -> Any:
     return inside
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", _READERS)
 def test_what_once_broke_a_reader_does_not_break_any(name: str, tmp_path: Path) -> None:
     document, read = _READERS[name]

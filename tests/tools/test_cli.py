@@ -163,6 +163,7 @@ def test_planners_have_settings_everywhere(run, command, tmp_path):
     assert (code, "range = -1" in err) == (cli.MISUSE, True)
 
 
+@pytest.mark.long
 def test_a_planner_with_settings_plans(run):
     assert run("plan", "--planner", "rrt_connect:range=0.4", "--iterations", "500")[0] == cli.DONE
 
@@ -296,6 +297,7 @@ def test_map_says_where_a_drop_is_worst(run, tmp_path):
     np.testing.assert_array_equal(np.array(document["impact"], dtype=float), found.impact)
 
 
+@pytest.mark.long
 def test_scenes_lists_all_with_their_tasks(run):
     code, out, _ = run("scenes", "--json")
     document = json.loads(out)
@@ -337,6 +339,7 @@ def test_demo_writes_picture_and_trajectories_and_lowers_the_impact(run, tmp_pat
     assert all(name in out for name in made)
 
 
+@pytest.mark.long
 def test_demo_json_compares_both(run, tmp_path):
     code, out, _ = run("demo", "--output", str(tmp_path), "--iterations", "2000", "--json")
     plain, graceful = json.loads(out)["results"].values()
@@ -355,6 +358,7 @@ def test_interrupt_ends_with_130(run, monkeypatch):
     assert code == json.loads(out)["exit_code"] == cli.INTERRUPTED
 
 
+@pytest.mark.long
 def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
     assert run("plan", "--iterations", "50")[2] == ""
     monkeypatch.setattr(sys.stderr.__class__, "isatty", lambda self: True)
@@ -384,6 +388,7 @@ def test_a_terminal_is_told_what_takes_long(run, monkeypatch):
     assert "s  preparing the scene" in err and err.endswith("\r\x1b[K")
 
 
+@pytest.mark.long
 def test_reader_that_goes_away_is_no_error():
     command = f"{sys.executable} -m graceful_plan.tools.cli scenes --json | true"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)

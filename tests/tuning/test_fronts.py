@@ -103,6 +103,7 @@ def test_ends_that_cannot_be_used_have_their_status(task):
     assert goal.status is gp.PlanStatus.INVALID_GOAL and "limit" in goal.detail
 
 
+@pytest.mark.long
 def test_several_goals_and_other_exposures(task):
     goals = np.concatenate([task.goal, task.start[None]])
     front = gp.pareto(task.start, goals, task.scene, iterations=50)
@@ -121,6 +122,7 @@ def test_planners_that_find_one_path_only_will_do(task):
     assert len(front) > 1, "the roadmap and the refinement do the rest"
 
 
+@pytest.mark.long
 def test_sums_over_waypoints_do_without_a_roadmap(task):
     paper = gp.Objective(exposure="waypoints", impact=gp.ImpactCost(model="aabb"))
     front = gp.pareto(task.start, task.goal, task.scene, iterations=100, points=3, objective=paper)

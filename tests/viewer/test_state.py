@@ -34,8 +34,8 @@ def asked(question):
 @pytest.fixture(scope="module")
 def question():
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
-    # Thrice the time by default: tests run beside others, and both motions must be there.
-    return Question(scene=task.scene, start=task.start, goal=task.goal, w=1.0, time_limit=3.0)
+    # Twice the time by default: tests run beside others, and both motions must be there.
+    return Question(scene=task.scene, start=task.start, goal=task.goal, w=1.0, time_limit=2.0)
 
 
 @pytest.fixture(scope="module")

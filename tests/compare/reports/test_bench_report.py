@@ -94,6 +94,7 @@ def test_a_page_is_the_same_every_time():
     assert page(bench.summarise(rich())) == written("rich")
 
 
+@pytest.mark.long
 def test_what_the_page_says():
     _, text = read("rich")
     assert "7 problems, 3 planners, 2 seeds" in text

@@ -42,6 +42,7 @@ def _same(first: Failures, second: Failures) -> bool:
     return all(np.array_equal(a, b) for a, b in values)
 
 
+@pytest.mark.long
 def test_events_are_what_the_recorder_says(task: gp.Task, motion: gp.Trajectory, dropped: Failures) -> None:
     execution = execute(motion, build_world(task.scene))
     jobs = make_jobs([GripperFailure(degree="critical")], execution.duration, n=24, seed=3)

@@ -62,6 +62,7 @@ def test_at_rest_nothing_happens():
     assert record.q == pytest.approx(well.q, abs=1e-4)
 
 
+@pytest.mark.long
 def test_a_ramp_brakes_later():
     hard, soft = (Record(ProtectiveStop(ramp=ramp), when=0.4, horizon=0.8) for ramp in (0.0, 0.2))
     moved = [np.abs(record.q[-1] - record.q0).max() for record in (hard, soft)]

@@ -77,6 +77,7 @@ class TestFrames:
         assert {frame.shape for frame in frames} == {(72, 96, 3)}
         assert all(not np.array_equal(a, b) for a, b in pairwise(frames))
 
+    @pytest.mark.long
     def test_a_failure_looks_like_health_until_it_begins(self, done, tmp_path):
         settings = {"horizon": 0.3, "lead": 0.1, "fps": 20.0, "size": SIZE}
         broken = images(replay(done, LATE, output=tmp_path / "broken", **settings))
@@ -85,6 +86,7 @@ class TestFrames:
         assert same[:3] == [True] * 3
         assert not any(same[4:])
 
+    @pytest.mark.long
     def test_slow_motion_has_more_frames(self, done, tmp_path):
         settings = {"horizon": 0.1, "lead": 0.0, "fps": 20.0, "size": SIZE}
         assert len(replay(done, LATE, output=tmp_path / "once", **settings)) == 2
@@ -109,6 +111,7 @@ class TestFrames:
         with Image.open(tmp_path / "x.gif") as image:
             assert image.info["duration"] == 20.0
 
+    @pytest.mark.long
     def test_video(self, done, tmp_path):
         imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
         output = tmp_path / "film.mp4"
@@ -116,6 +119,7 @@ class TestFrames:
         frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(output))
         assert (frames, seconds) == (10, pytest.approx(0.5))
 
+    @pytest.mark.long
     def test_the_same_rollout_gives_the_same_bytes(self, done, tmp_path):
         one, other = (
             replay(done, LATE, output=tmp_path / name, horizon=0.1, lead=0.0, fps=20.0, size=SIZE) for name in "ab"
@@ -130,6 +134,7 @@ class TestFrames:
         assert 1 <= len(files) < 30
         assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
+    @pytest.mark.long
     def test_a_named_camera_and_a_free_one_see_different_things(self, done, tmp_path):
         settings = {"horizon": 0.02, "lead": 0.0, "size": SIZE}
         free = mujoco.MjvCamera()
@@ -413,6 +418,7 @@ class TestContactSheet:
         assert worst.job.fault is BLIND
         assert worst.text.startswith("tool ")
 
+    @pytest.mark.long
     @pytest.mark.usefixtures("gl")
     def test_is_a_page_of_cells(self, tmp_path, monkeypatch):
         monkeypatch.setattr(contact_sheet, "_MOMENTS", 2)

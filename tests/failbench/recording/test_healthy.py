@@ -162,6 +162,7 @@ def test_what_a_healthy_robot_bumps_into_is_harm() -> None:
     assert observed_impact(whole_execution(rollout, bump.healthy), scene) == bump.healthy.harm
 
 
+@pytest.mark.long
 def test_touches_with_which_a_motion_begins_or_that_are_allowed_are_no_harm() -> None:
     task = gp.load_scene("dining_table").tasks["move_bottle"]  # it stands on the table at both ends
     moved = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=2000, speed=0.5)

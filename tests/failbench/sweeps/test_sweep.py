@@ -113,6 +113,7 @@ def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
     assert made.contacts["rollout"].to_pylist() == [i for i, count in enumerate(counts) for _ in range(count)]
 
 
+@pytest.mark.long
 def test_an_interrupted_sweep_goes_on_where_it_was(sweep, reference, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         generate(sweep, tmp_path, executor=InProcess(stop_after=2))
@@ -206,6 +207,7 @@ def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, referen
     assert files(tmp_path) == reference
 
 
+@pytest.mark.long
 def test_misuse_is_found_before_anything_is_begun(sweep, tmp_path):
     elbow = dataclasses.replace(sweep, faults=({"fault": "loose_joint", "targets": ["elbow"]},))
     with pytest.raises(UnknownNameError, match="elbow"):

@@ -59,6 +59,7 @@ def test_chunks_are_every_rollout_once_in_order(motions, kinds, rollouts):
         sweep.place(len(numbers))
 
 
+@pytest.mark.long
 def test_the_name_of_a_chunk_says_what_it_is(sweep):
     assert sweep.chunks[0].name == "lift / gripper_failure severe / rollouts 0-4"
 
@@ -100,6 +101,7 @@ def test_rows_are_the_columns_and_say_what_the_rollouts_said(sweep):
     assert all(row["whole_impact"] == row["observed_impact"] for row in rows["rollouts"])
 
 
+@pytest.mark.long
 def test_rows_depend_on_the_chunk_alone(sweep):
     first = [run_chunk(sweep, chunk) for chunk in sweep.chunks]
     copy = pickle.loads(pickle.dumps(sweep))
