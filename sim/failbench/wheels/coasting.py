@@ -16,7 +16,7 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.control.diff_drive_controller import Tracking
 from graceful_plan.control.drive_state import DriveState
 from graceful_plan.costs.models.coast.constants import ONE_SIDE, WHEELS, CoastSettings
-from graceful_plan.costs.models.coast.steering import FASTER, MOTORS, TICK
+from graceful_plan.costs.models.coast.steering import FASTER, MOTORS, TICK, gone_on
 from graceful_plan.exceptions import UnknownNameError
 
 Array = np.ndarray
@@ -158,7 +158,7 @@ def coasting(
 
 @dataclass(eq=False)
 class _Steers:
-    """A controller that follows the arc that a base drove when it failed, and does not know of it."""
+    """A controller that follows the way that a base would have gone on, and does not know that it failed."""
 
     wheels: Wheeled
     begin: tuple[float, float, float]
@@ -174,9 +174,10 @@ class _Steers:
         x, y, yaw = wheels.pose(data)
         ahead = data.qvel[wheels.dof] * np.cos(yaw) + data.qvel[wheels.dof + 1] * np.sin(yaw)
         state = DriveState(x, y, yaw, float(ahead), float(data.qvel[wheels.dof + 5]))
-        turned = self.omega * time
-        chord, middle = self.v * time * np.sinc(0.5 * turned / np.pi), yaw0 + 0.5 * turned
-        wanted = DriveState(x0 + chord * np.cos(middle), y0 + chord * np.sin(middle), yaw0 + turned, self.v, self.omega)
+        turned, ((far,), (v,)) = self.omega * time, gone_on(wheels.base, np.array([self.v]), time)
+        chord, middle = far * np.sinc(0.5 * turned / np.pi), yaw0 + 0.5 * turned
+        there = x0 + chord * np.cos(middle), y0 + chord * np.sin(middle)
+        wanted = DriveState(*there, yaw0 + turned, float(v), self.omega)
         command = self.follows.command(state, wanted)
         self.summed = self.follows.summed(self.summed, command, state, TICK)
         told = self.follows.held(command, state, self.summed)

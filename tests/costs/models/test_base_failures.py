@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from failbench.wheels.coasting import BaseFailure, coasting
 from failbench.wheels.following import within_reach
@@ -25,7 +27,7 @@ from graceful_plan.costs.models.coast.closed_forms import (
 )
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.coast.four_wheel import Case, integrated, one_sided_ways
-from graceful_plan.costs.models.coast.steering import FASTER, MOTORS, TICK, OneSideSteering
+from graceful_plan.costs.models.coast.steering import FASTER, MOTORS, TICK, OneSideSteering, gone_on
 from graceful_plan.costs.models.coast.tables import coast_tables
 from graceful_plan.scene.mobile.known_bases import known_base
 from hall import hall
@@ -115,6 +117,16 @@ def test_a_controller_that_goes_on_swings_it_about_its_way_as_in_mujoco(v, omega
     assert found[:, 2].max() < 2.8 and found[-1, 2] < found[:, 2].max() - 0.1 and alone[:, 2].max() > 4.0
 
 
+@given(st.floats(-2.0, 2.0), st.floats(0.0, 4.0))
+def test_a_motion_that_goes_on_gets_as_fast_as_it_may_be(v, time):
+    base = BODY.base
+    (far,), (speed,) = gone_on(base, np.array([v]), time)
+    later = np.linspace(0.0, time, 4001)
+    fast = np.minimum(abs(v) + base.a_max * later, max(base.v_max, abs(v)))
+    assert far == pytest.approx(np.sign(v) * np.trapezoid(fast, later), abs=1e-5)
+    assert speed == pytest.approx(np.sign(v) * fast[-1], abs=1e-9)
+
+
 @pytest.mark.parametrize("held", [True, False])
 def test_it_goes_where_mujoco_has_it(held):
     scene = jackal()
@@ -148,8 +160,10 @@ def test_what_steers_on_says_what_the_tracking_controller_and_its_motors_do():
             (x, y, turned, rate), rims = rng.normal(0.0, 0.3, 4), rng.uniform(-2.0, 2.0, 2)
             t = tick * TICK
             way = omega * t
-            chord = v * t * np.sinc(0.5 * way / np.pi)
-            wanted = DriveState(chord * np.cos(0.5 * way), chord * np.sin(0.5 * way), way, v, omega)
+            # The way goes on with this rate of turning, and as fast as the base may be.
+            later, whole = np.linspace(0.0, t, 1001), np.minimum(v + base.a_max * np.linspace(0.0, t, 1001), base.v_max)
+            chord = np.trapezoid(whole, later) * np.sinc(0.5 * way / np.pi)
+            wanted = DriveState(chord * np.cos(0.5 * way), chord * np.sin(0.5 * way), way, whole[-1], omega)
             state = DriveState(x, y, turned, v, rate)
             command = follows.command(state, wanted)
             summed = follows.summed(summed, command, state, TICK)

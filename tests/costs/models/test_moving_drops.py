@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jaxtyping import TypeCheckError
 from test_drop import BOX, gantry
 
 import graceful_plan as gp
@@ -15,7 +16,8 @@ from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.costs.models.moving.arm import moving_spheres
 from graceful_plan.costs.models.moving.drops import moving_probability
-from graceful_plan.costs.models.moving.whereabouts import _CELL, PLACES, OffPrediction, normal_places, touched
+from graceful_plan.costs.models.moving.whereabouts import PLACES, OffPrediction, cell_of, normal_places, touched
+from graceful_plan.exceptions import SettingError
 
 _STANDING = (0.03, 0.15)
 """Largest mean and single difference from the model of what stands still: here the object is followed down the side of
@@ -169,10 +171,50 @@ def test_nothing_falls_through_a_table():
     assert probability(scene, beside, [0.55, 0.0, 0.0, 0.0], slides, 0.0)[0] > 0.02
 
 
-def test_places_stand_for_a_normal_distribution():
-    places = normal_places()
+@pytest.mark.parametrize("count", [4, 8, 16, PLACES])
+def test_places_stand_for_a_normal_distribution(count):
+    places = normal_places(count)
+    assert len(np.unique(places.round(9), axis=0)) == count
     np.testing.assert_allclose(places.mean(axis=0), 0.0, atol=1e-9)
-    np.testing.assert_allclose(places.T @ places / PLACES + _CELL**2 * np.eye(2), np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(places.T @ places / count + cell_of(count) ** 2 * np.eye(2), np.eye(2), atol=1e-9)
+
+
+@pytest.mark.parametrize("places", [0, 3, 14, 26, 8.0])
+def test_so_many_places_cannot_stand_for_anybody(places):
+    with pytest.raises((SettingError, TypeCheckError), match="places"):
+        Footprint(places=places)
+
+
+def test_few_places_are_close_to_many(scene):
+    batch = _near_a_walker(scene, 400)
+    many, few = (
+        moving_probability(batch, DropSettings.shipped(), ("carried",), places).sum(axis=(1, 2))
+        for places in (PLACES, 12)
+    )
+    assert many.sum() > 10.0 and few.sum() == pytest.approx(many.sum(), rel=0.1)
+    assert np.corrcoef(few, many)[0, 1] > 0.85
+
+
+def test_states_that_are_asked_for_at_many_times_are_the_same_as_one_by_one(scene):
+    batch = _near_a_walker(scene, 40, same=8)
+    whole = moving_probability(batch, DropSettings.shipped(), ("carried",))
+    assert whole.max() > 0.1
+    for i in range(len(batch)):
+        one = batch[i : i + 1]
+        np.testing.assert_allclose(
+            moving_probability(one, DropSettings.shipped(), ("carried",))[0], whole[i], atol=1e-12
+        )
+
+
+def _near_a_walker(scene, n, same=1):
+    """States around somebody who is uncertain and walks, each of them at some times."""
+    rng = np.random.default_rng(5)
+    q = np.column_stack(
+        [rng.uniform(-0.2, 0.8, n // same), rng.uniform(-0.5, 0.5, n // same), np.zeros((n // same, 2))]
+    )
+    q, time = np.repeat(q, same, axis=0), rng.uniform(-0.5, 0.5, n)
+    entity = walker(speed=0.8, spread=0.2)
+    return StateBatch(scene.with_moving(entity), q, np.zeros_like(q), np.zeros(n), time)
 
 
 def test_nobody_is_where_they_would_have_been_touched():

@@ -3,7 +3,8 @@ r"""What a controller tells the wheels of a base of which it does not know that 
 It leads the base back to its way, as `graceful_plan.control`'s `Tracking` does, in fewer words: the speed is
 :math:`v \cos e_h + k_x e_x`, the rate of turning :math:`\omega + v k_y e_y + (|v| k_h + k_x) \sin e_h`, what is
 corrected at most :math:`\sqrt{2 \alpha |e|}`, and what gyros miss of it is added (Kanayama et al., ICRA 1990). One side
-does not do what it is told, so that the base swings about its way. The way goes on along the arc that it drives.
+does not do what it is told, so that the base swings about its way. The way goes on with the rate of turning that it
+has, and gets as fast as the base may be: who is slow at a place is fast again soon after it.
 """
 
 from __future__ import annotations
@@ -29,6 +30,20 @@ BEHIND = 3.0
 """How far from what was told the rates of wheels may be before they count instead [rad/s]."""
 FASTER = 1.3
 """Greatest speed of rims that is told, over that of motions: room for what tracking adds to the fastest."""
+
+
+def gone_on(base: DiffDrive, v: Float[Array, "*batch"], time: float) -> tuple[Array, Array]:
+    """Return how far a motion has gone on a time after it had a speed [m], and the speed that it has then [m/s].
+
+    Args:
+        base: How it drives.
+        v: Along the heading, backwards below 0 [m/s].
+        time: Afterwards [s].
+    """
+    speed = np.abs(v)
+    faster = np.minimum(time, np.maximum(base.v_max - speed, 0.0) / base.a_max)
+    far = speed * time + base.a_max * faster * (time - 0.5 * faster)
+    return np.sign(v) * far, np.sign(v) * (speed + base.a_max * faster)
 
 
 @dataclass(eq=False)
@@ -80,9 +95,10 @@ class OneSideSteering:
 
     def _wanted(self, time: float, pose: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Return the speed and the rate of turning that lead back to the way."""
-        (x, y, turned), v, omega = pose, self.v, self.omega
+        (x, y, turned), omega = pose, self.omega
+        far, v = gone_on(self.base, self.v, time)
         way = omega * time
-        chord = v * time * np.sinc(0.5 * way / np.pi)
+        chord = far * np.sinc(0.5 * way / np.pi)
         dx, dy = chord * np.cos(0.5 * way) - x, chord * np.sin(0.5 * way) - y
         c, s = np.cos(turned), np.sin(turned)
         along, across = c * dx + s * dy, c * dy - s * dx

@@ -27,6 +27,7 @@ from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.moving.model import MovingModel
+from graceful_plan.costs.models.moving.whereabouts import PLACES, check_places
 from graceful_plan.costs.models.spill.constants import SpillSettings, StopSettings
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.exceptions import SettingError
@@ -57,9 +58,11 @@ class Footprint(NativeModel):
         base: How a base that drives goes on when it fails, and how often it is what fails; the shipped constants by
             default. Of no account for robots without one.
         network: What corrects the hits of the object after a drop, such as `DropNetwork.shipped()`; nothing by default.
+        places: How many stand for where somebody may be who moves and is expected somewhere; searches ask for fewer.
 
     Raises:
         UnknownNameError: If there is no such preset.
+        SettingError: If so many places cannot stand for anybody.
     """
 
     faults: str | FaultPrior = "drop_only"
@@ -69,8 +72,10 @@ class Footprint(NativeModel):
     stop: StopSettings = field(default_factory=StopSettings.shipped)
     base: CoastSettings = field(default_factory=CoastSettings.shipped)
     network: DropNetwork | None = None
+    places: int = PLACES
 
     def __post_init__(self) -> None:
+        check_places(self.places)
         if not isinstance(self.faults, str | FaultPrior):
             raise SettingError("faults", self.faults, "a FaultPrior or the name of a preset")
         _ = self.prior
@@ -120,7 +125,7 @@ class Footprint(NativeModel):
         """Return the model for entities that move, with the constants and weights of this one."""
         weights = self.prior.weights()
         shares = {"drop": weights["drop"], "collapse": weights["collapse"], "coast": self.base.share}
-        return MovingModel(settings=self.settings, base=self.base, **shares)
+        return MovingModel(settings=self.settings, base=self.base, places=self.places, **shares)
 
     def kernel(
         self,

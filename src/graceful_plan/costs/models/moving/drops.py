@@ -53,7 +53,7 @@ from graceful_plan.costs.models.drop.sides import no_stop
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.moving.arm import near_links
 from graceful_plan.costs.models.moving.outline import Outline, sweep
-from graceful_plan.costs.models.moving.whereabouts import OffPrediction, off_predictions, touched
+from graceful_plan.costs.models.moving.whereabouts import PLACES, OffPrediction, off_predictions, touched
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -73,7 +73,10 @@ _CHUNK = 50_000  # pairs of states and times that are worked on at once
 
 
 def moving_probability(
-    batch: StateBatch, settings: DropSettings, components: Collection[str] = ("carried", "contents", "body")
+    batch: StateBatch,
+    settings: DropSettings,
+    components: Collection[str] = ("carried", "contents", "body"),
+    places: int = PLACES,
 ) -> Float[Array, "n component moving"]:
     """Return P(component hits moving entity) given that the gripper lets go, or for the body that the arm collapses.
 
@@ -81,6 +84,7 @@ def moving_probability(
         batch: States; their times, if they have any, are on the clock of the predictions.
         settings: Constants of the drop model.
         components: Which to compute; the others are 0.
+        places: How many stand for where somebody may be who is expected somewhere.
     """
     scene = batch.scene
     P = np.zeros((len(batch), len(scene.components), len(scene.moving)))
@@ -93,7 +97,7 @@ def moving_probability(
         times = path_times(entity) if batch.time is None else batch.time[:, None]
         times = np.broadcast_to(times, (len(batch), times.shape[-1]))
         if drops is not None:
-            P[:, falling, column] = _mean_hit(batch, drops, entity, times)[:, None]
+            P[:, falling, column] = _mean_hit(batch, drops, entity, times, places)[:, None]
         if "body" in rows:
             P[:, rows["body"], column] = mean_over_times(lambda *pairs: near_links(batch, *pairs), entity, times)
     return P
@@ -120,9 +124,11 @@ def mean_over_times(
     return np.concatenate([probability(entity, state[c], flat[c]) for c in chunks]).reshape(times.shape).mean(axis=1)
 
 
-def _mean_hit(batch: StateBatch, drops: _Drops, entity: MovingEntity, times: Float[Array, "n k"]) -> Float[Array, " n"]:
+def _mean_hit(
+    batch: StateBatch, drops: _Drops, entity: MovingEntity, times: Float[Array, "n k"], places: int
+) -> Float[Array, " n"]:
     """Return P that an entity is hit, the mean over each state's times and over where it may be then."""
-    who, whole = off_predictions(entity, times, batch.time is not None)
+    who, whole = off_predictions(entity, times, batch.time is not None, places)
     shape, time = whole.shape, whole.ravel()
     state = np.repeat(np.arange(len(whole)), shape[1])
     chunks = [np.arange(i, min(i + _CHUNK, len(state))) for i in range(0, len(state), _CHUNK)]
@@ -146,18 +152,24 @@ def _drops(batch: StateBatch, settings: DropSettings) -> _Drops:
 
 @final
 class _Drops:
-    """Drops from the states of a batch; what does not depend on who moves is computed once, where it is needed."""
+    """Drops from the states of a batch; what does not depend on who moves is computed once, where it is needed.
+
+    Searches ask for the same states at many times: what is equal is computed once.
+    """
 
     def __init__(self, batch: StateBatch, settings: DropSettings) -> None:
         self.tables = drop_tables(batch.scene)
         self.constants = settings.of(self.tables.shape_class)
-        self.state = release(batch, self.tables)
+        _, first, self.equal = np.unique(
+            np.concatenate([batch.q, batch.qd], axis=1), axis=0, return_index=True, return_inverse=True
+        )
+        self.state = release(batch, self.tables).only(first)
         self.size = max(1, _STATES // max(1, len(self.tables.target_entity)))
         self.fallen: dict[int, _Fallen] = {}
 
     def hit(self, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Float[Array, " pair"]:
         """P that an entity is hit, for pairs of a state and the time of the drop."""
-        found = np.zeros(len(state))
+        found, state = np.zeros(len(state)), self.equal[state]
         near = np.flatnonzero(self._near(who, state, time))
         block = state[near] // self.size
         for b in np.unique(block).tolist():

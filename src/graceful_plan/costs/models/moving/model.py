@@ -16,6 +16,7 @@ from graceful_plan.costs.models.coast.walkers import walkers_met
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.moving.drops import moving_probability
 from graceful_plan.costs.models.moving.kernel import moving_kernels
+from graceful_plan.costs.models.moving.whereabouts import PLACES
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.scene import Scene
 
@@ -33,6 +34,7 @@ class MovingModel:
         collapse: P that the arm collapses, given a failure.
         coast: P that it is the base that fails, given a failure, if the robot drives; the others share the rest.
         base: Constants of the coast model.
+        places: How many stand for where somebody may be who is expected somewhere.
     """
 
     settings: DropSettings = field(default_factory=DropSettings.shipped)
@@ -40,6 +42,7 @@ class MovingModel:
     collapse: float = 1.0
     coast: float = 0.0
     base: CoastSettings = field(default_factory=CoastSettings.shipped)
+    places: int = PLACES
 
     def sources(
         self, batch: StateBatch, components: Collection[str] = COMPONENTS
@@ -51,7 +54,7 @@ class MovingModel:
             components: Which to compute; the others are 0.
         """
         counted = [name for name in components if (self.collapse if name == "body" else self.drop) > 0.0]
-        P = moving_probability(batch, self.settings, counted)
+        P = moving_probability(batch, self.settings, counted, self.places)
         falls = np.array([name != "body" for name in batch.scene.components])[:, None]
         drives = batch.scene.base is not None and self.coast > 0.0 and "body" in components
         aboard = 1.0 - self.coast if batch.scene.base is not None else 1.0

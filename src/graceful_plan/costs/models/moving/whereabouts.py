@@ -14,31 +14,41 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.moving.outlines import outlines, outside
+from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
 
 PLACES = 24
-"""Places that stand for a normal distribution."""
+"""Places that stand for a normal distribution, unless fewer do; an even number, and no multiple of `_STRIDE`."""
 _SHARP = 0.01
 """Standard deviations below this need no more than one place [m]."""
-_CELL = float(np.sqrt(2.0 * np.pi / 12.0 / PLACES))
-"""Standard deviation within what one of them stands for, over that of all."""
 _AT_ONCE = 200_000
 """Pairs times spheres that are looked at at once, to bound memory."""
 _GOLDEN, _STRIDE = np.pi * (3.0 - np.sqrt(5.0)), 7
 
 
-def normal_places() -> Float[Array, "place 2"]:
+def check_places(places: int) -> None:
+    """Raise SettingError if so many places cannot stand for a normal distribution."""
+    if not (isinstance(places, int) and 4 <= places <= PLACES and places % 2 == 0 and places % _STRIDE):
+        raise SettingError("places", places, f"an even number from 4 to {PLACES}, and no multiple of {_STRIDE}")
+
+
+def normal_places(count: int = PLACES) -> Float[Array, "place 2"]:
     """Return places of equal weight for a normal distribution with standard deviation 1, that within them included.
 
     Seeds of a sunflower and their mirror images, brought to this variance; neighbours in the list are far apart.
     """
-    k = np.arange(PLACES // 2)
+    k = np.arange(count // 2)
     radius, angle = np.sqrt(-2.0 * np.log(1.0 - (k + 0.5) / len(k))), k * _GOLDEN
     half = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    half = half @ np.linalg.inv(np.linalg.cholesky(half.T @ half / len(k))).T * np.sqrt(1.0 - _CELL**2)
-    return np.concatenate([half, -half])[_STRIDE * np.arange(PLACES) % PLACES]
+    half = half @ np.linalg.inv(np.linalg.cholesky(half.T @ half / len(k))).T * np.sqrt(1.0 - cell_of(count) ** 2)
+    return np.concatenate([half, -half])[_STRIDE * np.arange(count) % count]
+
+
+def cell_of(count: int) -> float:
+    """Return the standard deviation within what one of so many places stands for, over that of all."""
+    return float(np.sqrt(2.0 * np.pi / 12.0 / count))
 
 
 @final
@@ -71,7 +81,7 @@ class OffPrediction:
 
 
 def off_predictions(
-    entity: MovingEntity, times: Float[Array, "n k"], each: bool
+    entity: MovingEntity, times: Float[Array, "n k"], each: bool, places: int = PLACES
 ) -> tuple[OffPrediction, Float[Array, "n place"]]:
     """Return where somebody may be at times of states, and the time of each of these places [s].
 
@@ -79,13 +89,14 @@ def off_predictions(
         entity: Who.
         times: Times of each state [s].
         each: Whether each time has all places; else they take turns over a state's times, as often as need be.
+        places: How many there are.
     """
     if entity.at(times.max(initial=entity.t[0])).spread < _SHARP:
         return OffPrediction(entity, np.zeros((times.size, 2)), 1.0), times
-    count = PLACES if each else -(-PLACES // times.shape[1])
+    count = places if each else -(-places // times.shape[1])
     whole = np.repeat(times, count, axis=1)
-    z = normal_places()[np.arange(whole.shape[1]) % PLACES]
-    return OffPrediction(entity, np.tile(z, (len(times), 1)), _CELL), whole
+    z = normal_places(places)[np.arange(whole.shape[1]) % places]
+    return OffPrediction(entity, np.tile(z, (len(times), 1)), cell_of(places)), whole
 
 
 def touched(
