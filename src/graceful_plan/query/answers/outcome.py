@@ -38,19 +38,20 @@ def problems(request: Request, ends: Ends) -> Iterator[SceneProblem]:
         )
 
 
-def until_last_steps(request: Request, elapsed: float) -> float:
+def until_last_steps(request: Request, elapsed: float, *, insured: bool = False) -> float:
     """Return how much of its time a call may spend before it has to time and to judge what was found [s].
 
     Args:
         request: What is asked for.
         elapsed: How much it has spent [s].
+        insured: Whether there is a motion already that passes the judge.
     """
     clock = request.clock
     if not np.isfinite(clock.limit):
         return clock.limit
     scene = request.objective.scene
     departing = min(_TIMING_RESERVE, clock.limit / 4.0) if scene.moving and scene.base is None else 0.0
-    return elapsed + clock.left - clock.reserve(clock.limit) - departing
+    return elapsed + clock.left - clock.reserve(clock.limit, insured=insured) - departing
 
 
 def solved(

@@ -41,6 +41,8 @@ _TIMED = 3
 """Motions that are to be timed within the time that is kept for the last steps."""
 _INSURANCE = 0.2
 """Share of the time left that a motion may take which is there should those that follow come too late."""
+_TIMES, _INSURED_TIMES = 2.0, 1.25
+"""Of what steps take at most, for there to be plenty of time."""
 _MOST_KEPT = 0.7
 """Share of a time limit that is kept for them at most."""
 
@@ -113,10 +115,10 @@ class Clock:
         """Reading of the clock from which on there is time for the last steps only [s]; infinite without a limit."""
         return self.deadline - self.reserve(self.limit) if np.isfinite(self.deadline) else self.deadline
 
-    def reserve(self, limit: float) -> float:
-        """Return what to keep of a time limit for the last steps [s]."""
+    def reserve(self, limit: float, *, insured: bool = False) -> float:
+        """Return what to keep of a time limit for the last steps [s], less if there is a motion already."""
         kept_for = self.paces.kept_for
-        learnt = kept_for("ending") + _TIMED * kept_for("timing") + kept_for("judging")
+        learnt = kept_for("ending") + (1 if insured else _TIMED) * kept_for("timing") + kept_for("judging")
         return min(max(learnt, min(_SPARE, _SPARE_SHARE * limit)), _MOST_KEPT * limit)
 
     def ended(self, late: float) -> None:
@@ -150,9 +152,12 @@ class Clock:
         needed = self.paces.kept_for("timing") + self.paces.kept_for("judging")
         return self.deadline < np.inf and _INSURANCE * self.left >= needed
 
-    def has_plenty(self, *steps: Step) -> bool:
-        """Whether there is room for more than what has to be done: these steps, as long as they ever took, twice."""
-        return self.left >= 2.0 * sum(self.paces.longest(step) for step in steps)
+    def has_plenty(self, *steps: Step, insured: bool = False) -> bool:
+        """Whether there is room for more than what has to be done: these steps, as long as they ever took, twice.
+
+        Once and a bit if there is a motion already that passes the judge.
+        """
+        return self.left >= (_INSURED_TIMES if insured else _TIMES) * sum(self.paces.longest(step) for step in steps)
 
     @contextmanager
     def measured(self, step: Step) -> Generator[None]:

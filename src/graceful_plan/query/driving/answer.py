@@ -42,18 +42,22 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
     found, refused, stats = Search(), None, {}
     for problem in problems(request, ends):
         drives = Drives(request=request, ends=ends, problem=problem, cancelled=budget.cancelled)
-        # Who listens is told of paths soon; among those who move a first motion takes longer than a search.
+        # Who listens is told of paths soon.
         chance, heard = copy.deepcopy(rng), request.callback is not None
-        early = drives.walkers is None and not heard
         plain = Search() if heard else _plain(drives, budget, chance)
-        ordinary = drives.ordinary(plain, budget) if early else Ordinary()
         insured = first_verified(drives.stops(plain), request) if drives.walkers is not None else None
+        if _passed(insured):  # what comes later may come too late
+            drives = replace(drives, insured=True)
+            budget.time_limit = until_last_steps(request, budget.elapsed, insured=True)
+        # Among those who move a first motion may take longer than a search.
+        early = not heard and (drives.walkers is None or _passed(insured))
+        ordinary = drives.ordinary(plain, budget) if early else Ordinary()
         found = _searched(request, problem, budget, rng)
         found = found if found.paths or found.stopped else plain
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         first = insured if _passed(insured) else _first(drives, drives.soon(ordinary), found)
         if found.paths:  # now it is known what timing and judging take here
-            budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
+            budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed, insured=_passed(first)))
         judged, soon = first, budget.cancelled() or wants_it_soon(found)
         if not (_passed(first) and soon) and request.clock.may_do("timing", "judging"):
             if not early:

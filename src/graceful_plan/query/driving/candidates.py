@@ -80,12 +80,14 @@ class Drives:
         ends: Both ends.
         problem: What was searched in.
         cancelled: Whether the call is to end.
+        insured: Whether there is a motion already that passes the judge.
     """
 
     request: Request
     ends: Ends
     problem: SceneProblem
     cancelled: Callable[[], bool] = lambda: False
+    insured: bool = False
     walkers: Walkers | None = field(init=False)
     """Those who move, if anybody does."""
 
@@ -301,7 +303,7 @@ class Drives:
         return request.constraints.timed(timing)
 
     def _has_plenty(self) -> bool:
-        return self.request.clock.has_plenty("timing", "judging")
+        return self.request.clock.has_plenty("timing", "judging", insured=self.insured)
 
 
 def _wait(trajectory: Trajectory) -> float | None:
