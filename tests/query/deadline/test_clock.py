@@ -94,12 +94,21 @@ def test_what_is_kept_follows_what_was_measured(still: SimpleNamespace) -> None:
     assert slow.reserve(10.0) == pytest.approx(0.4)
     assert quick.reserve(10.0) == pytest.approx(0.1) and quick.reserve(0.01) == pytest.approx(0.004)
     assert slow.reserve(0.1) < 0.1  # something is left to search
+    assert slow.reserve(10.0, insured=True) == pytest.approx(0.2)  # one more motion, and the judge
     with quick.measured("timing"):
         still.now += 0.02
     assert quick.paces.longest("timing") == pytest.approx(0.02)
     endless = Clock()
     endless.ended(-np.inf)
     assert endless.paces.longest("ending") == 0.0
+
+
+@pytest.mark.usefixtures("still")
+@pytest.mark.parametrize(("left", "plenty", "insured"), [(0.1, False, False), (0.3, False, True), (0.5, True, True)])
+def test_who_has_a_motion_begins_another_later(left, plenty, insured) -> None:
+    clock = _clock(left, judging=[0.1], timing=[0.1])
+    assert clock.has_plenty("timing", "judging") is plenty
+    assert clock.has_plenty("timing", "judging", insured=True) is insured
 
 
 def test_paces_are_those_of_the_scene(task) -> None:
