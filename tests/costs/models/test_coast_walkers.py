@@ -9,6 +9,7 @@ import graceful_plan as gp
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.costs.models.coast.thinned import thinned
 from graceful_plan.costs.models.coast.walkers import seen_from_above, walkers_met
 from hall import hall
 
@@ -89,3 +90,11 @@ def test_outlines_velocities_and_spreads():
     np.testing.assert_allclose(shape[0], [2.0, 1.0, np.cos(0.5), np.sin(0.5), 0.4, 0.2, 0.0])
     np.testing.assert_allclose(velocity[0], [2.0, 1.0])
     assert spread[0] == pytest.approx(np.hypot(0.3, 0.2))
+
+
+def test_few_ways_to_fail_are_close_to_all():
+    crossing = walker([[0.0, -1.6, 0.85], [0.0, 1.6, 0.85]], t=[0.0, 4.0], spread=0.05)
+    q, qd = states(600, [0.0, 0.0])
+    many, few = (met(crossing, q, qd, 2.0, settings=ways) for ways in (SHIPPED, thinned(SHIPPED)))
+    assert many.sum() > 10.0 and few.sum() == pytest.approx(many.sum(), rel=0.05)
+    assert np.corrcoef(many, few)[0, 1] > 0.99

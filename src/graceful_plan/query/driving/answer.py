@@ -56,8 +56,8 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
         found = found if found.paths or found.stopped else plain
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         first = insured if _passed(insured) else _first(drives, drives.soon(ordinary), found)
-        if found.paths:  # now it is known what timing and judging take here
-            budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed, insured=_passed(first)))
+        if found.paths and not _passed(insured):  # now it is known what timing and judging take here
+            budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
         judged, soon = first, budget.cancelled() or wants_it_soon(found)
         if not (_passed(first) and soon) and request.clock.may_do("timing", "judging"):
             if not early:
