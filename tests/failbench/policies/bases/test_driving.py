@@ -70,17 +70,18 @@ def test_what_looks_around_does_less_harm_when_it_fails():
     motion = gp.plan([-2.0, 0.0, 0.0], gp.BasePose(2.0, 0.0, 0.0), scene, w=0.0, iterations=1000).unwrap()
     fault = kind(degree="critical", when=fb.Uniform(0.5, 0.7))
     blind, window = (
-        drive(motion, scene, controller, faults=fault, n=3, horizon=2.0)
+        drive(motion, scene, controller, faults=fault, n=32, horizon=2.0)
         for controller in (PurePursuit(), gp.DWA().bind(scene))
     )
     for driven in (blind, window):
         report = driven.failures
         assert driven.arrived and not driven.touched and driven.chosen[0] > 20
-        assert report.n == 3 and report.diverged == 0 and set(report.by_fault) == {"complete_shutdown/critical"}
+        assert report.n == 32 and report.diverged == 0 and set(report.by_fault) == {"complete_shutdown/critical"}
         assert report.healthy.harmless and report.duration > 0.95 * motion.duration
     assert 1.0 < blind.failures.observed.mean <= scene.entities["child0"].severity["body"]
-    assert window.failures.observed.mean == 0.0 and window.failures.predicted < 0.1 * blind.failures.predicted
-    again = fb.validate(motion, scene, fault, n=3, horizon=2.0, threads=2, controller=PurePursuit())
+    assert window.failures.observed.mean < 0.4 * blind.failures.observed.mean
+    assert window.failures.predicted < 0.1 * blind.failures.predicted
+    again = fb.validate(motion, scene, fault, n=32, horizon=2.0, threads=2, controller=PurePursuit())
     assert again.observed == blind.failures.observed  # whatever the number of threads
 
 
