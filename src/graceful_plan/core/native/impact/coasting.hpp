@@ -140,7 +140,7 @@ class Coasting {
     std::vector<double> stops;           // by shape that is near enough: how likely the base loses its energy there
     std::vector<double> energy;          // by place and stop, over that at the speed that severities are for
     std::vector<double> share;           // probability of each stop
-    std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
+    std::vector<size_t> whom, what;      // shapes that are near enough: of entities, and obstacles
     std::vector<Place> place;
     std::vector<Spun> spun;          // of the tables, at the speed and rate of turning of the state before
     std::vector<double> spun_reach;  // how far off its places each table's are
