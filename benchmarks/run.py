@@ -64,6 +64,7 @@ SUBJECTS = (
     "walking_past",
     "driving",
     "mobile_prevention",
+    "other_floors",
     "whole_body",
     "base_failures",
     "clutter",

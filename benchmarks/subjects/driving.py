@@ -34,7 +34,8 @@ MEASURED = f"""\
 {ROOMS} rooms of {SIZE[0]:g} x {SIZE[1]:g} m made at random, with six boxes as obstacles and five things that can be
 harmed, one of each of {", ".join(CLASSES)}: cylinders, at most {BESIDE:g} m beside the straight line between start and
 goal, which are at least 6 m apart. A Jackal crosses each at up to 2 m/s, planned in {SECONDS:g} s with each weight. No
-constant was fitted to anything: those of the coast model are assumptions, and failures are drawn from the same
+constant was fitted to these rooms: those of the coast model are assumptions (but for `harmless`, which says nothing of
+what a harmful failure does), and failures are drawn from the same
 assumptions, so that this measures closed forms and geometry, not how real bases fail. In MuJoCo the base stands on four
 wheels that turn (armature 0.1, effective track 1.5 times the real one), fails at a random moment of its motion with the
 speed that it has there, and is watched until it rests. Harm of a failure: sum over what it touches of severity times

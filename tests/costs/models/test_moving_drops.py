@@ -16,6 +16,7 @@ from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.costs.models.moving.arm import moving_spheres
 from graceful_plan.costs.models.moving.drops import moving_probability
+from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.models.moving.whereabouts import PLACES, OffPrediction, cell_of, normal_places, touched
 from graceful_plan.exceptions import SettingError
 
@@ -181,8 +182,9 @@ def test_places_stand_for_a_normal_distribution(count):
 
 @pytest.mark.parametrize("places", [0, 3, 14, 26, 8.0])
 def test_so_many_places_cannot_stand_for_anybody(places):
-    with pytest.raises((SettingError, TypeCheckError), match="places"):
-        Footprint(places=places)
+    for model in (Footprint, MovingModel):
+        with pytest.raises((SettingError, TypeCheckError), match="places"):
+            model(places=places)
 
 
 def test_few_places_are_close_to_many(scene):

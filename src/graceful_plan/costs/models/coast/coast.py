@@ -19,7 +19,7 @@ n goes to its mean of 1/2 with :math:`\sigma^2 / (\sigma^2 + r^2)`. B is the pro
 the base before and nobody else has taken its energy, n of it. P is the probability of a hit, times the share of the
 severity that its energy is worth. Bases of which one side fails go where `four_wheel` integrates them to, at tabulated
 places; odometry that drifts bends the arc. Ramps, which scenes do not have, how who is grazed turns the base aside, and
-what it pushes along are not modelled. No constant is fitted: `coast.yaml` says where they come from.
+what it pushes along are not modelled. One constant alone is fitted, `harmless`: `coast.yaml` says where they come from.
 """
 
 from __future__ import annotations

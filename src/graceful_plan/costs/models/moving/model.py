@@ -16,7 +16,7 @@ from graceful_plan.costs.models.coast.walkers import walkers_met
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.moving.drops import moving_probability
 from graceful_plan.costs.models.moving.kernel import moving_kernels
-from graceful_plan.costs.models.moving.whereabouts import PLACES
+from graceful_plan.costs.models.moving.whereabouts import PLACES, check_places
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.scene import Scene
 
@@ -35,6 +35,9 @@ class MovingModel:
         coast: P that it is the base that fails, given a failure, if the robot drives; the others share the rest.
         base: Constants of the coast model.
         places: How many stand for where somebody may be who is expected somewhere.
+
+    Raises:
+        SettingError: If so many places cannot stand for anybody.
     """
 
     settings: DropSettings = field(default_factory=DropSettings.shipped)
@@ -43,6 +46,9 @@ class MovingModel:
     coast: float = 0.0
     base: CoastSettings = field(default_factory=CoastSettings.shipped)
     places: int = PLACES
+
+    def __post_init__(self) -> None:
+        check_places(self.places)
 
     def sources(
         self, batch: StateBatch, components: Collection[str] = COMPONENTS
