@@ -31,14 +31,6 @@ inline const int gp_mutant = [] {{
   return said ? std::atoi(said) : -1;
 }}();
 """
-BASELINE = {
-    Path("CMakeLists.txt"): (
-        ("  list(APPEND GP_ISAS v3 v4)\n", ""),
-        ("set(GP_KERNEL_FLAGS -O3", "set(GP_KERNEL_FLAGS -O1"),
-    ),
-    NATIVE / "core.hpp": (("#if defined(__x86_64__)\n  __builtin_cpu_init", "#if 0\n  __builtin_cpu_init"),),
-}
-"""What makes a build of one instruction set, quickly."""
 
 
 @dataclass(frozen=True)
@@ -74,27 +66,16 @@ def edits() -> Iterator[Edit]:
             number += 1
 
 
-def replaced(file: Path, *changes: tuple[str, str]) -> None:
-    """Replace texts, each of which a file has once."""
-    text = file.read_text(encoding="utf-8")
-    for old, new in changes:
-        if text.count(old) != 1:
-            raise SystemExit(f"{file} has {text.count(old)} times: {old}")
-        text = text.replace(old, new)
-    file.write_text(text, encoding="utf-8")
-
-
 def built(place: Path) -> None:
     """Enter all edits into a copy of the tree, compile it, and put the result where the copy's tests find it."""
     for edit in edits():
         file = place / NATIVE / edit.file
         file.write_text(edit.entered(file.read_text(encoding="utf-8")), encoding="utf-8")
-    for name, changes in BASELINE.items():
-        replaced(place / name, *changes)
     chosen = place / "choice.hpp"
     chosen.write_text(CHOICE, encoding="utf-8")
     out = place / "built"
-    options = ["-G", "Ninja", f"-DPython_EXECUTABLE={sys.executable}", f"-DCMAKE_CXX_FLAGS=-include {chosen}"]
+    defined = ("GP_QUICK=ON", f"Python_EXECUTABLE={sys.executable}", f"CMAKE_CXX_FLAGS=-include {chosen}")
+    options = ["-G", "Ninja", *(f"-D{one}" for one in defined)]
     subprocess.run(["cmake", "-S", place, "-B", out, *options], check=True, stdout=subprocess.DEVNULL)
     subprocess.run(["cmake", "--build", out, "--parallel", "1", "--target", "_native"], check=True)
     (native,) = out.glob("_native*.so")

@@ -23,7 +23,49 @@ def hits(batch: StateBatch, tables: CoastTables, settings: CoastSettings, turns_
         chosen = stops[(stops[:, 4] == released) & (stops[:, 5] == bend)]
         most = turns_on * batch.qd[:, 2] ** 2 if released else np.full(len(batch.q), np.inf)
         total += _family(batch, tables, settings, chosen, (stops, bend, most))
+    return np.minimum(1.0, total + _astray(batch, tables, settings))
+
+
+def _astray(batch, tables, settings, step=0.05):
+    """Who is touched after the next step that is not touched yet, where the base would be that has been astray."""
+    q, total = batch.q, np.zeros((len(batch.q), len(batch.scene.entities)))
+    v = batch.qd[:, 0] * np.cos(q[:, 2]) + batch.qd[:, 1] * np.sin(q[:, 2])
+    speed, sign = np.abs(v), np.sign(v)
+    moves = speed > _STILL
+    worth, turns = (
+        speed**2 / settings.reference_speed**2,
+        np.where(moves, batch.qd[:, 2], 0.0) / np.where(moves, speed, 1),
+    )
+    lost, weights = settings.astray, sum(way.weight for way in settings.ways.values()) + settings.astray.weight
+    for side in (-1.0, 1.0):
+        for moment in (0.125, 0.375, 0.625, 0.875):
+            gone = lost.pace * batch.scene.base.v_max * lost.lasts * moment
+            aside, yaw = side * lost.bend * gone**2 / 2.0, q[:, 2] + sign * side * lost.bend * gone
+            share = (1.0 - settings.harmless) * lost.weight / weights * lost.lasts / 8.0
+            spread = np.hypot(settings.position_spread, lost.spread * aside)
+            x, y = q[:, 0] - aside * np.sin(q[:, 2]), q[:, 1] + aside * np.cos(q[:, 2])
+            middle = yaw + 0.5 * turns * step
+            then = x + sign * step * np.cos(middle), y + sign * step * np.sin(middle), yaw + turns * step
+            before, after = _apart(tables, x, y, yaw), _apart(tables, *then)
+            half = _apart(tables, 0.5 * (q[:, 0] + x), 0.5 * (q[:, 1] + y), q[:, 2])
+            touch = [0.5 * erfc(d / spread / np.sqrt(2.0)) for d in (half, before, after)]
+            along = _along_the_normal((before - after) / step, tables, spread)
+            new = np.maximum(touch[2] - touch[1], 0.0) * np.minimum(1.0, along * worth[:, None])
+            wall = np.maximum(touch[0], touch[1])[:, tables.entity < 0].max(axis=1, initial=0.0)
+            for entity in range(total.shape[1]):
+                most = new[:, tables.entity == entity].max(axis=1, initial=0.0)
+                total[:, entity] += moves * share * speed / step * (1.0 - wall) * most
     return total
+
+
+def _apart(tables, x, y, yaw):
+    return np.min([_between(part, (x, y, np.cos(yaw), np.sin(yaw)), tables.shape) for part in tables.outline], axis=0)
+
+
+def _along_the_normal(closing, tables, spread):
+    """Share of the energy: of who is small beside the spread, half."""
+    unknown = spread**2 / (spread**2 + (np.hypot(tables.shape[:, 4], tables.shape[:, 5]) + tables.shape[:, 6]) ** 2)
+    return (1.0 - unknown) * np.clip(closing, 0.0, 1.0) ** 2 + 0.5 * unknown
 
 
 def _one_sided(batch, tables, settings):
@@ -57,9 +99,8 @@ def _touch(tables, at, settings, way, gone):
     for part in tables.outline:
         d = np.minimum(d, _between(part, at, tables.shape))
     spread = np.hypot(settings.position_spread, settings.drift * way)[..., None]
-    closing = np.clip(-np.diff(d, axis=1) / np.maximum(gone, 1e-9)[..., None], 0.0, 1.0)
-    unknown = spread**2 / (spread**2 + (np.hypot(tables.shape[:, 4], tables.shape[:, 5]) + tables.shape[:, 6]) ** 2)
-    along = (1.0 - unknown) * np.concatenate([closing[:, :1], closing], axis=1) ** 2 + 0.5 * unknown
+    closing = -np.diff(d, axis=1) / np.maximum(gone, 1e-9)[..., None]
+    along = _along_the_normal(np.concatenate([closing[:, :1], closing], axis=1), tables, spread)
     return 0.5 * erfc(d / spread / np.sqrt(2.0)), along
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,7 +36,8 @@ harmed, one of each of {", ".join(CLASSES)}: cylinders, at most {BESIDE:g} m bes
 goal, which are at least 6 m apart. A Jackal crosses each at up to 2 m/s, planned in {SECONDS:g} s with each weight. No
 constant was fitted to these rooms: those of the coast model are assumptions (but for `harmless`, which says nothing of
 what a harmful failure does), and failures are drawn from the same
-assumptions, so that this measures closed forms and geometry, not how real bases fail. In MuJoCo the base stands on four
+assumptions, so that this measures closed forms and geometry, not how real bases fail. None goes astray (`astray` of
+`coast.yaml`): no moment decides what that does. In MuJoCo the base stands on four
 wheels that turn (armature 0.1, effective track 1.5 times the real one), fails at a random moment of its motion with the
 speed that it has there, and is watched until it rests. Harm of a failure: sum over what it touches of severity times
 min(1, (speed / 1 m/s)^2), speeds along the normal. **Per task**: failures come per hour, so harm per executed task is
@@ -118,7 +119,7 @@ def examine(job: tuple[int, float, int]) -> Driven:
     c, s = np.cos(state.q[:, 2]), np.sin(state.q[:, 2])
     rolled = drive(trajectory, scene)
     rng = np.random.default_rng((SEED, number, 1))
-    model = Coast(replace(CoastSettings.shipped(), harmless=0.0))  # none that does nothing is drawn
+    model = Coast(CoastSettings.shipped().only(*CoastSettings.shipped().ways))  # what is drawn; nobody goes astray
     severity = np.array([entity.severity["body"] for entity in scene.entities.values()])
     unit = CoastSettings.shipped().reference_speed
     harm, predicted, events = [], [], []

@@ -220,6 +220,7 @@ class CoastModel:
         speeds: Reals,
         rates: Reals,
         places: Reals,
+        astray: Reals,
     ) -> None: ...
     def probability(self, q: Reals, qd: Reals) -> Reals: ...
     def met(self, q: Reals, qd: Reals, *, shape: Reals, velocity: Reals, spread: Reals) -> Reals: ...
@@ -500,6 +501,7 @@ class DynamicWindow:
         speeds: Reals,
         rates: Reals,
         places: Reals,
+        astray: Reals,
         limits: Reals,
         settings: Reals,
         n_v: int,

@@ -143,9 +143,14 @@ def test_tables_share_out_the_probability_and_are_made_once():
     ways = one_sided_ways(BODY, CoastSettings.shipped())
     settings = CoastSettings.shipped()
     weights = {name: way.weight for name, way in settings.ways.items()}
-    harmful = 1.0 - settings.harmless
-    share = harmful * (weights["side_locked"] + weights["side_dead"]) / sum(weights.values())
-    assert ways.share.sum() == pytest.approx(share) and settings.stops()[:, 0].sum() == pytest.approx(harmful - share)
+    each = (1.0 - settings.harmless) / (sum(weights.values()) + settings.astray.weight)
+    share = each * (weights["side_locked"] + weights["side_dead"])
+    assert ways.share.sum() == pytest.approx(share)
+    others = 1.0 - settings.harmless - share - each * settings.astray.weight
+    assert settings.stops()[:, 0].sum() == pytest.approx(others)
+    lasts = settings.beside(BODY.base.v_max)[:, 0].sum()
+    assert lasts == pytest.approx(each * settings.astray.weight * settings.astray.lasts)
+    assert len(settings.only("runaway").beside(BODY.base.v_max)) == 0
     assert settings.only("runaway").stops()[:, 0].sum() == pytest.approx(1.0)
     assert one_sided_ways(BODY, settings) is ways
     assert len(one_sided_ways(BODY, settings.only("runaway")).share) == 0

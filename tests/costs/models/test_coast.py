@@ -12,7 +12,7 @@ import graceful_plan as gp
 from coast_twin import hits
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.coast.coast import Coast
-from graceful_plan.costs.models.coast.constants import CoastSettings, Way
+from graceful_plan.costs.models.coast.constants import Astray, CoastSettings, Way
 from graceful_plan.costs.models.coast.tables import coast_tables
 from graceful_plan.exceptions import SettingError
 from hall import BASE, hall
@@ -23,7 +23,8 @@ SHIPPED = CoastSettings.shipped()
 
 def only(**way):
     given = {"weight": 1.0, "deceleration": (1.0,), "drag": 0.0, "delay": (0.0,)} | way
-    return replace(SHIPPED, harmless=0.0, ways={"only": Way(**given)}, position_spread=1e-3, drift=0.0)
+    ways = replace(SHIPPED, ways={"only": Way(**given)}, position_spread=1e-3, drift=0.0)
+    return ways.only("only")
 
 
 def hit(x, v, *, y=0.8, yaw=0.0, omega=0.0, scene=SCENE, settings=SHIPPED):
@@ -156,6 +157,48 @@ def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
     assert hit(0.0, 0.5, y=y, settings=settings) / touched == pytest.approx(0.5 * 0.5**2, rel=0.05)
 
 
+def astray(**change):
+    """All failures lead a base astray, at rates that hardly turn it."""
+    lost = Astray(**{"weight": 1.0, "bend": 0.001, "lasts": 16.0, "pace": 1.0, "spread": 0.2} | change)
+    return replace(SHIPPED, harmless=0.95, ways={}, astray=lost, position_spread=1e-3, reference_speed=1e-3)
+
+
+def passing(settings, gap, v, scene=None, dt=0.005):
+    """Sum over time of P along a straight way past the person, who stands to the left [s]."""
+    scene = hall(walls="") if scene is None else scene
+    t = np.arange(-2.0, 2.0, dt * abs(v)) / abs(v)
+    q = np.column_stack(
+        [2.0 + abs(v) * t, np.full(len(t), 0.8 - 0.25 - 0.2078 - gap), np.where(v < 0.0, np.pi, 0.0) + 0.0 * t]
+    )
+    qd = np.column_stack([np.full(len(t), abs(v)), np.zeros((len(t), 2))])
+    P = Coast(settings).probability(moving_batch(scene, q, qd))[:, 0, 0]
+    return float(P.sum() * dt)
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.1, 0.2])
+@pytest.mark.parametrize("v", [0.05, -0.05, 0.2])
+def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
+    """Who has been astray for 2, 6, 10 or 14 s at 2 m/s is 1 to 39 cm aside, to either side."""
+    way = 2.0 * np.array([2.0, 6.0, 10.0, 14.0])
+    aside = 0.001 * way**2 / 2.0
+    met = 0.5 * erfc((gap - aside) / np.hypot(1e-3, 0.2 * aside) / np.sqrt(2.0))
+    expected = 0.05 * 16.0 * met.mean() / 2.0
+    assert passing(astray(), gap, v) == pytest.approx(expected, rel=0.1)
+
+
+def test_walls_keep_those_astray_from_whom_they_are_not_to_meet():
+    wall = '<body name="wall" pos="2 0.45 .5"><geom type="box" size="4 .06 .5"/></body>'
+    assert passing(astray(), 0.2, 0.05, hall(walls="", extra=wall)) < 0.1 * passing(astray(), 0.2, 0.05)
+
+
+def test_astray_harm_grows_with_the_square_of_the_speed_and_more_with_nearness():
+    settings = replace(astray(), reference_speed=1.0)
+    slow, fast = (passing(settings, 0.1, v) for v in (0.1, 0.4))
+    assert fast == pytest.approx(16.0 * slow, rel=0.05)
+    near, far = (passing(astray(), gap, 0.1) for gap in (0.1, 0.7))
+    assert far < 0.1 * near
+
+
 @given(st.floats(-4, 4), st.floats(-1.4, 1.4), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
 def test_probabilities_are_probabilities_and_standing_is_safe(x, y, yaw, v, omega):
     assert 0.0 <= hit(x, v, y=y, yaw=yaw, omega=omega) <= 1.0 + 1e-12  # a sum of shares
@@ -235,12 +278,15 @@ def test_gradients_are_those_of_differences():
         {"reference_speed": 0.0},
         {"position_spread": np.nan},
         {"drift": -1.0},
-        {"ways": {}},
+        {"ways": {}, "astray": replace(SHIPPED.astray, weight=0.0)},
     ],
 )
 def test_settings_are_checked(change):
     with pytest.raises(SettingError):
         replace(SHIPPED, **change)
+    for lost in ({"weight": -1.0}, {"bend": np.nan}, {"lasts": np.inf}, {"pace": 1.1}, {"spread": -0.1}):
+        with pytest.raises(SettingError, match=f"astray.{next(iter(lost))}"):
+            replace(SHIPPED.astray, **lost)
     for way in ({"weight": -1.0}, {"deceleration": ()}, {"delay": (-1.0,)}, {"drag": np.inf}, {"steered": True}):
         with pytest.raises(SettingError):
             only(**way)

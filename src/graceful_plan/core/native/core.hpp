@@ -20,7 +20,7 @@ struct Isa {
 // Every instruction set that this machine can run, best first.
 inline std::vector<Isa> available() {
   std::vector<Isa> found;
-#if defined(__x86_64__)
+#if defined(__x86_64__) && !defined(GP_QUICK)
   __builtin_cpu_init();
   if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
       __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd"))

@@ -113,12 +113,12 @@ void bind_impact(nb::module_& m) {
       .def(
           "__init__",
           [](CoastModel* self, const Core& core, Integers entity, Reals shape, int n_entity, Reals outline, Reals stops,
-             Reals constants, Reals share, Reals speeds, Reals rates, Reals places) {
-            new (self)
-                CoastModel(core, {outline, stops, constants, share, speeds, rates, places}, entity, shape, n_entity);
+             Reals constants, Reals share, Reals speeds, Reals rates, Reals places, Reals astray) {
+            new (self) CoastModel(core, {outline, stops, constants, share, speeds, rates, places, astray}, entity,
+                                  shape, n_entity);
           },
           "core"_a, nb::kw_only(), "entity"_a, "shape"_a, "n_entity"_a, "outline"_a, "stops"_a, "constants"_a,
-          "share"_a, "speeds"_a, "rates"_a, "places"_a, nb::keep_alive<1, 2>())
+          "share"_a, "speeds"_a, "rates"_a, "places"_a, "astray"_a, nb::keep_alive<1, 2>())
       .def("probability", &CoastModel::probability, "q"_a, "qd"_a)
       .def("met", &CoastModel::met, "q"_a, "qd"_a, nb::kw_only(), "shape"_a, "velocity"_a, "spread"_a);
   nb::class_<CoastImpact, Impact>(m, "CoastImpact")

@@ -117,6 +117,8 @@ struct CoastingArrays {
   Reals speeds;     // speeds along the heading of the tables, from 0 on [m/s]
   Reals rates;      // rates of turning of the tables [rad/s]
   Reals places;     // (speed, rate, table, sample, 5): x, y, turned in the frame of the base; speed; time
+  Reals astray;     // bases that have been astray for a while: for how long [s] times probability, how far aside [m],
+                    // angle turned, standard deviation of how far
 };
 
 class Coasting {
@@ -173,7 +175,7 @@ class Coasting {
     unit_ = of.constants.data()[0], spread_ = of.constants.data()[1], drift_ = of.constants.data()[2];
     turn_ = of.constants.data()[3];
     require(unit_ > 0 && spread_ > 0 && drift_ >= 0 && turn_ >= 0, "constants of a base");
-    tables(of);
+    tables(of), strays(of.astray);
   }
 
   const Footprint2d& footprint() const { return footprint_; }
@@ -182,7 +184,7 @@ class Coasting {
   bool reaches(const State& at, const FloorShape& who) const {
     const double speed = std::fabs(at.v);
     if (speed <= kStill) return false;
-    double far = farthest_, longest = lasts_;
+    double far = std::max(farthest_, aside_), longest = lasts_;
     for (const Stop& stop : stop_) {
       far = std::max(far, speed * stop.delay + speed * speed / (2 * stop.a));
       longest = std::max(longest, stop.delay + speed / stop.a);
@@ -219,7 +221,8 @@ class Coasting {
       far = std::max(far, work.free[i] + work.braked[i]);
       longest = std::max(longest, stop.delay + speed / stop.a);
     }
-    const double most = std::max(far, farthest_) + footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far);
+    const double most =
+        std::max({far, farthest_, aside_}) + footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far);
     work.whom.clear(), work.what.clear();
     for (size_t k = 0; k < shape.size(); ++k) {
       const bool counts = shape[k].entity < 0 || !severity || severity[shape[k].entity] > 0;
@@ -244,6 +247,7 @@ class Coasting {
       follow(at, {sign, bend + family.bend, turns, speed, far, alike ? any_[f] : own_[f]}, shape, work);
     }
     if (!share_.empty()) tabulated(at, gap, shape, work);
+    if (!stray_.empty()) astray(at, shape, work);
     return true;
   }
 
@@ -263,6 +267,9 @@ class Coasting {
     double p, a, k, delay;
     bool released;
     double bend;
+  };
+  struct Stray {
+    double lasts, aside, turned, spread;
   };
   bool has(const Family& family) const { return std::find(family_.begin(), family_.end(), family) != family_.end(); }
 
@@ -290,8 +297,10 @@ class Coasting {
       const double known = work.apart[i * n + j];
       return std::isinf(known) ? distance(shape, work.place[i]) : known;
     };
-    const double closing = (from(to - 1) - from(to)) / std::max(work.place[to].gone, kHardly);
-    const double along = std::clamp(closing, 0.0, 1.0), spread = blur(shape, work.place[k]), size = shape.around();
+    return normal_share((from(to - 1) - from(to)) / std::max(work.place[to].gone, kHardly), shape, work.place[k]);
+  }
+  static double normal_share(double closing, const FloorShape& shape, const Place& place) {
+    const double along = std::clamp(closing, 0.0, 1.0), spread = blur(shape, place), size = shape.around();
     const double unknown = spread * spread / (spread * spread + size * size);
     return (1 - unknown) * along * along + 0.5 * unknown;
   }
@@ -428,6 +437,40 @@ class Coasting {
       }
     }
   }
+  // Bases that went astray before they came here, beside the way: who is met in the next moment that is not met yet,
+  // for as long as they have been astray. Along a way this adds up to how likely they are met at all.
+  void astray(const State& q, const std::vector<FloorShape>& shape, Work& work) const {
+    const double speed = std::fabs(q.v), sign = q.v < 0 ? -1 : 1, whole = speed * speed / (unit_ * unit_);
+    const double half = 0.5 * q.omega / speed * kNext, step = sign * kNext;
+    const double c = std::cos(q.yaw), s = std::sin(q.yaw);
+    for (const Stray& stray : stray_) {
+      const double yaw = q.yaw + stray.turned * sign;
+      const Place between{{q.x - 0.5 * stray.aside * s, q.y + 0.5 * stray.aside * c, c, s}, 0, stray.spread, 0};
+      const Place now{{q.x - stray.aside * s, q.y + stray.aside * c, std::cos(yaw), std::sin(yaw)}, 0, stray.spread, 0};
+      const Place next{{now.at[0] + step * std::cos(yaw + half), now.at[1] + step * std::sin(yaw + half),
+                        std::cos(yaw + 2 * half), std::sin(yaw + 2 * half)},
+                       0,
+                       stray.spread,
+                       kNext};
+      work.met.assign(work.hit.size(), 0.0);
+      bool any = false;
+      for (const size_t k : work.whom) {
+        const double then = apart(shape[k], next), before = std::isinf(then) ? then : distance(shape[k], now);
+        const double more = touch(then, shape[k], next) - touch(before, shape[k], now);
+        if (more <= kHardly) continue;
+        double& met = work.met[size_t(shape[k].entity)];
+        const double along = normal_share((before - then) / kNext, shape[k], next);
+        met = std::max(met, more * std::min(1.0, along * whole)), any = true;
+      }
+      if (!any) continue;
+      double stopped = 0;
+      for (const size_t k : work.what)
+        for (const Place& place : {between, now})
+          stopped = std::max(stopped, touch(apart(shape[k], place), shape[k], place));
+      for (size_t e = 0; e < work.hit.size(); ++e)
+        work.hit[e] = std::min(1.0, work.hit[e] + stray.lasts * speed / kNext * (1 - stopped) * work.met[e]);
+    }
+  }
   struct Node {
     size_t low;
     double part;
@@ -443,6 +486,16 @@ class Coasting {
     require(values.size() >= 2, what);
     for (size_t k = 1; k < values.size(); ++k) require(values.data()[k] > values.data()[k - 1], what);
     return {values.data(), values.data() + values.size()};
+  }
+  void strays(const Reals& of) {
+    require_numbers(of, "bases astray");
+    require(of.size() % kStrayed == 0, "bases astray");
+    for (size_t k = 0; k < of.size(); k += kStrayed) {
+      const double* s = of.data() + k;
+      require(s[0] >= 0 && s[3] > 0, "base astray");
+      stray_.push_back({s[0], s[1], s[2], s[3]});
+      aside_ = std::max(aside_, std::fabs(s[1]) + kNext + kFarOff * s[3]);
+    }
   }
   void tables(const CoastingArrays& of) {
     require_numbers(of.share, "probability of a table"), require_numbers(of.places, "places of a base");
@@ -461,10 +514,11 @@ class Coasting {
     }
   }
 
-  static constexpr size_t kStop = 6, kPlace = 5;
+  static constexpr size_t kStop = 6, kPlace = 5, kStrayed = 4;
   static constexpr int kSamples = 64;      // places along the way at which is seen what it meets, at most
   static constexpr int kLooks = 16;        // times at which is seen whether somebody may be near
   static constexpr double kSpacing = 0.1;  // between them [m]
+  static constexpr double kNext = 0.05;    // how far the next moment of a base is that is astray [m]
   static constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
   static constexpr double kFarOff = 6;     // spreads beyond which nothing is touched
   static constexpr double kHardly = 1e-9;  // probability of a touch that is none
@@ -475,8 +529,10 @@ class Coasting {
   std::vector<Family> family_;
   std::vector<std::vector<size_t>> own_, any_;  // stops of each: its own, and those of both kinds of wheels
   std::vector<double> share_, speeds_, rates_, place_;
+  std::vector<Stray> stray_;
   size_t samples_ = 0;
   double unit_ = 1, spread_ = 1, drift_ = 0, turn_ = 0, farthest_ = 0, lasts_ = 0;
+  double aside_ = 0;  // how far beside their way bases are that are astray, blur and all
 };
 
 }  // namespace gp

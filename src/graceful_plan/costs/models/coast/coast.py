@@ -18,7 +18,17 @@ where n is the share of the energy that is along the normal, from how fast the d
 n goes to its mean of 1/2 with :math:`\sigma^2 / (\sigma^2 + r^2)`. B is the probability that no obstacle has stopped
 the base before and nobody else has taken its energy, n of it. P is the probability of a hit, times the share of the
 severity that its energy is worth. Bases of which one side fails go where `four_wheel` integrates them to, at tabulated
-places; odometry that drifts bends the arc. Ramps, which scenes do not have, how who is grazed turns the base aside, and
+places; odometry that drifts bends the arc.
+
+A base that errs in proportion about how far it goes (`astray`) does not leave its way at once: it follows it, ever
+farther beside it, past all turns that no state tells. So its harm counts where it is done instead of where it began: as
+likely as each other, it has been astray for times :math:`\tau` until somebody notices after T, and is
+
+.. math:: \pm \kappa \ell^2 / 2 \text{ aside, turned by } \pm \kappa \ell, \qquad \ell = c\, v_{max} \tau
+
+with pace c. Whom it touches a moment later, and not yet, it meets at the rate :math:`|v|\, d\Phi / ds`; P has that rate
+times :math:`p T`, n and the energy. Along a way that adds up to how likely somebody beside it is met at all, at any
+speed; obstacles between keep it off. Ramps, which scenes do not have, how who is grazed turns the base aside, and
 what it pushes along are not modelled. One constant alone is fitted, `harmless`: `coast.yaml` says where they come from.
 """
 

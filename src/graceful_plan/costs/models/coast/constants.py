@@ -24,6 +24,8 @@ WHEELS = ("driven", "released", "locked", "side_locked", "side_dead")
 """What wheels do: all go on as commanded and then stop, all turn freely, all are held; those of one side are held or
 turn freely while the other side goes on for the delay and then stops."""
 ONE_SIDE = ("side_locked", "side_dead")
+_MOMENTS = 4
+"""Since a base went astray, to either side."""
 
 
 @final
@@ -74,6 +76,55 @@ class Way:
 
 @final
 @dataclass(frozen=True, kw_only=True)
+class Astray:
+    """Bases that follow their way as they see it, and are wrong about where they are.
+
+    Args:
+        weight: How often, compared with `ways`.
+        bend: Curvature by which they err, to either side [1/m].
+        lasts: For how long until somebody notices [s].
+        pace: Their mean speed while that lasts, as a share of the greatest.
+        spread: Standard deviation of how far aside they are, as a share of it.
+
+    Raises:
+        SettingError: If a number is out of its range.
+    """
+
+    weight: float
+    bend: float
+    lasts: float
+    pace: float
+    spread: float
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if not 0.0 <= value < math.inf:
+                raise SettingError(f"astray.{one.name}", value, "a finite number of at least 0")
+        if self.pace > 1.0:
+            raise SettingError("astray.pace", self.pace, "a number in [0, 1]")
+
+    def places(self, probability: float, v_max: float, position_spread: float) -> Float[Array, "place 4"]:
+        """Return where such bases are beside their way, at moments that are evenly spread over while it lasts.
+
+        Args:
+            probability: Of such a failure.
+            v_max: Greatest speed of the base [m/s].
+            position_spread: Standard deviation of where a base is across its way [m].
+
+        Returns:
+            For how long [s] times probability, how far to the left [m], angle turned by [rad], standard deviation of
+            how far [m].
+        """
+        way = self.pace * v_max * self.lasts * (np.arange(_MOMENTS) + 0.5) / _MOMENTS
+        bend = self.bend * np.array([[1.0], [-1.0]])
+        aside, turned = (bend * way**2 / 2.0).ravel(), (bend * way).ravel()
+        lasts = np.full(len(aside), probability * self.lasts / len(aside))
+        return np.column_stack([lasts, aside, turned, np.hypot(position_spread, self.spread * aside)])
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
 class CoastSettings(YamlTable):
     """Constants of the coast model.
 
@@ -89,6 +140,7 @@ class CoastSettings(YamlTable):
         friction: Coefficient of the tyres where only one side fails that turns freely.
         brakes: Deceleration of the rims of the side that still works, once it is stopped [m/s^2].
         ways: How it comes to rest.
+        astray: Those that do not, and are not where they think.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -107,6 +159,7 @@ class CoastSettings(YamlTable):
         "friction",
         "brakes",
         "ways",
+        "astray",
     )
 
     share: float
@@ -119,6 +172,7 @@ class CoastSettings(YamlTable):
     friction: float
     brakes: float
     ways: Mapping[str, Way]
+    astray: Astray
 
     def __post_init__(self) -> None:
         for name in ("share", "thrown"):
@@ -132,7 +186,7 @@ class CoastSettings(YamlTable):
         for name in ("drift", "straightens"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise SettingError(name, getattr(self, name), "a finite number of at least 0")
-        if not sum(way.weight for way in self.ways.values()) > 0.0:
+        if not self._total > 0.0:
             raise SettingError("ways", dict(self.ways), "one with a weight above 0 at least")
         object.__setattr__(self, "ways", MappingProxyType(dict(self.ways)))
 
@@ -148,7 +202,9 @@ class CoastSettings(YamlTable):
     @classmethod
     def parsed(cls, root: Block) -> CoastSettings:
         """Make them of the values in a file."""
-        ways = {}
+        ways, lost = {}, root["astray"]
+        lost.only(*(item.name for item in fields(Astray)))
+        astray = Astray(**{item.name: lost[item.name].number() for item in fields(Astray)})
         for name, block in root["ways"].items():
             block.only(*(item.name for item in fields(Way)))
             bend, steered = block.get("bend"), block.get("steered")
@@ -161,7 +217,8 @@ class CoastSettings(YamlTable):
                 bend=(0.0,) if bend is None else bend.numbers(),
                 steered=False if steered is None else steered.flag(),
             )
-        return cls(**{key: root[key].number() for key in cls.keys if key != "ways"}, ways=ways)
+        numbers = {key: root[key].number() for key in cls.keys if key not in ("ways", "astray")}
+        return cls(**numbers, ways=ways, astray=astray)
 
     def of_base(self, scene: Scene) -> float:
         """Return the share of failures that are the base's: all of them if there is nothing else that may fail."""
@@ -204,13 +261,23 @@ class CoastSettings(YamlTable):
             for delay in way.delay
         )
 
+    def beside(self, v_max: float) -> Float[Array, "place 4"]:
+        """Return where bases are that went astray, as `Astray.places` has it, for a greatest speed [m/s]."""
+        share = self.astray.weight / self._total * (1.0 - self.harmless)
+        return self.astray.places(share, v_max, self.position_spread)[: None if share > 0.0 else 0]
+
     def only(self, *names: str) -> CoastSettings:
         """Return settings with these ways alone, which all failures then go."""
-        return replace(self, harmless=0.0, ways={name: self.ways[name] for name in names})
+        ways = {name: self.ways[name] for name in names}
+        return replace(self, harmless=0.0, ways=ways, astray=replace(self.astray, weight=0.0))
+
+    @property
+    def _total(self) -> float:
+        return sum(way.weight for way in self.ways.values()) + self.astray.weight
 
     def _each(self) -> list[tuple[Way, float]]:
         """Return ways that happen and the probability of each of their combinations."""
-        total = sum(way.weight for way in self.ways.values()) / (1.0 - self.harmless)
+        total = self._total / (1.0 - self.harmless)
         return [
             (way, way.weight / total / (len(way.deceleration) * len(way.delay) * len(way.bend)))
             for way in self.ways.values()
