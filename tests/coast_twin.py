@@ -37,10 +37,11 @@ def _astray(batch, tables, settings, step=0.05):
         np.where(moves, batch.qd[:, 2], 0.0) / np.where(moves, speed, 1),
     )
     lost, weights = settings.astray, sum(way.weight for way in settings.ways.values()) + settings.astray.weight
+    bend = lost.misread / (batch.scene.base.track * batch.scene.base.slip)
     for side in (-1.0, 1.0):
         for moment in (0.125, 0.375, 0.625, 0.875):
             gone = lost.pace * batch.scene.base.v_max * lost.lasts * moment
-            aside, yaw = side * lost.bend * gone**2 / 2.0, q[:, 2] + sign * side * lost.bend * gone
+            aside, yaw = side * bend * gone**2 / 2.0, q[:, 2] + sign * side * bend * gone
             share = (1.0 - settings.harmless) * lost.weight / weights * lost.lasts / 8.0
             spread = np.hypot(settings.position_spread, lost.spread * aside)
             x, y = q[:, 0] - aside * np.sin(q[:, 2]), q[:, 1] + aside * np.cos(q[:, 2])

@@ -148,9 +148,9 @@ def test_tables_share_out_the_probability_and_are_made_once():
     assert ways.share.sum() == pytest.approx(share)
     others = 1.0 - settings.harmless - share - each * settings.astray.weight
     assert settings.stops()[:, 0].sum() == pytest.approx(others)
-    lasts = settings.beside(BODY.base.v_max)[:, 0].sum()
+    lasts = settings.beside(BODY.base)[:, 0].sum()
     assert lasts == pytest.approx(each * settings.astray.weight * settings.astray.lasts)
-    assert len(settings.only("runaway").beside(BODY.base.v_max)) == 0
+    assert len(settings.only("runaway").beside(BODY.base)) == 0
     assert settings.only("runaway").stops()[:, 0].sum() == pytest.approx(1.0)
     assert one_sided_ways(BODY, settings) is ways
     assert len(one_sided_ways(BODY, settings.only("runaway")).share) == 0

@@ -159,7 +159,9 @@ def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
 
 def astray(**change):
     """All failures lead a base astray, at rates that hardly turn it."""
-    lost = Astray(**{"weight": 1.0, "bend": 0.001, "lasts": 16.0, "pace": 1.0, "spread": 0.2} | change)
+    lost = Astray(
+        **{"weight": 1.0, "misread": 0.001 * BASE.track * BASE.slip, "lasts": 16.0, "pace": 1.0, "spread": 0.2} | change
+    )
     return replace(SHIPPED, harmless=0.95, ways={}, astray=lost, position_spread=1e-3, reference_speed=1e-3)
 
 
@@ -284,7 +286,7 @@ def test_gradients_are_those_of_differences():
 def test_settings_are_checked(change):
     with pytest.raises(SettingError):
         replace(SHIPPED, **change)
-    for lost in ({"weight": -1.0}, {"bend": np.nan}, {"lasts": np.inf}, {"pace": 1.1}, {"spread": -0.1}):
+    for lost in ({"weight": -1.0}, {"misread": np.nan}, {"lasts": np.inf}, {"pace": 1.1}, {"spread": -0.1}):
         with pytest.raises(SettingError, match=f"astray.{next(iter(lost))}"):
             replace(SHIPPED.astray, **lost)
     for way in ({"weight": -1.0}, {"deceleration": ()}, {"delay": (-1.0,)}, {"drag": np.inf}, {"steered": True}):

@@ -26,10 +26,11 @@ likely as each other, it has been astray for times :math:`\tau` until somebody n
 
 .. math:: \pm \kappa \ell^2 / 2 \text{ aside, turned by } \pm \kappa \ell, \qquad \ell = c\, v_{max} \tau
 
-with pace c. Whom it touches a moment later, and not yet, it meets at the rate :math:`|v|\, d\Phi / ds`; P has that rate
-times :math:`p T`, n and the energy. Along a way that adds up to how likely somebody beside it is met at all, at any
-speed; obstacles between keep it off. Ramps, which scenes do not have, how who is grazed turns the base aside, and
-what it pushes along are not modelled. One constant alone is fitted, `harmless`: `coast.yaml` says where they come from.
+with pace c, and :math:`\kappa` what it misjudges of the speed of one side over the effective track. Whom it touches a
+moment later, and not yet, it meets at the rate :math:`|v|\, d\Phi / ds`; P has that rate times :math:`p T`, n and the
+energy. Along a way that adds up to how likely somebody beside it is met at all, at any speed; obstacles between keep
+it off. Ramps, which scenes do not have, how who is grazed turns the base aside, and what it pushes along are not
+modelled. One constant alone is fitted, `harmless`: `coast.yaml` says where they come from.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.scene import Scene
 from graceful_plan.yaml_file import Block, YamlTable
 
@@ -25,7 +26,7 @@ WHEELS = ("driven", "released", "locked", "side_locked", "side_dead")
 turn freely while the other side goes on for the delay and then stops."""
 ONE_SIDE = ("side_locked", "side_dead")
 _MOMENTS = 4
-"""Since a base went astray, to either side."""
+"""At which is seen where a base is that goes astray."""
 
 
 @final
@@ -81,7 +82,7 @@ class Astray:
 
     Args:
         weight: How often, compared with `ways`.
-        bend: Curvature by which they err, to either side [1/m].
+        misread: By how much they misjudge the speed of one side, as a share of it.
         lasts: For how long until somebody notices [s].
         pace: Their mean speed while that lasts, as a share of the greatest.
         spread: Standard deviation of how far aside they are, as a share of it.
@@ -91,7 +92,7 @@ class Astray:
     """
 
     weight: float
-    bend: float
+    misread: float
     lasts: float
     pace: float
     spread: float
@@ -104,20 +105,20 @@ class Astray:
         if self.pace > 1.0:
             raise SettingError("astray.pace", self.pace, "a number in [0, 1]")
 
-    def places(self, probability: float, v_max: float, position_spread: float) -> Float[Array, "place 4"]:
+    def places(self, probability: float, base: DiffDrive, position_spread: float) -> Float[Array, "place 4"]:
         """Return where such bases are beside their way, at moments that are evenly spread over while it lasts.
 
         Args:
             probability: Of such a failure.
-            v_max: Greatest speed of the base [m/s].
+            base: Which turns by the difference of its sides.
             position_spread: Standard deviation of where a base is across its way [m].
 
         Returns:
             For how long [s] times probability, how far to the left [m], angle turned by [rad], standard deviation of
             how far [m].
         """
-        way = self.pace * v_max * self.lasts * (np.arange(_MOMENTS) + 0.5) / _MOMENTS
-        bend = self.bend * np.array([[1.0], [-1.0]])
+        way = self.pace * base.v_max * self.lasts * (np.arange(_MOMENTS) + 0.5) / _MOMENTS
+        bend = self.misread / (2.0 * base.lever) * np.array([[1.0], [-1.0]])
         aside, turned = (bend * way**2 / 2.0).ravel(), (bend * way).ravel()
         lasts = np.full(len(aside), probability * self.lasts / len(aside))
         return np.column_stack([lasts, aside, turned, np.hypot(position_spread, self.spread * aside)])
@@ -261,10 +262,12 @@ class CoastSettings(YamlTable):
             for delay in way.delay
         )
 
-    def beside(self, v_max: float) -> Float[Array, "place 4"]:
-        """Return where bases are that went astray, as `Astray.places` has it, for a greatest speed [m/s]."""
+    def beside(self, base: DiffDrive) -> Float[Array, "place 4"]:
+        """Return where a base is that went astray, as `Astray.places` has it."""
+        if self.astray.weight == 0.0:
+            return np.zeros((0, 4))
         share = self.astray.weight / self._total * (1.0 - self.harmless)
-        return self.astray.places(share, v_max, self.position_spread)[: None if share > 0.0 else 0]
+        return self.astray.places(share, base, self.position_spread)
 
     def only(self, *names: str) -> CoastSettings:
         """Return settings with these ways alone, which all failures then go."""

@@ -50,7 +50,7 @@ def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Float[Ar
             [settings.reference_speed, settings.position_spread, settings.drift, _turns_on(scene, settings)]
         ),
         **{name: reals(value) for name, value in ways._asdict().items()},
-        "astray": reals(settings.beside(scene.base.v_max)),
+        "astray": reals(settings.beside(scene.base)),
     }
 
 
