@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -108,3 +110,17 @@ def test_ways_round_a_corner_are_free_where_the_straight_one_is_not():
         reached_straight = ends.arrivals[ends.goal_index.index(index)]
         np.testing.assert_array_equal(arrival.q[[0, -1]], [READY, reached_straight.q[-1]])
         assert held.kernels.edges_free(arrival.q[:-1], arrival.q[1:]).all()
+
+
+def test_who_stops_the_search_late_does_not_wait_for_all_of_the_time():
+    """Motions near a path took half a minute of this minute; now as long as its search."""
+    q = np.array([3.6, 1.82, -1.06, 0.18, -1.44, 0.54, -0.81, 0.39, -0.42, 1.7, -2.92])
+
+    def stops(_: object) -> bool:
+        time.sleep(0.15)  # a motion soon is for who stops earlier
+        return True
+
+    gp.plan(READY, READY, KITCHEN, iterations=1)  # compiles
+    result = gp.plan(READY, gp.PoseGoal.from_tool(q, KITCHEN), KITCHEN, time_limit=60.0, callback=stops)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert result.stats["total_time"] < 15.0

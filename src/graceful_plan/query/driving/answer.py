@@ -60,9 +60,9 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
             budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
         judged, soon = first, budget.cancelled() or wants_it_soon(found)
         if not (_passed(first) and soon) and request.clock.may_do("timing", "judging"):
-            if not early:
+            if not (early or found.stopped):
                 ordinary = drives.ordinary(plain if plain.paths else _plain(drives, budget, chance), budget)
-            with budget.share(_MOTIONS_SHARE * budget.remaining_seconds) as part:
+            with budget.share(_for_motions(found, budget)) as part:
                 candidates = drives.motions(found, ordinary, part, rng)
             judged = _better(first_verified(candidates, request), first)
         if judged is not None and judged.verdict.passed:
@@ -72,6 +72,12 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
     return failed((found, ends), refused, "", budget, stats)
+
+
+def _for_motions(found: Search, budget: Budget) -> float:
+    """Return how long motions may take [s]; who stopped the search waits no longer for them than for its path."""
+    seconds = _MOTIONS_SHARE * budget.remaining_seconds
+    return min(seconds, budget.elapsed) if found.stopped else seconds
 
 
 def _plain(drives: Drives, budget: Budget, rng: np.random.Generator) -> Search:
