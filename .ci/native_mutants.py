@@ -74,8 +74,8 @@ def built(place: Path) -> None:
     chosen = place / "choice.hpp"
     chosen.write_text(CHOICE, encoding="utf-8")
     out = place / "built"
-    defined = ("GP_QUICK=ON", f"Python_EXECUTABLE={sys.executable}", f"CMAKE_CXX_FLAGS=-include {chosen}")
-    options = ["-G", "Ninja", *(f"-D{one}" for one in defined)]
+    defined = (f"Python_EXECUTABLE={sys.executable}", f"CMAKE_CXX_FLAGS=-include {chosen}")
+    options = ["-G", "Ninja", *(f"-D{one}" for one in ("GP_QUICK=ON", "GP_OPTIMISE=-O1", *defined))]
     subprocess.run(["cmake", "-S", place, "-B", out, *options], check=True, stdout=subprocess.DEVNULL)
     subprocess.run(["cmake", "--build", out, "--parallel", "1", "--target", "_native"], check=True)
     (native,) = out.glob("_native*.so")
