@@ -23,7 +23,8 @@ LEAST = 0.1
 MEASURED = f"""\
 Every task of the mobile scenes ({", ".join(gp.mobile_scenes())}), with what is carried, and {PLANS} generated floors
 (`floor_plan`, three by two rooms, {PEOPLE} who may be harmed), which a Jackal crosses with nothing aboard. No constant
-was fitted on either; one of the coast model was, on twelve other floors of this kind (`other_floors`).
+was fitted on either; `harmless` of the coast model was, on twelve other floors of this kind (`other_floors`),
+and the pace of bases that go astray on 16 more.
 Each is planned in {SECONDS:g} s with w = 0 and with the default weight, executed in FailBench on
 wheels that turn, and fails {FAILURES} times with each fault that its robot can have, degree "{DEGREE}", the same onsets
 (as quantiles) and random numbers for both motions, watched for {HORIZON:g} s. Harm is that of `validate`: what the

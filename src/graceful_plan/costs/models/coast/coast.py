@@ -30,7 +30,7 @@ with pace c, and :math:`\kappa` what it misjudges of the speed of one side over 
 moment later, and not yet, it meets at the rate :math:`|v|\, d\Phi / ds`; P has that rate times :math:`p T`, n and the
 energy. Along a way that adds up to how likely somebody beside it is met at all, at any speed; obstacles between keep
 it off. Ramps, which scenes do not have, how who is grazed turns the base aside, and what it pushes along are not
-modelled. One constant alone is fitted, `harmless`: `coast.yaml` says where they come from.
+modelled. Two constants are fitted, `harmless` and the pace c: `coast.yaml` says where they come from.
 """
 
 from __future__ import annotations
