@@ -93,6 +93,7 @@ ON_REQUEST = frozenset(
         "floor_maps",
         "policies",
         "mobile_prevention",
+        "other_floors",
     }
 )
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""

@@ -119,9 +119,10 @@ def examine(job: tuple[int, float, int]) -> Driven:
     c, s = np.cos(state.q[:, 2]), np.sin(state.q[:, 2])
     rolled = drive(trajectory, scene)
     rng = np.random.default_rng((SEED, number, 1))
-    model = Coast(CoastSettings.shipped().only(*CoastSettings.shipped().ways))  # what is drawn; nobody goes astray
+    shipped = CoastSettings.shipped()
+    model = Coast(shipped.only(*shipped.ways))  # what is drawn; nobody goes astray
     severity = np.array([entity.severity["body"] for entity in scene.entities.values()])
-    unit = CoastSettings.shipped().reference_speed
+    unit = shipped.reference_speed
     harm, predicted, events = [], [], []
     at = trajectory.at(rng.uniform(size=failures) * trajectory.duration)
     P = model.probability(moving_batch(scene, at.q, at.qd))[:, 0]

@@ -116,7 +116,8 @@ class DWA:
 
         Args:
             scene: Of which the base, its limits and its outline are taken; what stands there is not (see `seen`).
-            coast: How it fails; the shipped settings by default.
+            coast: How it fails; the shipped settings by default. What leads astray counts as what bends off at once: a
+                window looks at one moment alone.
 
         Raises:
             SettingError: If its robot does not drive.
@@ -165,7 +166,7 @@ class DynamicWindow:
             min(s.most_impact, _MUCH), s.ahead, s.window,
         )  # fmt: skip
         native = _native.DynamicWindow(
-            **coasting_arrays(self.scene, self.coast),
+            **coasting_arrays(self.scene, self.coast.of_the_moment()),
             limits=_limits(self.scene.base),
             settings=np.array(numbers, dtype=float),
             n_v=s.speeds,

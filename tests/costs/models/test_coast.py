@@ -157,11 +157,9 @@ def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
     assert hit(0.0, 0.5, y=y, settings=settings) / touched == pytest.approx(0.5 * 0.5**2, rel=0.05)
 
 
-def astray(**change):
+def astray():
     """All failures lead a base astray, at rates that hardly turn it."""
-    lost = Astray(
-        **{"weight": 1.0, "misread": 0.001 * BASE.track * BASE.slip, "lasts": 16.0, "pace": 1.0, "spread": 0.2} | change
-    )
+    lost = Astray(weight=1.0, misread=0.001 * BASE.track * BASE.slip, lasts=16.0, pace=1.0, spread=0.2)
     return replace(SHIPPED, harmless=0.95, ways={}, astray=lost, position_spread=1e-3, reference_speed=1e-3)
 
 
@@ -186,6 +184,14 @@ def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
     met = 0.5 * erfc((gap - aside) / np.hypot(1e-3, 0.2 * aside) / np.sqrt(2.0))
     expected = 0.05 * 16.0 * met.mean() / 2.0
     assert passing(astray(), gap, v) == pytest.approx(expected, rel=0.1)
+
+
+def test_at_one_moment_what_leads_astray_bends_off():
+    seen = SHIPPED.of_the_moment()
+    total = sum(way.weight for way in SHIPPED.ways.values()) + SHIPPED.astray.weight
+    assert sum(way.weight for way in seen.ways.values()) == pytest.approx(total) and seen.astray.weight == 0.0
+    assert {name for name, way in seen.ways.items() if way != SHIPPED.ways[name]} == {"odometry"}
+    assert only().of_the_moment() == only()
 
 
 def test_walls_keep_those_astray_from_whom_they_are_not_to_meet():

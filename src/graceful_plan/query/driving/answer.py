@@ -1,6 +1,7 @@
 """The way of a base from its ends to a result: search, a motion soon, curves near what was found, and the judge.
 
-What is returned costs no more, by J, than what a call with a weight of 0 has: see `candidates`.
+What is returned costs no more, by J, than what a call with a weight of 0 has: see `candidates`; unless the callback
+stopped the search, and so what would take longer than that did.
 """
 
 from __future__ import annotations

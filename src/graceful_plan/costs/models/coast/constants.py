@@ -266,23 +266,33 @@ class CoastSettings(YamlTable):
         """Return where a base is that went astray, as `Astray.places` has it."""
         if self.astray.weight == 0.0:
             return np.zeros((0, 4))
-        share = self.astray.weight / self._total * (1.0 - self.harmless)
-        return self.astray.places(share, base, self.position_spread)
+        return self.astray.places(self._probability(self.astray.weight), base, self.position_spread)
 
     def only(self, *names: str) -> CoastSettings:
         """Return settings with these ways alone, which all failures then go."""
         ways = {name: self.ways[name] for name in names}
         return replace(self, harmless=0.0, ways=ways, astray=replace(self.astray, weight=0.0))
 
+    def of_the_moment(self) -> CoastSettings:
+        """Return settings for who looks at one moment alone: what leads astray bends off at once, as ways that bend."""
+        bent = sum(way.weight for way in self.ways.values() if any(way.bend))
+        more = 1.0 + self.astray.weight / bent if bent > 0.0 else 1.0
+        ways = {
+            name: replace(way, weight=way.weight * (more if any(way.bend) else 1.0)) for name, way in self.ways.items()
+        }
+        return replace(self, ways=ways, astray=replace(self.astray, weight=0.0))
+
     @property
     def _total(self) -> float:
         return sum(way.weight for way in self.ways.values()) + self.astray.weight
 
+    def _probability(self, weight: float) -> float:
+        return weight / self._total * (1.0 - self.harmless)
+
     def _each(self) -> list[tuple[Way, float]]:
         """Return ways that happen and the probability of each of their combinations."""
-        total = self._total / (1.0 - self.harmless)
         return [
-            (way, way.weight / total / (len(way.deceleration) * len(way.delay) * len(way.bend)))
+            (way, self._probability(way.weight) / (len(way.deceleration) * len(way.delay) * len(way.bend)))
             for way in self.ways.values()
             if way.weight > 0.0
         ]

@@ -1,0 +1,17 @@
+"""Which instruction sets are there: apart from the kernels' tests, which mutants run with the baseline alone."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from graceful_plan.core.kernels import instruction_sets
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="nothing says what the processor can do")
+def test_the_best_that_the_processor_can_do_is_there():
+    flags = set(re.search(r"^flags\s*:(.*)$|\Z", Path("/proc/cpuinfo").read_text(), re.MULTILINE)[0].split())
+    names = instruction_sets()
+    assert names[-1] == "baseline" and len(set(names)) == len(names)
+    assert ("x86-64-v3" in names) == ({"avx2", "fma"} <= flags)
+    assert ("x86-64-v4" in names) == ({f"avx512{part}" for part in ("f", "dq", "vl", "bw", "cd")} <= flags)
