@@ -46,11 +46,11 @@ MODULES = {
     "judge/motion_samples.py": ("tests/judge",),
     "judge/passing.py": ("tests/judge/test_passing.py", "tests/scene/test_moving.py"),
     "analysis/certificate.py": ("tests/analysis/test_certificate.py", "tests/analysis/test_certified_clearance.py"),
-    "query/states/usable.py": ("tests/query/test_goals.py",),
-    "query/goals.py": (
-        "tests/query/test_goals.py",
-        "tests/query/test_pose_sets.py",
-        "tests/query/test_ik.py",
+    "query/endpoints/usable.py": ("tests/query/endpoints/test_goals.py",),
+    "query/endpoints/goals.py": (
+        "tests/query/endpoints/test_goals.py",
+        "tests/query/endpoints/test_pose_sets.py",
+        "tests/query/endpoints/test_ik.py",
         "tests/query/test_cancel.py",
         "tests/query/driving/test_drives.py",
     ),

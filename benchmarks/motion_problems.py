@@ -27,7 +27,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import state_contacts
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.ik import solve_ik
+from graceful_plan.query.endpoints.ik import solve_ik
 
 Array = np.ndarray
 

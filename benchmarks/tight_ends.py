@@ -10,7 +10,7 @@ import numpy as np
 from graceful_plan.compare.problems.problem_files import ProblemFile
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.judge.exact import exactly_free
-from graceful_plan.query.states.escape import TARGET_CLEARANCE, way_out
+from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE, way_out
 
 Array = np.ndarray
 

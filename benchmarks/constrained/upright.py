@@ -13,7 +13,7 @@ from benchmarks import motion_problems, suite
 from benchmarks.constrained.projected import connect, ompl_connect
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.ends import find_ends
+from graceful_plan.query.endpoints.endpoints import find_endpoints
 
 UPRIGHT = gp.Upright(float(np.deg2rad(15.0)))
 SEED = 14
@@ -124,7 +124,7 @@ def examine(job: UprightJob) -> UprightFigures:
     asked = question(job.name)
     held = SceneConstraints(asked.scene, [UPRIGHT])
     lacking = objection(asked)
-    ends = None if lacking else find_ends(asked.start, asked.goal, held, np.random.default_rng(0))
+    ends = None if lacking else find_endpoints(asked.start, asked.goal, held, np.random.default_rng(0))
     if ends is None or isinstance(ends, gp.PlanResult):
         told = lacking if ends is None else f"{ends.status.name}: {ends.detail}"
         return UprightFigures(name=job.name, objection=told, first={})

@@ -16,7 +16,7 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.states.escape import way_out
+from graceful_plan.query.endpoints.escape import way_out
 
 TITLE = "First path: plan(w=0) on every task"
 PLANNERS = ("anytime", "rrt_connect")

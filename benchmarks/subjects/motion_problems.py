@@ -21,8 +21,8 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.ends import ways_out
-from graceful_plan.query.goals import resolve_goal, resolve_start
+from graceful_plan.query.endpoints.endpoints import ways_out
+from graceful_plan.query.endpoints.goals import resolve_goal, resolve_start
 
 Array = np.ndarray
 

@@ -17,7 +17,7 @@ from graceful_plan.planners.planner import Budget, Planner, path_total
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import Shortcut
-from graceful_plan.query.search import is_solution
+from graceful_plan.query.candidates.search import is_solution
 
 Array = np.ndarray
 

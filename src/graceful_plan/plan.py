@@ -17,29 +17,29 @@ from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
-from graceful_plan.query.answers.outcome import until_last_steps
-from graceful_plan.query.answers.searched import searched_answer
+from graceful_plan.query.answer import BestVerified
 from graceful_plan.query.arguments import (
     checked_callback,
     checked_cancelled,
     checked_objective,
     checked_planner,
+    checked_refine,
     checked_risk,
     checked_seed,
     checked_speed,
+    checked_stop,
     checked_time_limit,
     checked_verification,
     checked_wait,
     driving_planner,
 )
-from graceful_plan.query.deadline.clock import Clock, paces_of
+from graceful_plan.query.candidates.candidates import candidates
+from graceful_plan.query.candidates.prefer import Preference
+from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.driving.answer import driven_answer
-from graceful_plan.query.driving.tight import rolling_ends
-from graceful_plan.query.ends import Ends, find_ends
-from graceful_plan.query.goals import Configuration, Goal, poses_of
-from graceful_plan.query.prefer import Preference
-from graceful_plan.query.request import Request
-from graceful_plan.query.search import Callback
+from graceful_plan.query.endpoints.endpoints import find_endpoints
+from graceful_plan.query.endpoints.goals import Configuration, Goal, poses_of
+from graceful_plan.query.request import Request, Stop
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
 from graceful_plan.result import PlanResult, PlanStatus
@@ -62,6 +62,8 @@ def plan(
     objective: Objective | None = None,
     time_limit: float | None = None,
     iterations: int | None = None,
+    stop: Stop = "time_limit",
+    refine: bool = True,
     seed: int = 0,
     speed: float = 1.0,
     risk: str | RiskMeasure = "expectation",
@@ -84,8 +86,12 @@ def plan(
         planner: Name of a planner (see `PLANNERS`) or a settings object.
         objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
-        iterations: Planner iterations; with these alone, the result depends on the seed only. A time limit besides
-            ends the call early, and is for nothing else.
+        iterations: Planner iterations; with these alone, the result depends on the seed only. With them, a time limit
+            only ends the call early.
+        stop: When to end: "first" with the first verified motion, "converged" once a round of work that is longer than
+            all before improves the best motion by less than 0.1 %, "time_limit" with the budget.
+        refine: Whether paths become smooth motions that descend along the objective. Without, the motion is along the
+            planner's own path, its corners cut as far as that is free.
         seed: Of all random numbers.
         speed: In (0, 1]: fraction of the velocity limits to use.
         risk: What of the distribution of impact counts: "expectation", "cvar" (the mean of the worst tenth; another
@@ -97,10 +103,10 @@ def plan(
             the contents of a carried vessel stay in it (`KeepContents`). An empty list asks for nothing.
         verification: How closely the judge looks at motions; by default every 2 mm, with exact geometry wherever
             spheres do not prove that nothing is near.
-        callback: Called with every improvement, at last with the motion itself; returning True ends the search.
-        cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the search
-            ends, and a motion near the best path so far is timed and judged, which takes some hundredths of a second.
-            Without one the status is CANCELLED.
+        callback: Called with the first path that the search finds, at its estimated cost, then with every verified
+            motion that is better than the one before; once it returns True, the call ends with a verified motion.
+        cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the call ends
+            with the best verified motion, or with one near the first path. Without a path the status is CANCELLED.
 
     Returns:
         The result, SOLVED only if the independent judge passed the timed trajectory.
@@ -111,52 +117,52 @@ def plan(
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
     bound = checked_objective(objective, w).bind(scene, search_paces(share))  # compiles the scene
-    held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
+    asked = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
     compiled = time.perf_counter() - started
     request = Request(
         planner=driving_planner(checked_planner(planner), scene),
         objective=bound,
-        constraints=held,
-        preference=None if measure.kind == "expectation" else Preference(measure, bound),
+        constraints=asked,
+        preference=None if measure.kind == "expectation" or bound.w == 0.0 else Preference(measure, bound),
         speed=share,
         max_wait=checked_wait(max_wait, scene),
         verification=checked_verification(verification),
+        refine=checked_refine(refine),
+        stop=checked_stop(stop),
         callback=checked_callback(callback),
     )
-    rng, stop, limit = checked_seed(seed), checked_cancelled(cancelled), checked_time_limit(time_limit, iterations)
+    rng, limit = checked_seed(seed), checked_time_limit(time_limit, iterations)
+    budget = Budget(limit, iterations, checked_cancelled(cancelled), started)
     if passed := checked_via(via, scene):
-        asked = {"planner": planner, "objective": bound.objective, "seed": seed, "speed": share, "risk": measure}
+        settings = {"planner": planner, "objective": bound.objective, "stop": stop, "refine": refine, "seed": seed}
         leg = partial(
-            plan, scene=scene, constraints=held.constraints, verification=verification, cancelled=stop, **asked
+            plan,
+            scene=scene,
+            constraints=asked.constraints,
+            speed=share,
+            risk=measure,
+            verification=verification,
+            cancelled=budget.cancelled,
+            **settings,
         )
-        return plan_through((start, passed, goal), leg, request, Budget(limit, iterations, stop, started), seed)
-    ends = find_ends(
-        start,
-        goal,
-        held,
-        rng,
-        seed=seed,
-        cancelled=stop,
-        late=lambda part: time.perf_counter() > started + part * limit,
-    )
-    if scene.base is not None and isinstance(ends, Ends):
-        ends = rolling_ends(ends)
-    said = _compiled(compiled, limit)
+        return plan_through((start, passed, goal), leg, request, budget, seed)
+    ends = find_endpoints(start, goal, asked, rng, seed=seed, cancelled=budget.cancelled, late=budget.is_late)
+    notes = _compiled(compiled, limit)
     if isinstance(ends, PlanResult):
-        return _with_notes(ends, said)
-    # Of what the ends have left there has to be a share for the search, too, however long the last steps once took.
-    elapsed = time.perf_counter() - started
-    clock = Clock(started + limit, paces_of(scene), max(limit - elapsed, 0.0))
-    poses = poses_of(goal, ends.goal_index)
-    request = replace(request, constraints=ends.constraints, poses=poses, clock=clock)
-    budget = Budget(until_last_steps(request, elapsed), iterations, stop, started)
-    answer = searched_answer if scene.base is None else driven_answer
+        return _with_notes(ends, notes)
+    request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index))
     try:
-        result = answer(request, ends, budget, rng)
+        if scene.base is not None:
+            result = driven_answer(request, ends, budget, rng)
+        else:
+            best = BestVerified(request, ends, budget)
+            for motion in candidates(request, ends, budget, rng, best):
+                best.consider(motion)
+            result = best.result()
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
-    result = _with_notes(result, [*said, *ends.notes, *_waived(held)])
-    return replace(result, stats={**result.stats, "total_time": time.perf_counter() - started})
+    result = _with_notes(result, [*notes, *ends.notes, *_waived(asked)])
+    return replace(result, stats={**result.stats, "total_time": budget.elapsed})
 
 
 def _compiled(seconds: float, limit: float) -> list[str]:

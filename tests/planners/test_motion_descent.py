@@ -13,7 +13,16 @@ import graceful_plan as gp
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import COARSE, FINE, MIDDLE, TIME_PRICE, Effort, MotionDescents, Start
+from graceful_plan.planners.motion_descent import (
+    COARSE,
+    FINE,
+    MIDDLE,
+    TIME_PRICE,
+    DescentResult,
+    DescentSettings,
+    MotionDescents,
+    Start,
+)
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -157,7 +166,7 @@ def test_gradients_of_edges_that_count_by_time() -> None:
 
 
 @pytest.mark.long
-def test_curves_that_land_are_free_and_ordered(task: gp.Task) -> None:
+def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(task: gp.Task) -> None:
     objective = bound(task)
     result = gp.plan(task.start, task.goal, task.scene, iterations=300)
     assert result.path is not None
@@ -172,20 +181,23 @@ def test_curves_that_land_are_free_and_ordered(task: gp.Task) -> None:
     limits = task.scene.limits
     descents = MotionDescents(native_space(problem, objective), limits.velocity, limits.acceleration, is_free)
     rng = np.random.default_rng(0)
-    landed = descents.run([Start(path)], Budget(iterations=1), rng)
-    assert landed and [one.value for one in landed] == sorted(one.value for one in landed)
-    assert len(asked) >= 2 * len(landed)
-    coarse = replace(descents, effort=Effort(fine=0, hops=0)).run([Start(path)], Budget(iterations=1), rng)
-    finely = replace(descents, effort=Effort(screens=False, fine=1, hops=0)).run(
-        [Start(path)], Budget(iterations=1), rng
-    )
+    found = list(descents.round([Start(path)], Budget(iterations=1), rng))
+    assert found and len(asked) >= 2 * len(found)
+
+    def curves(settings: DescentSettings, starts: int = 1) -> list[DescentResult]:
+        of = replace(descents, settings=settings, is_free=lambda curve, start: True)
+        return list(of.round([Start(path, arrival=k) for k in range(starts)], Budget(iterations=1), rng))
+
+    coarse = curves(DescentSettings(fine=0, refinements=0))
     assert {len(one.curve.controls) for one in coarse} <= {COARSE.controls, MIDDLE.controls}
+    finely = curves(DescentSettings(screens=False, fine=1, refinements=0))
     assert [len(one.curve.controls) for one in finely] == [FINE.controls]
-    bends = replace(descents, effort=Effort(bends=6, fine=0, hops=0), is_free=lambda curve, start: True)
-    found = bends.run([Start(path), Start(path)], Budget(iterations=1), rng, raw=1)
-    assert len(found) >= 8 and sum(one.start == 0 for one in found) <= 2, "bends are of the last start"
-    assert not descents.run([], Budget(iterations=1), rng)
-    assert not descents.run([Start(path)], Budget(time_limit=0.0), rng)
+    assert finely[0].value <= min(one.value for one in coarse)
+    refined = curves(DescentSettings(refinements=4))
+    assert min(one.value for one in refined) <= min(one.value for one in finely) * (1.0 + 1e-3)
+    assert {one.start.arrival for one in curves(DescentSettings(bends=0, refinements=0), 2)} == {0, 1}
+    assert not list(descents.round([], Budget(iterations=1), rng))
+    assert not list(descents.round([Start(path)], Budget(time_limit=0.0), rng))
 
 
 def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> None:

@@ -12,9 +12,9 @@ from graceful_plan.planners import Auto
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.roadmaps.graph import non_dominated
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.ends import find_ends
+from graceful_plan.query.candidates.search import search
+from graceful_plan.query.endpoints.endpoints import find_endpoints
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import search
 from graceful_plan.tuning.archive import Archive, Candidate
 from graceful_plan.tuning.judging import FrontMotion, FrontQuery, Judging
 from graceful_plan.tuning.motion_front import MotionFront, optimal_weights
@@ -48,7 +48,7 @@ def asked(task):
     """What a front is asked for, what is searched in, and a few paths."""
     rng = np.random.default_rng(0)
     held = SceneConstraints(task.scene, ())
-    ends = find_ends(task.start, task.goal, held, rng)
+    ends = find_endpoints(task.start, task.goal, held, rng)
     objective = Objective().bind(task.scene, search_paces())
     query = FrontQuery(ends=ends, request=Request(planner=Auto(), objective=objective, constraints=held))
     goals = np.stack([arrival.q[0] for arrival in ends.arrivals])
@@ -107,7 +107,7 @@ def test_without_time_or_paths_there_are_no_motions(asked):
 
 
 def test_paths_that_cannot_descend_are_timed_with_their_corners_cut(asked, monkeypatch):
-    monkeypatch.setattr("graceful_plan.tuning.motion_front.smooth", lambda *arguments, effort: [])
+    monkeypatch.setattr("graceful_plan.tuning.motion_front.motion_descents", lambda *arguments: None)
     archive, _ = filled(asked)
     assert len(archive) and all(one.made_by == "weight" for one in archive.candidates)
 

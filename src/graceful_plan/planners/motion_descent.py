@@ -1,16 +1,18 @@
 """Smooth motions from paths: control points of a spline descend along J of the motion as it will be executed.
 
-The work is done in the core (`search/motion_descent.hpp`), where the speed profile is part of the gradient. Which
-valley has the best motion does not show in the paths: descents from all of them and from many wide bends of them go
-from coarse to fine, side by side, and only the better ones go on. What time is left is for hops: the best motions, bent
-at random, descend again.
+The core does the work (`search/motion_descent.hpp`), with the speed profile as part of the gradient. Paths do not show
+which local minimum has the best motion. So descents from many starts go from coarse to fine, and at each stage only
+the better ones are kept:
+
+- a *start* is a path of a search, a curve that has descended before, or such a path with a wide random bend;
+- a *refinement* bends one of the best curves at random and lets it descend again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -25,54 +27,48 @@ from graceful_plan.timing.spline import Spline, grid_points
 Array = np.ndarray
 
 TIME_PRICE = 0.05
-"""What a second of motion counts on top of J [rad/s]: it decides between motions of about the same J."""
+"""Cost of a second of motion on top of J [rad/s]; it decides between motions of about the same J."""
 CAREFUL_TIME_PRICE = 0.3
-"""The same where something full is carried [rad/s]: how long it takes does not follow from how far it is any more, and
-motions of the shortest paths would take up to half as long again for a hundredth less length."""
+"""The same where a vessel is kept level [rad/s]: there the duration does not follow from the length, and the shortest
+motions would take up to half as long again for a hundredth less length."""
 DRIVING_TIME_PRICE = 0.3
-"""The same of a base that drives [m/s], for which being slow costs no length and spares harm: without it, it crawls."""
-_ROUND = 20
+"""The same of a base that drives [m/s]: a base that crawls saves harm at no length."""
+_SLICE = 20
 """Evaluations of a descent between two looks at the clock."""
 _HARDENINGS = 3
-"""How often a descent that ends too close to something is pressed harder away from it, for `_MORE` evaluations each."""
+"""How often a descent that ends too close to an obstacle goes on with a heavier penalty, for `_MORE` evaluations."""
 _MORE = 40
-_FOR_ROOM = 1
-"""How often for more room than has to be."""
+_FOR_CLEARANCE = 1
+"""How often for more clearance than the motion must have."""
 _WORKERS = 2
-_UNTIMED_HOPS = 4
-"""Hops where no clock limits them."""
-_GOES_ON = 4
-"""One of so many coarse descents goes on, and one of so many of these descends finely; at least `_LEAST` do."""
-_LEAST = 4
-_COARSE_SHARE = 0.3
-"""Of the time, for coarse descents."""
-_MIDDLE_SHARE = 0.5
-"""Of what is left then, at most for the next part; where evaluations are dear, nothing would land otherwise."""
-_UNTIMED_BENDS = 8
-"""Wide bends where no clock limits them."""
-_MOST_BENDS = 5000
-_MOST_HOPS = 2000
+_KEPT = 4
+"""One of so many descents goes on to the next stage, and at least `_LEAST` do."""
+_LEAST = 2
+_COARSE_SHARE, _MIDDLE_SHARE = 0.3, 0.6
+"""Parts of the time after which the coarse and the middle stage begin no more descents."""
+_UNTIMED_BENDS, _UNTIMED_REFINEMENTS = 4, 2
+"""Bends of starts and refinements in a round that no clock limits."""
+_MOST_BENDS, _MOST_REFINEMENTS = 5000, 2000
 _PROMISING = (1.2, 1.05)
-"""After its coarse and its middle part, a hop goes on if J is no more than so many times that of the best."""
-_HOP = (0.1, 1.0)
-"""Least and greatest size of the bend of a hop [rad]."""
+"""A refinement goes on after its coarse and its middle stage if J is at most so many times that of the best curve."""
+_NARROW = (0.1, 1.0)
+"""Least and greatest size of the bend of a refinement [rad]."""
 _WIDE = (0.3, 1.5)
-"""The same of the bends of paths that coarse descents begin with."""
+"""The same of the bends of starts, of which `_WIDE_BENDS` add up."""
 _WIDE_BENDS = 2
-"""Bends that are added up in one of these."""
 _RESAMPLED = 64
 """Points of a curve from which the next descent begins."""
 
 
 def time_price(*, careful: bool) -> float:
-    """Return what a second of motion counts on top of J [rad/s]; careful is who carries something full."""
+    """Return the cost of a second of motion on top of J [rad/s], greater where a vessel is kept level."""
     return CAREFUL_TIME_PRICE if careful else TIME_PRICE
 
 
 @final
 @dataclass(frozen=True)
 class Stage:
-    """How finely a motion descends, and how long.
+    """Resolution and length of a descent.
 
     | field       | meaning                                        |
     |-------------|------------------------------------------------|
@@ -87,60 +83,57 @@ class Stage:
     rough: bool
     evaluations: int
 
-    @property
-    def work(self) -> int:
-        """States that all of its evaluations look at."""
-        return self.evaluations * (self.density * (self.controls - 3) + 1)
-
 
 COARSE, MIDDLE, FINE = Stage(12, 3, True, 40), Stage(16, 5, True, 60), Stage(24, 6, True, 160)
 LONG = Stage(12, 3, True, 200)
-"""Instead of the middle one where states are dear: these many evaluations cost less than half of what it does."""
+"""Replaces the middle stage where evaluations are expensive: it costs less than half as much."""
 
 
 @final
 @dataclass(frozen=True)
-class Effort:
-    """How much a search for motions takes on.
+class DescentSettings:
+    """Work of a round of descents.
 
-    | field   | meaning                                                                          |
-    |---------|----------------------------------------------------------------------------------|
-    | screens | whether starts descend coarsely first, and only the better ones go on            |
-    | bends   | wide bends of starts that do so, too; as many as there is time for if None       |
-    | middle  | what the better ones go on with                                                  |
-    | fine    | how many then descend finely, at least; with none, coarse curves are the result  |
-    | hops    | how many hops at most; as many as there is time for if None                      |
+    | field       | meaning                                                                          |
+    |-------------|----------------------------------------------------------------------------------|
+    | screens     | whether starts descend coarsely first, and only the better ones go on            |
+    | bends       | wide bends of starts besides; as many as there is time for if None               |
+    | middle      | second stage                                                                     |
+    | fine        | descents that end finely, at least; with 0, coarse curves are the result         |
+    | refinements | at most; as many as there is time for if None                                    |
     """
 
     screens: bool = True
     bends: int | None = None
     middle: Stage = MIDDLE
     fine: int = 2
-    hops: int | None = None
+    refinements: int | None = None
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A path to descend from, and the parts of its length at both ends that are tight for the spheres [rad].
+    """A path to descend from, and the lengths at both ends where the spheres are too close to obstacles [rad].
 
-    If it is that of a curve that has descended already, the curve.
+    `curve` is the curve whose samples the path is, if it has descended before.
     """
 
     path: Path
     tight_start: float = 0.0
     tight_end: float = 0.0
     curve: Spline | None = None
+    arrival: int = 0
+    """Which of several ways to a goal the path takes."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Landed:
-    """A curve that a descent ended with, J of it as the descent knows it, and which start it came from."""
+class DescentResult:
+    """A free curve, its J as the descent computes it, and the start it descended from."""
 
     curve: Spline
     value: float
-    start: int
+    start: Start
 
 
 @final
@@ -152,49 +145,48 @@ class MotionDescents:
         space: Cost and clearance, with slopes of states.
         velocity: Limits of the joints [rad/s or m/s].
         acceleration: Limits of the joints [rad/s^2 or m/s^2].
-        is_free: Whether nothing is hit along a curve that came from some start.
-        has_room: Whether it passes everything with room to spare; None if that does not matter.
-        effort: How much of what there is to do.
-        felt: Limits on what is felt where something is carried.
+        is_free: Whether a curve that descended from a start is free of collision.
+        has_clearance: Whether it keeps the clearance that is wanted; None if any will do.
+        settings: Work of a round.
+        felt: Limits on the acceleration that a carried object feels.
         counts_points: Whether the cost is summed over the samples of the motion.
-        careful: Whether something full is carried.
+        careful: Whether a vessel is kept level.
     """
 
     space: _native.Space
     velocity: Float[Array, " nq"]
     acceleration: Float[Array, " nq"]
     is_free: Callable[[Spline, Start], bool]
-    has_room: Callable[[Spline, Start], bool] | None = None
-    effort: Effort = Effort()
+    has_clearance: Callable[[Spline, Start], bool] | None = None
+    settings: DescentSettings = DescentSettings()
     felt: Sequence[_native.FeltLimit] = ()
     counts_points: bool = False
     careful: bool = False
 
     @property
     def time_price(self) -> float:
-        """What a second of motion counts on top of J [rad/s]."""
+        """Cost of a second of motion on top of J [rad/s]."""
         return time_price(careful=self.careful)
 
-    def run(
-        self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator, *, raw: int | None = None
-    ) -> list[Landed]:
-        """Descend from all starts and hop, as far as the time allows; return free curves, the best first.
+    def round(
+        self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator, best: Sequence[DescentResult] = ()
+    ) -> Iterator[DescentResult]:
+        """Yield free curves that descended from starts, then refinements of the best of all.
 
-        With iterations, the number of hops is fixed and, unless a time limit ends it, the result does not depend on the
-        clock.
+        Without a time limit the number of descents is fixed, and the result does not depend on the clock.
 
         Args:
-            starts: What to descend from.
-            budget: Time for it.
+            starts: Paths to descend from.
+            budget: Time of the round.
             rng: For bends.
-            raw: How many of the last starts wide bends begin with; all by default.
+            best: Results of earlier rounds, which refinements may begin with.
         """
         with ThreadPoolExecutor(_WORKERS) as pool:
-            return _Descending(self, starts, budget, rng, pool, raw or len(starts)).run()
+            yield from _Round(self, starts, budget, rng, pool, list(best)).run()
 
     def descended(self, start: Start, stage: Stage, budget: Budget) -> _native.MotionDescent | None:
-        """Descend from a path for one stage; None if there was no time for it."""
-        if _out(budget):
+        """Descend from a path for one stage; None if the budget is over."""
+        if budget.over:
             return None
         descent = _native.MotionDescent(
             self.space,
@@ -211,124 +203,122 @@ class MotionDescents:
             felt=self.felt,
             points=float(grid_points(stage.controls)) if self.counts_points else 1.0,
         )
-        go_on(descent, stage.evaluations, budget)
+        _go_on(descent, stage.evaluations, budget)
         return descent
 
-    def landed(self, start: Start, index: int, budget: Budget) -> Landed | None:
-        """Descend finely and press away from what is too close; None if that does not help."""
+    def first(self, start: Start, budget: Budget) -> DescentResult | None:
+        """Descend coarsely from one path; None if the curve is not free, at the end or half-way already."""
+        half = COARSE.evaluations // 2
+        descent = self.descended(start, replace(COARSE, evaluations=half), budget)
+        if descent is None or not self.is_free(Spline(descent.controls), start):
+            return None
+        _go_on(descent, COARSE.evaluations - half, budget)
+        curve = Spline(descent.controls)
+        return DescentResult(curve, descent.value, start) if self.is_free(curve, start) else None
+
+    def finished(self, start: Start, budget: Budget) -> DescentResult | None:
+        """Descend finely, with a heavier penalty while the curve is too close to obstacles; None if it stays so."""
         descent = self.descended(start, FINE, budget)
         if descent is None:
             return None
         for hardening in range(_HARDENINGS + 1):
             curve = Spline(descent.controls)
-            pressed = hardening >= _FOR_ROOM
-            if self.is_free(curve, start) and (pressed or self.has_room is None or self.has_room(curve, start)):
-                return Landed(curve, descent.value, index)
+            enough = self.has_clearance is None or hardening >= _FOR_CLEARANCE or self.has_clearance(curve, start)
+            if enough and self.is_free(curve, start):
+                return DescentResult(curve, descent.value, start)
             if hardening < _HARDENINGS:
                 descent.harden()
-                go_on(descent, _MORE, budget)
+                _go_on(descent, _MORE, budget)
         return None
 
 
 @dataclass
-class _Descending:
-    """Descents from coarse to fine, then hops."""
+class _Round:
+    """Descents from coarse to fine, then refinements."""
 
     descents: MotionDescents
     starts: Sequence[Start]
     budget: Budget
     rng: np.random.Generator
-    pool: ThreadPoolExecutor
-    raw: int
-    """How many of the last starts wide bends begin with."""
-    began: float = field(init=False)
-    """Reading of the budget's clock [s]."""
-    found: list[Landed] = field(default_factory=list)
-    spare: list[Landed] = field(default_factory=list)
-    """Free curves of coarse descents: their J is a guess, so that they count only where nothing has landed."""
+    pool: Executor
+    results: list[DescentResult]
 
-    def __post_init__(self) -> None:
-        self.began = self.budget.elapsed
+    def run(self) -> Iterator[DescentResult]:
+        settings, budget = self.descents.settings, self.budget
+        jobs, coarse, before = list(self.starts), list[DescentResult](), len(self.results)
+        if settings.screens and jobs:
+            began, seconds = budget.elapsed, budget.remaining_seconds
+            with budget.share(_COARSE_SHARE * seconds) as part:
+                values = self._coarse(part, coarse)
+            with budget.share(began + _MIDDLE_SHARE * seconds - budget.elapsed) as part:
+                values = self._descended([start for _, start in _better(values)], settings.middle, part, coarse)
+            jobs = [start for _, start in _better(values)]
+        yield from self._finished(jobs[: max(settings.fine, len(jobs) if settings.screens else 0)])
+        if len(self.results) == before:  # coarse values are guesses, so coarse curves serve only where no fine one does
+            self.results += sorted(coarse, key=_value)[:_LEAST]
+            yield from self.results[before:]
+        most = _MOST_REFINEMENTS if budget.timed else _UNTIMED_REFINEMENTS
+        for _ in range(0, most if settings.refinements is None else settings.refinements, _WORKERS):
+            if budget.over or not self.results:
+                return
+            yield from self._refined()
 
-    def run(self) -> list[Landed]:
-        effort, jobs = self.descents.effort, [(0.0, start, k) for k, start in enumerate(self.starts)]
-        fine = effort.fine
-        if effort.screens:
-            jobs = self._coarse()
-            jobs = self._descended(_plain(jobs[: self._worth(len(jobs))]), effort.middle)
-            fine = max(fine, len(jobs) // _GOES_ON) if fine else 0
-        self._land(jobs[:fine])
-        most = _MOST_HOPS if self.budget.timed else _UNTIMED_HOPS
-        for _ in range(0, most if effort.hops is None else effort.hops, _WORKERS):
-            if _out(self.budget) or not self._elite():
+    def _coarse(self, budget: Budget, free: list[DescentResult]) -> list[tuple[float, Start]]:
+        """Descend coarsely from all starts and from wide bends of them."""
+        jobs = self._descended(self.starts, COARSE, budget, free)
+        bends = self.descents.settings.bends
+        most = bends if bends is not None else _MOST_BENDS if budget.timed else _UNTIMED_BENDS
+        for _ in range(0, most, _WORKERS):
+            if budget.over:
                 break
-            self._hop()
-        return sorted(self.found or self.spare, key=lambda one: one.value)
+            chosen = [self.starts[k] for k in self.rng.integers(len(self.starts), size=_WORKERS)]
+            jobs += self._descended([self._widely_bent(start) for start in chosen], COARSE, budget, free)
+        return jobs
 
-    def _worth(self, coarse: int) -> int:
-        """How many of so many coarse descents go on: no more than leave time for some that descend finely."""
-        most = max(_LEAST, coarse // _GOES_ON)
-        if not self.budget.timed or coarse == 0:
-            return most
-        each = self.descents.effort.middle.work / COARSE.work * (self.budget.elapsed - self.began) / coarse
-        fits = _MIDDLE_SHARE * self.budget.remaining_seconds / max(each, 1e-9)
-        return int(np.clip(fits, min(_WORKERS, most), most))
-
-    def _coarse(self) -> list[tuple[float, Start, int]]:
-        """Descend coarsely from all starts and from wide bends of them; the best first."""
-        until = self.budget.elapsed + _COARSE_SHARE * self.budget.remaining_seconds
-        jobs = self._descended([(start, k) for k, start in enumerate(self.starts)], COARSE)
-        bends = self.descents.effort.bends
-        most = bends if bends is not None else _MOST_BENDS if self.budget.timed else _UNTIMED_BENDS
-        for _ in range(0, most if self.starts else 0, _WORKERS):
-            if self.budget.elapsed >= until or _out(self.budget):
-                break
-            chosen = self.rng.integers(len(self.starts) - self.raw, len(self.starts), size=_WORKERS).tolist()
-            jobs += self._descended([(self._widely_bent(k), k) for k in chosen], COARSE)
-        return sorted(jobs, key=lambda job: job[0])
-
-    def _descended(self, jobs: Sequence[tuple[Start, int]], stage: Stage) -> list[tuple[float, Start, int]]:
-        """Return values, curves as paths and where they came from, the best first; keep what is free already."""
-        ended: list[tuple[float, Start, int]] = []
-        done = self.pool.map(lambda job: self.descents.descended(job[0], stage, self.budget), jobs)
-        for descent, (start, k) in zip(done, jobs, strict=True):
+    def _descended(
+        self, starts: Sequence[Start], stage: Stage, budget: Budget, free: list[DescentResult]
+    ) -> list[tuple[float, Start]]:
+        """Return values and curves as new starts; add those that are free to `free`."""
+        ended: list[tuple[float, Start]] = []
+        done = self.pool.map(lambda start: self.descents.descended(start, stage, budget), starts)
+        for descent, start in zip(done, starts, strict=True):
             if descent is None:
                 continue
             curve = Spline(descent.controls)
-            ended.append((descent.value, replace(start, path=Path(_resampled(curve)), curve=curve), k))
+            ended.append((descent.value, replace(start, path=Path(_resampled(curve)), curve=curve)))
             if self.descents.is_free(curve, start):
-                self.spare.append(Landed(curve, descent.value, k))
-        return sorted(ended, key=lambda one: one[0])
+                free.append(DescentResult(curve, descent.value, start))
+        return ended
 
-    def _land(self, jobs: Sequence[tuple[float, Start, int]]) -> None:
-        done = self.pool.map(lambda job: self.descents.landed(job[1], job[2], self.budget), jobs)
-        self.found += [one for one in done if one is not None]
+    def _finished(self, starts: Sequence[Start]) -> Iterator[DescentResult]:
+        if self.descents.settings.fine:
+            for one in self.pool.map(lambda start: self.descents.finished(start, self.budget), starts):
+                if one is not None:
+                    self.results.append(one)
+                    yield one
 
-    def _hop(self) -> None:
-        """Bend some of the best motions, and see whether they descend to better ones."""
-        elite = self._elite()
-        best = elite[0].value
-        chosen = [elite[0] if self.rng.uniform() < 0.5 else elite[-1] for _ in range(_WORKERS)]
-        jobs = [(self._bent(_resampled(one.curve), one.start, _HOP), one.start) for one in chosen]
-        for stage, most in zip((COARSE, self.descents.effort.middle), _PROMISING, strict=True):
-            kept = [one for one in self._descended(jobs, stage) if one[0] < most * best]
-            jobs = [(start, k) for _, start, k in kept]
-            if not jobs:
-                return
-        self._land([(0.0, start, k) for start, k in jobs[: self.descents.effort.fine]])
+    def _refined(self) -> Iterator[DescentResult]:
+        """Bend two of the best curves at random and let them descend as long as they promise to become better."""
+        settings = self.descents.settings
+        best = sorted(self.results, key=_value)[:_WORKERS]
+        chosen = [best[0] if self.rng.uniform() < 0.5 else best[-1] for _ in range(_WORKERS)]
+        jobs, free = [self._bent(_resampled(one.curve), one.start, _NARROW) for one in chosen], list[DescentResult]()
+        for stage, most in zip((COARSE, settings.middle), _PROMISING, strict=True):
+            ended = self._descended(jobs, stage, self.budget, free)
+            jobs = [start for value, start in sorted(ended, key=lambda job: job[0]) if value < most * best[0].value]
+        if settings.fine:
+            yield from self._finished(jobs[: settings.fine])
+        else:
+            self.results += free
+            yield from free
 
-    def _elite(self) -> list[Landed]:
-        """What hops begin with: the best that have landed, or of coarse descents where none are to land."""
-        found = self.found if self.descents.effort.fine else self.spare
-        return sorted(found, key=lambda one: one.value)[:_WORKERS]
-
-    def _widely_bent(self, index: int) -> Start:
-        q = evenly(self.starts[index].path.q, _RESAMPLED)
+    def _widely_bent(self, start: Start) -> Start:
+        q = evenly(start.path.q, _RESAMPLED)
         for _ in range(_WIDE_BENDS):
-            q = self._bent(q, index, _WIDE).path.q
-        return replace(self.starts[index], path=Path(q))
+            q = self._bent(q, start, _WIDE).path.q
+        return replace(start, path=Path(q), curve=None)
 
-    def _bent(self, q: Float[Array, "n nq"], index: int, sizes: tuple[float, float]) -> Start:
+    def _bent(self, q: Float[Array, "n nq"], start: Start, sizes: tuple[float, float]) -> Start:
         """Bend a curve at a random place, by a random size and in a random direction."""
         s = np.linspace(0.0, 1.0, len(q))[:, None]
         centre, width = self.rng.uniform(0.1, 0.9), self.rng.uniform(0.15, 0.8)
@@ -336,12 +326,16 @@ class _Descending:
         least, most = sizes
         size = least * (most / least) ** self.rng.uniform() / np.linalg.norm(direction)
         bump = np.maximum(0.0, 1.0 - ((s - centre) / width) ** 2) ** 2 * np.minimum(1.0, 8.0 * s * (1.0 - s))
-        start = self.starts[index]
-        return Start(Path(q + size * bump * direction), start.tight_start, start.tight_end)
+        return replace(start, path=Path(q + size * bump * direction), curve=None)
 
 
-def _plain(jobs: Sequence[tuple[float, Start, int]]) -> list[tuple[Start, int]]:
-    return [(start, k) for _, start, k in jobs]
+def _value(result: DescentResult) -> float:
+    return result.value
+
+
+def _better(jobs: Sequence[tuple[float, Start]]) -> Sequence[tuple[float, Start]]:
+    """Return the part of descents that goes on, the best first."""
+    return sorted(jobs, key=lambda job: job[0])[: max(_LEAST, len(jobs) // _KEPT)]
 
 
 def _resampled(curve: Spline) -> Float[Array, "n nq"]:
@@ -360,14 +354,10 @@ def _fitted(curve: Spline, controls: int) -> Float[Array, "control nq"]:
     return fitted
 
 
-def go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:
+def _go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:
     """Let a descent evaluate its motion so many times more, as far as the budget lasts."""
     done = 0
-    while done < evaluations and not _out(budget):
-        if descent.run(_ROUND, budget.remaining_seconds) < _ROUND:
+    while done < evaluations and not budget.over:
+        if descent.run(_SLICE, budget.remaining_seconds) < _SLICE:
             return
-        done += _ROUND
-
-
-def _out(budget: Budget) -> bool:
-    return budget.elapsed >= budget.time_limit or budget.cancelled()
+        done += _SLICE

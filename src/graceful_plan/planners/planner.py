@@ -156,6 +156,10 @@ class Budget:
         """Whether the time is up or somebody cancelled: what an iteration that takes long asks on the way."""
         return self.elapsed >= self.time_limit or self.cancelled()
 
+    def is_late(self, part: float) -> bool:
+        """Tell whether more than a part of the time is over."""
+        return self.elapsed > part * self.time_limit
+
     def spend(self, n: int = 1) -> bool:
         """Count `n` iterations; return whether there was budget for them."""
         if self.exhausted:
@@ -179,7 +183,7 @@ class Budget:
         Args:
             seconds: At most so many of those left [s].
             iterations: At most so many of those left, rounded up; none are counted out if they are not limited at all.
-            until: Ends the part as if somebody cancelled it.
+            until: Endpoints the part as if somebody cancelled it.
         """
         granted = min(max(0.0, iterations), self.remaining_iterations)
         part = Budget(

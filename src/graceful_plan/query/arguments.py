@@ -16,7 +16,8 @@ from graceful_plan.path import is_real
 from graceful_plan.planners import PLANNERS, Auto, Planner
 from graceful_plan.planners.driving import DRIVING
 from graceful_plan.planners.driving.drive_lattice import DriveLattice
-from graceful_plan.query.search import Callback
+from graceful_plan.query.candidates.search import Callback
+from graceful_plan.query.request import STOPS, Stop
 from graceful_plan.scene.scene import Scene
 
 DEFAULT_TIME_LIMIT = 1.0
@@ -89,6 +90,20 @@ def checked_objective(objective: object, w: object) -> Objective:
     if not isinstance(objective, Objective):
         raise SettingError("objective", objective, "an Objective, such as Objective(motion=..., impact=...)")
     return objective if w is None else objective.with_weight(float(w))  # type: ignore[arg-type]
+
+
+def checked_stop(stop: object) -> Stop:
+    """Return when to end."""
+    if stop not in STOPS:
+        raise UnknownNameError("stop", str(stop), STOPS)
+    return stop  # type: ignore[return-value]
+
+
+def checked_refine(refine: object) -> bool:
+    """Return whether paths become smooth motions."""
+    if not isinstance(refine, bool | np.bool_):
+        raise SettingError("refine", refine, "True or False")
+    return bool(refine)
 
 
 def checked_wait(max_wait: object, scene: Scene) -> float:

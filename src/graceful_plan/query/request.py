@@ -1,35 +1,40 @@
-"""What was asked of `plan`."""
+"""The checked request of a call of `plan`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import Planner
-from graceful_plan.query.deadline.clock import Clock
-from graceful_plan.query.prefer import Preference
-from graceful_plan.query.search import Callback
+from graceful_plan.query.candidates.prefer import Preference
+from graceful_plan.query.candidates.search import Callback
 from graceful_plan.scene.pose_goal import PoseGoal
+
+Stop = Literal["first", "converged", "time_limit"]
+"""When to end: with the first verified motion, once more work hardly improves it, or with the budget."""
+STOPS: tuple[str, ...] = get_args(Stop)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Request:
-    """What was asked for, all of it checked.
+    """What to plan, all of it checked.
 
     | field        | meaning                                                               | unit |
     |--------------|-----------------------------------------------------------------------|------|
-    | planner      | what searches                                                         |      |
-    | objective    | what to minimise, in which scene                                      |      |
-    | constraints  | what has to hold on the way                                           |      |
-    | preference   | what decides between paths instead, if the mean impact does not       |      |
-    | poses        | the pose to be reached by each way to a goal, None where that is none |      |
+    | planner      | searches for paths                                                    |      |
+    | objective    | cost to minimise, bound to the scene                                  |      |
+    | constraints  | what has to hold along the motion                                     |      |
+    | preference   | ranks motions by a risk measure instead of the mean impact; or None   |      |
+    | poses        | pose goal of each arrival, None where the goal is a configuration     |      |
     | speed        | fraction of the velocity limits to use                                |      |
     | max_wait     | longest wait at the start, if something moves                         | s    |
-    | verification | how closely the judge looks                                           |      |
-    | callback     | told of every improvement                                             |      |
-    | clock        | the time that there is                                                |      |
+    | verification | sampling of the judge                                                 |      |
+    | refine       | whether paths become smooth motions that descend along the objective  |      |
+    | stop         | when to end                                                           |      |
+    | callback     | called with every improvement                                         |      |
     """
 
     planner: Planner
@@ -40,9 +45,10 @@ class Request:
     speed: float = 1.0
     max_wait: float = 0.0
     verification: Verification | None = None
+    refine: bool = True
+    stop: Stop = "time_limit"
     callback: Callback | None = None
-    clock: Clock = field(default_factory=Clock)
 
     def pose(self, arrival: int) -> PoseGoal | None:
-        """Return the pose that a way to a goal is to reach; None if that is a configuration."""
+        """Return the pose goal of an arrival; None if the goal is a configuration."""
         return self.poses[arrival] if self.poses else None

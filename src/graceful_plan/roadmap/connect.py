@@ -13,7 +13,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.roadmaps.edge_prices import Edges
 from graceful_plan.planners.roadmaps.graph import Graph
 from graceful_plan.planners.roadmaps.growth import nearest
-from graceful_plan.query.ends import Ends
+from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.ground import MARGIN, problem_of
 
@@ -72,7 +72,7 @@ class Joined:
         return Path(np.concatenate([begin[:1], end])).without_duplicates()
 
 
-def join(q: Float[Array, "node nq"], edges: Edges, exposure: Exposure, ends: Ends) -> Joined:
+def join(q: Float[Array, "node nq"], edges: Edges, exposure: Exposure, ends: Endpoints) -> Joined:
     """Join a start and goals to a roadmap, and to each other, by free edges of their own.
 
     Args:

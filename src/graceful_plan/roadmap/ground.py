@@ -12,8 +12,8 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.planners.roadmaps.growth import Ground
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.ends import Ends, find_ends
-from graceful_plan.query.goals import Configuration, Goal
+from graceful_plan.query.endpoints.endpoints import Endpoints, find_endpoints
+from graceful_plan.query.endpoints.goals import Configuration, Goal
 from graceful_plan.roadmap.answers import QueryResult, QueryStatus
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.scene.scene import Scene
@@ -71,8 +71,8 @@ def usable_pairs(
     """Return where planners would start and end on these motions, as far as that is possible with clearance."""
     pairs: list[Array] = []
     for start, goal in motions:
-        ends = find_ends(start, goal, constraints, rng)
-        if isinstance(ends, Ends):
+        ends = find_endpoints(start, goal, constraints, rng)
+        if isinstance(ends, Endpoints):
             pairs += [np.stack([ends.departure.q[-1], arrival.q[0]]) for arrival in ends.arrivals]
     found = np.array(pairs).reshape(-1, 2, len(constraints.scene.joints))
     free = problem_of(constraints).states_free(found.reshape(-1, found.shape[-1])).reshape(-1, 2)
@@ -82,13 +82,13 @@ def usable_pairs(
 
 def usable_ends(
     start: Configuration, goal: Goal, constraints: SceneConstraints, rng: np.random.Generator, seed: int = 0
-) -> Ends | QueryResult:
+) -> Endpoints | QueryResult:
     """Return both ends of a motion, or an answer that says why there are none.
 
     Raises:
         GracefulPlanError: For misuse, as `plan`.
     """
-    ends = find_ends(start, goal, constraints, rng, seed=seed)
-    if isinstance(ends, Ends):
+    ends = find_endpoints(start, goal, constraints, rng, seed=seed)
+    if isinstance(ends, Endpoints):
         return ends
     return QueryResult(status=QueryStatus[ends.status.name], detail=ends.detail)

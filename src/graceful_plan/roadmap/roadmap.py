@@ -20,8 +20,8 @@ from graceful_plan.planners.roadmaps.graph import non_dominated, spread_out
 from graceful_plan.planners.roadmaps.growth import Growth
 from graceful_plan.planners.settings import count
 from graceful_plan.query.arguments import check_stands, checked_objective, checked_seed, checked_time_limit
-from graceful_plan.query.ends import Ends
-from graceful_plan.query.goals import Configuration, Goal
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.query.endpoints.goals import Configuration, Goal
 from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
 from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure
@@ -202,7 +202,7 @@ class Roadmap:
         kept = spread_out(totals, non_dominated(totals), max_points)
         return [FrontPath(joined.path(found.edges[k]).q, *totals[k].tolist()) for k in kept]
 
-    def joined(self, ends: Ends) -> Joined:
+    def joined(self, ends: Endpoints) -> Joined:
         """Return the graph of the roadmap and these ends; that of the last few ends is kept."""
         key = (ends.departure.q.tobytes(), *(arrival.q.tobytes() for arrival in ends.arrivals))
         found = self._joined.get(key)

@@ -25,7 +25,7 @@ class FrontProblem:
     """A problem, and its costs at every safety weight.
 
     Args:
-        problem: Ends, limits and obstacles, as planners see them.
+        problem: Endpoints, limits and obstacles, as planners see them.
         objective_at: The objective with a safety weight.
         certain: Which edges are free, as finely as they can be checked.
         seeds: Where to take paths from to begin with, besides the planner's.

@@ -34,8 +34,8 @@ from graceful_plan.query.arguments import (
     checked_speed,
     checked_time_limit,
 )
-from graceful_plan.query.ends import Ends, find_ends
-from graceful_plan.query.goals import Configuration, Goal, poses_of
+from graceful_plan.query.endpoints.endpoints import Endpoints, find_endpoints
+from graceful_plan.query.endpoints.goals import Configuration, Goal, poses_of
 from graceful_plan.query.request import Request
 from graceful_plan.result import PlanStatus
 from graceful_plan.roadmap import Roadmap
@@ -128,8 +128,8 @@ def pareto(
         return ParetoFront(status=status, detail=detail, scene=scene.notes.name)
 
     held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
-    ends = find_ends(start, goal, held, rng, seed=seed)
-    if not isinstance(ends, Ends):
+    ends = find_endpoints(start, goal, held, rng, seed=seed)
+    if not isinstance(ends, Endpoints):
         return failed(ends.status, ends.detail)
     request = Request(
         planner=solver,

@@ -11,12 +11,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
-from graceful_plan.query.ends import Ends
-from graceful_plan.query.finish import first_verified
-from graceful_plan.query.motions import Motion, along
+from graceful_plan.query.candidates.motions import Motion, along
+from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
+from graceful_plan.query.verification import first_verified
 from graceful_plan.tuning.archive import Archive, C, Candidate, coarse_to_fine
 from graceful_plan.tuning.points import ParetoPoint
 
@@ -70,7 +71,7 @@ class FrontQuery:
         request: As of `plan`; its objective's own weight does not matter.
     """
 
-    ends: Ends
+    ends: Endpoints
     request: Request
 
     def at(self, w: float) -> SceneObjective:
@@ -93,7 +94,10 @@ class FrontQuery:
         return self._point([one.motion], one.made_by, one.made_with)
 
     def _point(self, motions: Iterable[Motion], made_by: str, made_with: float) -> ParetoPoint | None:
-        judged = first_verified(motions, self.request)
+        try:
+            judged = first_verified(motions, self.request)
+        except RetimingError:  # of a path that has no timing
+            return None
         if judged is None or not judged.verdict.passed:
             return None
         return ParetoPoint(

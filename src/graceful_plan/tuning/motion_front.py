@@ -26,11 +26,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import MAX_WEIGHT
+from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import Effort
+from graceful_plan.planners.motion_descent import DescentSettings
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.motions import along, smooth
+from graceful_plan.query.candidates.descents import motion_descents, start_along
+from graceful_plan.query.candidates.motions import Motion, along, timed_curve
 from graceful_plan.tuning.archive import Archive, Candidate, coarse_to_fine, scaled
 from graceful_plan.tuning.judging import FrontMotion, FrontQuery
 from graceful_plan.tuning.search import sweep_weights
@@ -50,7 +52,9 @@ Least impact is what chance decides most, so that motions there descend finely a
 _DISCOUNT = 0.25
 """What is left of the worth of a gap each time that it has been tried."""
 _THREADS = 2
-_FINELY = Effort(screens=False, fine=1, hops=0)
+_MOST_TIMED = 4
+"""Curves of a round of descents that are timed."""
+_FINELY = DescentSettings(screens=False, fine=1, refinements=0)
 
 
 @final
@@ -119,13 +123,20 @@ class MotionFront:
         self, chosen: Sequence[Candidate], k: int, w: float, means: tuple[Budget, np.random.Generator]
     ) -> None:
         beside = [self.query.ends.joined(Path(candidate.q)) for candidate in chosen[max(0, k - 1) : k + 2]]
-        found = self._descended([*beside, *self._near(w)], w, Effort(bends=0, fine=0, hops=0), means)
+        found = self._descended([*beside, *self._near(w)], w, DescentSettings(bends=0, fine=0, refinements=0), means)
         if not found:
-            cut = islice(along(Path(chosen[k].q), self.query.request, self.query.ends), 1)
+            cut = self._along(Path(chosen[k].q))
             made_by, made_with = chosen[k].made_by, chosen[k].made_with
             found = [FrontMotion(motion=motion, made_by=made_by, made_with=made_with) for motion in cut]
         for one in found:
             self.archive.offer(one)
+
+    def _along(self, path: Path) -> list[Motion]:
+        """Return a motion along a path itself; none if it has no timing."""
+        try:
+            return list(islice(along(path, self.query.request, self.query.ends), 1))
+        except RetimingError:
+            return []
 
     def _near(self, w: float) -> list[tuple[Path, int]]:
         """What to begin a descent with: the motions that are best by the weight, and by one below and one above."""
@@ -138,11 +149,11 @@ class MotionFront:
         a, b = rims = self._widest()
         self._tried[rims] = tried = self._tried.get(rims, 0) + 1
         if a is b:
-            effort = Effort(bends=0, fine=1, hops=_END_HOPS * tried)
-            found = self._descended(self._near(self._greatest), self._greatest, effort, means)
+            settings = DescentSettings(bends=0, fine=1, refinements=_END_HOPS * tried)
+            found = self._descended(self._near(self._greatest), self._greatest, settings, means)
         else:
-            effort = Effort(bends=0, fine=0, hops=_HOPS * tried)
-            found = self._descended([a.whole, b.whole], _slope(a.cost, b.cost), effort, means)
+            settings = DescentSettings(bends=0, fine=0, refinements=_HOPS * tried)
+            found = self._descended([a.whole, b.whole], _slope(a.cost, b.cost), settings, means)
         for one in found:
             self.archive.offer(one)
 
@@ -174,12 +185,15 @@ class MotionFront:
         self,
         starts: Sequence[tuple[Path, int]],
         w: float,
-        effort: Effort,
+        settings: DescentSettings,
         means: tuple[Budget, np.random.Generator],
     ) -> list[FrontMotion]:
-        request = replace(self.query.request, objective=self.query.at(w))
-        found = smooth(starts, request, self.query.ends, self.problem, means, effort=effort)
-        return [FrontMotion(motion=motion, made_by="descent", made_with=w) for motion in found]
+        request, ends = replace(self.query.request, objective=self.query.at(w)), self.query.ends
+        descents, (budget, rng) = motion_descents(request, self.problem, settings), means
+        begun = [start_along(path, arrival, ends) for path, arrival in starts if path.length > 0.0]
+        results = sorted(descents.round(begun, budget, rng), key=lambda one: one.value) if descents else []
+        motions = (timed_curve(one, request, ends) for one in results[:_MOST_TIMED])
+        return [FrontMotion(motion=one, made_by="descent", made_with=w) for one in motions if one is not None]
 
 
 def optimal_weights(costs: Float[Array, "n 2"], greatest: float) -> list[float]:

@@ -15,8 +15,8 @@ from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.plan import plan
 from graceful_plan.planners.anytime.auto import Auto
-from graceful_plan.query.goals import Goal
-from graceful_plan.query.ik import solve_ik
+from graceful_plan.query.endpoints.goals import Goal
+from graceful_plan.query.endpoints.ik import solve_ik
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.placement import Placement

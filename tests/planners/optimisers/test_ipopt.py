@@ -15,7 +15,7 @@ from graceful_plan.planners.optimisers.path_program import PathProgram
 from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.trees.rrt_connect import RRTConnect
-from graceful_plan.query.search import is_solution
+from graceful_plan.query.candidates.search import is_solution
 
 Array = np.ndarray
 

@@ -17,7 +17,7 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.trees.tool_rrt import _SpaceTree, _ToolSpace
-from graceful_plan.query.ends import Ends, find_ends
+from graceful_plan.query.endpoints.endpoints import Endpoints, find_endpoints
 
 _TASKS = (("desk", "lift_coffee"), ("kitchen_counter", "shelve_jar"), ("tabletop_l3", "near_to_blue"))
 """The straight edge is blocked in all of them."""
@@ -25,8 +25,8 @@ _TASKS = (("desk", "lift_coffee"), ("kitchen_counter", "shelve_jar"), ("tabletop
 
 def _problem(scene_name: str, task_name: str) -> tuple[SceneProblem, gp.Scene]:
     task = gp.load_scene(scene_name).tasks[task_name]
-    ends = find_ends(task.start, task.goal, SceneConstraints(task.scene, ()), np.random.default_rng(0))
-    assert isinstance(ends, Ends)
+    ends = find_endpoints(task.start, task.goal, SceneConstraints(task.scene, ()), np.random.default_rng(0))
+    assert isinstance(ends, Endpoints)
     goals = np.stack([arrival.q[0] for arrival in ends.arrivals])
     return SceneProblem(kernels=ends.constraints.kernels, start=ends.departure.q[-1], goals=goals), task.scene
 

@@ -7,10 +7,10 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.query.candidates.search import Search
 from graceful_plan.query.driving import answer
 from graceful_plan.query.driving.among.pacing import SHARES, Charges, Pieces, cheapest_law
 from graceful_plan.query.driving.among.walkers import Walkers
-from graceful_plan.query.search import Search
 from hall import hall
 
 SCENE = hall(extra="").edit(remove=["person", "pillar"])

@@ -22,12 +22,12 @@ from graceful_plan.exceptions import RetimingError, SettingError
 from graceful_plan.judge.straightness import straightness
 from graceful_plan.planners.motion_descent import time_price
 from graceful_plan.query.arguments import checked_objective, checked_seed, checked_speed
+from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.cartesian.following import Follower
 from graceful_plan.query.cartesian.line import ToolLine
-from graceful_plan.query.ends import constrained
-from graceful_plan.query.finish import verdict_of
-from graceful_plan.query.goals import Configuration, resolve_goal, resolve_start
-from graceful_plan.query.motions import Motion
+from graceful_plan.query.endpoints.endpoints import constrained
+from graceful_plan.query.endpoints.goals import Configuration, resolve_goal, resolve_start
+from graceful_plan.query.verification import verdict_of
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene

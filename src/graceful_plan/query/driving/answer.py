@@ -13,16 +13,24 @@ import numpy as np
 
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.answers.outcome import failed, problems, solved, until_last_steps
-from graceful_plan.query.deadline.quick import wants_it_soon
+from graceful_plan.query.candidates.motions import Motion
+from graceful_plan.query.candidates.search import ALL, Search, search
 from graceful_plan.query.driving.among.searching import search_among_walkers
 from graceful_plan.query.driving.candidates import Drives, Ordinary
+from graceful_plan.query.driving.clock import Clock, paces_of
+from graceful_plan.query.driving.last_steps import (
+    failed,
+    first_verified,
+    problems,
+    solved,
+    until_last_steps,
+    wants_it_soon,
+)
 from graceful_plan.query.driving.postures import BASE
-from graceful_plan.query.ends import Ends
-from graceful_plan.query.finish import Judged, first_verified
-from graceful_plan.query.motions import Motion
+from graceful_plan.query.driving.tight import rolling_endpoints
+from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import ALL, Search, search
+from graceful_plan.query.verification import Judged
 from graceful_plan.result import PlanResult
 
 _SHARE, _ARM_SHARE = 0.5, 0.3
@@ -38,18 +46,25 @@ _MOTIONS_SHARE = 0.7
 judged in time is not had."""
 
 
-def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.Generator) -> PlanResult:
+def driven_answer(request: Request, ends: Endpoints, budget: Budget, rng: np.random.Generator) -> PlanResult:
     """Search, time, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
+    rolling = rolling_endpoints(ends)
+    if isinstance(rolling, PlanResult):
+        return rolling
+    ends = rolling
     found, refused, stats = Search(), None, {}
+    elapsed, limit = budget.elapsed, budget.time_limit
+    clock = Clock(budget.started + limit, paces_of(request.objective.scene), max(limit - elapsed, 0.0))
+    budget.time_limit = until_last_steps(clock, elapsed)
     for problem in problems(request, ends):
-        drives = Drives(request=request, ends=ends, problem=problem, cancelled=budget.cancelled)
+        drives = Drives(request=request, ends=ends, problem=problem, clock=clock, cancelled=budget.cancelled)
         # Who listens is told of paths soon.
         chance, heard = copy.deepcopy(rng), request.callback is not None
         plain = Search() if heard else _plain(drives, budget, chance)
-        insured = first_verified(drives.stops(plain), request) if drives.walkers is not None else None
+        insured = first_verified(drives.stops(plain), request, clock) if drives.walkers is not None else None
         if _passed(insured):  # what comes later may come too late
             drives = replace(drives, insured=True)
-            budget.time_limit = until_last_steps(request, budget.elapsed, insured=True)
+            budget.time_limit = until_last_steps(clock, budget.elapsed, insured=True)
         # Among those who move a first motion may take longer than a search.
         early = not heard and (drives.walkers is None or _passed(insured))
         ordinary = drives.ordinary(plain, budget) if early else Ordinary()
@@ -58,21 +73,21 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         first = insured if _passed(insured) else _first(drives, drives.soon(ordinary), found)
         if found.paths and not _passed(insured):  # now it is known what timing and judging take here
-            budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
+            budget.time_limit = min(budget.time_limit, until_last_steps(clock, budget.elapsed))
         judged, soon = first, budget.cancelled() or wants_it_soon(found)
-        if not (_passed(first) and soon) and request.clock.may_do("timing", "judging"):
+        if not (_passed(first) and soon) and clock.may_do("timing", "judging"):
             if not (early or found.stopped):
                 ordinary = drives.ordinary(plain if plain.paths else _plain(drives, budget, chance), budget)
             with budget.share(_for_motions(found, budget)) as part:
                 candidates = drives.motions(found, ordinary, part, rng)
-            judged = _better(first_verified(candidates, request), first)
+            judged = _better(first_verified(candidates, request, clock), first)
         if judged is not None and judged.verdict.passed:
             judged = _in_full(judged, ordinary.reference, drives)
-            return solved(judged, (found, ends), request, budget, stats)
+            return solved(judged, found, ends, request, budget, stats)
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
-    return failed((found, ends), refused, "", budget, stats)
+    return failed(found, ends, refused, budget, stats)
 
 
 def _for_motions(found: Search, budget: Budget) -> float:
@@ -92,8 +107,8 @@ def _plain(drives: Drives, budget: Budget, rng: np.random.Generator) -> Search:
 
 def _first(drives: Drives, soon: list[Motion], found: Search) -> Judged | None:
     """Return a motion that is had should all others come too late."""
-    first = first_verified(soon, drives.request)
-    return first if _passed(first) else first_verified(drives.stops(found), drives.request) or first
+    first = first_verified(soon, drives.request, drives.clock)
+    return first if _passed(first) else first_verified(drives.stops(found), drives.request, drives.clock) or first
 
 
 def _searched(
@@ -117,7 +132,7 @@ def _in_full(judged: Judged, reference: Motion | None, drives: Drives) -> Judged
     reference = drives.in_full(reference)
     if reference.cost.total >= chosen.motion.cost.total:
         return chosen
-    other = first_verified([reference], drives.request)
+    other = first_verified([reference], drives.request, drives.clock)
     return other if other is not None and _passed(other) and not other.verdict.warnings else chosen
 
 

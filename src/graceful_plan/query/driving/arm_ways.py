@@ -9,8 +9,8 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.path import Path
-from graceful_plan.query.ends import Ends
-from graceful_plan.query.states.escape import TARGET_CLEARANCE
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 
 Array = np.ndarray
 
@@ -22,7 +22,7 @@ _SPREAD = (0.2, 1.5)
 """Standard deviation of theirs around what is between both ends [rad or m], from the nearest to the farthest."""
 
 
-def with_arm_ways(ends: Ends) -> Ends:
+def with_arm_ways(ends: Endpoints) -> Endpoints:
     """Return ends with a way round a corner for each goal that the arm does not reach straight from its posture now.
 
     The base then drives there as it is. Goals that are reached straight, or by moving the arm before, stay as well.

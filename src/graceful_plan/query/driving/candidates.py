@@ -16,18 +16,19 @@ from graceful_plan.path import Path
 from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.candidates.motions import Motion, costed, costed_anew, price_of_time
+from graceful_plan.query.candidates.search import KEPT, Search
 from graceful_plan.query.driving.among.pacing import paced
 from graceful_plan.query.driving.among.walkers import Walkers
+from graceful_plan.query.driving.clock import Clock
 from graceful_plan.query.driving.drives import joined_ends, smooth_all, stopping
 from graceful_plan.query.driving.postures import BASE
 from graceful_plan.query.driving.reposed import reposed
 from graceful_plan.query.driving.slowing import slower_where_it_pays
 from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.query.driving.stages import stages
-from graceful_plan.query.ends import Ends
-from graceful_plan.query.motions import Motion, charged, price_of_time, recharged
+from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import KEPT, Search
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.drive_curve import Drive, connected
 from graceful_plan.timing.retiming import retime, timed
@@ -79,13 +80,15 @@ class Drives:
         request: What is asked.
         ends: Both ends.
         problem: What was searched in.
+        clock: The time that the call has.
         cancelled: Whether the call is to end.
         insured: Whether there is a motion already that passes the judge.
     """
 
     request: Request
-    ends: Ends
+    ends: Endpoints
     problem: SceneProblem
+    clock: Clock
     cancelled: Callable[[], bool] = lambda: False
     insured: bool = False
     walkers: Walkers | None = field(init=False)
@@ -112,7 +115,7 @@ class Drives:
             return Ordinary()
         best, drive = made[0]
         along = [motion for motion, _ in self._timed(drive, best.path, best.arrival)]
-        return Ordinary(made, recharged(best, self._closely) if best.ranking < _INTO else None, along)
+        return Ordinary(made, costed_anew(best, self._closely) if best.ranking < _INTO else None, along)
 
     def soon(self, ordinary: Ordinary) -> list[Motion]:
         """Return motions that take no further search and no descent, the best first."""
@@ -150,7 +153,7 @@ class Drives:
         whole, arrival = self.ends.joined(searched.paths[-1])
         if whole.length == 0.0:
             scene = self.request.objective.scene
-            return [charged(whole, retime(whole, scene.limits, scene.joints), arrival, self.request)]
+            return [costed(whole, retime(whole, scene.limits, scene.joints), arrival, self.request)]
         made = self._timed(connected(list(stopping(whole.q))), whole, arrival)
         return sorted((motion for motion, _ in made), key=lambda one: one.ranking)
 
@@ -158,7 +161,7 @@ class Drives:
         """Return a motion charged for what was asked; ranked behind all others if it was."""
         if self.walkers is None:
             return motion
-        full = recharged(motion, replace(self.request, max_wait=0.0))
+        full = costed_anew(motion, replace(self.request, max_wait=0.0))
         return replace(full, ranking=full.ranking + _INTO * (motion.ranking >= _INTO))
 
     @property
@@ -263,12 +266,12 @@ class Drives:
         request, price = self.request, price_of_time(self.request)
         if self.walkers is not None:
             return [(motion, drive) for motion in self._in_time(drive, whole, arrival, self.walkers)]
-        with request.clock.measured("timing"):
+        with self.clock.measured("timing"):
             try:
                 fast = self._trajectory(drive)
-                found = [charged(whole, fast, arrival, request)]
+                found = [costed(whole, fast, arrival, request)]
                 if (slower := slower_where_it_pays(drive, fast, request.objective, price)) is not None:
-                    found.append(charged(whole, self._trajectory(drive, slower), arrival, request))
+                    found.append(costed(whole, self._trajectory(drive, slower), arrival, request))
             except RetimingError:
                 return []
         return [(motion, drive) for motion in found]
@@ -276,7 +279,7 @@ class Drives:
     def _in_time(self, drive: Drive, whole: Path, arrival: int, walkers: Walkers) -> Iterator[Motion]:
         """Do so among those who move, charged closely; motions that drive into somebody rank behind all others."""
         request = self._closely
-        with request.clock.measured("timing"):
+        with self.clock.measured("timing"):
             try:
                 fast = self._trajectory(drive)
                 slower, wait = paced(
@@ -288,7 +291,7 @@ class Drives:
             except RetimingError:
                 return
             for trajectory in laws:
-                motion = charged(whole, trajectory, arrival, request)
+                motion = costed(whole, trajectory, arrival, request)
                 yield replace(motion, ranking=motion.ranking + _INTO * walkers.meets(trajectory))
 
     def _trajectory(self, drive: Drive, slower: Restraint | None = None) -> Trajectory:
@@ -303,7 +306,7 @@ class Drives:
         return request.constraints.timed(timing)
 
     def _has_plenty(self) -> bool:
-        return self.request.clock.has_plenty("timing", "judging", insured=self.insured)
+        return self.clock.has_plenty("timing", "judging", insured=self.insured)
 
 
 def _wait(trajectory: Trajectory) -> float | None:

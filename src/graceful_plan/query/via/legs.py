@@ -20,10 +20,10 @@ from graceful_plan.exceptions import RetimingError
 from graceful_plan.judge.passing import passing
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
-from graceful_plan.query.finish import verdict_of
-from graceful_plan.query.goals import Configuration, Goal, poses_of
-from graceful_plan.query.motions import Motion, recharged
+from graceful_plan.query.candidates.motions import Motion, costed_anew
+from graceful_plan.query.endpoints.goals import Configuration, Goal, poses_of
 from graceful_plan.query.request import Request
+from graceful_plan.query.verification import verdict_of
 from graceful_plan.query.via.stages import Stages, find_stages
 from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -145,14 +145,14 @@ class _Joining:
             if curve is None:
                 continue
             try:
-                motion = self._charged(held.timed(self._timing(curve)))
+                motion = self._costed(held.timed(self._timing(curve)))
             except RetimingError as error:
                 why = str(error)
                 continue
             (clear if self._is_clear(curve) else others).append(motion)
         # Closer curves are the likelier to be free where the fast checker cannot tell.
         smooth = [*sorted(clear, key=lambda motion: motion.ranking), *reversed(others)][:_MOST_JUDGED]
-        stopping = self._charged(one_after_the_other(trajectories))
+        stopping = self._costed(one_after_the_other(trajectories))
         refused: Verdict | None = None
         for motion in (*smooth, stopping):
             verdict = self._verdict(motion)
@@ -165,9 +165,9 @@ class _Joining:
         detail = f"the judge refused the motion as a whole: {told}"
         return PlanResult(status=PlanStatus.INFEASIBLE, detail=detail, verdict=verdict)
 
-    def _charged(self, trajectory: Trajectory) -> Motion:
+    def _costed(self, trajectory: Trajectory) -> Motion:
         bare = Motion(path=trajectory.path, trajectory=trajectory, cost=CostBreakdown(), arrival=0, ranking=np.inf)
-        return recharged(bare, self.request)
+        return costed_anew(bare, self.request)
 
     def _is_clear(self, curve: Spline) -> bool:
         n = 2 + int(Path(curve.controls).length / _LOOKED_AT)

@@ -97,8 +97,15 @@ class Connect {
   void skip_direct() { tried_direct_ = true; }
 
  private:
+  // The nearest goal that a free edge leads to.
   bool connect_directly() {
-    for (const Point& goal : goals_) {
+    std::vector<const Point*> nearest;
+    for (const Point& goal : goals_) nearest.push_back(&goal);
+    std::stable_sort(nearest.begin(), nearest.end(), [&](const Point* a, const Point* b) {
+      return space_.distance(start_.data(), a->data()) < space_.distance(start_.data(), b->data());
+    });
+    for (const Point* at : nearest) {
+      const Point& goal = *at;
       if (!std::isinf(bound_) && space_.cost(start_.data(), goal.data()) >= bound_) continue;
       if (!space_.edge_free(start_.data(), goal.data()) || !space_.edge_certain(start_.data(), goal.data())) continue;
       path_ = {start_, goal};

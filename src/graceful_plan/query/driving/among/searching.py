@@ -16,9 +16,9 @@ from graceful_plan.path import Path
 from graceful_plan.planners.driving.floor_in_time import FloorInTime
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.candidates.search import ALL, Search, is_solution, search
 from graceful_plan.query.driving.among.walkers import Walkers
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import ALL, Search, is_solution, search
 
 
 def search_among_walkers(

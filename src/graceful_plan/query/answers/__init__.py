@@ -1,1 +1,0 @@
-"""From ends to a result: search, time, judge, and again more cautiously."""

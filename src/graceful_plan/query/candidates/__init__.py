@@ -1,0 +1,1 @@
+"""Timed motions that get better, and the searches, descents and timings that they come from."""

@@ -1,0 +1,93 @@
+"""Timed motions that get better: the first one soon, then rounds of search and descents, each longer than the last.
+
+A round does not depend on how much time is left, so that a call with more time does what one with less does, and then
+more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.answer import BestVerified
+from graceful_plan.query.candidates.motion_source import MotionSource
+from graceful_plan.query.candidates.motions import Motion
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.query.request import Request
+
+_CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
+"""Clearance to keep [m] and step of edge checks [rad], of the first search and of those after the judge refused."""
+_FIRST_ROUND_SECONDS, _FIRST_ROUND_ITERATIONS = 0.05, 60
+"""Work of the first round; each other does twice as much as the one before."""
+
+
+def candidates(
+    request: Request, ends: Endpoints, budget: Budget, rng: np.random.Generator, best: BestVerified
+) -> Iterator[Motion]:
+    """Yield motions to verify until the budget ends or `best` needs no more.
+
+    While the judge refuses all motions near a first path, the search begins again with more clearance.
+
+    Args:
+        request: What to plan.
+        ends: Both ends.
+        budget: For everything.
+        rng: Chance.
+        best: The best of the motions that were yielded and have passed the judge.
+    """
+    problems = [problem for problem in _more_and_more_cautious(request, ends)]
+    for problem in problems:
+        source = MotionSource(request, ends, problem, rng)
+        best.searched = found = source.search_first(budget)
+        if found.paths:
+            best.tell(found.trace[-1])
+            try:
+                for motion in source.first(budget):
+                    yield motion
+                    if best.motion is not None:
+                        break
+            except RetimingError as error:
+                best.why_not = str(error)
+        if best.ended or budget.exhausted or not (found.paths or found.refused):
+            return
+        if best.motion is not None or problem is problems[-1]:
+            for part in rounds(budget, restarts=source.restarts):
+                before = best.ranking
+                yield from source.round(part, before)
+                if best.ended or best.converged(before):
+                    break
+            return
+
+
+def rounds(budget: Budget, *, restarts: bool = True) -> Iterator[Budget]:
+    """Divide a budget into rounds, each twice as long as the one before; the last one takes what is left.
+
+    Without restarts of the search there is one round.
+    """
+    seconds, iterations = _FIRST_ROUND_SECONDS, _FIRST_ROUND_ITERATIONS
+    while not budget.exhausted:
+        timed = restarts and budget.timed and budget.remaining_seconds > 2.0 * seconds
+        counted = restarts and budget.remaining_iterations > 2 * iterations
+        with budget.share(seconds if timed else np.inf, iterations if counted else np.inf) as part:
+            yield part
+        if not restarts or (not budget.timed and part.spent == 0):
+            return  # without a clock, a search that has ended by itself ends the call
+        seconds, iterations = 2.0 * seconds, 2 * iterations
+
+
+def _more_and_more_cautious(request: Request, ends: Endpoints) -> Iterator[SceneProblem]:
+    """Yield problems that keep more and more clearance."""
+    for margin, check_step in _CAUTION:
+        yield SceneProblem(
+            kernels=request.constraints.kernels,
+            start=ends.departure.q[-1],
+            goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
+            margin=min(margin, 0.5 * ends.clearance),
+            check_step=check_step,
+            constraints=request.constraints,
+        )

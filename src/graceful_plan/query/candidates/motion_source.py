@@ -1,0 +1,167 @@
+"""Motions from paths: a search finds paths, curves descend from them, and these are timed.
+
+Each round searches from scratch, since a search stays in one homotopy class, and which class has the best motion shows
+only once its paths are smooth and timed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.path import Path
+from graceful_plan.planners.anytime.auto import Auto
+from graceful_plan.planners.motion_descent import DescentResult, Start
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.candidates.departure import search_among_moving
+from graceful_plan.query.candidates.descents import motion_descents, start_along, start_of
+from graceful_plan.query.candidates.motions import Motion, along, costed_anew, timed_curve
+from graceful_plan.query.candidates.related import related_objective
+from graceful_plan.query.candidates.search import PausedSearch, Search, thinned
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.query.request import Request
+
+_SEARCH_SHARE = 0.15
+"""Of a round, for searching paths; the rest is for descents from them."""
+_SPECIAL_SEARCH_SHARE = 0.7
+"""The same of searches that rank their paths by a risk measure or by times of departure, which descents do not know."""
+_RELATED_SHARE, _RELATED_ALONE_SHARE = 0.65, 0.1
+"""Of a round, for motions of a related objective; the latter where the full one has no descents."""
+_RELATED_KEPT = 2
+"""Motions of a related objective that descend along the full one."""
+_STARTS = 5
+"""Paths of a search that descents begin with."""
+_WORTH_TIMING = 1.1
+"""A curve is timed if its J is at most so many times that of the best; descents misjudge durations by some percent."""
+_FIRST_DESCENT = 0.01
+"""Time limit of the first descent of a cancelled call [s]."""
+
+
+@final
+class MotionSource:
+    """Makes motions for a request, each timed and with its cost, none of them verified.
+
+    Args:
+        request: What to plan.
+        ends: Both ends.
+        problem: Where to search.
+        rng: Chance.
+    """
+
+    def __init__(self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator) -> None:
+        self._request, self._ends, self._problem, self._rng = request, ends, problem, rng
+        self._first = PausedSearch(request.planner, problem, request.objective, rng.spawn(1)[0])
+        self._continues = True
+        self._descents = motion_descents(request, problem) if request.refine else None
+        self._results: list[DescentResult] = []
+        self._related: MotionSource | None = None
+        related = related_objective(request.objective) if request.refine and request.preference is None else None
+        if related is not None:
+            self._related = MotionSource(replace(request, objective=related), ends, problem, rng)
+
+    @property
+    def restarts(self) -> bool:
+        """Whether each round searches anew; else there is one search."""
+        request = self._request
+        default = isinstance(request.planner, Auto) and request.planner.initial is None
+        return default and request.refine and request.preference is None and not request.objective.scene.moving
+
+    def search_first(self, budget: Budget) -> Search:
+        """Search until there is a path; return what was found."""
+        if self._related is not None:
+            return self._related.search_first(budget)
+        self._first.advance(budget, to_first=True)
+        return self._first.found
+
+    def first(self, budget: Budget) -> Iterator[Motion]:
+        """Yield motions near the first path: a smooth one, then those along the path itself.
+
+        Raises:
+            RetimingError: If the path has no timing.
+        """
+        if self._related is not None:
+            yield from (costed_anew(motion, self._request) for motion in self._related.first(budget))
+            return
+        path = self._first.found.paths[-1]
+        if self._descents is not None and path.length > 0.0:
+            # A cancelled call has no budget left, but the first descent takes a millisecond.
+            limit = Budget(time_limit=_FIRST_DESCENT) if budget.cancelled() else budget
+            result = self._descents.first(start_of(path, self._ends), limit)
+            motion = None if result is None else timed_curve(result, self._request, self._ends)
+            if motion is not None:
+                yield motion
+        yield from along(path, self._request, self._ends)
+
+    def round(self, budget: Budget, best: float) -> Iterator[Motion]:
+        """Yield motions of one round; of those that descend, the ones that are ranked before the best one known."""
+        starts: list[Start] = []
+        if self._related is not None:
+            share = _RELATED_SHARE if self._descents is not None else _RELATED_ALONE_SHARE
+            with budget.share(share * budget.remaining_seconds, share * budget.remaining_iterations) as part:
+                motions = sorted(self._related.round(part, np.inf), key=_ranking)[:_RELATED_KEPT]
+            for motion in motions:
+                starts.append(start_along(motion.path, motion.arrival, self._ends))
+                yield costed_anew(motion, self._request)
+        if self._related is None or not isinstance(self._request.objective.objective.impact, ImpactCost):
+            found = self._search(budget, starts[0].path if starts else None)
+            starts += [start_of(path, self._ends) for path in _spread(found.paths)]
+            if self._descents is None or not self.restarts:
+                yield from self._along(found)
+        if self._descents is not None:
+            yield from self._descended(starts, budget, best)
+
+    def _descended(self, starts: list[Start], budget: Budget, best: float) -> Iterator[Motion]:
+        assert self._descents is not None
+        starts = [start for start in starts if start.path.length > 0.0]
+        for result in self._descents.round(starts, budget, self._rng, self._results):
+            self._results.append(result)
+            if result.value <= _WORTH_TIMING * min(best, *(other.value for other in self._results)):
+                motion = timed_curve(result, self._request, self._ends)
+                if motion is not None and motion.ranking < best:
+                    best = motion.ranking
+                    yield motion
+
+    def _along(self, found: Search) -> Iterator[Motion]:
+        """Yield a motion along each of the last paths of a search, the best first."""
+        for path in reversed(found.paths[-_STARTS:]):
+            try:
+                yield next(along(path, self._request, self._ends))
+            except RetimingError:
+                continue
+
+    def _search(self, budget: Budget, initial: Path | None) -> Search:
+        """Search for paths in a share of the budget, beginning with an initial path if there is one."""
+        request, problem, planner = self._request, self._problem, self._request.planner
+        if request.preference is not None or request.objective.scene.moving:
+            with budget.share(_SPECIAL_SEARCH_SHARE * budget.remaining_seconds) as part:
+                if request.preference is not None:
+                    return request.preference.search(planner, problem, part, self._rng)
+                return search_among_moving(request, problem, self._ends, part, self._rng)
+        run = self._first
+        if not self._continues or initial is not None:
+            if initial is not None and isinstance(planner, Auto) and planner.initial is None:
+                planner = replace(planner, initial=initial)
+            run = PausedSearch(planner, problem, request.objective, self._rng.spawn(1)[0])
+        self._continues = False
+        share = 1.0 if self._descents is None else _SEARCH_SHARE
+        with budget.share(share * budget.remaining_seconds) as part:
+            run.advance(part)
+        return run.found
+
+
+def _spread(paths: list[Path]) -> list[Path]:
+    """Return some of the improvements of a search, the last ones most densely, and the first."""
+    if not paths:
+        return []
+    chosen = [*thinned(len(paths))[: _STARTS - 1], 0]
+    return [paths[k] for k in dict.fromkeys(chosen)]
+
+
+def _ranking(motion: Motion) -> float:
+    return motion.ranking

@@ -1,0 +1,131 @@
+"""Timed motions: a curve or a polyline becomes a trajectory, and its cost is that of the motion as it is executed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.path import Path
+from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, time_price
+from graceful_plan.query.candidates.departure import best_departure
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.query.request import Request
+from graceful_plan.result import CostBreakdown
+from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
+from graceful_plan.timing.retiming import retime, timed
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
+"""How far a motion may cut a corner of a polyline [rad], from fast to exact; with 0 it stops at the corner."""
+_CHECKED = 1000
+"""Configurations of a motion that the fast checker looks at."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A timed motion that is not verified yet."""
+
+    path: Path
+    trajectory: Trajectory
+    cost: CostBreakdown
+    arrival: int
+    """Which of the ways to a goal it takes; see `Endpoints`."""
+    ranking: float
+    """Cost that motions are compared by."""
+    estimate: float | None = None
+    """Total cost at the end of the descent that it comes from, if any."""
+
+
+def timed_curve(found: DescentResult, request: Request, ends: Endpoints) -> Motion | None:
+    """Time the curve of a descent; None if no timing keeps the constraints, or the motion collides."""
+    scene, arrival = request.objective.scene, found.start.arrival
+    try:
+        trajectory = request.constraints.timed(
+            lambda limits: timed(found.curve, scene.limits, scene.joints, speed=request.speed, restraint=limits)
+        )
+    except RetimingError:
+        return None
+    if ends.in_the_clear(arrival) and not _is_free(trajectory, request.constraints):
+        return None
+    motion = costed(trajectory.path, trajectory, arrival, request)
+    return replace(motion, estimate=found.value - price_of_time(request) * trajectory.duration)
+
+
+def along(path: Path, request: Request, ends: Endpoints) -> Iterator[Motion]:
+    """Yield motions along a polyline that cut its corners less and less, at first as far as the fast checker allows.
+
+    Raises:
+        RetimingError: If even the last of them has no timing.
+    """
+    whole, arrival = ends.joined(path)
+    clear = ends.in_the_clear(arrival)
+    choices = (_free_deviations(whole, request) if clear else DEVIATIONS[0], *DEVIATIONS[1:])
+    for deviation in choices:
+        try:
+            yield _rounded(whole, deviation, arrival, request)
+        except RetimingError:
+            if deviation is choices[-1]:
+                raise
+
+
+def costed(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
+    """Return a motion with its cost; where something moves, the motion waits for the best moment to start."""
+    objective = request.objective
+    if objective.scene.moving:
+        trajectory, cost = best_departure(trajectory, objective, request.max_wait)
+    else:
+        cost = objective.breakdown(trajectory)
+    total = cost.total if request.preference is None else request.preference.total(trajectory)
+    ranking = total + price_of_time(request) * trajectory.duration
+    return Motion(path=whole, trajectory=trajectory, cost=cost, arrival=arrival, ranking=ranking)
+
+
+def costed_anew(motion: Motion, request: Request) -> Motion:
+    """Return the same motion with its cost by another request."""
+    return costed(motion.path, motion.trajectory, motion.arrival, request)
+
+
+def price_of_time(request: Request) -> float:
+    """Return the cost of a second of motion when motions are compared [rad/s]."""
+    if request.objective.scene.base is not None:
+        return DRIVING_TIME_PRICE
+    return time_price(careful=request.constraints.level)
+
+
+def _rounded(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
+    """Time a polyline whose corners are cut by so much [rad]."""
+    scene = request.objective.scene
+    trajectory = request.constraints.timed(
+        lambda limits: retime(
+            whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=limits
+        )
+    )
+    return costed(whole, trajectory, arrival, request)
+
+
+def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
+    """Return how far each corner can be cut before something comes too close [rad]."""
+    q = merge_near_vertices(whole)
+    chosen = np.full(max(0, len(q) - 2), DEVIATIONS[0])
+    kernels = request.constraints.kernels
+    for wider, narrower in pairwise(DEVIATIONS):
+        open_ = np.flatnonzero(chosen == wider)
+        if len(open_) == 0:
+            break
+        corners = rounded_corners(q, wider)[open_]
+        free = kernels.free(corners.reshape(-1, q.shape[1])).reshape(corners.shape[:2]).all(axis=1)
+        chosen[open_[~free]] = narrower
+    return chosen
+
+
+def _is_free(trajectory: Trajectory, constraints: SceneConstraints) -> bool:
+    samples = trajectory.sample(max(trajectory.duration / _CHECKED, 1e-3)).q
+    return bool(np.all(constraints.kernels.free(samples)))

@@ -1,1 +1,0 @@
-"""Calls that end in time: a clock, and motions that come quickly."""

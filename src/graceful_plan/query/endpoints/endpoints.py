@@ -1,0 +1,172 @@
+"""Both ends of a plan: start and goals with clearance, and the short ways between them and the real ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.judge.exact import nearest_pair
+from graceful_plan.path import Path
+from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE, way_out
+from graceful_plan.query.endpoints.goals import Configuration, Goal, has_poses, resolve_goal, resolve_start
+from graceful_plan.query.endpoints.usable import Resolved
+from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_SHARE_OF_GOALS = 0.6
+"""Of the time, for inverse kinematics: what it has found by then is what there is to choose from."""
+_SHARE_OF_SETS, _SHARE_OF_WAYS = 0.2, 0.3
+"""Of the time, for exact geometry's look at more configurations once one is usable, and for ways out of more of them
+once one has clearance: the nearest come first, and a motion to one of them is worth more than a look at another."""
+_TOLD = 5
+"""Goals that are told what they are lacking."""
+_NO_WAY = "{}: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Endpoints:
+    """Where the planner starts and where it may end, and how that is reached and left."""
+
+    constraints: SceneConstraints
+    """What has to hold on the way."""
+    departure: Path
+    """From the real start to where the planner starts."""
+    arrivals: tuple[Path, ...]
+    """From where the planner may end to the real goals."""
+    goal_index: tuple[int, ...]
+    """Which of the given goals each arrival leads to."""
+    notes: tuple[str, ...] = ()
+    """What was adjusted to make them usable."""
+
+    @property
+    def clearance(self) -> float:
+        """Least clearance of the planner's start and goals [m]; at least 0."""
+        q = np.stack([self.departure.q[-1], *(arrival.q[0] for arrival in self.arrivals)])
+        return max(0.0, float(self.constraints.clearance(q).min()))
+
+    def joined(self, path: Path) -> tuple[Path, int]:
+        """Return the whole path, from the real start to a real goal, and which arrival it takes."""
+        away = [float(np.linalg.norm(arrival.q[0] - path.q[-1])) for arrival in self.arrivals]
+        index = int(np.argmin(away))
+        q = np.concatenate([self.departure.q[:-1], path.q, self.arrivals[index].q[1:]])
+        return Path(q).without_duplicates(), index
+
+    def in_the_clear(self, index: int) -> bool:
+        """Whether a whole path is free by the fast checker's account: there are no ways out in it."""
+        return len(self.departure) == 1 and len(self.arrivals[index]) == 1
+
+
+def find_endpoints(
+    start: Configuration,
+    goal: Goal,
+    constraints: SceneConstraints,
+    rng: np.random.Generator,
+    *,
+    seed: int = 0,
+    cancelled: Callable[[], bool] = lambda: False,
+    late: Callable[[float], bool] = lambda _: False,
+) -> Endpoints | PlanResult:
+    """Turn start and goal as users give them into both ends of a plan, or a result that says why there are none.
+
+    Args:
+        start: Configuration or keyframe.
+        goal: Configuration, keyframe, several of them, or a pose.
+        constraints: What has to hold, and where.
+        rng: For ways out of tight places.
+        seed: Of the random numbers of inverse kinematics.
+        cancelled: Endpoints it early.
+        late: Whether more than a share of the time for everything is over.
+
+    Raises:
+        GracefulPlanError: For misuse: wrong shapes, NaN, names that do not exist.
+    """
+    scene = constraints.scene
+    starts = constrained("start", resolve_start(start, scene), constraints)
+    if not len(starts.q):
+        return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
+    found = resolve_goal(
+        goal,
+        scene,
+        starts.q[0],
+        seed=seed,
+        cancelled=lambda: cancelled() or late(_SHARE_OF_GOALS),
+        hurried=lambda: late(_SHARE_OF_SETS),
+    )
+    goals = constrained("goal", found, constraints)
+    if cancelled():
+        return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
+    if not len(goals.q) and has_poses(goal) and late(_SHARE_OF_GOALS):
+        return PlanResult(status=PlanStatus.TIMEOUT, detail=f"no time to look for more; {goals.detail}")
+    if not len(goals.q):
+        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=goals.detail)
+    held = constraints.around(np.vstack([starts.q[:1], goals.q]))
+    ends = ways_out(starts.q[0], goals.q, held, rng, cancelled, late)
+    if isinstance(ends, PlanResult):
+        return ends
+    index = tuple(goals.index[k] for k in ends.goal_index)
+    return replace(ends, goal_index=index, notes=(*starts.notes, *goals.notes))
+
+
+def constrained(word: str, resolved: Resolved, constraints: SceneConstraints) -> Resolved:
+    """Return the configurations that keep the constraints, and what the others are lacking."""
+    holds = constraints.holds(resolved.q) if len(resolved.q) else np.ones(0, dtype=bool)
+    kept = np.flatnonzero(holds)
+    told = tuple(f"{word}: {'; '.join(constraints.objections(q))}" for q in resolved.q[~holds][:_TOLD])
+    index = tuple(resolved.index[k] for k in kept)
+    return Resolved(resolved.q[kept], index, resolved.notes, (*resolved.problems, *told))
+
+
+def ways_out(
+    start: Float[Array, " nq"],
+    goals: Float[Array, "goal nq"],
+    constraints: SceneConstraints,
+    rng: np.random.Generator,
+    cancelled: Callable[[], bool] = lambda: False,
+    late: Callable[[float], bool] = lambda _: False,
+) -> Endpoints | PlanResult:
+    """Find a way from the start, and to as many goals as have one; a result that says so if there is none."""
+
+    def over() -> bool:
+        return cancelled() or late(1.0)
+
+    departure = way_out(start, constraints, rng, over=over)
+    if departure is None and over():
+        return _ended(cancelled())
+    if departure is None:
+        return PlanResult(status=PlanStatus.INVALID_START, detail=_no_way("start", start, constraints.scene))
+    clear = constraints.clearance(goals) >= TARGET_CLEARANCE
+    ways = [(int(k), Path(goals[k : k + 1])) for k in np.flatnonzero(clear)]
+    tight = np.flatnonzero(~clear)
+    nearest = tight[np.argsort(np.linalg.norm(goals[tight] - start, axis=1), kind="stable")]
+    for tried, k in enumerate(nearest):
+        if (over() and (tried or ways)) or (ways and late(_SHARE_OF_WAYS)):
+            break
+        found = way_out(goals[k], constraints, rng, over=over)
+        ways += [(int(k), found.reversed())] if found is not None else []
+    arrivals = sorted(ways, key=lambda way: way[0])
+    if cancelled() or (not arrivals and late(1.0)):
+        return _ended(cancelled())
+    if not arrivals:
+        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_no_way("goal", goals[0], constraints.scene))
+    index, paths = zip(*arrivals, strict=True)
+    return Endpoints(constraints=constraints, departure=departure, arrivals=paths, goal_index=index)
+
+
+def _no_way(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
+    """Say that nothing leads out of a tight place, and what is tight there."""
+    told, near = _NO_WAY.format(word), nearest_pair(q, scene)
+    if near is None:
+        return told
+    pair = ", ".join(repr(name.partition("#")[0]) for name in near[:2])  # of unnamed geoms their body
+    away = f"{near.first} is {-1e3 * near.depth:.3g} mm from {near.second}"
+    return f"{told}; {away}; if they may touch, say AllowedContact({pair})"
+
+
+def _ended(cancelled: bool) -> PlanResult:
+    return PlanResult(status=PlanStatus.CANCELLED if cancelled else PlanStatus.TIMEOUT, detail="before the search")

@@ -1,0 +1,139 @@
+"""Which configurations may be used as they are: within the limits and free of collision, or in words why not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.judge.exact import exactly_free, state_contacts
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+CLAMPED = 1e-6
+"""How far outside of a position limit [rad or m] a configuration is moved onto it instead of being refused."""
+MOST_GOALS = 1000
+"""Configurations to plan for: each is the root of a tree."""
+_PROVED_AT_A_TIME, _AT_A_TIME = 1024, 64
+"""Configurations that spheres look at together, and exact geometry between two looks at the clock."""
+_TOLD = 5
+"""Configurations that are told by name why they cannot be used, or were moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Resolved:
+    """Configurations that may be used, and what happened to the others.
+
+    | field    | meaning                                                        | unit     | shape   |
+    |----------|----------------------------------------------------------------|----------|---------|
+    | q        | configurations inside the limits and free of collision         | rad or m | usable nq |
+    | index    | which of the given configurations each of them is; 0 for poses |          | usable  |
+    | notes    | what was adjusted                                              |          |         |
+    | problems | why the others cannot be used                                  |          |         |
+    """
+
+    q: Float[Array, "usable nq"]
+    index: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    @property
+    def detail(self) -> str:
+        """Everything there is to say, in one line."""
+        return "; ".join([*self.notes, *self.problems])
+
+
+def usable(
+    words: Sequence[str],
+    q: Float[Array, "n nq"],
+    scene: Scene,
+    start: Float[Array, " nq"],
+    *,
+    cancelled: Callable[[], bool] = lambda: False,
+    hurried: Callable[[], bool] = lambda: False,
+) -> Resolved:
+    """Return those within the limits and free of collision, in the order given, and what the others are lacking.
+
+    They are looked at from the nearest on, no further than for `MOST_GOALS` that are usable: first by spheres that
+    prove them free, then by exact geometry.
+
+    Args:
+        words: What to call each of them.
+        q: The configurations [rad or m].
+        scene: Where.
+        start: What they are near to.
+        cancelled: Endpoints exact geometry's look at them.
+        hurried: Endpoints it once any is known to be usable.
+    """
+    lower, upper = scene.limits.position.T
+    inside = np.clip(q, lower, upper)
+    excess = np.abs(q - inside).max(axis=1)
+    outside, moved = np.flatnonzero(excess > CLAMPED), np.flatnonzero((excess > 0) & (excess <= CLAMPED))
+    notes = [f"{_beyond(words[i], q[i], scene)}; moved onto it" for i in map(int, moved[:_TOLD])]
+    notes += [f"so were {len(moved) - _TOLD} more"] if len(moved) > _TOLD else []
+
+    within = np.flatnonzero(excess <= CLAMPED)
+    nearest = within[np.argsort(np.linalg.norm(inside[within] - start, axis=1), kind="stable")]
+    free, blocked, unseen = _sorted_out(inside[nearest], scene, cancelled, hurried)
+    problems = [_beyond(words[i], q[i], scene) for i in map(int, outside[:_TOLD])]
+    problems += [f"no time to look at {unseen} of {len(q)}"] if unseen else []
+    problems += [collision(words[i], inside[i], scene) for i in map(int, nearest[blocked[:_TOLD]])]
+    untold = len(outside[_TOLD:]) + len(blocked[_TOLD:])
+    problems += [f"{untold} more of {len(q)} likewise"] if untold else []
+    if len(free) > MOST_GOALS:
+        notes.append(f"of {len(q)} goals, the {MOST_GOALS} nearest to the start that are free are planned for")
+        free = free[:MOST_GOALS]
+    index = np.sort(nearest[free])
+    return Resolved(inside[index], tuple(index.tolist()), tuple(notes), tuple(problems))
+
+
+def _sorted_out(
+    q: Float[Array, "n nq"], scene: Scene, cancelled: Callable[[], bool], hurried: Callable[[], bool]
+) -> tuple[list[int], list[int], int]:
+    """Return which configurations are free and which collide, both in order, and of how many that is not known.
+
+    It ends once more than `MOST_GOALS` are free.
+    """
+    proof = compile_scene(scene).proof
+    free, blocked, looked_at, unseen = [], [], 0, 0
+    for first in range(0, len(q), _PROVED_AT_A_TIME):
+        some = np.arange(first, min(first + _PROVED_AT_A_TIME, len(q)))
+        proved = proof.free(q[some]) if len(q) > 1 else np.zeros(1, dtype=bool)
+        found, doubtful = some[proved].tolist(), some[~proved]
+        for k in range(0, len(doubtful), _AT_A_TIME):
+            if looked_at and (cancelled() or (hurried() and (free or found))):
+                unseen += len(doubtful) - k
+                break
+            ok = exactly_free(q[doubtful[k : k + _AT_A_TIME]], scene)
+            found += doubtful[k : k + _AT_A_TIME][ok].tolist()
+            blocked += doubtful[k : k + _AT_A_TIME][~ok].tolist()
+            looked_at += len(ok)
+        free += sorted(found)
+        if len(free) > MOST_GOALS:
+            break
+    return free, blocked, unseen
+
+
+def _beyond(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
+    """Say which joint is the farthest outside of its limits."""
+    lower, upper = scene.limits.position.T
+    inside = np.clip(q, lower, upper)
+    worst = int(np.argmax(np.abs(q - inside)))
+    limit = f"{'lower' if q[worst] < lower[worst] else 'upper'} limit {inside[worst]:.9g}"
+    return f"{word}: joint {scene.joints[worst]!r} is at {q[worst]:.9g}, beyond its {limit}"
+
+
+def collision(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
+    """Say what is deepest in collision; nothing if it is free."""
+    contacts = state_contacts(q, scene)
+    if not contacts:
+        return ""
+    deepest = contacts[0]
+    more = f" and {len(contacts) - 1} more" if len(contacts) > 1 else ""
+    pair = ", ".join(repr(name.partition("#")[0]) for name in deepest[:2])  # of unnamed geoms their body
+    told = f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.second}{more}"
+    return f"{told}; if they may touch, say AllowedContact({pair})"

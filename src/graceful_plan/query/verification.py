@@ -1,0 +1,69 @@
+"""From a motion to a verdict: every motion that `plan` returns has passed the independent judge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.judge.verification import Verification, verify
+from graceful_plan.query.candidates.motions import Motion
+from graceful_plan.query.request import Request
+from graceful_plan.result import Verdict
+from graceful_plan.scene.pose_goal import PoseGoal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """A motion and the judge's verdict on it."""
+
+    motion: Motion
+    verdict: Verdict
+
+
+def judged(motion: Motion, request: Request) -> Judged:
+    """Ask the judge about a motion that was made for a request."""
+    pose = request.pose(motion.arrival)
+    verdict = verdict_of(motion, request.objective, request.constraints, pose, request.verification)
+    return Judged(motion=motion, verdict=verdict)
+
+
+def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None:
+    """Return the first motion that passes the judge, else the first one with its violations; None without motions."""
+    refused: Judged | None = None
+    for motion in motions:
+        found = judged(motion, request)
+        if found.verdict.passed:
+            return found
+        refused = refused or found
+    return refused
+
+
+def verdict_of(
+    motion: Motion,
+    objective: SceneObjective,
+    constraints: SceneConstraints,
+    pose: PoseGoal | None = None,
+    verification: Verification | None = None,
+) -> Verdict:
+    """Verify a motion from the first to the last vertex of its path, or to a pose."""
+    scene, looks = objective.scene, verification or Verification()
+    impact, exposure = objective.objective.impact, objective.objective.exposure
+    # The judge recomputes the published model over length or time; other costs have no second implementation.
+    published = isinstance(impact, ImpactCost) and impact.is_published()
+    recomputable = published and not scene.moving and objective.motion_is_length and exposure != "waypoints"
+    return verify(
+        motion.trajectory,
+        scene,
+        start=motion.path.q[0],
+        goal=motion.path.q[-1] if pose is None else pose,
+        cost=motion.cost if recomputable else None,
+        components=impact.components if isinstance(impact, ImpactCost) else (),
+        exposure=exposure,
+        constraints=constraints.constraints,
+        step=looks.step,
+        clearance=None if looks.everywhere else compile_scene(scene).proof.clearance,
+    )
