@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
-from graceful_plan.compare import Answer
+from graceful_plan.compare import BestMotion
 from graceful_plan.compare.runs.best_motions import Attempt
 from graceful_plan.compare.runs.runner import PlannerJob
 
@@ -62,7 +62,7 @@ def _was_done(job: PlannerJob, runs: list[Attempt]) -> bool:
     return any(run.planner == label and run.seed == seed and run.seconds >= job.seconds for run in runs)
 
 
-def _row(name: str, best: Answer | None, runs: list[Attempt]) -> list[str]:
+def _row(name: str, best: BestMotion | None, runs: list[Attempt]) -> list[str]:
     failed = sum(run.total is None for run in runs)
     if best is None:
         return [name, "none", "", "", "", str(len(runs)), str(failed), ""]

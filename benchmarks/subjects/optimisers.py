@@ -84,7 +84,7 @@ def optimisers() -> dict[str, type[Planner]]:
 
 
 def run(options: suite.Options) -> str:
-    """Answer the three questions."""
+    """BestMotion the three questions."""
     seeds, points = options.pick((3, 100), quick=(1, 20))
     analytic_seconds, path_seconds, seconds = options.pick((2.0, 5.0, 1.0), quick=(0.5, 0.5, 0.2))
     seconds = options.seconds or seconds

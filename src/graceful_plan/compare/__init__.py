@@ -4,13 +4,13 @@ from graceful_plan.compare.problems.suite import Suite, load_suite, suites
 from graceful_plan.compare.reports.in_space import in_space
 from graceful_plan.compare.reports.output import check_exports, text, write
 from graceful_plan.compare.reports.summary import PlannerSummary, Summary, summarise
-from graceful_plan.compare.runs.best_motions import Answer, BestMotions
+from graceful_plan.compare.runs.best_motions import BestMotion, BestMotions
 from graceful_plan.compare.runs.comparison import Comparison, Settings, compare, load_comparison
 from graceful_plan.compare.runs.known import read_known
 from graceful_plan.compare.runs.records import Run
 
 __all__ = [
-    "Answer",
+    "BestMotion",
     "BestMotions",
     "Comparison",
     "PlannerSummary",

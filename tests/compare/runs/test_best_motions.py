@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.compare import Answer, BestMotions, Run, read_known
+from graceful_plan.compare import BestMotion, BestMotions, Run, read_known
 from graceful_plan.compare.problems.suite import ProblemNote
 from graceful_plan.compare.runs.best_motions import Attempt, StaleBestMotion
 from graceful_plan.compare.runs.planner_notes import PlannerNote
@@ -36,7 +36,7 @@ def motions(tmp_path) -> BestMotions:
 
 
 @pytest.fixture
-def stored(found, motions) -> Answer:
+def stored(found, motions) -> BestMotion:
     best = motions.offer(task(), None, found, 5.0)
     assert best is not None, found
     attempt = Attempt(planner="rrt_connect", seed=0, seconds=2.0, total=best.total)

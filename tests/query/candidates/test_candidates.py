@@ -96,7 +96,7 @@ def test_a_straight_motion_at_zero_weight_ends_the_call() -> None:
 
 def test_misuse_names_the_setting() -> None:
     for stop in ("soon", None, 1):
-        with pytest.raises(UnknownNameError, match="unknown stop .*; valid: converged, first, time_limit"):
+        with pytest.raises(UnknownNameError, match=r"unknown stop .*; valid: converged, first, time_limit"):
             checked_stop(stop)
     for refine in ("yes", None, 1):
         with pytest.raises(SettingError, match="refine = "):

@@ -59,7 +59,7 @@ class Attempt:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class BestMotion:
     """The best motion known for a task."""
 
     task: str
@@ -115,7 +115,7 @@ class BestMotions:
         """Where the best motion of a task, "scene/task", is kept."""
         return self.folder / (task.replace("/", ".") + ".json")
 
-    def read(self, file: Path) -> Answer:
+    def read(self, file: Path) -> BestMotion:
         """Read a file without judging its motion.
 
         Raises:
@@ -127,7 +127,7 @@ class BestMotions:
                 raise StaleBestMotion(file.name, "another schema or weight")
             runs = tuple(Attempt(**run) for run in data.pop("runs"))
             samples = tuple(tuple(float(x) for x in row) for row in data.pop("samples"))
-            best = Answer(**data, samples=samples, runs=runs)
+            best = BestMotion(**data, samples=samples, runs=runs)
             if not all(map(math.isfinite, chain(*samples, (best.total, best.motion, best.impact)))):
                 raise StaleBestMotion(file.name, "a number that is not finite")
             return best
@@ -136,7 +136,7 @@ class BestMotions:
         except _BROKEN as error:
             raise StaleBestMotion(file.name, f"{type(error).__name__}: {error}") from error
 
-    def load(self, name: str, task: Task) -> Answer | None:
+    def load(self, name: str, task: Task) -> BestMotion | None:
         """Read and judge the best motion of a task; None if there is no file.
 
         Raises:
@@ -150,7 +150,7 @@ class BestMotions:
             raise StaleBestMotion(file.name, "; ".join(found))
         return best
 
-    def renewed(self, name: str, task: Task) -> Answer | None:
+    def renewed(self, name: str, task: Task) -> BestMotion | None:
         """Like `load`, but keep a stored motion that still solves the task at what it costs now, its runs forgotten."""
         try:
             return self.load(name, task)
@@ -166,7 +166,7 @@ class BestMotions:
         cost = self.cost_of(trajectory, task)
         return replace(best, total=cost.total, motion=cost.motion, impact=cost.impact, runs=())
 
-    def offer(self, task: Task, best: Answer | None, run: Run, seconds: float) -> Answer | None:
+    def offer(self, task: Task, best: BestMotion | None, run: Run, seconds: float) -> BestMotion | None:
         """Return the better of what is known and the motion of a run, which must be a solution to count.
 
         Args:
@@ -182,7 +182,7 @@ class BestMotions:
         no_better = best is not None and cost.total >= best.total * (1.0 - _BETTER)
         if no_better or _not_a_solution(trajectory, task):
             return best
-        return Answer(
+        return BestMotion(
             task=run.problem,
             total=cost.total,
             motion=cost.motion,
@@ -194,7 +194,7 @@ class BestMotions:
             runs=() if best is None else best.runs,
         )
 
-    def write(self, best: Answer) -> None:
+    def write(self, best: BestMotion) -> None:
         """Write the file of a task, whole or not at all."""
         data = {"schema": SCHEMA, "w": self.w, **asdict(replace(best, samples=(), runs=()))}
         del data["samples"], data["runs"]
@@ -226,7 +226,7 @@ class BestMotions:
         """Cost of a motion under the default objective."""
         return evaluate(trajectory, task.scene, Objective(w=self.w))
 
-    def _problems(self, best: Answer, task: Task) -> list[str]:
+    def _problems(self, best: BestMotion, task: Task) -> list[str]:
         """Say why a stored motion does not count, nothing if it does."""
         try:
             trajectory = best.trajectory(task.scene.joints)
