@@ -270,10 +270,11 @@ def _limit_check(
     if len(values) == 0:
         return Check(passed=True, worst=0.0, limit=limit, detail=words)
     row, column = np.unravel_index(int(np.argmax(values)), values.shape)
-    worst = float(values[row, column])
-    bad = at[(values > limit).any(axis=1)]
-    bad = bad[np.isfinite(bad)]
-    first = float(bad.min()) if len(bad) else None
+    worst, first = float(values[row, column]), None
+    if not worst <= limit:
+        bad = at[(values > limit).any(axis=1)]
+        bad = bad[np.isfinite(bad)]
+        first = float(bad.min()) if len(bad) else None
     detail = f"joint {joints[int(column)]!r}: {worst:.6g} {words}"
     return Check(passed=worst <= limit, worst=worst, limit=limit, first=first, detail=detail)
 
