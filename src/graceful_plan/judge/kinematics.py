@@ -107,9 +107,9 @@ def kinematics(scene: Scene) -> Kinematics:
     data, model = placement.place(np.zeros(len(scene.joints))), placement.model
     joints = [model.joint(name).id for name in scene.joints]
     tool = model.site(scene.tool).id
-    link = np.zeros(model.nbody, dtype=int)
-    for k, joint in enumerate(joints, 1):
-        link[sorted(subtree(model, int(model.jnt_bodyid[joint])))] = k
+    link = np.bincount(model.jnt_bodyid[joints], minlength=model.nbody)
+    for body, parent in enumerate(model.body_parentid.tolist()):  # parents come first, the world is its own
+        link[body] += link[parent]
     held = Frames(link=link[model.site_bodyid[[tool]]], X_WF=_matrices(data.site_xpos[[tool]], data.site_xmat[[tool]]))
     if scene.carried is not None:
         body = model.body(scene.carried.body).id

@@ -64,12 +64,12 @@ def motion_samples(
         at = motion.t if isinstance(motion, Trajectory) else np.zeros(1)
         return _proved(MotionSamples.of(motion.q, at), clearance)
     travel = joint_travel(motion)
-    coarse = _subdivided(travel @ reach(scene), _STRETCH)
+    farthest = travel @ reach(scene)
+    coarse = _subdivided(np.arange(len(motion)), farthest, _STRETCH)
     share, piece = np.diff(coarse), coarse[:-1].astype(int)
-    lever = _levers_along(motion, coarse, share * (travel @ reach(scene))[piece], scene)
+    lever = _levers_along(motion, coarse, share * farthest[piece], scene)
     moved = share * (travel[piece] * lever).sum(axis=1)
-    places = np.interp(_subdivided(moved, step), np.arange(len(coarse)), coarse)
-    return _proved(at_places(motion, places), clearance)
+    return _proved(at_places(motion, _subdivided(coarse, moved, step)), clearance)
 
 
 def _levers_along(
@@ -156,12 +156,13 @@ def _moved_geoms(scene: Scene) -> _MovedGeoms:
     return _MovedGeoms(link, geoms.X_WF[rows, :, 3:], np.where(moves, scene.model.geom_rbound[rows], -np.inf))
 
 
-def _subdivided(moved: Float[Array, " piece"], step: float) -> Float[Array, " sample"]:
-    """Split pieces evenly into parts of at most `step`: fractional piece numbers, from 0 to the number of pieces."""
-    parts = np.maximum(1, np.ceil(moved / step)).astype(int)
-    begin = np.concatenate([[0], np.cumsum(parts)])
-    piece = np.repeat(np.arange(len(parts)), parts)
-    return np.append(piece + (np.arange(begin[-1]) - begin[piece]) / parts[piece], float(len(parts)))
+def _subdivided(
+    ends: Float[Array, " end"] | Int[Array, " end"], moved: Float[Array, " piece"], step: float
+) -> Float[Array, " sample"]:
+    """Return the ends of pieces and, between them, those of even parts on which nothing moves more than `step`."""
+    begin = np.zeros(len(ends))
+    np.cumsum(np.maximum(1.0, np.ceil(moved / step)), out=begin[1:])
+    return np.interp(np.arange(begin[-1] + 1.0), begin, ends)
 
 
 @per_layout

@@ -195,19 +195,17 @@ def _grip(rule: GripRule, frames: FrameMotion) -> Check:
     about = grip.mass * grip.axes @ cross_matrix(grip.p_GC) @ felt.T
     h = float(grip.half[0])
     # What pressure does not carry about an axis across, friction does, to opposite sides on both pads.
-    aside, rims = [np.zeros(len(felt)), np.zeros(len(felt))], []
+    aside, load = np.zeros((2, len(felt))), np.zeros(len(felt))
     for k in (1, 2):
         if grip.pressed[k - 1]:
-            rims.append(np.abs(about[k]) / (grip.force * float(grip.half[3 - k])))
+            load = np.maximum(load, np.abs(about[k]) / (grip.force * float(grip.half[3 - k])))
         else:
             aside[k - 1] = about[k] / h
     turned = np.square(0.5 * about[0] / grip.torsion) if grip.torsion > 0.0 else 0.0
-    loads = []
     for side in (0.5, -0.5):
-        presses = np.maximum(0.5 * grip.force + side * pushed, 1e-9 * grip.force)
         slips = np.square(0.5 * first + side * aside[1]) + np.square(0.5 * second - side * aside[0])
-        loads.append(np.sqrt(slips / grip.friction**2 + turned) / presses)
-    load = np.max([*loads, *rims], axis=0)
+        presses = np.maximum(0.5 * grip.force + side * pushed, 1e-9 * grip.force)
+        load = np.maximum(load, np.sqrt(slips / grip.friction**2 + turned) / presses)
     return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load on a pad, as a share of what it carries")
 
 
