@@ -13,7 +13,8 @@ namespace nb = nanobind;
 
 namespace {
 
-// Longest step of the integration [s]: at 60 rad/s, half a centimetre under 2 g, its error is a 10^-6 of the swing.
+// Longest step of the integration [s]: at 60 rad/s, half a centimetre under 2 g, a step errs by a millionth of the
+// swing.
 constexpr double kStep = 0.0025;
 constexpr double kLongestSample = 1.0;  // between two felt accelerations [s]: longer ones tell nothing of a surface
 
