@@ -47,6 +47,18 @@ def test_distances_are_the_least_of_all_pairs(task: gp.Task) -> None:
     assert 10 < near < 12 * len(scene.entities)
 
 
+def test_samples_are_two_a_piece_within_bounds(task: gp.Task) -> None:
+    motion = _motion(task)
+    for asked, wanted in ((0.003, 0.002), (0.006, 0.003), (0.02, 0.004)):
+        pieces = motion.sample(motion.duration / round(motion.duration / asked))
+        frames = FrameMotion.along(pieces, task.scene)
+        assert np.ptp(np.diff(frames.at)) < 1e-12
+        assert frames.dt == pytest.approx(wanted, rel=0.02)
+        np.testing.assert_allclose(frames.q, pieces.at(frames.at).q, atol=1e-12)
+    still = gp.Trajectory(motion.t[:1], motion.q[:1], motion.qd[:1], motion.qdd[:1], motion.joints)
+    assert (FrameMotion.along(still, task.scene).q == motion.q[0]).all()
+
+
 def _felt(motion: gp.Trajectory, scene: Scene, frames: FrameMotion, point: Array) -> Array:
     """What is felt at a point of the carried object, in its frame: second differences of MuJoCo's placement."""
     assert scene.carried is not None

@@ -39,7 +39,8 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _DT = (0.002, 0.004)
-"""Between two samples of a trajectory [s], of short ones and of long ones: the fastest surfaces swing with 5 Hz."""
+"""Least and most between two samples of a trajectory [s]. Accelerations of joints are linear on a piece, which half of
+the shortest one resolves; the fastest surfaces swing with 5 Hz."""
 _SHORT = 1000
 """Intervals of a trajectory above which it is long."""
 _SPACING = 0.004
@@ -72,7 +73,8 @@ class FrameMotion:
     def along(cls, motion: Path | Trajectory, scene: Scene) -> FrameMotion:
         """Sample a motion evenly."""
         if isinstance(motion, Trajectory):
-            dt = float(np.clip(motion.duration / _SHORT, *_DT))
+            shortest = float(np.diff(motion.t).min(initial=np.inf))
+            dt = min(max(0.5 * shortest, motion.duration / _SHORT, _DT[0]), _DT[1])
             t = np.linspace(motion.t[0], motion.t[-1], max(2, int(np.ceil(motion.duration / dt)) + 1))
             q = motion.at_places(np.interp(t, motion.t, np.arange(len(motion))))[1]
             return cls(scene, q, t, timed=True)
