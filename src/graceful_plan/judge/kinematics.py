@@ -32,9 +32,9 @@ _BLOCK = 512
 class Frames:
     """Frames that ride on links; link k is what the first k planned joints move, link 0 stands still.
 
-    | field | meaning                                     | shape   |
-    |-------|---------------------------------------------|---------|
-    | link  | on which each frame rides                   | frame   |
+    | field | meaning                                     | shape     |
+    |-------|---------------------------------------------|-----------|
+    | link  | on which each frame rides                   | frame     |
     | X_WF  | its pose with all planned joints at 0 [m]   | frame 4 4 |
     """
 
@@ -57,15 +57,13 @@ class Kinematics:
     | motion | rows that 1, sin q and cos q of a hinge, or 1, q and 0 of a slide multiply:    | nq 3 16 |
     |        | their sum is the joint's motion in W as a 4 x 4 matrix                         |         |
     | axes   | columns: a point on each joint's axis [m] and its direction, at 0              | nq 4 2  |
-    | bodies | frames of the model's bodies                                                   |         |
-    | geoms  | of its geoms                                                                   |         |
+    | geoms  | frames of the model's geoms                                                    |         |
     | held   | of the tool site, and of the body of the carried object if there is one        |         |
     """
 
     slides: Bool[Array, " nq"]
     motion: Float[Array, "nq 3 16"]
     axes: Float[Array, "nq 4 2"]
-    bodies: Frames
     geoms: Frames
     held: Frames
 
@@ -123,7 +121,6 @@ def kinematics(scene: Scene) -> Kinematics:
         slides=slides,
         motion=np.where(slides[:, None, None], _slides(axis), _turns(anchor, axis)),
         axes=np.stack([np.column_stack([anchor, ones]), np.column_stack([axis, 0.0 * ones])], axis=2),
-        bodies=Frames(link=link, X_WF=_matrices(data.xpos, data.xmat)),
         geoms=Frames(link=link[model.geom_bodyid], X_WF=_matrices(data.geom_xpos, data.geom_xmat)),
         held=held,
     )
