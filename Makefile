@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Wheels only: a source distribution would run its own, unpinned build.
 PINNED := $(PIP) install -q --require-hashes --only-binary :all:
-CXX_FILES := $(shell find src/graceful_plan/core/native -type f)
+CXX_FILES := $(shell find src/graceful_plan/core/native src/graceful_plan/judge/native -type f)
 NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILES)
 
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.

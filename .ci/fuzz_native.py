@@ -19,6 +19,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -29,9 +30,11 @@ from graceful_plan.core.kernels import instruction_sets
 from graceful_plan.floor.lattice import LatticeSettings, StateLattice
 from graceful_plan.floor.reeds_shepp import Steering
 from graceful_plan.floor.timed_paths import HEADINGS, LEAVES, STANDS, Others, TimedLattice
+from graceful_plan.judge import _pendulum
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 
+MODULES = (_native, _pendulum)
 REFUSALS = (ValueError, TypeError, RuntimeError, MemoryError, OverflowError, IndexError)
 SLOW = 10.0
 """Seconds after which a call counts as hanging."""
@@ -188,22 +191,28 @@ ABSTRACT = ("Space", "Impact", "Measure")
 def record(isa: str) -> list[Call]:
     """Plan all kinds of things and keep what the core was called with."""
     calls: list[Call] = []
-    behind = {name: thing for name, thing in vars(_native).items() if not name.startswith("_")}
-    for name, thing in behind.items():
+    behind = list(offered())
+    for module, name, thing in behind:
         if not isinstance(thing, type) or ("__init__" in vars(thing) and name not in ABSTRACT):
-            setattr(_native, name, recorder(name, thing, calls, isa))
+            setattr(module, name, recorder(name, thing, calls, isa))
     try:
         situations()
     finally:
-        for name, thing in behind.items():
-            setattr(_native, name, thing)
+        for module, name, thing in behind:
+            setattr(module, name, thing)
     return calls
+
+
+def offered() -> Iterator[tuple[ModuleType, str, Any]]:
+    """What the native modules offer: module, name and thing."""
+    for module in MODULES:
+        yield from ((module, name, thing) for name, thing in vars(module).items() if not name.startswith("_"))
 
 
 def exported() -> Iterator[str]:
     """Names of all that the core offers, as calls are named."""
-    for name, thing in vars(_native).items():
-        if name.startswith("_") or name in (*ABSTRACT, "lever", "instruction_sets", "capacity"):
+    for _, name, thing in offered():
+        if name in (*ABSTRACT, "lever", "instruction_sets", "capacity"):
             continue
         if not isinstance(thing, type):
             yield from [name] if parameters_of(thing) else []

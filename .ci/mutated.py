@@ -19,15 +19,16 @@ PATIENCE = 1800
 
 
 def copied(place: Path) -> Path:
-    """Copy what git tracks, and beside it the native core that is installed."""
+    """Copy what git tracks, and beside it the native modules that are installed."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
     for name in filter(None, listed.split("\0")):
         if (ROOT / name).is_file():
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, place / name)
-    core = Path("graceful_plan", "core")
-    (native,) = (Path(sysconfig.get_path("platlib")) / core).glob("_native*")
-    shutil.copy(native, place / "src" / core)
+    for room, module in (("core", "_native"), ("judge", "_pendulum")):
+        folder = Path("graceful_plan", room)
+        (native,) = (Path(sysconfig.get_path("platlib")) / folder).glob(f"{module}*")
+        shutil.copy(native, place / "src" / folder)
     return place
 
 

@@ -9,6 +9,7 @@ from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.models.coast.coast import Coast
+from graceful_plan.judge import _pendulum
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 
@@ -66,9 +67,12 @@ def roll(task: gp.Task) -> None:
 
 
 def main() -> None:
-    print(_native.__file__)
     assert "libasan" in Path("/proc/self/maps").read_text(), "the sanitizers are not there to watch"
-    assert b"__asan_report" in Path(_native.__file__).read_bytes(), "the native core was built without sanitizers"
+    for module in (_native, _pendulum):
+        print(module.__file__)
+        assert b"__asan_report" in Path(module.__file__).read_bytes(), "a native module was built without sanitizers"
+    for count in COUNTS:
+        _pendulum.swung(np.tile([1.0, 0.0, 9.81], (count, 1)), dt=0.003, length=0.02, drag=0.5)
     for name in gp.scenes():
         scene = gp.load_scene(name)
         for task in [*scene.tasks.values()][:1]:

@@ -1,21 +1,25 @@
-"""The stub of the native core says what the core has: the same names with the same parameters."""
+"""The stubs of the native modules say what these have: the same names with the same parameters."""
 
 import ast
 import re
+from pathlib import Path
+from types import ModuleType
 
+import pytest
 from places import LIBRARY
 
 from graceful_plan.core import _native
+from graceful_plan.judge import _pendulum
 
-STUB = ast.parse((LIBRARY / "core" / "_native.pyi").read_text())
+STUBS = {_native: LIBRARY / "core" / "_native.pyi", _pendulum: LIBRARY / "judge" / "_pendulum.pyi"}
 Parameters = tuple[list[str], list[str]]
 """Names of the parameters that may stand by position, and of those that may not."""
 
 
-def stated() -> dict[str, Parameters | None]:
-    """Return the parameters of every function and method in the stub, None for a property or a class."""
+def stated(stub: Path) -> dict[str, Parameters | None]:
+    """Return the parameters of every function and method in a stub, None for a property or a class."""
     found: dict[str, Parameters | None] = {}
-    for node in STUB.body:
+    for node in ast.parse(stub.read_text()).body:
         if isinstance(node, ast.FunctionDef):
             found[node.name] = of_node(node)
         if isinstance(node, ast.ClassDef) and "TypedDict" not in map(ast.unparse, node.bases):
@@ -30,10 +34,10 @@ def of_node(node: ast.FunctionDef) -> Parameters:
     return [a.arg for a in node.args.args], [a.arg for a in node.args.kwonlyargs]
 
 
-def native() -> dict[str, Parameters | None]:
-    """Return the same of the core."""
+def native(module: ModuleType) -> dict[str, Parameters | None]:
+    """Return the same of a module."""
     found: dict[str, Parameters | None] = {}
-    for name, thing in vars(_native).items():
+    for name, thing in vars(module).items():
         if name.startswith("__"):
             continue
         if not isinstance(thing, type):
@@ -56,11 +60,12 @@ def of_signature(function: object) -> Parameters:
     return names[0], names[1]
 
 
-def test_the_stub_has_what_the_core_has():
-    assert len(native()) > 50
-    assert stated() == native()
+@pytest.mark.parametrize(("module", "least"), [(_native, 50), (_pendulum, 0)])
+def test_the_stub_has_what_the_module_has(module: ModuleType, least: int):
+    assert len(native(module)) > least
+    assert stated(STUBS[module]) == native(module)
 
 
 def test_nothing_takes_more_than_six_by_position():
-    most = {name: len(found[0]) for name, found in native().items() if found is not None}
+    most = {name: len(found[0]) for name, found in native(_native).items() if found is not None}
     assert max(most.values()) <= 6 + 1, most  # and self

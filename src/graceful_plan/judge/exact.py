@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.judge.motion_samples import AUDITED, ClearanceBound, MotionSamples, motion_samples
 from graceful_plan.judge.preparation import prepare
 from graceful_plan.path import Path
@@ -31,6 +32,8 @@ DEEPEST_SUPPORT = 0.003
 """How deep [m] a carried object may sink into its support at the ends of a path."""
 _NEAR = 0.05
 """From which distance on things are not near [m]: farther than spheres stick out."""
+_FEW, _BLOCK = 32, 4096
+"""Configurations below which each is placed alone, and above which not all are placed in advance."""
 _GRAZE = 1e-6
 """Contacts of an object with its support that are shallower [m] are rounding, wherever they are on the path."""
 
@@ -84,8 +87,8 @@ class Judge:
         """
         model, place = self._placement.model, self._placement.place
         with within_memory("looking for contacts"):  # around the loop: it takes as long as a look does
-            for sample, configuration in enumerate(q, start):
-                data = place(configuration)
+            for sample, (configuration, X_WO) in enumerate(zip(q, self._carried_poses(q), strict=True), start):
+                data = place(configuration, X_WO)
                 mujoco.mj_collision(model, data)
                 if data.ncon:
                     contact = data.contact
@@ -93,6 +96,15 @@ class Judge:
                     for (a, b), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
                         if distance < 0.0 and self._checked[a, b]:
                             yield Touch(sample, min(a, b), max(a, b), distance)
+
+    def _carried_poses(self, q: Float[Array, "n nq"]) -> Iterator[Float[Array, "4 4"] | None]:
+        """Yield where the carried object is in each configuration; None where `Placement` finds that out itself."""
+        if self.scene.carried is None or len(q) < _FEW:
+            yield from (None for _ in q)
+            return
+        known = kinematics(self.scene)
+        for begin in range(0, len(q), _BLOCK):
+            yield from known.poses(q[begin : begin + _BLOCK], known.held[[1]])[0]
 
     def is_violation(self, touch: Touch, *, at_end: bool) -> bool:
         """Whether a touch is a collision, given whether it belongs to the stretch of contact at an end of the path."""
@@ -158,10 +170,10 @@ def nearest_pair(q: Float[Array, " nq"], scene: Scene) -> Contact | None:
 
 def exactly_free(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:
     """Tell which configurations may be the start or the goal: nothing collides, but for allowed contacts at an end."""
-    judge = Judge(scene)
-    # Row by row, since the first violation of a configuration is enough.
-    collides = [any(judge.is_violation(touch, at_end=True) for touch in judge.touches(row[None])) for row in q]
-    return ~np.array(collides, dtype=bool)
+    judge, free = Judge(scene), np.ones(len(q), dtype=bool)
+    for touch in judge.touches(q):
+        free[touch.sample] &= not judge.is_violation(touch, at_end=True)
+    return free
 
 
 def motion_violations(

@@ -9,9 +9,8 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
-from graceful_plan.judge.preparation import own_placement
+from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.path import Path
-from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
@@ -65,12 +64,12 @@ def motion_samples(
         at = motion.t if isinstance(motion, Trajectory) else np.zeros(1)
         return _proved(MotionSamples.of(motion.q, at), clearance)
     travel = joint_travel(motion)
-    coarse = _subdivided(travel @ reach(scene), _STRETCH)
+    farthest = travel @ reach(scene)
+    coarse = _subdivided(np.arange(len(motion)), farthest, _STRETCH)
     share, piece = np.diff(coarse), coarse[:-1].astype(int)
-    lever = _levers_along(motion, coarse, share * (travel @ reach(scene))[piece], scene)
+    lever = _levers_along(motion, coarse, share * farthest[piece], scene)
     moved = share * (travel[piece] * lever).sum(axis=1)
-    places = np.interp(_subdivided(moved, step), np.arange(len(coarse)), coarse)
-    return _proved(at_places(motion, places), clearance)
+    return _proved(at_places(motion, _subdivided(coarse, moved, step)), clearance)
 
 
 def _levers_along(
@@ -86,9 +85,9 @@ def _levers_along(
     """
     done = np.append(0.0, np.cumsum(moved))
     # The middle of a stretch is within half a neighbourhood of its centre, and its ends half a stretch farther.
-    hood, which = np.unique((0.5 * (done[:-1] + done[1:]) / _NEIGHBOURHOOD).astype(int), return_inverse=True)
-    centre = np.interp(np.minimum((hood + 0.5) * _NEIGHBOURHOOD, done[-1]), done, coarse)
-    return _levers_near(at_places(motion, centre).q, scene)[which]
+    hood = (0.5 * (done[:-1] + done[1:]) / _NEIGHBOURHOOD).astype(int)
+    centres = np.minimum((np.arange(hood[-1] + 1) + 0.5) * _NEIGHBOURHOOD, done[-1])
+    return _levers_near(at_places(motion, np.interp(centres, done, coarse)).q, scene)[hood]
 
 
 def _proved(samples: MotionSamples, clearance: ClearanceBound | None) -> MotionSamples:
@@ -123,44 +122,47 @@ def _levers_near(q: Float[Array, "n nq"], scene: Scene) -> Float[Array, "n nq"]:
 
     There no point is farther than `_FARTHEST` from where it is in that configuration.
     """
-    model, placement = scene.model, own_placement(scene)
-    joints, geoms, carries = _carried_geoms(scene)
-    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
-    centre = np.empty((len(q), len(geoms), 3))
-    anchor, axis = np.empty((2, len(q), len(joints), 3))
-    data = placement.data
-    read = ((data.geom_xpos, geoms, centre), (data.xanchor, joints, anchor), (data.xaxis, joints, axis))
-    for i, configuration in enumerate(q):
-        placement.place(configuration)
-        for values, rows, kept in read:
-            values.take(rows, axis=0, out=kept[i], mode="clip")  # any mode but the default writes without a copy
-    # |axis x r|^2 = |r|^2 - (axis . r)^2
-    r = centre[:, None] - anchor[:, :, None]
-    squared = np.einsum("njgx,njgx->njg", r, r) - np.einsum("njgx,njx->njg", r, axis) ** 2
-    levers = np.where(carries, np.sqrt(np.maximum(squared, 0.0)) + model.geom_rbound[geoms], 0.0).max(axis=2)
-    return np.where(slides, 1.0, np.minimum(levers + _FARTHEST, reach(scene)))
+    known, moved = kinematics(scene), _moved_geoms(scene)
+    links, nq = np.stack(list(known.links(q))), q.shape[1]
+    axes = known.joint_axes(links)[:, :, :3]
+    centre = (links[moved.link] @ moved.centre[:, None])[:, :, :3, 0].transpose(1, 2, 0)
+    along = axes.transpose(1, 3, 0, 2).reshape(len(q), 2 * nq, 3) @ centre
+    point, axis = (axes[..., k].transpose(1, 0, 2) for k in (0, 1))
+    # With r from a point of the axis to the centre: |r|^2 - (axis . r)^2.
+    squared = np.square(centre).sum(axis=1)[:, None] - 2.0 * along[:, :nq] + np.square(point).sum(axis=2)[..., None]
+    squared -= np.square(along[:, nq:] - (axis * point).sum(axis=2)[..., None])
+    levers = (np.sqrt(np.maximum(squared, 0.0)) + moved.radius).max(axis=2)
+    return np.where(known.slides, 1.0, np.minimum(levers + _FARTHEST, reach(scene)))
+
+
+@dataclass(frozen=True, eq=False)
+class _MovedGeoms:
+    """Geoms that planned joints move."""
+
+    link: Int[Array, " geom"]
+    """How many of the joints, from the base on, move each of them."""
+    centre: Float[Array, "geom 4 1"]
+    """With all planned joints at 0, and a 1 behind [m]."""
+    radius: Float[Array, "nq geom"]
+    """Of the bounding sphere [m]; without end downwards where a joint does not move the geom."""
 
 
 @per_layout
-def _carried_geoms(scene: Scene) -> tuple[Int[Array, " nq"], Int[Array, " geom"], Bool[Array, "nq geom"]]:
-    """Return the planned joints, the geoms that move, and which of them each joint moves."""
-    model = scene.model
-    held = [] if scene.carried is None else sorted(subtree(model, model.body(scene.carried.body).id))
-    below = []
-    for name in scene.joints:
-        moved = subtree(model, int(model.jnt_bodyid[model.joint(name).id])) | set(held)
-        below.append(np.isin(model.geom_bodyid, sorted(moved)))
-    geoms = np.flatnonzero(below[0])
-    joints = np.array([model.joint(name).id for name in scene.joints])
-    return joints, geoms, np.array(below)[:, geoms]
+def _moved_geoms(scene: Scene) -> _MovedGeoms:
+    geoms = kinematics(scene).geoms
+    rows = np.flatnonzero(geoms.link > 0)
+    link = geoms.link[rows]
+    moves = np.arange(1, len(scene.joints) + 1)[:, None] <= link
+    return _MovedGeoms(link, geoms.X_WF[rows, :, 3:], np.where(moves, scene.model.geom_rbound[rows], -np.inf))
 
 
-def _subdivided(moved: Float[Array, " piece"], step: float) -> Float[Array, " sample"]:
-    """Split pieces evenly into parts of at most `step`: fractional piece numbers, from 0 to the number of pieces."""
-    parts = np.maximum(1, np.ceil(moved / step)).astype(int)
-    begin = np.concatenate([[0], np.cumsum(parts)])
-    piece = np.repeat(np.arange(len(parts)), parts)
-    return np.append(piece + (np.arange(begin[-1]) - begin[piece]) / parts[piece], float(len(parts)))
+def _subdivided(
+    ends: Float[Array, " end"] | Int[Array, " end"], moved: Float[Array, " piece"], step: float
+) -> Float[Array, " sample"]:
+    """Return the ends of pieces and, between them, those of even parts on which nothing moves more than `step`."""
+    begin = np.zeros(len(ends))
+    np.cumsum(np.maximum(1.0, np.ceil(moved / step)), out=begin[1:])
+    return np.interp(np.arange(begin[-1] + 1.0), begin, ends)
 
 
 @per_layout

@@ -8,8 +8,8 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.judge.motion_samples import motion_samples
+from graceful_plan.judge.preparation import own_placement
 from graceful_plan.result import Check
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
@@ -56,7 +56,7 @@ def _error(one: Float[Array, " nq"] | PoseGoal, scene: Scene) -> Callable[[Float
     """Return the error of a configuration, in shares of the tolerance."""
     if not isinstance(one, PoseGoal):
         return lambda q: float(np.abs(q - one).max()) / NEAR
-    placement = Placement(scene)
+    placement = own_placement(scene)
 
     def of_pose(q: Float[Array, " nq"]) -> float:
         site, X_WT = placement.place(q).site(scene.tool), np.eye(4)

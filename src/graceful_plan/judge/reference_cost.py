@@ -18,9 +18,9 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
+from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -146,13 +146,11 @@ def _points(
 
 def _boxes(scene: Scene, q: Float[Array, "n nq"], geoms: Sequence[int]) -> _Boxes:
     """Place the boxes of some geoms."""
-    placement, model, chosen = Placement(scene), scene.model, np.array(geoms, dtype=int)
-    xpos, xmat = np.empty((len(q), len(chosen), 3)), np.empty((len(q), len(chosen), 3, 3))
-    for n, configuration in enumerate(q):
-        data = placement.place(configuration)
-        xpos[n], xmat[n] = data.geom_xpos[chosen], data.geom_xmat[chosen].reshape(-1, 3, 3)
-    centre = xpos + np.einsum("ngij,gj->ngi", xmat, model.geom_aabb[chosen, :3])
-    half = np.einsum("ngij,gj->ngi", np.abs(xmat), model.geom_aabb[chosen, 3:])
+    chosen, known = np.array(geoms, dtype=int), kinematics(scene)
+    box, X_WG = scene.model.geom_aabb[chosen], known.poses(q, known.geoms[chosen]).transpose(1, 0, 2, 3)
+    R_WG = X_WG[..., :3, :3]
+    centre = X_WG[..., :3, 3] + (R_WG @ box[:, :3, None])[..., 0]
+    half = (np.abs(R_WG) @ box[:, 3:, None])[..., 0]
     return _Boxes(centre - half, centre + half)
 
 

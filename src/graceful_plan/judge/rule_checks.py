@@ -1,7 +1,7 @@
 """Whether a motion keeps its constraints, by means that planners do not use.
 
-Where frames are comes from MuJoCo's kinematics, how they move from finite differences of the timed motion, and how a
-liquid answers from a pendulum that is swung along it.
+Where frames are comes from the judge's own kinematics, how they move from finite differences of the timed motion, and
+how a liquid answers from a pendulum that is swung along it.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.judge import _pendulum
+from graceful_plan.judge.kinematics import cross_matrix, kinematics
+from graceful_plan.judge.preparation import own_placement
 from graceful_plan.path import Path
 from graceful_plan.result import Check
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.rules.rules import (
+    FRAMES,
     AxisRule,
     BoxRule,
     ContentsRule,
@@ -36,7 +39,8 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _DT = (0.002, 0.004)
-"""Between two samples of a trajectory [s], of short ones and of long ones: the fastest surfaces swing with 5 Hz."""
+"""Least and most between two samples of a trajectory [s]. Accelerations of joints are linear on a piece, which half of
+the shortest one resolves; the fastest surfaces swing with 5 Hz."""
 _SHORT = 1000
 """Intervals of a trajectory above which it is long."""
 _SPACING = 0.004
@@ -49,10 +53,10 @@ _LOAD = 1e-3
 """Share of what a grasp carries, or of the slope on which something stands, that may be missed."""
 _UPSIDE = 0.5 * np.pi - 1e-6
 """Beyond any slope on which something stands [rad]."""
+_ROUNDING = 1e-9
+"""Of positions [m]."""
 _SETTLES = 0.5
 """How long a liquid is followed after the end [s]."""
-_SWING = 0.001
-"""Step of the pendulum [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +73,11 @@ class FrameMotion:
     def along(cls, motion: Path | Trajectory, scene: Scene) -> FrameMotion:
         """Sample a motion evenly."""
         if isinstance(motion, Trajectory):
-            dt = float(np.clip(motion.duration / _SHORT, *_DT))
+            shortest = float(np.diff(motion.t).min(initial=np.inf))
+            dt = min(max(0.5 * shortest, motion.duration / _SHORT, _DT[0]), _DT[1])
             t = np.linspace(motion.t[0], motion.t[-1], max(2, int(np.ceil(motion.duration / dt)) + 1))
-            return cls(scene, motion.at(t).q, t, timed=True)
+            q = motion.at_places(np.interp(t, motion.t, np.arange(len(motion))))[1]
+            return cls(scene, q, t, timed=True)
         done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion.q, axis=0), axis=1))])
         at = np.linspace(0.0, done[-1], max(2, int(np.ceil(done[-1] / _SPACING)) + 1))
         q = np.stack([np.interp(at, done, column) for column in motion.q.T], axis=1)
@@ -80,18 +86,24 @@ class FrameMotion:
     @cached_property
     def poses(self) -> dict[str, Float[Array, "n 4 4"]]:
         """Poses in W of the frames "tool" and, where something is carried, "object" [m]."""
-        scene, place = self.scene, Placement(self.scene)
-        site = scene.model.site(scene.tool).id
-        body = None if scene.carried is None else scene.model.body(scene.carried.body).id
-        found = {"tool": np.tile(np.eye(4), (len(self.q), 1, 1))}
-        if body is not None:
-            found["object"] = found["tool"].copy()
-        for k, q in enumerate(self.q):
-            data = place.place(q)
-            found["tool"][k, :3, :3], found["tool"][k, :3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
-            if body is not None:
-                found["object"][k, :3, :3], found["object"][k, :3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
-        return found
+        known = kinematics(self.scene)
+        poses = known.poses(self.q, known.held)
+        return dict(zip(FRAMES, poses, strict=False))
+
+    @cached_property
+    def dt(self) -> float:
+        """Time between two samples [s]; they are even."""
+        return float(self.at[-1] - self.at[0]) / (len(self.at) - 1)
+
+    def felt(self, point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
+        """Return what is felt at a point of the carried object, in W [m/s^2]: acceleration less gravity."""
+        felt = np.zeros((len(self.q), 3))
+        if self.timed and len(felt) > 2:
+            p = _at(self.poses["object"], point)
+            np.subtract(p[2:], 2.0 * p[1:-1] - p[:-2], out=felt[1:-1])
+            felt *= self.dt**-2
+        felt[:, 2] -= float(self.scene.model.opt.gravity[2])
+        return felt
 
 
 def rule_checks(motion: Path | Trajectory, scene: Scene, rules: Iterable[Rule]) -> dict[str, Check]:
@@ -112,7 +124,7 @@ def rule_checks(motion: Path | Trajectory, scene: Scene, rules: Iterable[Rule]) 
 
 def _check(rule: Rule, frames: FrameMotion) -> Check:
     if isinstance(rule, AxisRule):
-        angle = _angle(frames.poses[rule.frame][:, :3, :3] @ np.array(rule.axis), np.array(rule.direction))
+        angle = _angle(_along(frames.poses[rule.frame], np.array(rule.axis)), np.array(rule.direction))
         return _limit(angle, frames.at, rule.angle + _ANGLE, "angle [rad]")
     if isinstance(rule, BoxRule):
         at = (frames.poses["tool"][:, :3, 3] - rule.X_WB[:3, 3]) @ rule.X_WB[:3, :3]
@@ -146,64 +158,18 @@ def _speed(rule: SpeedRule, frames: FrameMotion) -> Check:
 
 
 def _contents(rule: ContentsRule, frames: FrameMotion) -> Check:
-    vessel, gravity = rule.vessel, -float(frames.scene.model.opt.gravity[2])
-    X_WO, t = frames.poses["object"], frames.at
-    axis = X_WO[:, :3, :3] @ vessel.axis
-    surface = np.tile([0.0, 0.0, 1.0], (len(t), 1))
+    vessel, X_WO, t = rule.vessel, frames.poses["object"], frames.at
+    axis = _along(X_WO, vessel.axis)
+    felt = frames.felt(vessel.p_BS)
     if frames.timed and len(t) > 2:
-        p = X_WO[:, :3, 3] + X_WO[:, :3, :3] @ vessel.p_BS
-        dt = float(t[1] - t[0])
-        acceleration = np.zeros_like(p)
-        acceleration[1:-1] = np.diff(p, 2, axis=0) / dt**2
-        rest = int(_SETTLES / dt)
-        acceleration = np.concatenate([acceleration, np.zeros((rest, 3))])
-        axis = np.concatenate([axis, np.repeat(axis[-1:], rest, axis=0)])
-        t = np.concatenate([t, t[-1] + dt * np.arange(1, rest + 1)])
-        felt = acceleration + [0.0, 0.0, gravity]
-        surface = _swung(felt, vessel, dt) if vessel.repose == 0.0 else felt
-    left = np.minimum(vessel.capacity(_angle(axis, surface)) / vessel.volume, 1.0)
+        rest = int(_SETTLES / frames.dt)
+        felt = np.concatenate([felt, np.tile(felt[-1], (rest, 1))])
+        axis = np.concatenate([axis, np.tile(axis[-1], (rest, 1))])
+        t = np.concatenate([t, t[-1] + frames.dt * np.arange(1, rest + 1)])
+        if vessel.repose == 0.0 and felt[0].any():
+            felt = _swung(felt, vessel, frames.dt)
+    left = np.minimum(vessel.capacity(_angle(axis, felt)) / vessel.volume, 1.0)
     return _limit(1.0 - left, t, 1.0 - rule.part, "share of the contents that the surface leaves above the rim")
-
-
-def _felt(frames: FrameMotion, point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
-    """Return what is felt at a point of the carried object, in its frame [m/s^2]: acceleration less gravity."""
-    X_WO, t = frames.poses["object"], frames.at
-    felt = np.tile([0.0, 0.0, -float(frames.scene.model.opt.gravity[2])], (len(t), 1))
-    if frames.timed and len(t) > 2:
-        p = X_WO[:, :3, 3] + X_WO[:, :3, :3] @ point
-        felt[1:-1] += np.diff(p, 2, axis=0) / float(t[1] - t[0]) ** 2
-    return np.einsum("nji,nj->ni", X_WO[:, :3, :3], felt)
-
-
-def _grip(rule: GripRule, frames: FrameMotion) -> Check:
-    """Follow the load on each pad: tangential force and torsion over what friction carries at its pressing force."""
-    grip = rule.grip
-    force = grip.mass * _felt(frames, grip.p_BC)
-    moment = np.cross(grip.p_GC, force) @ grip.axes.T
-    pushed, first, second = (force @ grip.axes.T).T
-    by_friction = [not pressed for pressed in grip.pressed]
-    h = float(grip.half[0])
-    rims = [
-        np.abs(moment[:, k]) / (grip.force * float(grip.half[3 - k])) if grip.pressed[k - 1] else np.zeros(len(moment))
-        for k in (1, 2)
-    ]
-    loads = []
-    for side in (0.5, -0.5):
-        presses = np.maximum(0.5 * grip.force + side * pushed, 1e-9 * grip.force)
-        along = 0.5 * first + side * moment[:, 2] / h * by_friction[1]
-        across = 0.5 * second - side * moment[:, 1] / h * by_friction[0]
-        turned = 0.5 * moment[:, 0] / grip.torsion if grip.torsion > 0.0 else np.zeros(len(moment))
-        loads.append(np.hypot(np.hypot(along, across) / grip.friction, turned) / presses)
-    load = np.max([*loads, *rims], axis=0)
-    return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load on a pad, as a share of what it carries")
-
-
-def _stands(rule: StandsRule, frames: FrameMotion) -> Check:
-    felt = _felt(frames, np.array(rule.point))
-    slope = np.tan(np.minimum(_angle(felt, np.array(rule.axis)), _UPSIDE))
-    slides = rule.friction < rule.support
-    detail = f"slope of what is felt where it {'slides' if slides else 'tips'} first"
-    return _limit(slope, frames.at, min(rule.friction, rule.support) * (1.0 + _LOAD), detail)
 
 
 def _swung(felt: Float[Array, "n xyz"], vessel: Vessel, dt: float) -> Float[Array, "n xyz"]:
@@ -211,54 +177,90 @@ def _swung(felt: Float[Array, "n xyz"], vessel: Vessel, dt: float) -> Float[Arra
 
     Its bob is pulled against what is felt, `felt` [m/s^2], at even times `dt` apart [s].
     """
-    R = vessel.radius
-    depth, gravity = vessel.volume / (np.pi * R**2), float(np.linalg.norm(felt[0])) or 9.81
+    R, gravity = vessel.radius, float(np.linalg.norm(felt[0]))
+    depth = vessel.volume / (np.pi * R**2)
     length = R / (1.841 * np.tanh(1.841 * depth / R))
     drag = 2.0 * 4.98 / (2.0 * np.pi) * (1e-6) ** 0.5 * R**-0.75 * gravity**-0.25 * (gravity / length) ** 0.5
-    steps = max(1, round(dt / _SWING))
-    h = dt / steps
-    x, y, z = (-felt[0] / np.linalg.norm(felt[0])).tolist()
-    u = v = w = 0.0
-    normals = []
-    for fx, fy, fz in felt.tolist():
-        normals.append((-x, -y, -z))
-        for _ in range(steps):
-            along = x * fx + y * fy + z * fz
-            u += h * ((along * x - fx) / length - drag * u)
-            v += h * ((along * y - fy) / length - drag * v)
-            w += h * ((along * z - fz) / length - drag * w)
-            x, y, z = x + h * u, y + h * v, z + h * w
-            size = (x * x + y * y + z * z) ** 0.5
-            x, y, z = x / size, y / size, z / size
-            along = u * x + v * y + w * z
-            u, v, w = u - along * x, v - along * y, w - along * z
-    return np.array(normals)
+    return _pendulum.swung(felt, dt=dt, length=float(length), drag=float(drag))
+
+
+def _felt_by(frames: FrameMotion, point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
+    """Return what is felt at a point of the carried object, in its frame [m/s^2]."""
+    return np.einsum("nji,nj->ni", frames.poses["object"][:, :3, :3], frames.felt(point))
+
+
+def _grip(rule: GripRule, frames: FrameMotion) -> Check:
+    """Follow the load on each pad: tangential force and torsion over what friction carries at its pressing force."""
+    grip = rule.grip
+    felt = _felt_by(frames, grip.p_BC)
+    pushed, first, second = grip.mass * grip.axes @ felt.T
+    about = grip.mass * grip.axes @ cross_matrix(grip.p_GC) @ felt.T
+    h = float(grip.half[0])
+    # What pressure does not carry about an axis across, friction does, to opposite sides on both pads.
+    aside, load = np.zeros((2, len(felt))), np.zeros(len(felt))
+    for k in (1, 2):
+        if grip.pressed[k - 1]:
+            load = np.maximum(load, np.abs(about[k]) / (grip.force * float(grip.half[3 - k])))
+        else:
+            aside[k - 1] = about[k] / h
+    turned = np.square(0.5 * about[0] / grip.torsion) if grip.torsion > 0.0 else 0.0
+    for side in (0.5, -0.5):
+        slips = np.square(0.5 * first + side * aside[1]) + np.square(0.5 * second - side * aside[0])
+        presses = np.maximum(0.5 * grip.force + side * pushed, 1e-9 * grip.force)
+        load = np.maximum(load, np.sqrt(slips / grip.friction**2 + turned) / presses)
+    return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load on a pad, as a share of what it carries")
+
+
+def _stands(rule: StandsRule, frames: FrameMotion) -> Check:
+    felt = _felt_by(frames, np.array(rule.point))
+    slope = np.tan(np.minimum(_angle(felt, np.array(rule.axis)), _UPSIDE))
+    slides = rule.friction < rule.support
+    detail = f"slope of what is felt where it {'slides' if slides else 'tips'} first"
+    return _limit(slope, frames.at, min(rule.friction, rule.support) * (1.0 + _LOAD), detail)
 
 
 def _distances(scene: Scene, q: Float[Array, "n nq"], entity: str, most: float) -> Float[Array, " n"]:
     """Return the exact distance of robot and carried object from an entity, as far as it is below `most` [m]."""
-    model, place = scene.model, Placement(scene)
+    model, known = scene.model, kinematics(scene)
     mine = [g for name in ("body", "carried") if name in scene.components for g in scene.components[name].geoms]
-    others, nearest, line = list(scene.entities[entity].geoms), np.full(len(q), most), np.zeros(6)
-    for k, configuration in enumerate(q):
-        data = place.place(configuration)
-        for a in mine:
-            for b in others:
-                apart = np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b])
-                if apart - model.geom_rbound[a] - model.geom_rbound[b] < nearest[k]:
-                    nearest[k] = min(nearest[k], mujoco.mj_geomDistance(model, data, a, b, float(most), line))
+    others = list(scene.entities[entity].geoms)
+    p = known.poses(q, known.geoms[mine]).transpose(1, 0, 2, 3)[..., None, :3, 3] - known.geoms.X_WF[others, :3, 3]
+    # Bounding spheres, less a rounding: what they leave farther than `most` is not measured.
+    spheres = model.geom_rbound[mine][:, None] + model.geom_rbound[others]
+    apart = np.sqrt(np.square(p).sum(axis=-1)) - spheres - _ROUNDING
+    nearest, place, line = np.full(len(q), most), own_placement(scene).place, np.zeros(6)
+    for k in np.flatnonzero((apart < most).any(axis=(1, 2))).tolist():
+        data = place(q[k])
+        for i, j in np.argwhere(apart[k] < most).tolist():
+            if apart[k, i, j] < nearest[k]:
+                distance = mujoco.mj_geomDistance(model, data, mine[i], others[j], float(most), line)
+                nearest[k] = min(nearest[k], distance)
     return nearest
 
 
 def _limit(values: Float[Array, " n"], at: Float[Array, " n"], limit: float, detail: str) -> Check:
     worst = float(values.max())
-    bad = np.flatnonzero(values > limit)
+    bad = np.flatnonzero(~(values <= limit))  # what is no number is bad
     first = float(at[bad[0]]) if len(bad) else None
     return Check(passed=not len(bad), worst=worst, limit=limit, first=first, detail=detail)
 
 
+def _at(X: Float[Array, "n 4 4"], point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
+    """Return where a point of a moving frame is [m]."""
+    return (X.reshape(-1, 4) @ np.append(point, 1.0)).reshape(-1, 4)[:, :3]
+
+
+def _along(X: Float[Array, "n 4 4"], axis: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
+    """Return where an axis of a moving frame points."""
+    return (X.reshape(-1, 4) @ np.append(axis, 0.0)).reshape(-1, 4)[:, :3]
+
+
 def _angle(a: Float[Array, "n xyz"], b: Float[Array, "*n xyz"]) -> Float[Array, " n"]:
-    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
+    (x, y, z), (u, v, w) = a.T, b.T
+    sine = np.square(y * w - z * v)
+    sine += np.square(z * u - x * w)
+    sine += np.square(x * v - y * u)
+    return np.arctan2(np.sqrt(sine), x * u + y * v + z * w)
 
 
 def _snake(name: str) -> str:

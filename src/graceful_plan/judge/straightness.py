@@ -1,7 +1,7 @@
 """The judge of straight motions: how far is the tool from its line, and from the orientation it should have there?
 
-It shares nothing with what plans them: poses are MuJoCo's, orientations quaternions, and where on the line a pose
-belongs is found from the pose alone, whatever its time.
+It shares nothing with what plans them: poses are the judge's own, orientations quaternions, and where on the line a
+pose belongs is found from the pose alone, whatever its time.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.judge.motion_samples import motion_samples
 from graceful_plan.path import Path
 from graceful_plan.result import Check
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
@@ -41,12 +41,11 @@ def straightness(
         The checks "deviation" and "orientation".
     """
     samples = motion_samples(motion, scene, step)
-    placement, site = Placement(scene), scene.model.site(scene.tool).id
-    p_WT, quat_WT = np.empty((len(samples.q), 3)), np.empty((len(samples.q), 4))
-    for i, q in enumerate(samples.q):
-        data = placement.place(q)
-        p_WT[i] = data.site_xpos[site]
-        mujoco.mju_mat2Quat(quat_WT[i], data.site_xmat[site])
+    known = kinematics(scene)
+    (X_WT,) = known.poses(samples.q, known.held[[0]])
+    p_WT, quat_WT = X_WT[:, :3, 3], np.empty((len(X_WT), 4))
+    for quat, R in zip(quat_WT, X_WT[:, :3, :3].reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quat, R)
     line = _Line.between((p_WT[0], quat_WT[0]), goal)
     share = line.shares(p_WT, quat_WT, weights=(1.0 / deviation, 1.0 / angle))
     off = np.linalg.norm(p_WT - line.positions(share), axis=1)

@@ -219,7 +219,8 @@ def _turning_points(trajectory: Trajectory) -> tuple[Float[Array, "n nq"], Float
     sum_ = -(a0 + np.copysign(np.sqrt(np.maximum(a0**2 - 2.0 * jerk * v0, 0.0)), a0))
     turning = []
     for above, below in ((sum_, jerk), (2.0 * v0, sum_)):
-        u = np.clip(np.divide(above, below, out=np.zeros_like(above), where=below != 0.0), 0.0, h)
+        u = np.divide(above, below, out=np.zeros_like(above), where=below != 0.0)
+        u = np.minimum(np.maximum(u, 0.0), h)
         turning.append(trajectory.q[:-1] + u * (v0 + u * (a0 / 2.0 + u * jerk / 6.0)))
     return np.concatenate([trajectory.q, *turning]), np.concatenate([trajectory.t, *[trajectory.t[:-1]] * 2])
 
@@ -238,12 +239,13 @@ def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
     rounding = _ROUNDINGS * np.finfo(float).eps * largest / h**2
     steepest = np.maximum(np.maximum(np.abs(a0), np.abs(a1)) - rounding, np.abs(mean_acceleration))
     t, pieces = trajectory.t, trajectory.t[:-1]
+    both = np.concatenate([t, pieces])
     most = 1.0 + LIMIT_TOLERANCE
     ends = np.abs(trajectory.qd[[0, -1]])
 
     def of(samples: Array, between: Array, limit: Array, words: str) -> Check:
         values = np.abs(np.concatenate([samples, between])) / limit
-        return _limit_check(values, np.append(t, pieces), scene.joints, most, words)
+        return _limit_check(values, both, scene.joints, most, words)
 
     return {
         "velocity_limits": of(trajectory.qd, _fastest_between(trajectory), velocity, "of its velocity limit"),
@@ -269,12 +271,13 @@ def _limit_check(
     """Check that no value exceeds a limit; rows have times, columns are joints."""
     if len(values) == 0:
         return Check(passed=True, worst=0.0, limit=limit, detail=words)
-    row, column = np.unravel_index(int(np.argmax(values)), values.shape)
-    worst = float(values[row, column])
-    bad = at[(values > limit).any(axis=1)]
-    bad = bad[np.isfinite(bad)]
-    first = float(bad.min()) if len(bad) else None
-    detail = f"joint {joints[int(column)]!r}: {worst:.6g} {words}"
+    row, column = divmod(int(np.argmax(values)), values.shape[1])
+    worst, first = float(values[row, column]), None
+    if not worst <= limit:
+        bad = at[(values > limit).any(axis=1)]
+        bad = bad[np.isfinite(bad)]
+        first = float(bad.min()) if len(bad) else None
+    detail = f"joint {joints[column]!r}: {worst:.6g} {words}"
     return Check(passed=worst <= limit, worst=worst, limit=limit, first=first, detail=detail)
 
 

@@ -120,15 +120,15 @@ class Trajectory:
             return np.full(len(place), self.t[0]), np.repeat(self.q, len(place), axis=0)
         i = np.minimum(place.astype(np.intp), len(self) - 2)
         h = np.diff(self.t)
-        u = (place - i) * h[i]
+        u = (place - i) * h.take(i)
         a0, a1 = self.piece_accelerations
-        q = ((a1 - a0) / (6.0 * h[:, None]))[i]
-        # Horner's scheme, in place: this is done for thousands of samples of every motion.
+        q = ((a1 - a0) / (6.0 * h[:, None])).take(i, axis=0)
+        # Horner's scheme, in place and by `take`: this is done for thousands of samples of every motion.
         column = u[:, None]
         for coefficient in (0.5 * a0, self.qd[:-1], self.q[:-1]):
             q *= column
-            q += coefficient[i]
-        return self.t[i] + u, q
+            q += coefficient.take(i, axis=0)
+        return self.t.take(i) + u, q
 
     def _cubic(self, t: Float[Array, " n"]) -> list[Float[Array, "n nq"]]:
         i, u, v0, a0, jerk = self._pieces_at(t)

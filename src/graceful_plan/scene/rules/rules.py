@@ -1,6 +1,6 @@
 """What has to hold along a motion, as plain facts about the frames of a scene.
 
-Constraints say it in these words; planners turn them into tables for the core, the judge looks at them with MuJoCo's
+Constraints say it in these words; planners turn them into tables for the core, the judge looks at them with its own
 kinematics alone. Frames: W world, T tool, O carried object, B box.
 """
 

@@ -1,0 +1,6 @@
+"""The judge's pendulum, compiled; `rule_checks` is its typed face."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+def swung(felt: NDArray[np.float64], *, dt: float, length: float, drag: float) -> NDArray[np.float64]: ...
