@@ -14,6 +14,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -25,6 +26,7 @@ from graceful_plan.core import _native
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.exceptions import RetimingError
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
@@ -45,6 +47,8 @@ fall the direction is up to any small error of the robot: one in four fast motio
 _SELDOM_FELT = 40.0
 """More than this is hardly felt where something is carried [m/s^2]: to hold such facets is left to timing, for descents
 take time for each."""
+_KEPT = 32
+"""Constraints of a scene whose limits are kept; ends that are tilted further make new ones."""
 _LEAST_ROOM = 1e-3
 """Share of gravity by which a facet has to hold at rest."""
 
@@ -78,7 +82,7 @@ class FeltCone:
     brim: float
     heave: float = np.inf
 
-    @property
+    @cached_property
     def facets(self) -> Float[Array, "facet xyz"]:
         """Vectors v in the link, around the pyramid and along its axis: v times what is felt is at most `room`."""
         first = np.cross(self.axis, np.eye(3)[np.argmin(np.abs(self.axis))])
@@ -88,7 +92,7 @@ class FeltCone:
         pyramid = around - np.tan(self.angle) * np.cos(np.pi / FACETS) * self.axis
         return np.vstack([pyramid, self.axis, -self.axis])
 
-    @property
+    @cached_property
     def room(self) -> Float[Array, " facet"]:
         """What v times what is felt may be at most [m/s^2]: nothing across the pyramid, a range along its axis."""
         upright = float(np.cos(self.angle))
@@ -96,7 +100,7 @@ class FeltCone:
         least = max(min(_LIGHTEST, _OF_REST * upright), upright - self.heave)
         return np.append(np.zeros(FACETS), [most * self.gravity, -least * self.gravity])
 
-    @property
+    @cached_property
     def native(self) -> _native.FeltLimit:
         """The same for descents of motions."""
         facets = np.ascontiguousarray(self.facets)
@@ -139,7 +143,7 @@ class FeltLoad:
     room: Float[Array, " facet"]
     gravity: float
 
-    @property
+    @cached_property
     def native(self) -> _native.FeltLimit | None:
         """The same for descents of motions; None where they have no reason to look."""
         often = self.room < _SELDOM_FELT
@@ -166,6 +170,18 @@ class FeltConstraint(Constraint):
     @abstractmethod
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
         """Return what has to hold in every configuration, at rest: all that the core has to check."""
+
+
+@per_layout(most=_KEPT)
+def felt_in(scene: Scene, constraint: FeltConstraint) -> Felt:
+    """Return what has to hold in motion in a scene; computed once."""
+    return constraint.felt(scene)
+
+
+@per_layout(most=_KEPT)
+def resting_in(scene: Scene, constraint: FeltConstraint) -> tuple[AxisRule, ...]:
+    """Return what has to hold in every configuration of a scene; computed once."""
+    return constraint.resting(scene)
 
 
 def felt_limits(cones: Sequence[Felt], kernels: Kernels, grid: CurveGrid) -> Float[Array, "interval limit 3"]:

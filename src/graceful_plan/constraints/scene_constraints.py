@@ -12,13 +12,13 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.constraints.bounds import bounded_kernels
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
-from graceful_plan.constraints.felt import Felt, FeltCone, FeltConstraint, felt_limits
+from graceful_plan.constraints.felt import Felt, FeltCone, FeltConstraint, felt_in, felt_limits, resting_in
 from graceful_plan.constraints.grasp import GraspHolds
 from graceful_plan.constraints.speed import speed_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import RetimingError, SettingError, UnsupportedError
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.grip import find_grip
 from graceful_plan.scene.rules.rules import CustomRule, SpeedRule
 from graceful_plan.scene.rules.vessel import find_vessel
@@ -71,7 +71,7 @@ class SceneConstraints:
         """Those that only Python can check."""
         self.keepers = tuple(c for c in self.constraints if isinstance(c, KeepContents))
         carrying = self._carrying(share)
-        self.felt = tuple(c.felt(scene) for c in carrying)
+        self.felt = tuple(felt_in(scene, c) for c in carrying)
         """What has to hold for what is felt where something is carried."""
         self.charged = tuple(limit for felt in self.felt if (limit := felt.native) is not None)
         """The part of it that descents of motions charge for; timing keeps all of it."""
@@ -82,7 +82,7 @@ class SceneConstraints:
         self.calm = any(isinstance(felt, FeltCone) and felt.angle < _CALM for felt in self.felt)
         """Whether it leaves so little that this alone decides how long a motion takes."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
-        resting = [rule for c in carrying for rule in c.resting(scene)]
+        resting = [rule for c in carrying for rule in resting_in(scene, c)]
         self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])
         """The scene's kernels, which also check what the core can."""
 
@@ -211,7 +211,7 @@ class SceneConstraints:
         """Limits that leave less and less of the angle to what is felt in vessels."""
         most = max(keeper.share for keeper in self.keepers)
         shares = [most, *(share for share in _SHARES if share < most)]
-        cones = [[c.felt(self.scene) for c in self._carrying(share)] for share in shares]
+        cones = [[felt_in(self.scene, c) for c in self._carrying(share)] for share in shares]
         return tuple(partial(self._limits, felt) for felt in cones)
 
     def _carrying(self, share: float) -> list[FeltConstraint]:
@@ -231,7 +231,7 @@ def default_constraints(scene: Scene) -> tuple[Constraint, ...]:
     return (*declared, *(own for own in _unasked(scene) if type(own) not in asked))
 
 
-@per_scene
+@per_layout
 def _unasked(scene: Scene) -> tuple[Constraint, ...]:
     contents = (KeepContents(),) if find_vessel(scene) is not None else ()
     return (*contents, *_held(scene))
