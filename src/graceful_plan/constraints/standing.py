@@ -82,16 +82,15 @@ class KeepStanding(FeltConstraint):
         """Return what has to hold for what is felt at its centre of mass."""
         rule, robot = self.rule(scene), compile_scene(scene).robot
         X_LO = frame_in_link(scene, robot, "object")
-        angle = self.felt_angle(scene)
         return FeltCone(
             name=self.name,
             link=robot.tool_link,
             point=X_LO[:3, :3] @ rule.point + X_LO[:3, 3],
             axis=X_LO[:3, :3] @ rule.axis,
-            angle=angle,
+            angle=self.felt_angle(scene),
             gravity=-float(scene.model.opt.gravity[2]),
             slosh=None,
-            brim=angle,
+            brim=None,
         )
 
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:

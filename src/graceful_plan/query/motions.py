@@ -38,7 +38,6 @@ from graceful_plan.query.request import Request
 from graceful_plan.query.search import KEPT, Search, thinned
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
-from graceful_plan.timing.retiming import retime, timed
 from graceful_plan.timing.spline import Spline
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -285,11 +284,8 @@ def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | 
 
 def timed_curve(landed: Landed, arrival: int, request: Request) -> Motion | None:
     """Time what a descent ended with, None if that cannot be done."""
-    scene = request.objective.scene
     try:
-        trajectory = request.constraints.timed(
-            lambda limits: timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=limits)
-        )
+        trajectory = request.constraints.timed(landed.curve, speed=request.speed)
     except RetimingError:
         return None
     estimate = landed.value - price_of_time(request) * trajectory.duration
@@ -311,12 +307,7 @@ def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
 
 def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline, its corners cut by so much."""
-    scene = request.objective.scene
-    trajectory = request.constraints.timed(
-        lambda limits: retime(
-            whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=limits
-        )
-    )
+    trajectory = request.constraints.retimed(whole, deviation=deviation, speed=request.speed)
     return charged(whole, trajectory, arrival, request)
 
 
