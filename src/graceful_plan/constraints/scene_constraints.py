@@ -34,7 +34,7 @@ Array = np.ndarray
 
 _CAREFUL = 0.6
 """Of the angle that keeps contents in, what searches and the first descents leave to what is felt, not to sloshing."""
-_SHARES = (0.6, 0.5, 0.4, 0.3)
+_SHARES = (0.65, 0.6, 0.55, 0.5, 0.45, 0.4, 0.3)
 """The same of timings, one after the other, after the share that was asked for."""
 _NARROW = 0.25
 """Angle for what is felt [rad] below which paths are worth more of the time than descents from bad ones: with 0.4 of it

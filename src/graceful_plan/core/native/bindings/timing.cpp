@@ -73,7 +73,7 @@ TimedCurve fastest(Reals step, Reals q, Reals slope, Reals bend, Flags stop, Rea
   nb::gil_scoped_release release;
   const bool found = timing.run({n, dim, step.data(), slope.data(), bend.data(), rests.data()}, q.data(),
                                 limit ? limit->data() : nullptr, limit ? limit->shape(1) : 0, speed);
-  if (!found) return {{}, {}, timing.trouble(), dim};
+  if (!found) return {{}, timing.speeds(), timing.trouble(), dim};
   return {timing.motion(), timing.speeds(), {}, dim};
 }
 
@@ -171,14 +171,20 @@ void bind_timing(nb::module_& m) {
           nb::kw_only(), "link"_a, "point"_a, "facets"_a, "room"_a, "gravity"_a, "axis"_a = nb::none(), "angle"_a = 0.0,
           "length"_a = 0.0, "drag"_a = 0.0);
   nb::class_<TimedCurve>(m, "TimedCurve")
-      .def_prop_ro("t", [](const TimedCurve& self) { return row(self.motion.t); }, nb::rv_policy::move)
-      .def_prop_ro("q", [](const TimedCurve& self) { return rows(self.motion.q, self.dim); }, nb::rv_policy::move)
-      .def_prop_ro("qd", [](const TimedCurve& self) { return rows(self.motion.qd, self.dim); }, nb::rv_policy::move)
-      .def_prop_ro("qdd", [](const TimedCurve& self) { return rows(self.motion.qdd, self.dim); }, nb::rv_policy::move)
-      .def_prop_ro("speeds", [](const TimedCurve& self) { return row(self.speeds); }, nb::rv_policy::move)
+      .def_prop_ro(
+          "t", [](const TimedCurve& self) { return row(self.motion.t); }, nb::rv_policy::move)
+      .def_prop_ro(
+          "q", [](const TimedCurve& self) { return rows(self.motion.q, self.dim); }, nb::rv_policy::move)
+      .def_prop_ro(
+          "qd", [](const TimedCurve& self) { return rows(self.motion.qd, self.dim); }, nb::rv_policy::move)
+      .def_prop_ro(
+          "qdd", [](const TimedCurve& self) { return rows(self.motion.qdd, self.dim); }, nb::rv_policy::move)
+      .def_prop_ro(
+          "speeds", [](const TimedCurve& self) { return row(self.speeds); }, nb::rv_policy::move)
       .def_prop_ro("excess", [](const TimedCurve& self) { return self.motion.excess; })
       .def_prop_ro("failed_limit", [](const TimedCurve& self) { return self.trouble.limit; })
-      .def_prop_ro("failed_point", [](const TimedCurve& self) { return self.trouble.any ? int(self.trouble.point) : -1; });
+      .def_prop_ro("failed_point",
+                   [](const TimedCurve& self) { return self.trouble.any ? int(self.trouble.point) : -1; });
   m.def("spline", &spline, "controls"_a, "u"_a);
   m.def("point_derivatives", &point_derivatives, "core"_a, nb::kw_only(), "link"_a, "point"_a, "q"_a, "slope"_a,
         "bend"_a);

@@ -5,8 +5,6 @@
 // boldest to the most careful, and a level that still swings too far is slowed down as a whole. What takes the least
 // time is the motion.
 #pragma once
-#include <string>
-
 #include "core.hpp"
 #include "timing/felt.hpp"
 #include "timing/spill.hpp"
@@ -24,14 +22,14 @@ class CurveTiming {
         velocity_(velocity),
         acceleration_(acceleration),
         profile_(std::move(velocity), std::move(acceleration)) {
-    if (levels_.empty()) levels_.emplace_back();
+    if (levels_.empty()) levels_.emplace_back();  // nothing is felt
     for (const FeltLimit& limit : levels_.front()) rider_.push_back(core_->rider(limit.link, limit.point));
   }
 
   // Where a limit does not even hold at rest, or the motion comes to a halt.
   struct Trouble {
-    int limit = -1;     // which of a level; -1 for none
-    size_t point = 0;   // of the curve
+    int limit = -1;    // which of a level; -1 for none
+    size_t point = 0;  // of the curve
     bool any = false;
   };
 
@@ -42,7 +40,10 @@ class CurveTiming {
     bool found = false;
     for (const Level& level : levels_) {
       trouble_ = {};
-      if (!time(curve, q, level, {limit, further}, box, speed)) return found && (trouble_ = {}, true);
+      if (!time(curve, q, level, {limit, further}, box, speed)) {
+        if (found) trouble_ = {};
+        return found;
+      }
       const double longest = found ? best_.duration() : std::numeric_limits<double>::infinity();
       if (now_.duration() >= longest) break;
       const double slower = slowdown(curve, level, longest);
@@ -55,15 +56,15 @@ class CurveTiming {
     return true;
   }
   const Travel& motion() const { return best_; }
-  // Of the parameter at each point, before anything was slowed down.
-  const std::vector<double>& speeds() const { return best_speed_; }
+  // Of the parameter at each point, before anything was slowed down; also of one that comes to a halt.
+  const std::vector<double>& speeds() const { return best_.t.empty() ? speed_ : best_speed_; }
   const Trouble& trouble() const { return trouble_; }
 
  private:
-  static constexpr double kRounding = 1e-9;    // reserve below the limits, for who evaluates the motion elsewhere
-  static constexpr double kLeastRoom = 1e-3;   // of gravity, by which a facet has to hold at rest
-  static constexpr double kSlowdown = 1.08;    // by how much a motion is slowed down at least
-  static constexpr int kMostSlowdowns = 40;
+  static constexpr double kRounding = 1e-9;   // reserve below the limits, for who evaluates the motion elsewhere
+  static constexpr double kLeastRoom = 1e-3;  // of gravity, by which a facet has to hold at rest
+  static constexpr double kSlowdown = 1.01;   // by how much a motion is slowed down at least
+  static constexpr int kMostSlowdowns = 310;
 
   struct Further {
     const double* row;
@@ -116,14 +117,14 @@ class CurveTiming {
     for (size_t l = 0; l < level.size(); ++l)
       if (tightest[l] < kLeastRoom * level[l].gravity) return trouble_ = {int(l), where[l], true}, false;
     squared_ = profile_.compute(curve, rows_.limits());
-    size_t halted = 0;
-    if (!travel(curve, q, squared_, now_, halted)) return trouble_ = {-1, halted, true}, false;
-    now_.excess = cubics_excess(now_.t.size(), curve.dim, now_.t.data(), now_.q.data(), now_.qd.data(),
-                                now_.qdd.data(), velocity_.data(), acceleration_.data());
-    stretched_ = now_.excess * (1 + kRounding) / speed;
-    now_.stretch(stretched_);
     speed_.resize(n + 1);
     for (size_t i = 0; i <= n; ++i) speed_[i] = std::sqrt(squared_[i]);
+    size_t halted = 0;
+    if (!travel(curve, q, squared_, now_, halted)) return trouble_ = {-1, halted, true}, false;
+    now_.excess = cubics_excess(now_.t.size(), curve.dim, now_.t.data(), now_.q.data(), now_.qd.data(), now_.qdd.data(),
+                                velocity_.data(), acceleration_.data());
+    stretched_ = now_.excess * (1 + kRounding) / speed;
+    now_.stretch(stretched_);
     return true;
   }
 

@@ -81,8 +81,7 @@ class FeltSamples {
   }
 
   // Derivatives of a weight times the last slosh(), added up; those with respect to q come with back().
-  void back_slosh(const std::vector<double>& x, double weight, std::vector<double>& d_x,
-                  std::vector<double>& d_pause) {
+  void back_slosh(const std::vector<double>& x, double weight, std::vector<double>& d_x, std::vector<double>& d_pause) {
     for (size_t l = 0; l < limits_.size(); ++l) {
       if (!swing_[l] || !swing_[l]->exceeds()) continue;
       const size_t n = d_pause.size();
@@ -116,8 +115,8 @@ class FeltSamples {
     return slope_.data();
   }
 
-  // From derivatives with respect to the limits of the last enter(), and those of back_slosh(), to those with respect to
-  // q, added up.
+  // From derivatives with respect to the limits of the last enter(), and those of back_slosh(), to those with respect
+  // to q, added up.
   void back(std::vector<double>& d_q) {
     by_motion_.assign(motion_.size(), {});
     const std::vector<size_t>& first = rows_.limits().first;

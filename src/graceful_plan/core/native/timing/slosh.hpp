@@ -13,8 +13,8 @@
 namespace gp {
 
 struct SloshLimit {
-  Vector3 axis;  // of the vessel, in the link
-  double angle;  // between the axis and the surface's normal, at most
+  Vector3 axis;       // of the vessel, in the link
+  double angle;       // between the axis and the surface's normal, at most
   Pendulum pendulum;  // without length where the surface is across what is felt: something dry
 };
 
