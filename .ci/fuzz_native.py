@@ -54,6 +54,9 @@ MAY_BE_INFINITE = {
     ("Anytime.run", "seconds"),
     ("MotionDescent.run", "seconds"),
     ("fastest", "limit"),
+    ("fastest", "velocity"),
+    ("travelled", "velocity"),
+    ("excess", "velocity"),
 }
 """Where infinity is a word with a meaning; "not a number" never is."""
 

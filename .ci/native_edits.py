@@ -174,29 +174,57 @@ EDITS = {
     "timing/speed_profile.hpp": (
         PROFILES,
         (
-            ("if («gain < 0 && (bounds[r] & kUpper)»)", "false"),
-            ("(bounds[r] & kLower) && «below > floor»", "below < floor"),
-            ("if («gain > 0») lower(i", "gain > 0.5"),
-            ("set_row(rows * i + dim + j, «slope[dim + j] + S * bend[dim + j]»", "slope[dim + j]"),
-            ("lower(«i + side», fast * fast", "i"),
+            ("if («gain < 0 && S * reach_[r] < beta_[i] * -gain») lower", "false"),
+            ("if («below > floor») floor", "below < floor"),
+            ("if («gain > 0» && most < beta_[i] * gain)", "gain > 0.5"),
+            ("set_row(2 * dim * i + dim + j, «slope[dim + j] + S * bend[dim + j]»", "slope[dim + j]"),
+            ("if (fast * fast < «cap_[i + side]»", "cap_[i]"),
             ("if («next < best») best = next", "next > best"),
         ),
     ),
     "timing/felt.hpp": (
         ("tests/constraints/test_felt.py",),
         (
-            ("std::array{«a + 2 * h_ * b», b, c}", "a + 0 * h_ * b"),
-            ("std::array{a, b, c}.data(), 3, begun(facet, «k»)", "(k > 0 ? k - 1 : 0)"),
-            ("return limits_[l].room[f] «- limits_[l].gravity * v[2]»", "+ limits_[l].gravity * v[2]"),
+            ("row{«dot3(v, at.velocity) + S * b»", "dot3(v, at.velocity)"),
+            ("limit.room[f] «- limit.gravity * dot3(v, at.up)», b", "+ limit.gravity * dot3(v, at.up)"),
+            ("«std::max(rest, least_room) * per»", "std::max(rest, least_room)"),
+        ),
+    ),
+    "timing/felt_samples.hpp": (
+        ("tests/constraints/test_felt.py", "tests/constraints/test_grasp.py"),
+        (
+            ("d.b + («place.end ? 2 * h_ * d.a : 0.0»)", "0.0"),
+            ("add3(about, 1, «cross3(by.bend, motion.bend)»)", "cross3(by.bend, by.bend)"),
+            ("«cross3(drive_[l].axis[k], by.axis[k])»", "by.axis[k]"),
+        ),
+    ),
+    "timing/rider.hpp": (
+        ("tests/constraints/test_felt.py",),
+        (("add3(second, s, cross3(«both», J))", "turning"), ("add3(about, 1, «d_turn»)", "d_p")),
+    ),
+    "timing/spill.hpp": (
+        ("tests/constraints/test_felt.py",),
+        (
+            ("slower * «push»", "0.0"),
+            ("«x[i + end]», vessel", "x[i]"),
+            ("if (!liquid && «!below(vessel.axis[i + end]»", "below(vessel.axis[i + end]"),
+        ),
+    ),
+    "timing/travel.hpp": (
+        ("tests/timing/test_retiming.py",),
+        (
+            ("const bool stays = «rests[i] || i == 0» || i + 1", "i == 0"),
+            ("max({«std::abs(a0)», std::abs(a1)", "0.0"),
+            ("crossing = «a0 * a1 < 0» ? a0", "false"),
         ),
     ),
     "timing/slosh.hpp": (
         ("tests/constraints/test_felt.py",),
-        (
-            ("rate[i] -= «radial * d[i]»;\n  }\n\n  // From", "0 * d[i]"),
-            ("lack = («angle - limit_.angle») / unit", "angle"),
-            ("- «drag * rate[i]»);\n    for (size_t i = 0; i < 3; ++i) d[i] += h", "0 * drag"),
-        ),
+        (("lack = («angle - limit_.angle») / unit", "angle"),),
+    ),
+    "timing/pendulum.hpp": (
+        ("tests/constraints/test_felt.py",),
+        (("add3(rate, «-dot3(rate, d)», d)", "0.0"), ("- «drag * rate[i]»)", "0 * drag")),
     ),
     "grid/distance_field.hpp": (
         ("tests/floor/test_floor_map.py",),

@@ -109,9 +109,7 @@ def test_the_cones_of_the_core_say_what_the_residual_says(name):
 
 def duration(task, constraints):
     path = gp.Path(np.vstack([task.start, np.atleast_2d(task.goal)[0]]))
-    scene = task.scene
-    limits = SceneConstraints(scene, constraints).limits if constraints else None
-    return gp.retime(path, scene.limits, scene.joints, restraint=limits).duration
+    return SceneConstraints(task.scene, constraints).retimed(path, deviation=0.05).duration
 
 
 @pytest.mark.parametrize("name", ["serve_tea", "pass_bottle", "serve_cake"])
@@ -220,8 +218,7 @@ def test_fingers_lose_what_is_carried_too_fast_and_keep_it_inside_the_limit():
     scene = task.scene
 
     def timed(constraints):
-        limits = SceneConstraints(scene, constraints).limits
-        return gp.retime(path, scene.limits, scene.joints, restraint=limits)
+        return SceneConstraints(scene, constraints).retimed(path, deviation=0.05)
 
     # Less than half of it: a motion that starts and stops as abruptly as this swings on the fingers.
     swift, careful = timed([]), timed([gp.GraspHolds(share=0.4)])

@@ -37,8 +37,7 @@ def test_at_rest_felt_gravity_is_gravity(tray):
 
 def duration(task, constraints):
     path = gp.Path(np.vstack([task.start, np.atleast_2d(task.goal)[0]]))
-    restraint = SceneConstraints(task.scene, constraints).limits
-    return gp.retime(path, task.scene.limits, task.scene.joints, restraint=restraint)
+    return SceneConstraints(task.scene, constraints).retimed(path, deviation=0.05)
 
 
 def test_what_slides_or_tips_earlier_never_makes_a_motion_faster(tray):

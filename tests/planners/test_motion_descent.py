@@ -208,7 +208,9 @@ def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> No
     stop = np.zeros(n + 1, dtype=bool)
     stop[[0, -1]] = True
     for velocity, acceleration in ((10.0, 3.0), (1.0, 3.0)):
-        speed = _native.fastest(step, slope, bend, stop, np.array([velocity]), np.array([acceleration]))
+        limits = {"velocity": np.array([velocity]), "acceleration": np.array([acceleration])}
+        q = np.append(0.0, np.cumsum(step))[:, None]
+        speed = _native.fastest(step=step, q=q, slope=slope, bend=bend, stop=stop, **limits).speeds
         seconds = float((2.0 * step / (speed[:-1] + speed[1:])).sum())
         peak = min(velocity, np.sqrt(acceleration * length))
         assert seconds == pytest.approx(peak / acceleration + length / peak, rel=1e-3)
@@ -227,7 +229,9 @@ def test_speed_profiles_keep_their_limits_at_both_ends_of_every_interval(
         step = rng.uniform(0.05, 0.5, n)
         slope = np.sign(rng.normal(size=dim)) * rng.uniform(*slopes, (n, 2, dim))
         bend, acceleration = roughness * rng.normal(size=(n, 2, dim)), rng.uniform(1.0, 5.0, dim)
-        x = _native.fastest(step, slope, bend, stop, velocity, acceleration) ** 2
+        limits = {"velocity": velocity, "acceleration": acceleration}
+        q = np.zeros((n + 1, dim))  # says nothing of speeds
+        x = _native.fastest(step=step, q=q, slope=slope, bend=bend, stop=stop, **limits).speeds ** 2
         assert (x >= 0.0).all() and x.max() > 0.0
         u = np.diff(x) / (2.0 * step)
         for end, speed in ((0, x[:-1]), (1, x[1:])):

@@ -8,25 +8,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
+from graceful_plan.core import _native
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import CurveGrid, Polyline, rounded, sampled
 from graceful_plan.timing.retiming import (
     ACCEPTED_SLOWDOWN,
-    SHORTEST_PIECE,
     retime,
     slowdown,
     slowed,
     timed,
-    without_short_pieces,
 )
 from graceful_plan.timing.spline import Spline
-from graceful_plan.timing.topp import fastest, fastest_with_toppra
+from graceful_plan.timing.topp import fastest, fastest_with_toppra, travelled
 from graceful_plan.timing.trajectory import Trajectory
 
 _TOLERANCE = 1e-6
 """Relative, what the library promises of limits."""
+_SHORTEST_PIECE = 1e-5
+"""Of a motion [s]."""
 
 
 def _limits(velocity: ArrayLike, acceleration: ArrayLike, torque: float = np.inf) -> Limits:
@@ -128,7 +129,7 @@ def test_toppra_is_no_faster_and_hardly_slower(seed: int, deviation: float) -> N
     def duration(speeds: np.ndarray) -> float:
         return float((2.0 * np.diff(grid.s) / (speeds[1:] + speeds[:-1])).sum())
 
-    own = duration(fastest(grid, _PANDA.velocity, _PANDA.acceleration))
+    own = duration(fastest(grid, _PANDA.velocity, _PANDA.acceleration).speeds)
     theirs = duration(fastest_with_toppra(grid, _PANDA.velocity, _PANDA.acceleration))
     # toppra sees one second derivative a grid point, so where it jumps it brakes a little earlier.
     assert own * 0.999 <= theirs <= own * (1.001 if deviation == 0.0 else 1.15)
@@ -246,9 +247,9 @@ def test_pieces_that_are_too_short_for_anybody_are_merged(gap: float, deviation:
     path = Path(np.outer([0.0, 1.0, 1.0 + gap, 1.0 + 2.0 * gap, 2.0], unit))
     limits = _limits([10.0] * 2, [50.0] * 2)
     motion, plain = retime(path, limits, deviation=deviation), retime(Path(path.q[[0, -1]]), limits)
-    assert np.diff(motion.t).min() >= SHORTEST_PIECE
+    assert np.diff(motion.t).min() >= _SHORTEST_PIECE
     assert motion.duration == pytest.approx(plain.duration, rel=1e-6)
-    assert slowdown(motion, limits, None) == 1.0
+    assert slowdown(motion, limits) == 1.0
     off = motion.at(np.linspace(0.0, motion.duration, 999)).q @ [0.8, -0.6]
     np.testing.assert_allclose(off, 0.0, atol=1e-9)
     _assert_within_limits(motion, limits)
@@ -256,15 +257,18 @@ def test_pieces_that_are_too_short_for_anybody_are_merged(gap: float, deviation:
 
 def test_merging_keeps_both_ends_and_rests() -> None:
     t = np.array([0.0, 4e-6, 8e-6, 0.1, 0.1 + 2e-6, 0.1 + 4e-6, 0.2, 0.2 + 1e-6])
-    qd = np.ones((8, 1))
-    qd[[0, 4, 7]] = 0.0
-    made = Trajectory(t, t[:, None], qd, qd, ("a",))
-    merged = without_short_pieces(made)
-    np.testing.assert_array_equal(merged.t, t[[0, 4, 7]])
-    np.testing.assert_array_equal(merged.qd, qd[[0, 4, 7]])
-    assert without_short_pieces(merged) is not made and len(without_short_pieces(merged)) == 3
-    even = Trajectory(1e-4 * np.arange(8), t[:, None], qd, qd, ("a",))
-    assert without_short_pieces(even) is even
+    speeds = np.ones(8)
+    speeds[[0, 4, 7]] = 0.0
+
+    def motion(times: np.ndarray) -> _native.TimedCurve:
+        s = np.append(0.0, np.cumsum(0.5 * (speeds[:-1] + speeds[1:]) * np.diff(times)))
+        slope = np.ones((7, 2, 1))
+        return travelled(CurveGrid(s, s[:, None], slope, 0.0 * slope, speeds == 0.0), speeds, np.ones(1), np.ones(1))
+
+    merged = motion(t)
+    np.testing.assert_allclose(merged.t, t[[0, 4, 7]], rtol=1e-12)
+    np.testing.assert_array_equal(merged.qd[:, 0], speeds[[0, 4, 7]])
+    assert len(motion(1e-4 * np.arange(8)).t) == 8
 
 
 def test_a_restraint_holds_at_the_speed_that_a_motion_has_in_the_end() -> None:
@@ -286,7 +290,7 @@ def test_accelerations_that_are_said_of_samples_count_as_well() -> None:
     t = np.linspace(0.0, 1.0, 5)
     said = np.array([[0.0], [0.0], [8.0], [0.0], [0.0]])
     motion = Trajectory(t, np.zeros((5, 1)), np.zeros((5, 1)), said, ("a",))
-    assert slowdown(motion, _limits([1.0], [2.0]), None) == pytest.approx(2.0)
+    assert slowdown(motion, _limits([1.0], [2.0])) == pytest.approx(2.0)
 
 
 def test_the_last_acceleration_is_that_of_the_last_piece() -> None:

@@ -35,7 +35,17 @@ def speeds(found, limit):
     step, slope, bend = found
     stop = np.zeros(POINTS + 1, bool)
     stop[[0, -1]] = True
-    return _native.fastest(step, slope, bend, stop, VELOCITY, ACCELERATION, limit=np.ascontiguousarray(limit))
+    found = _native.fastest(
+        step=step,
+        q=np.zeros((POINTS + 1, JOINTS)),  # says nothing of speeds
+        slope=slope,
+        bend=bend,
+        stop=stop,
+        velocity=VELOCITY,
+        acceleration=ACCELERATION,
+        limit=np.ascontiguousarray(limit),
+    )
+    return found.speeds
 
 
 @given(seed=st.integers(0, 10_000), at=st.integers(5, POINTS - 6))

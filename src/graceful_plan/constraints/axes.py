@@ -14,7 +14,7 @@ from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule, Vector, checked_frame
 from graceful_plan.scene.scene import Scene
 
@@ -109,7 +109,7 @@ def told_angle(name: str, residual: float, angle: float) -> str:
     return f"{name}: {tilt:.1f} degrees, {np.rad2deg(residual):.1f} more than the {allowed:.1f} that are allowed"
 
 
-@per_scene
+@per_layout
 def standing_axis(scene: Scene) -> Vector:
     """Return the axis of the carried object that is vertical where it stands in the scene; else the tool's."""
     if scene.carried is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
@@ -11,7 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.axes import axis_residual
 from graceful_plan.constraints.bounds import frame_in_link
-from graceful_plan.constraints.felt import FeltCone, FeltConstraint, curve_of_point
+from graceful_plan.constraints.felt import FeltCone, FeltConstraint
 from graceful_plan.constraints.slosh import Slosh
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
@@ -21,18 +20,9 @@ from graceful_plan.path import is_real
 from graceful_plan.scene.rules.rules import AxisRule, ContentsRule
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 from graceful_plan.scene.scene import Scene
-from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
-_SAMPLES = 0.004
-"""Between two looks at the surface [s]; the fastest of them swing with 5 Hz."""
-_AFTER = 0.5
-"""For how long the surface is followed after the end [s]."""
-_BELOW = 0.97
-"""Of the tilt that brings the surface to the rim, what the sloshing surface may have: others sample it elsewhere."""
-_AIMED = 0.92
-"""The same in descents: what is charged ends a little beyond its limit."""
 _AT_REST = 0.9
 """Of the angle that what is felt may use, what the vessel may be tilted at rest: the motion needs the others."""
 _ROOM = 0.01
@@ -114,7 +104,7 @@ class KeepContents(FeltConstraint):
             angle=self.felt_angle(scene),
             gravity=gravity,
             slosh=Slosh.of(vessel, gravity) if vessel.repose == 0.0 else None,
-            brim=_AIMED * min(vessel.brim_tilt, _STEEPEST),
+            brim=min(vessel.brim_tilt, _STEEPEST),
             heave=self._heave(vessel),
         )
 
@@ -122,30 +112,6 @@ class KeepContents(FeltConstraint):
         """Return what may be felt along the axis beyond gravity, or less, so that what goes astray stays in [g]."""
         brim = min(vessel.brim_tilt, _STEEPEST)
         return max(float(np.tan(brim) - np.tan(self.share * brim)) / _ASTRAY, _LEAST_HEAVE)
-
-    def stays_below(self, trajectory: Trajectory, scene: Scene) -> Callable[[float], bool]:
-        """Return whether the surface stays below the rim if a motion takes so many times as long.
-
-        Along the motion, and while it comes to rest, sloshing included.
-        """
-        cone, kernels = self.felt(scene), compile_scene(scene).kernels
-        motion = trajectory.sample(_SAMPLES)
-        X_WL = kernels.link_poses(motion.q)
-        _, acceleration = curve_of_point(kernels.robot, X_WL, (cone.link, cone.point), (motion.qd, motion.qdd))
-        axis = X_WL[:, cone.link, :3, :3] @ cone.axis
-        least = np.cos(_BELOW * min(_vessel(scene).brim_tilt, _STEEPEST))
-
-        def stays(slowdown: float) -> bool:
-            dt = slowdown * _SAMPLES
-            after = int(_AFTER / dt)
-            surface = np.concatenate([acceleration / slowdown**2, np.zeros((after, 3))]) + [0.0, 0.0, cone.gravity]
-            if cone.slosh is not None:
-                surface = cone.slosh.follow(surface, dt)
-            upright = np.concatenate([axis, np.repeat(axis[-1:], after, axis=0)])
-            cosine = (surface * upright).sum(axis=1) / np.linalg.norm(surface, axis=1)
-            return bool(cosine.min() >= least)
-
-        return stays
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return by how much the vessel is tilted too much at rest [rad]."""

@@ -12,22 +12,19 @@ References:
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.slosh import Slosh
 from graceful_plan.core import _native
-from graceful_plan.core.arrays import RobotArrays
-from graceful_plan.core.kernels import Kernels
-from graceful_plan.exceptions import RetimingError
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule
 from graceful_plan.scene.scene import Scene
-from graceful_plan.timing.blend import CurveGrid
 
 Array = np.ndarray
 
@@ -45,8 +42,12 @@ fall the direction is up to any small error of the robot: one in four fast motio
 _SELDOM_FELT = 40.0
 """More than this is hardly felt where something is carried [m/s^2]: to hold such facets is left to timing, for descents
 take time for each."""
-_LEAST_ROOM = 1e-3
-"""Share of gravity by which a facet has to hold at rest."""
+_KEPT = 32
+"""Constraints of a scene whose limits are kept; ends that are tilted further make new ones."""
+_BELOW = 0.97
+"""Of the tilt that brings the surface to the rim, what the sloshing surface may have: others sample it elsewhere."""
+_AIMED = 0.92
+"""The same in descents: what is charged ends a little beyond its limit."""
 
 
 @final
@@ -63,7 +64,8 @@ class FeltCone:
     | angle   | largest angle, below a right one               | rad   |       |
     | gravity |                                                | m/s^2 |       |
     | slosh   | of a liquid there; None if it is none          |       |       |
-    | brim    | largest angle between axis and surface normal  | rad   |       |
+    | brim    | angle between axis and surface normal at which |       |       |
+    |         | contents spill; None if there are none         | rad   |       |
     | heave   | share of gravity by which what is felt along   |       |       |
     |         | the axis may differ from it                    |       |       |
     """
@@ -75,10 +77,10 @@ class FeltCone:
     angle: float
     gravity: float
     slosh: Slosh | None
-    brim: float
+    brim: float | None
     heave: float = np.inf
 
-    @property
+    @cached_property
     def facets(self) -> Float[Array, "facet xyz"]:
         """Vectors v in the link, around the pyramid and along its axis: v times what is felt is at most `room`."""
         first = np.cross(self.axis, np.eye(3)[np.argmin(np.abs(self.axis))])
@@ -88,7 +90,7 @@ class FeltCone:
         pyramid = around - np.tan(self.angle) * np.cos(np.pi / FACETS) * self.axis
         return np.vstack([pyramid, self.axis, -self.axis])
 
-    @property
+    @cached_property
     def room(self) -> Float[Array, " facet"]:
         """What v times what is felt may be at most [m/s^2]: nothing across the pyramid, a range along its axis."""
         upright = float(np.cos(self.angle))
@@ -96,11 +98,20 @@ class FeltCone:
         least = max(min(_LIGHTEST, _OF_REST * upright), upright - self.heave)
         return np.append(np.zeros(FACETS), [most * self.gravity, -least * self.gravity])
 
-    @property
+    @cached_property
     def native(self) -> _native.FeltLimit:
         """The same for descents of motions."""
+        return self._limit(_AIMED if self.slosh is not None else None)
+
+    @cached_property
+    def timed(self) -> _native.FeltLimit:
+        """The same for timing."""
+        return self._limit(_BELOW)
+
+    def _limit(self, part: float | None) -> _native.FeltLimit:
+        """Return the limit for the core; the surface stays within some part of the brim's angle, if any is given."""
         facets = np.ascontiguousarray(self.facets)
-        if self.slosh is None:
+        if part is None or self.brim is None:
             return _native.FeltLimit(
                 link=self.link, point=self.point, facets=facets, room=self.room, gravity=self.gravity
             )
@@ -111,9 +122,9 @@ class FeltCone:
             room=self.room,
             gravity=self.gravity,
             axis=self.axis,
-            angle=self.brim,
-            length=self.slosh.length,
-            drag=self.slosh.drag,
+            angle=part * self.brim,
+            length=0.0 if self.slosh is None else self.slosh.length,
+            drag=0.0 if self.slosh is None else self.slosh.drag,
         )
 
 
@@ -139,13 +150,19 @@ class FeltLoad:
     room: Float[Array, " facet"]
     gravity: float
 
-    @property
+    @cached_property
     def native(self) -> _native.FeltLimit | None:
         """The same for descents of motions; None where they have no reason to look."""
         often = self.room < _SELDOM_FELT
-        if not often.any():
-            return None
-        facets, room = np.ascontiguousarray(self.facets[often]), self.room[often]
+        return self._limit(often) if often.any() else None
+
+    @cached_property
+    def timed(self) -> _native.FeltLimit:
+        """The same for timing."""
+        return self._limit(np.ones(len(self.room), dtype=bool))
+
+    def _limit(self, kept: Bool[Array, " facet"]) -> _native.FeltLimit:
+        facets, room = np.ascontiguousarray(self.facets[kept]), self.room[kept]
         return _native.FeltLimit(link=self.link, point=self.point, facets=facets, room=room, gravity=self.gravity)
 
 
@@ -168,67 +185,13 @@ class FeltConstraint(Constraint):
         """Return what has to hold in every configuration, at rest: all that the core has to check."""
 
 
-def felt_limits(cones: Sequence[Felt], kernels: Kernels, grid: CurveGrid) -> Float[Array, "interval limit 3"]:
-    """Return limits a u + b x <= c on path acceleration u and squared path speed x, at both ends of each interval.
-
-    Raises:
-        RetimingError: If the curve passes where a cone does not even hold at rest.
-    """
-    steps = np.diff(grid.s)[:, None]
-    rows = [np.zeros((len(grid.s) - 1, 0, 3))]
-    for cone in cones:
-        for end in (0, 1):
-            q = grid.q[end : len(grid.q) - 1 + end]
-            X_WL = kernels.link_poses(q)
-            slope, bend = curve_of_point(
-                kernels.robot, X_WL, (cone.link, cone.point), (grid.slope[:, end], grid.bend[:, end])
-            )
-            v = np.einsum("nij,fj->nfi", X_WL[:, cone.link, :3, :3], cone.facets)
-            a, b = np.einsum("nfi,ni->nf", v, slope), np.einsum("nfi,ni->nf", v, bend)
-            c = cone.room - cone.gravity * v[..., 2]
-            if np.any(c < _LEAST_ROOM * cone.gravity):
-                at = grid.s[int(np.argmin(c.min(axis=1))) + end] / grid.s[-1]
-                raise RetimingError(f"{cone.name} does not hold at rest after {at:.0%} of the path")
-            # At the end of an interval the squared speed is x + 2 step u.
-            rows.append(np.stack([a + (2.0 * steps * b if end else 0.0), b, c], axis=-1))
-    return np.ascontiguousarray(np.concatenate(rows, axis=1))
+@per_layout(most=_KEPT)
+def felt_in(scene: Scene, constraint: FeltConstraint) -> Felt:
+    """Return what has to hold in motion in a scene; computed once."""
+    return constraint.felt(scene)
 
 
-def curve_of_point(
-    robot: RobotArrays,
-    X_WL: Float[Array, "n link 4 4"],
-    rider: tuple[int, Float[Array, " xyz"]],
-    derivatives: tuple[Float[Array, "n nq"], Float[Array, "n nq"]],
-) -> tuple[Float[Array, "n xyz"], Float[Array, "n xyz"]]:
-    """Return the first and second derivative of a point's position along a curve in joint space.
-
-    Args:
-        robot: Whose links.
-        X_WL: Poses of all links.
-        rider: The link that the point rides on, and where it is in it [m].
-        derivatives: dq/ds and d2q/ds2.
-    """
-    link, point = rider
-    slope, bend = derivatives
-    at = X_WL[:, link, :3, 3] + X_WL[:, link, :3, :3] @ point
-    chain, k = [], link
-    while k >= 0:
-        if robot.joint[k] >= 0:
-            chain.append(k)
-        k = int(robot.parent[k])
-    first, second, omega = np.zeros_like(at), np.zeros_like(at), np.zeros_like(at)
-    for k in reversed(chain):  # from the base on
-        j, z = int(robot.joint[k]), X_WL[:, k, :3, 2]
-        s, b = slope[:, j : j + 1], bend[:, j : j + 1]
-        turned = omega if robot.slide[k] else omega + s * z
-        J = z if robot.slide[k] else _cross(z, at - X_WL[:, k, :3, 3])
-        first += s * J
-        # dJ/ds: joints before it turn it, and it turns itself.
-        second += b * J + s * _cross(omega + turned, J)
-        omega = turned
-    return first, second
-
-
-def _cross(a: Float[Array, "n xyz"], b: Float[Array, "n xyz"]) -> Float[Array, "n xyz"]:
-    """Return cross products; `np.cross` takes four times as long for a few hundred."""
-    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+@per_layout(most=_KEPT)
+def resting_in(scene: Scene, constraint: FeltConstraint) -> tuple[AxisRule, ...]:
+    """Return what has to hold in every configuration of a scene; computed once."""
+    return constraint.resting(scene)

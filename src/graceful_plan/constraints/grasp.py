@@ -31,6 +31,7 @@ from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.grip import Grip, find_grip
 from graceful_plan.scene.rules.rules import AxisRule, GripRule
 from graceful_plan.scene.scene import Scene
@@ -43,6 +44,8 @@ _ROOM = 0.01
 """Of what the pads can carry, what a motion may use beyond what an end needs."""
 _FLAT = 1e-9
 """Singular values of the load below this share of the greatest are none."""
+_KEPT = 8
+"""Grips of a scene whose facets are kept."""
 _SIDES = 12
 """Of the polygon that stands for an ellipse: it takes at most 1 - cos(pi / 12), 3 %."""
 
@@ -99,7 +102,7 @@ class GraspHolds(FeltConstraint):
         robot = compile_scene(scene).robot
         X_LO = frame_in_link(scene, robot, "object")
         grip = self.grip(scene)
-        facets, room = load_facets(grip)
+        facets, room = _facets(scene, self.friction, self.force)
         return FeltLoad(
             name=self.name,
             link=robot.tool_link,
@@ -112,7 +115,7 @@ class GraspHolds(FeltConstraint):
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
         """Return what has to hold in every configuration: each facet holds the vertical inside of a cone."""
         gravity = -float(scene.model.opt.gravity[2])
-        facets, room = load_facets(self.grip(scene))
+        facets, room = _facets(scene, self.friction, self.force)
         cosine = _AT_REST * self.share * room / gravity
         return tuple(
             AxisRule(
@@ -133,7 +136,7 @@ class GraspHolds(FeltConstraint):
     def _resting_load(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return the load as a share of what the pads can carry."""
         gravity = -float(batch.scene.model.opt.gravity[2])
-        facets, room = load_facets(self.grip(batch.scene))
+        facets, room = _facets(batch.scene, self.friction, self.force)
         load = np.einsum("fi,ni->nf", facets, batch.object_poses[:, 2, :3]) * gravity / room
         return load.max(axis=1)
 
@@ -141,6 +144,14 @@ class GraspHolds(FeltConstraint):
         """Say in words how far outside a state is."""
         load = residual + _AT_REST
         return f"{self.name}: at rest the load is {load:.2f} of what the fingers hold, {_AT_REST:.2f} is allowed"
+
+
+@per_layout(most=_KEPT)
+def _facets(
+    scene: Scene, friction: float | None, force: float | None
+) -> tuple[Float[Array, "facet xyz"], Float[Array, " facet"]]:
+    """Return `load_facets` of how an object is held; computed once."""
+    return load_facets(GraspHolds(friction, force).grip(scene))
 
 
 def load_facets(grip: Grip) -> tuple[Float[Array, "facet xyz"], Float[Array, " facet"]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property, partial
+from collections.abc import Iterable
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -12,28 +12,29 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.constraints.bounds import bounded_kernels
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
-from graceful_plan.constraints.felt import Felt, FeltCone, FeltConstraint, felt_limits
+from graceful_plan.constraints.felt import FeltCone, FeltConstraint, felt_in, resting_in
 from graceful_plan.constraints.grasp import GraspHolds
 from graceful_plan.constraints.speed import speed_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.exceptions import RetimingError, SettingError, UnsupportedError
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.path import Path
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.grip import find_grip
 from graceful_plan.scene.rules.rules import CustomRule, SpeedRule
 from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
-from graceful_plan.timing.blend import CurveGrid
+from graceful_plan.timing.blend import Curve
 from graceful_plan.timing.drive_curve import drive_limits
-from graceful_plan.timing.retiming import slowed
-from graceful_plan.timing.topp import Restraint
+from graceful_plan.timing.retiming import retime, timed
+from graceful_plan.timing.topp import FeltLevels, Restraint
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
 _CAREFUL = 0.6
 """Of the angle that keeps contents in, what searches and the first descents leave to what is felt, not to sloshing."""
-_SHARES = (0.6, 0.5, 0.4, 0.3)
+_SHARES = (0.65, 0.6, 0.55, 0.5, 0.45, 0.4, 0.3)
 """The same of timings, one after the other, after the share that was asked for."""
 _NARROW = 0.25
 """Angle for what is felt [rad] below which paths are worth more of the time than descents from bad ones: with 0.4 of it
@@ -41,10 +42,6 @@ instead of 0.15, J of nearly full soup, tray and pan fell by 26, 18 and 0 %; tha
 _CALM = 0.15
 """Angle for what is felt [rad] below which motions are planned from the shortest ones on; see `query.cheaper`. With
 0.25 a bucket, a cruet and a tray of cups gained nothing or lost."""
-_SLOWDOWN = 1.08
-"""By how much a motion is slowed down at least."""
-_MOST_SLOWDOWNS = 40
-"""How often by that."""
 
 
 @final
@@ -71,7 +68,7 @@ class SceneConstraints:
         """Those that only Python can check."""
         self.keepers = tuple(c for c in self.constraints if isinstance(c, KeepContents))
         carrying = self._carrying(share)
-        self.felt = tuple(c.felt(scene) for c in carrying)
+        self.felt = tuple(felt_in(scene, c) for c in carrying)
         """What has to hold for what is felt where something is carried."""
         self.charged = tuple(limit for felt in self.felt if (limit := felt.native) is not None)
         """The part of it that descents of motions charge for; timing keeps all of it."""
@@ -82,7 +79,7 @@ class SceneConstraints:
         self.calm = any(isinstance(felt, FeltCone) and felt.angle < _CALM for felt in self.felt)
         """Whether it leaves so little that this alone decides how long a motion takes."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
-        resting = [rule for c in carrying for rule in c.resting(scene)]
+        resting = [rule for c in carrying for rule in resting_in(scene, c)]
         self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])
         """The scene's kernels, which also check what the core can."""
 
@@ -140,79 +137,57 @@ class SceneConstraints:
             holds &= -constraint.lever * checked_residual(constraint, batch) >= margin
         return holds
 
-    def limits(self, grid: CurveGrid) -> Float[Array, "interval limit 3"]:
-        """Return limits on how fast a curve is travelled: a u + b x <= c, see `Restraint`.
-
-        Raises:
-            RetimingError: If something does not even hold at rest somewhere along the curve.
-        """
-        return self._limits(self.felt, grid)
-
-    def _limits(self, felt: Sequence[Felt], grid: CurveGrid) -> Float[Array, "interval limit 3"]:
-        limits = [felt_limits(felt, self.kernels, grid), speed_limits(self._speeds, self.scene, grid)]
-        if self.scene.base is not None:
-            limits.append(drive_limits(self.scene.base, grid))
-        return np.concatenate(limits, axis=1)
-
-    def timed(self, timing: Callable[[Restraint], Trajectory]) -> Trajectory:
+    def timed(self, curve: Curve, *, speed: float = 1.0, slower: Restraint | None = None) -> Trajectory:
         """Time a curve so that all limits hold along it and what sloshes in what is carried stays in.
 
         A surface swings beyond what is felt, how far depends on the curve: less and less of the angle is left to what
         is felt until the surface stays below the rim. Where that does not help the motion is slowed down as a whole.
 
         Args:
-            timing: Returns the fastest motion along the curve within some limits.
+            curve: The curve.
+            speed: Of the limits; see `retime`.
+            slower: Further limits on path acceleration and speed.
 
         Raises:
             RetimingError: If something does not even hold at rest somewhere along the curve.
         """
-        if not self.keepers:
-            return timing(self.limits)
-        best: Trajectory | None = None
-        for limits in self._bolder_first:
-            try:
-                trajectory = timing(limits)
-            except RetimingError:
-                if best is None:
-                    raise
-                break
-            if best is not None and trajectory.duration >= best.duration:
-                break
-            slowdowns = self._slowdowns(trajectory, np.inf if best is None else best.duration)
-            slower = slowed(trajectory, _SLOWDOWN**slowdowns)
-            if best is None or slower.duration < best.duration:
-                best = slower
-            if slowdowns == 0:
-                break
-        assert best is not None
-        return best
+        restraint, limits = self._restraint(slower), self.scene.limits
+        return timed(curve, limits, self.scene.joints, speed=speed, restraint=restraint, felt=self.felt_levels)
 
-    def _slowdowns(self, trajectory: Trajectory, longest: float) -> int:
-        """Return how often a motion has to be slowed down until nothing swings over the rim, or gets too long [s]."""
-        if trajectory.duration == 0.0:
-            return 0  # at its goal already
-        most = float(np.log(longest / trajectory.duration) / np.log(_SLOWDOWN))
-        most = int(min(np.ceil(most), _MOST_SLOWDOWNS))
-        keepers = [keeper.stays_below(trajectory, self.scene) for keeper in self.keepers]
-
-        def is_calm(slowdowns: int) -> bool:
-            return all(stays(_SLOWDOWN**slowdowns) for stays in keepers)
-
-        swings, calm = -1, 0
-        while calm < most and not is_calm(calm):
-            swings, calm = calm, min(max(1, 2 * calm), most)
-        while calm - swings > 1:
-            middle = (swings + calm) // 2
-            swings, calm = (swings, middle) if is_calm(middle) else (middle, calm)
-        return calm
+    def retimed(self, path: Path, *, deviation: float | Float[Array, " corner"], speed: float = 1.0) -> Trajectory:
+        """Time a polyline in the same way, its corners cut by so much; see `retime`."""
+        return retime(
+            path,
+            self.scene.limits,
+            self.scene.joints,
+            deviation=deviation,
+            speed=speed,
+            restraint=self._restraint(None),
+            felt=self.felt_levels,
+        )
 
     @cached_property
-    def _bolder_first(self) -> tuple[Restraint, ...]:
-        """Limits that leave less and less of the angle to what is felt in vessels."""
-        most = max(keeper.share for keeper in self.keepers)
-        shares = [most, *(share for share in _SHARES if share < most)]
-        cones = [[c.felt(self.scene) for c in self._carrying(share)] for share in shares]
-        return tuple(partial(self._limits, felt) for felt in cones)
+    def felt_levels(self) -> FeltLevels | None:
+        """Limits that leave less and less of the angle to what is felt in vessels; None where nothing is felt."""
+        if not self.felt:
+            return None
+        levels = [self.felt]
+        if self.keepers:
+            most = max(keeper.share for keeper in self.keepers)
+            shares = [most, *(share for share in _SHARES if share < most)]
+            levels = [[felt_in(self.scene, c) for c in self._carrying(share)] for share in shares]
+        names = tuple(felt.name for felt in self.felt)
+        return FeltLevels(self.kernels.core, names, tuple(tuple(felt.timed for felt in level) for level in levels))
+
+    def _restraint(self, slower: Restraint | None) -> Restraint | None:
+        """Return what else restrains path acceleration and speed."""
+        own: list[Restraint] = [] if slower is None else [slower]
+        if self._speeds:
+            own.append(lambda grid: speed_limits(self._speeds, self.scene, grid))
+        base = self.scene.base
+        if base is not None:
+            own.append(lambda grid: drive_limits(base, grid))
+        return (lambda grid: np.concatenate([limits(grid) for limits in own], axis=1)) if own else None
 
     def _carrying(self, share: float) -> list[FeltConstraint]:
         """Return constraints on what is felt, with some share of the angle at most for contents."""
@@ -231,7 +206,7 @@ def default_constraints(scene: Scene) -> tuple[Constraint, ...]:
     return (*declared, *(own for own in _unasked(scene) if type(own) not in asked))
 
 
-@per_scene
+@per_layout
 def _unasked(scene: Scene) -> tuple[Constraint, ...]:
     contents = (KeepContents(),) if find_vessel(scene) is not None else ()
     return (*contents, *_held(scene))

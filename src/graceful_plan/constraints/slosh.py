@@ -19,11 +19,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
-from graceful_plan.core import _native
 from graceful_plan.scene.rules.vessel import Vessel
-
-Array = np.ndarray
 
 _ROOT = 1.841
 """First zero of the derivative of the Bessel function J_1."""
@@ -55,10 +51,6 @@ class Slosh:
         length = float(R / (_ROOT * np.tanh(_ROOT * depth / R)))
         damping = 4.98 / (2.0 * np.pi) * _VISCOSITY**0.5 * R**-0.75 * gravity**-0.25
         return cls(float(np.sqrt(gravity / length)), float(damping), length)
-
-    def follow(self, felt: Float[Array, "n xyz"], dt: float) -> Float[Array, "n xyz"]:
-        """Return the unit normals of the surface, from rest, for what is felt [m/s^2] at even times `dt` apart [s]."""
-        return _native.swing(np.ascontiguousarray(felt), dt, self.length, self.drag)
 
     @property
     def drag(self) -> float:

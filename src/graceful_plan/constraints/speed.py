@@ -8,7 +8,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.distance import distance_kernels
-from graceful_plan.constraints.felt import curve_of_point
+from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.scene.rules.rules import SpeedRule
 from graceful_plan.scene.scene import Scene
@@ -28,8 +28,11 @@ def speed_limits(rules: Sequence[SpeedRule], scene: Scene, grid: CurveGrid) -> F
     for rule in rules:
         for end in (0, 1):
             q = grid.q[end : len(grid.q) - 1 + end]
-            rider = robot.tool_link, robot.X_LT[:3, 3]
-            velocity, _ = curve_of_point(robot, kernels.link_poses(q), rider, (grid.slope[:, end], grid.bend[:, end]))
+            slope, bend = (np.ascontiguousarray(x[:, end]) for x in (grid.slope, grid.bend))
+            point = np.ascontiguousarray(robot.X_LT[:3, 3])
+            velocity, _ = _native.point_derivatives(
+                kernels.core, link=robot.tool_link, point=point, q=np.ascontiguousarray(q), slope=slope, bend=bend
+            )
             squared = (velocity**2).sum(axis=1)
             if rule.near is not None:
                 squared = np.where(distance_kernels(scene, rule.near).clearance(q) < rule.within, squared, 0.0)

@@ -22,6 +22,7 @@ from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import is_real
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule, StandsRule
 from graceful_plan.scene.scene import Scene
 
@@ -29,6 +30,8 @@ Array = np.ndarray
 
 _AT_REST = 0.9
 """Of the angle, what the tilt may use at rest: the motion needs the others."""
+_KEPT = 8
+"""Such constraints of a scene whose rules are kept."""
 
 
 @final
@@ -68,29 +71,7 @@ class KeepStanding(FeltConstraint):
             SettingError: If nothing is carried in it.
             UnknownNameError: If what is carried has no such geom.
         """
-        geom = self._geom(scene)
-        axis = np.array(standing_axis(scene))
-        R_OG = np.zeros(9)
-        mujoco.mju_quat2Mat(R_OG, scene.model.geom_quat[geom])
-        R_OG = R_OG.reshape(3, 3)
-        box = scene.model.geom_aabb[geom]
-        # Boxes in the geom's axes: what stands upright is half as high as the one along the vertical.
-        upward = np.abs(R_OG.T @ axis)
-        k = int(np.argmax(upward))
-        half = float(box[3 + k])
-        height = half if self.height is None else self.height
-        support = float(np.delete(box[3:], k).min()) if self.support is None else self.support
-        friction = float(scene.model.geom_friction[geom, 0]) if self.friction is None else self.friction
-        bottom = scene.model.geom_pos[geom] + R_OG @ box[:3] - half * axis
-        x, y, z = (bottom + height * axis).tolist()
-        up_x, up_y, up_z = axis.tolist()
-        return StandsRule(
-            name=self.name,
-            point=(x, y, z),
-            axis=(up_x, up_y, up_z),
-            friction=friction,
-            support=support / height,
-        )
+        return _rule(scene, self)
 
     def felt_angle(self, scene: Scene) -> float:
         """Return the largest angle between its axis and what it feels [rad]."""
@@ -101,16 +82,15 @@ class KeepStanding(FeltConstraint):
         """Return what has to hold for what is felt at its centre of mass."""
         rule, robot = self.rule(scene), compile_scene(scene).robot
         X_LO = frame_in_link(scene, robot, "object")
-        angle = self.felt_angle(scene)
         return FeltCone(
             name=self.name,
             link=robot.tool_link,
             point=X_LO[:3, :3] @ rule.point + X_LO[:3, 3],
             axis=X_LO[:3, :3] @ rule.axis,
-            angle=angle,
+            angle=self.felt_angle(scene),
             gravity=-float(scene.model.opt.gravity[2]),
             slosh=None,
-            brim=angle,
+            brim=None,
         )
 
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
@@ -134,11 +114,39 @@ class KeepStanding(FeltConstraint):
             angle=_AT_REST * self.felt_angle(scene),
         )
 
-    def _geom(self, scene: Scene) -> int:
-        if scene.carried is None:
-            raise SettingError("constraints", "KeepStanding()", "KeepStanding only where something is carried")
-        mine = scene.components["carried"].geoms
-        names = {scene.model.geom(g).name: int(g) for g in mine if scene.model.geom(g).name}
-        if self.load not in names:
-            raise UnknownNameError(f"geom of {scene.carried.body!r}", self.load, names)
-        return names[self.load]
+
+@per_layout(most=_KEPT)
+def _rule(scene: Scene, keep: KeepStanding) -> StandsRule:
+    geom = _geom(scene, keep.load)
+    axis = np.array(standing_axis(scene))
+    R_OG = np.zeros(9)
+    mujoco.mju_quat2Mat(R_OG, scene.model.geom_quat[geom])
+    R_OG = R_OG.reshape(3, 3)
+    box = scene.model.geom_aabb[geom]
+    # Boxes in the geom's axes: what stands upright is half as high as the one along the vertical.
+    upward = np.abs(R_OG.T @ axis)
+    k = int(np.argmax(upward))
+    half = float(box[3 + k])
+    height = half if keep.height is None else keep.height
+    support = float(np.delete(box[3:], k).min()) if keep.support is None else keep.support
+    friction = float(scene.model.geom_friction[geom, 0]) if keep.friction is None else keep.friction
+    bottom = scene.model.geom_pos[geom] + R_OG @ box[:3] - half * axis
+    x, y, z = (bottom + height * axis).tolist()
+    up_x, up_y, up_z = axis.tolist()
+    return StandsRule(
+        name=keep.name,
+        point=(x, y, z),
+        axis=(up_x, up_y, up_z),
+        friction=friction,
+        support=support / height,
+    )
+
+
+def _geom(scene: Scene, load: str) -> int:
+    if scene.carried is None:
+        raise SettingError("constraints", "KeepStanding()", "KeepStanding only where something is carried")
+    mine = scene.components["carried"].geoms
+    names = {scene.model.geom(g).name: int(g) for g in mine if scene.model.geom(g).name}
+    if load not in names:
+        raise UnknownNameError(f"geom of {scene.carried.body!r}", load, names)
+    return names[load]

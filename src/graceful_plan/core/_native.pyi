@@ -234,6 +234,62 @@ class BodyImpact(Impact):
     def __init__(self, model: BodyModel, weight: Reals, severity: Reals, slow: float, fast: float) -> None: ...
 
 @final
+class FeltLimit:
+    def __init__(
+        self,
+        *,
+        link: int,
+        point: Reals,
+        facets: Reals,
+        room: Reals,
+        gravity: float,
+        axis: Reals | None = None,
+        angle: float = 0.0,
+        length: float = 0.0,
+        drag: float = 0.0,
+    ) -> None: ...
+
+@final
+class TimedCurve:
+    @property
+    def t(self) -> Reals: ...
+    @property
+    def q(self) -> Reals: ...
+    @property
+    def qd(self) -> Reals: ...
+    @property
+    def qdd(self) -> Reals: ...
+    @property
+    def speeds(self) -> Reals: ...
+    @property
+    def excess(self) -> float: ...
+    @property
+    def failed_limit(self) -> int: ...
+    @property
+    def failed_point(self) -> int: ...
+
+def spline(controls: Reals, u: Reals) -> Reals: ...
+def point_derivatives(core: Core, *, link: int, point: Reals, q: Reals, slope: Reals, bend: Reals) -> Reals: ...
+def excess(*, t: Reals, q: Reals, qd: Reals, qdd: Reals, velocity: Reals, acceleration: Reals) -> float: ...
+def travelled(
+    *, step: Reals, q: Reals, slope: Reals, bend: Reals, speeds: Reals, velocity: Reals, acceleration: Reals
+) -> TimedCurve: ...
+def fastest(
+    *,
+    step: Reals,
+    q: Reals,
+    slope: Reals,
+    bend: Reals,
+    stop: NDArray[np.bool_],
+    velocity: Reals,
+    acceleration: Reals,
+    limit: Reals | None = None,
+    core: Core | None = None,
+    levels: Sequence[Sequence[FeltLimit]] = (),
+    speed: float = 1.0,
+) -> TimedCurve: ...
+
+@final
 class GraphSearch:
     def __init__(self, n: int, tail: Integers, head: Integers) -> None: ...
     def cheapest(self, cost: Reals, start: int, goals: Integers) -> tuple[Integers, float]: ...
@@ -313,22 +369,6 @@ class Descent:
     def energy(self) -> float: ...
 
 @final
-class FeltLimit:
-    def __init__(
-        self,
-        *,
-        link: int,
-        point: Reals,
-        facets: Reals,
-        room: Reals,
-        gravity: float,
-        axis: Reals | None = None,
-        angle: float = 0.0,
-        length: float = 0.0,
-        drag: float = 0.0,
-    ) -> None: ...
-
-@final
 class MotionDescent:
     def __init__(
         self,
@@ -358,19 +398,6 @@ class MotionDescent:
     def value(self) -> float: ...
     @property
     def duration(self) -> float: ...
-
-def swing(felt: Reals, dt: float, length: float, drag: float) -> Reals: ...
-def spline(controls: Reals, u: Reals) -> Reals: ...
-def fastest(
-    step: Reals,
-    slope: Reals,
-    bend: Reals,
-    stop: NDArray[np.bool_],
-    velocity: Reals,
-    acceleration: Reals,
-    *,
-    limit: Reals | None = None,
-) -> Reals: ...
 
 @final
 class Anytime:

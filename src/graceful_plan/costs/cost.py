@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar, final
+from typing import Any, TypeAlias, TypeVar, final
 
 import numpy as np
 
@@ -43,6 +43,9 @@ class Contract(ABC):  # noqa: B024  what is abstract is up to each contract
                 )
 
 
+_Ahead: TypeAlias = Array | Callable[[], Array] | None
+
+
 @final
 class Kept:
     """What costs compute once for some states, whatever the time."""
@@ -68,7 +71,8 @@ class StateBatch:
         direction: Unit direction of motion in joint space; zero where the robot is at rest.
         speed: Joint-space speed along `direction` [rad/s]; zero by default.
         time: When the robot is there, on the clock of the scene's predictions [s]; None if that is not known.
-        ahead: Where the robot will be `AHEAD` later [rad or m], if it does not fail; None if that is not known.
+        ahead: Where the robot will be `AHEAD` later [rad or m], if it does not fail, or what computes that once it is
+            asked for; None if it is not known.
     """
 
     def __init__(
@@ -78,7 +82,7 @@ class StateBatch:
         direction: Float[Array, "n nq"] | None = None,
         speed: Float[Array, " n"] | None = None,
         time: Float[Array, " n"] | None = None,
-        ahead: Float[Array, "n step nq"] | None = None,
+        ahead: _Ahead = None,
     ) -> None:
         if q.ndim != 2 or q.shape[1] != len(scene.joints):
             raise ShapeError("q", q.shape, f"(n, {len(scene.joints)})")
@@ -88,9 +92,9 @@ class StateBatch:
         self.speed = np.zeros(len(q)) if speed is None else speed
         if time is not None and time.shape != (len(q),):
             raise ShapeError("time", time.shape, f"({len(q)},)")
-        if ahead is not None and ahead.shape != (len(q), len(AHEAD), q.shape[1]):
-            raise ShapeError("ahead", ahead.shape, f"({len(q)}, {len(AHEAD)}, {q.shape[1]})")
-        self.time, self.ahead = time, ahead
+        self.time, self._ahead = time, ahead
+        if not callable(ahead):
+            _ = self.ahead
         self.kept = Kept()
 
     def __len__(self) -> int:
@@ -100,12 +104,23 @@ class StateBatch:
         """Return some of the states."""
         if rows.start == 0 and rows.stop >= len(self):  # with what is kept of them
             return self
-        time, ahead = (None if x is None else x[rows] for x in (self.time, self.ahead))
-        return StateBatch(self.scene, self.q[rows], self.direction[rows], self.speed[rows], time, ahead)
+        time = None if self.time is None else self.time[rows]
+        return StateBatch(self.scene, self.q[rows], self.direction[rows], self.speed[rows], time, self._ahead_of(rows))
+
+    def _ahead_of(self, rows: slice) -> _Ahead:
+        return None if self._ahead is None else lambda: np.asarray(self.ahead)[rows]
+
+    @cached_property
+    def ahead(self) -> Float[Array, "n step nq"] | None:
+        """Where the robot will be `AHEAD` later [rad or m], if it does not fail; None if that is not known."""
+        found = self._ahead() if callable(self._ahead) else self._ahead
+        if found is not None and found.shape != (len(self.q), len(AHEAD), self.q.shape[1]):
+            raise ShapeError("ahead", found.shape, f"({len(self.q)}, {len(AHEAD)}, {self.q.shape[1]})")
+        return found
 
     def at(self, time: Float[Array, " n"]) -> StateBatch:
         """Return the same states at other times [s]; they share `kept`."""
-        other = StateBatch(self.scene, self.q, self.direction, self.speed, time, self.ahead)
+        other = StateBatch(self.scene, self.q, self.direction, self.speed, time, self._ahead)
         other.kept = self.kept
         return other
 

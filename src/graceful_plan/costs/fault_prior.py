@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import final
@@ -159,26 +159,44 @@ class FaultPrior:
 
     def probabilities(self) -> Mapping[str, float]:
         """Return the probability of each fault, given that one happens; they sum to 1."""
-        total = self.rate
-        return MappingProxyType({fault: rate / total for fault, rate in self.rates.items()})
+        return self._probabilities
 
     def weights(self) -> Mapping[str, float]:
         """Return the probability of each generator, given that a fault happens. Some faults are like two at once."""
-        return _sums(self.fault_shares())
+        return self._weights
 
     def held_weights(self) -> Mapping[str, float]:
         """Return the probability of each of `ARM` with the object still in the gripper, given that a fault happens."""
-        held = {fault: p * (1.0 - self._effect(fault, "drop")) for fault, p in self.probabilities().items()}
-        return _sums({g: {fault: p * self._effect(fault, g) for fault, p in held.items()} for g in ARM})
+        return self._held_weights
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return what each fault contributes to the weight of each generator: by generator, then by fault.
 
         Faults that contribute nothing are left out.
         """
+        return self._fault_shares
+
+    # Asked several times for every motion that is charged.
+
+    @cached_property
+    def _probabilities(self) -> Mapping[str, float]:
+        total = self.rate
+        return MappingProxyType({fault: rate / total for fault, rate in self.rates.items()})
+
+    @cached_property
+    def _weights(self) -> Mapping[str, float]:
+        return _sums(self._fault_shares)
+
+    @cached_property
+    def _held_weights(self) -> Mapping[str, float]:
+        held = {fault: p * (1.0 - self._effect(fault, "drop")) for fault, p in self._probabilities.items()}
+        return _sums({g: {fault: p * self._effect(fault, g) for fault, p in held.items()} for g in ARM})
+
+    @cached_property
+    def _fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         found: dict[str, Mapping[str, float]] = {}
         for generator in GENERATORS:
-            parts = {fault: p * self._share(fault, generator) for fault, p in self.probabilities().items()}
+            parts = {fault: p * self._share(fault, generator) for fault, p in self._probabilities.items()}
             found[generator] = MappingProxyType({fault: part for fault, part in parts.items() if part > 0.0})
         return MappingProxyType(found)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 from typing import final
 
@@ -85,7 +85,7 @@ class ImpactCost(Cost):
         if not isinstance(self.consequence, str | FragilityTable):
             raise SettingError("consequence", self.consequence, f"a FragilityTable or one of {', '.join(CONSEQUENCES)}")
 
-    @property
+    @cached_property
     def interaction(self) -> InteractionModel:
         """The interaction model; where damage counts, one whose probabilities are those of damage."""
         contact = MODELS[self.model]() if isinstance(self.model, str) else self.model

@@ -272,16 +272,12 @@ class SceneObjective:
 
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
-        points = self._points(path)
-        samples = self.samples(points.q[:-1], points.q[1:])
-        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
-        motion = samples.integral(checked_state(self.objective.motion, batch), samples.length).sum()
-        impact = self.objective.impact
+        motion, impact = self._motion(self._points(path)), self.objective.impact
         if isinstance(impact, ImpactCost) and not impact.hazards(self.scene):
             nothing = dict.fromkeys(self.scene.components, 0.0)
-            return CostBreakdown(motion=float(motion), impact=0.0, w=self.w, impact_by_component=nothing)
+            return CostBreakdown(motion=motion, impact=0.0, w=self.w, impact_by_component=nothing)
         charged = self.charged_states(path, start_time)
-        return self._breakdown(float(motion), charged.batch, charged.weight)
+        return self._breakdown(motion, charged.batch, charged.weight)
 
     def charged_states(self, path: Path | Trajectory, start_time: float = 0.0) -> ChargedStates:
         """Return the states at which a path, or a trajectory, is charged for its impact: sums over them are integrals.
@@ -303,6 +299,14 @@ class SceneObjective:
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         return ChargedStates(batch, samples.weights(measure), place=samples.place)
+
+    def _motion(self, path: Path) -> float:
+        """Return V of a path."""
+        if self.motion_is_length:
+            return float(path.segment_lengths.sum())
+        samples = self.samples(path.q[:-1], path.q[1:])
+        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
+        return float(samples.integral(checked_state(self.objective.motion, batch), samples.length).sum())
 
     def _points(self, path: Path | Trajectory) -> Path:
         points = path.path if isinstance(path, Trajectory) else path
@@ -350,7 +354,20 @@ def trajectory_batch(
     """
     state = trajectory.at(t)
     found = moving_batch(scene, state.q, state.qd, times)
-    return StateBatch(scene, found.q, found.direction, found.speed, times, trajectory.at(t[:, None] + AHEAD).q)
+
+    def ahead() -> Float[Array, "n step nq"]:
+        later = trajectory.positions((t[:, None] + AHEAD).ravel()).reshape(len(t), len(AHEAD), -1)
+        _check_size(later)
+        return later
+
+    return StateBatch(scene, found.q, found.direction, found.speed, times, ahead)
+
+
+def _check_size(*parts: Float[Array, "..."]) -> None:
+    farthest = max(float(np.abs(part).max()) for part in parts)
+    if farthest > FARTHEST:
+        expected = f"positions and velocities of at most {FARTHEST:g}, between samples too"
+        raise SettingError("trajectory", farthest, expected)
 
 
 def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by_length: bool) -> ChargedStates:
@@ -366,10 +383,7 @@ def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by
     weight[:-1] += 0.5 * gaps
     weight[1:] += 0.5 * gaps
     batch = trajectory_batch(scene, trajectory, t, start_time + t)
-    farthest = max(float(np.abs(x).max()) for x in (batch.q, batch.qd, batch.ahead) if x is not None)
-    if farthest > FARTHEST:
-        expected = f"positions and velocities of at most {FARTHEST:g}, between samples too"
-        raise SettingError("trajectory", farthest, expected)
+    _check_size(batch.q, batch.qd)
     return ChargedStates(batch, weight, place)
 
 

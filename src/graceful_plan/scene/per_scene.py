@@ -43,12 +43,24 @@ def per_scene(make: _Maker[P, T] | None = None, /, *, most: int | None = None) -
     return keeping if make is None else keeping(make)
 
 
-def per_layout(make: _Maker[P, T], /) -> _Maker[P, T]:
+@overload
+def per_layout(make: _Maker[P, T], /) -> _Maker[P, T]: ...
+
+
+@overload
+def per_layout(*, most: int) -> Callable[[_Maker[P, T]], _Maker[P, T]]: ...
+
+
+def per_layout(make: _Maker[P, T] | None = None, /, *, most: int | None = None) -> object:
     """Keep what a function of a scene returns for all scenes that differ only by where things around the robot stand.
 
     For what says nothing of where these are; the rest is as for `per_scene`.
     """
-    return _kept(make, lambda scene: scene.layout, None)
+
+    def keeping(make: _Maker[P, T]) -> _Maker[P, T]:
+        return _kept(make, lambda scene: scene.layout, most)
+
+    return keeping if make is None else keeping(make)
 
 
 def _kept(make: _Maker[P, T], owner: Callable[[Scene], Scene | Layout], most: int | None) -> _Maker[P, T]:

@@ -5,8 +5,9 @@ interval of the grid, every joint acceleration :math:`q' u + q'' x` is linear in
 :math:`x_{i+1} = x_i + 2 \Delta_i u_i`. A backward pass finds the largest x from which the end can still be reached at
 rest, a forward pass then goes as fast as that allows.
 
-Two implementations. `fastest` is for velocity and acceleration limits that are symmetric, between two rests, in closed
-form in the core (`timing/speed_profile.hpp`), without the second that importing toppra takes. `fastest_with_toppra`
+Two implementations. `fastest` is for velocity and acceleration limits that are symmetric, between two rests, and for
+what is felt where something is carried, in closed form in the core (`timing/curve_timing.hpp`), without the second that
+importing toppra takes. `fastest_with_toppra`
 hands the general problem, with gravity, to toppra.
 
 References:
@@ -16,9 +17,10 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,26 +37,91 @@ Restraint = Callable[[CurveGrid], Array]
 """Limits a u + b x <= c with c > 0 on path acceleration u and squared path speed x: [interval, limit, 3]."""
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class FeltLevels:
+    """Limits on what is felt where something is carried, from the boldest to the most careful.
+
+    A surface swings beyond what is felt: the more careful, the less of the angle that keeps contents in is left to what
+    is felt.
+
+    | field  | meaning                                      |
+    |--------|----------------------------------------------|
+    | core   | kinematics of the robot                      |
+    | names  | of the constraints that ask for the limits   |
+    | levels | limits of each level, in the order of names  |
+    """
+
+    core: _native.Core | None
+    names: tuple[str, ...]
+    levels: tuple[tuple[_native.FeltLimit, ...], ...]
+
+
 def fastest(
     grid: CurveGrid,
     velocity: Float[Array, " nq"],
     acceleration: Float[Array, " nq"],
+    *,
     limit: Float[Array, "interval limit 3"] | None = None,
-) -> Float[Array, " point"]:
-    """Compute the time-optimal path speed at each grid point, at rest where the grid says stop.
+    felt: FeltLevels | None = None,
+    speed: float = 1.0,
+) -> _native.TimedCurve:
+    """Compute the time-optimal motion along a curve, at rest where the grid says stop.
 
     Args:
         grid: The curve.
         velocity: Limits of the joint speeds [rad/s], > 0.
         acceleration: Limits of the joint accelerations [rad/s^2], finite and > 0.
         limit: Further limits, see `Restraint`.
+        felt: What may be felt where something is carried.
+        speed: Share of the speed at which the motion is travelled in the end; the other limits hold then.
 
-    Returns:
-        ds/dt [rad/s].
+    Raises:
+        RetimingError: If the motion comes to a halt, or something does not even hold at rest along the curve.
     """
-    slope, bend = (np.ascontiguousarray(x, dtype=np.float64) for x in (grid.slope, grid.bend))
-    limits = (np.ascontiguousarray(x, dtype=np.float64) for x in (velocity, acceleration))
-    return _native.fastest(np.diff(grid.s), slope, bend, grid.stop, *limits, limit=limit)
+    felt = FeltLevels(None, (), ()) if felt is None else felt
+    found = _native.fastest(
+        **_arrays(grid, velocity, acceleration),
+        stop=grid.stop,
+        limit=limit,
+        core=felt.core,
+        levels=felt.levels,
+        speed=speed,
+    )
+    return _checked(found, grid, felt.names)
+
+
+def travelled(
+    grid: CurveGrid, speeds: Float[Array, " point"], velocity: Float[Array, " nq"], acceleration: Float[Array, " nq"]
+) -> _native.TimedCurve:
+    """Travel a curve at path speeds, with constant path acceleration on each interval.
+
+    Raises:
+        RetimingError: If the motion comes to a halt.
+    """
+    found = _native.travelled(**_arrays(grid, velocity, acceleration), speeds=np.ascontiguousarray(speeds))
+    return _checked(found, grid, ())
+
+
+def _arrays(grid: CurveGrid, velocity: Float[Array, " nq"], acceleration: Float[Array, " nq"]) -> dict[str, Array]:
+    given = {
+        "step": np.diff(grid.s),
+        "q": grid.q,
+        "slope": grid.slope,
+        "bend": grid.bend,
+        "velocity": velocity,
+        "acceleration": acceleration,
+    }
+    return {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in given.items()}
+
+
+def _checked(found: _native.TimedCurve, grid: CurveGrid, names: Sequence[str]) -> _native.TimedCurve:
+    if found.failed_point < 0:
+        return found
+    s = grid.s[found.failed_point]
+    if found.failed_limit < 0:
+        raise RetimingError(f"the motion comes to a halt {s:.3g} rad along the path")
+    raise RetimingError(f"{names[found.failed_limit]} does not hold at rest after {s / grid.s[-1]:.0%} of the path")
 
 
 def fastest_with_toppra(
@@ -64,7 +131,7 @@ def fastest_with_toppra(
     torque: Float[Array, " nq"] | None = None,
     inverse_dynamics: InverseDynamics | None = None,
 ) -> Float[Array, " point"]:
-    """Do what `fastest` does by toppra, with torque limits [N m] too if `inverse_dynamics` is given.
+    """Return the path speeds of `fastest` by toppra, with torque limits [N m] too if `inverse_dynamics` is given.
 
     Raises:
         RetimingError: If toppra finds no parametrisation.

@@ -101,7 +101,7 @@ def within_limits(
     """Return the same motion, slower by as little as its limits of velocity, acceleration, jerk and torque ask for."""
     if len(trajectory) < 2:
         return trajectory
-    factor = slowdown(trajectory, limits, None)
+    factor = slowdown(trajectory, limits)
     if jerk is not None:
         factor = max(factor, float(np.abs(_jerks(trajectory) / jerk).max()) ** (1.0 / 3.0))
     if robot is not None:

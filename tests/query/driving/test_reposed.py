@@ -18,7 +18,6 @@ from graceful_plan.query.driving.reposed import _TakenApart, reposed
 from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.timing.bspline import basis
 from graceful_plan.timing.drive_curve import Drive, Roll, Straight, connected
-from graceful_plan.timing.retiming import timed
 from hall import BASE, hall
 
 # Beside the pillar's south side, where the person is not; the arm sticks out 0.5 m.
@@ -106,7 +105,7 @@ def test_drives_are_within_two_percent_of_an_exhaustive_program():
 
 def _cost(drive: Drive, what: Smoother) -> float:
     held = SceneConstraints(SCENE, [])
-    trajectory = held.timed(lambda limits: timed(drive, SCENE.limits, SCENE.joints, speed=1.0, restraint=limits))
+    trajectory = held.timed(drive)
     return what.objective.breakdown(trajectory).total + what.time_price * trajectory.duration
 
 

@@ -349,6 +349,17 @@ class Core {
     }
   }
 
+  // What a point of a link rides on.
+  Rider rider(int link, const Vector3& point) const {
+    require(link >= 0 && size_t(link) < link_.size(), "link");
+    Rider rider{size_t(link), point, {}};
+    for (int l = link; l >= 0; l = link_[size_t(l)].parent)
+      if (link_[size_t(l)].joint >= 0)
+        rider.movers.push_back({size_t(link_[size_t(l)].joint), size_t(l), link_[size_t(l)].slide != 0});
+    std::reverse(rider.movers.begin(), rider.movers.end());
+    return rider;
+  }
+
   int frame(int link) const {
     require(link >= 0 && size_t(link) < link_.size(), "link");
     return link_[size_t(link)].frame;

@@ -18,7 +18,6 @@ from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
-from graceful_plan.timing.retiming import retime, timed
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -46,11 +45,9 @@ class Motion:
 
 def timed_curve(found: DescentResult, request: Request, ends: Endpoints) -> Motion | None:
     """Time the curve of a descent; None if no timing keeps the constraints, or the motion collides."""
-    scene, arrival = request.objective.scene, found.start.arrival
+    arrival = found.start.arrival
     try:
-        trajectory = request.constraints.timed(
-            lambda limits: timed(found.curve, scene.limits, scene.joints, speed=request.speed, restraint=limits)
-        )
+        trajectory = request.constraints.timed(found.curve, speed=request.speed)
     except RetimingError:
         return None
     if ends.in_the_clear(arrival) and not _is_free(trajectory, request.constraints):
@@ -102,12 +99,7 @@ def price_of_time(request: Request) -> float:
 
 def _rounded(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline whose corners are cut by so much [rad]."""
-    scene = request.objective.scene
-    trajectory = request.constraints.timed(
-        lambda limits: retime(
-            whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=limits
-        )
-    )
+    trajectory = request.constraints.retimed(whole, deviation=deviation, speed=request.speed)
     return costed(whole, trajectory, arrival, request)
 
 

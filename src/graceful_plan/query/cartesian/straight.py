@@ -31,7 +31,6 @@ from graceful_plan.query.verification import verdict_of
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
-from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -215,10 +214,7 @@ class _Query:
             q = np.insert(q, np.arange(1, len(q)), moved, axis=0)
 
     def _timed(self, curve: Spline) -> Motion:
-        scene = self.follower.scene
-        return self._charged(
-            self.held.timed(lambda limits: timed(curve, scene.limits, scene.joints, speed=self.speed, restraint=limits))
-        )
+        return self._charged(self.held.timed(curve, speed=self.speed))
 
     def _charged(self, trajectory: Trajectory) -> Motion:
         cost = self.objective.breakdown(trajectory)

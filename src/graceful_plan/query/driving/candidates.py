@@ -29,9 +29,8 @@ from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.query.driving.stages import stages
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
-from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.drive_curve import Drive, connected
-from graceful_plan.timing.retiming import retime, timed
+from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.topp import Restraint
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -295,15 +294,7 @@ class Drives:
                 yield replace(motion, ranking=motion.ranking + _INTO * walkers.meets(trajectory))
 
     def _trajectory(self, drive: Drive, slower: Restraint | None = None) -> Trajectory:
-        scene, request = self.request.objective.scene, self.request
-
-        def timing(limits: Restraint) -> Trajectory:
-            def both(grid: CurveGrid) -> Array:
-                return limits(grid) if slower is None else np.concatenate([limits(grid), slower(grid)], axis=1)
-
-            return timed(drive, scene.limits, scene.joints, speed=request.speed, restraint=both)
-
-        return request.constraints.timed(timing)
+        return self.request.constraints.timed(drive, speed=self.request.speed, slower=slower)
 
     def _has_plenty(self) -> bool:
         return self.clock.has_plenty("timing", "judging", insured=self.insured)

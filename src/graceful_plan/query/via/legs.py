@@ -8,7 +8,7 @@ are executed one after the other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol, runtime_checkable
@@ -27,9 +27,7 @@ from graceful_plan.query.verification import verdict_of
 from graceful_plan.query.via.stages import Stages, find_stages
 from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
-from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline
-from graceful_plan.timing.topp import Restraint
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -131,10 +129,6 @@ class _Joining:
     request: Request
     budget: Budget
 
-    def _timing(self, curve: Spline) -> Callable[[Restraint], Trajectory]:
-        scene = self.request.objective.scene
-        return lambda limits: timed(curve, scene.limits, scene.joints, speed=self.request.speed, restraint=limits)
-
     def joined(self, legs: Sequence[PlanResult]) -> PlanResult:
         """Return the cheapest curve that the judge passes; the legs one after the other if there is none."""
         trajectories = [leg.unwrap() for leg in legs]
@@ -145,7 +139,7 @@ class _Joining:
             if curve is None:
                 continue
             try:
-                motion = self._costed(held.timed(self._timing(curve)))
+                motion = self._costed(held.timed(curve, speed=self.request.speed))
             except RetimingError as error:
                 why = str(error)
                 continue

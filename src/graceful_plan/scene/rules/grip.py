@@ -10,7 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.model_parts import subtree
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 
@@ -71,7 +71,7 @@ class Grip:
         return second > self.friction * h, first > self.friction * h
 
 
-@per_scene
+@per_layout
 def find_grip(scene: Scene) -> Grip:
     """Return how the gripper holds what is carried in a scene.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.scene.elements import Dry
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -72,7 +72,7 @@ class Vessel:
         return low
 
 
-@per_scene
+@per_layout
 def find_vessel(scene: Scene) -> Vessel | None:
     """Return the container of what is carried, in the frame of the carried body; None if nothing is carried in one.
 

@@ -11,8 +11,6 @@
 #include "search/descent.hpp"
 #include "search/drive.hpp"
 #include "search/motion_descent.hpp"
-#include "timing/pendulum.hpp"
-#include "timing/speed_profile.hpp"
 
 using namespace nb::literals;
 
@@ -70,10 +68,12 @@ class SceneSpace final : public Space {
   }
   bool has_bounds() const override { return settings_.projects && core_.has_bounds(); }
   bool project(double* q) override { return core_.project(q, lower.data(), upper.data(), margin + kProjectionReserve); }
-  void ride(const Chain& of, int link, const double* point, Ride* out) override {
-    require(link >= 0 && link < core_.tables().n_link, "link");
-    core_.ride(of.points, size_t(of.n_edge) + 1, link, point, out);
+  void poses(const Chain& of, Point& out) override {
+    const size_t n = size_t(of.n_edge) + 1;
+    out.resize(16 * n * size_t(core_.tables().n_link));
+    core_.kernels().link_poses(core_.tables(), {of.points, nullptr, n}, out.data());
   }
+  Rider rider(int link, const Vector3& point) const override { return core_.rider(link, point); }
   void impacts(const double* points, int n, double* out) override { impact_.rough_states(points, size_t(n), out); }
   double exposure(const double* a, const double* b) const override { return impact_.exposure(a, b); }
   bool has_state_slopes() const override { return true; }
@@ -396,65 +396,6 @@ class MotionDescentRun {
   std::atomic_flag taken_;
 };
 
-// The largest speeds at the points of a curve, see timing/speed_profile.hpp.
-Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool, nb::ndim<1>, nb::c_contig> stop,
-                    Reals velocity, Reals acceleration, const std::optional<Reals>& limit) {
-  const size_t n = step.size(), dim = velocity.size();
-  require(!limit || (limit->ndim() == 3 && limit->shape(0) == n && limit->shape(2) == 3), "limits are [n, m, 3]");
-  for (size_t i = 0; limit && i < limit->size(); ++i) require(!std::isnan(limit->data()[i]), "limits are numbers");
-  const size_t further = limit ? limit->shape(1) : 0;
-  require(slope.size() == 2 * n * dim && bend.size() == 2 * n * dim && stop.size() == n + 1 && n > 0 &&
-              acceleration.size() == dim,
-          "a curve");
-  require_positive(step, n, "steps of a curve");
-  require_numbers(slope, "a curve"), require_numbers(bend, "a curve");
-  require_positive(velocity, dim, "velocity limits"), require_positive(acceleration, dim, "acceleration limits");
-  SpeedProfile profile(point(velocity), point(acceleration));
-  const std::vector<uint8_t> rests(stop.data(), stop.data() + n + 1);
-  double* out;
-  auto array = make<double>({n + 1}, out);
-  nb::gil_scoped_release release;
-  const std::vector<double>& squared = profile.compute(
-      {n, dim, step.data(), slope.data(), bend.data(), rests.data(), further, limit ? limit->data() : nullptr});
-  for (size_t i = 0; i <= n; ++i) out[i] = std::sqrt(squared[i]);
-  return array;
-}
-
-// The answer of a pendulum, see timing/pendulum.hpp.
-Out<double> swing_along(Reals felt, double dt, double length, double drag) {
-  require(felt.ndim() == 2 && felt.shape(0) > 0 && felt.shape(1) == 3, "what is felt");
-  require_numbers(felt, "what is felt");
-  require(in_range(dt, 1e-9) && in_range(length, 1e-9) && in_range(drag, 0), "a pendulum");
-  double* out;
-  auto array = make<double>({felt.shape(0), 3}, out);
-  nb::gil_scoped_release release;
-  swing({length, drag}, felt.data(), felt.shape(0), dt, out);
-  return array;
-}
-
-// A spline and its first two derivatives at some parameters: [3, n, dim].
-Out<double> spline(Reals controls, Reals u) {
-  require(controls.ndim() == 2 && controls.shape(0) >= 4, "controls are [n >= 4, nq]");
-  require_numbers(controls, "controls");
-  const SplineBasis basis(controls.shape(0));
-  const size_t n = u.size(), dim = controls.shape(1);
-  double* out;
-  auto array = make<double>({3, n, dim}, out);
-  std::fill(out, out + 3 * n * dim, 0.0);
-  for (size_t k = 0; k < n; ++k) {
-    require(u.data()[k] >= 0 && u.data()[k] <= double(basis.spans()), "a parameter of the spline");
-    const SplineBasis::Row row = basis.at(u.data()[k]);
-    for (size_t m = 0; m < SplineBasis::kOrder; ++m)
-      for (size_t j = 0; j < dim; ++j) {
-        const double c = controls.data()[(row.first + m) * dim + j];
-        out[k * dim + j] += row.value[m] * c;
-        out[(n + k) * dim + j] += row.slope[m] * c;
-        out[(2 * n + k) * dim + j] += row.bend[m] * c;
-      }
-  }
-  return array;
-}
-
 class AnytimePlanner {
  public:
   AnytimePlanner(Space& space, Reals start, Reals goals, const AnytimeSettings& settings, uint64_t seed)
@@ -552,30 +493,6 @@ void bind_search(nb::module_& m) {
       .def_prop_ro("path", &DescentRun::path, nb::rv_policy::move)
       .def_prop_ro("value", &DescentRun::value)
       .def_prop_ro("energy", &DescentRun::energy);
-  nb::class_<FeltLimit>(m, "FeltLimit")
-      .def(
-          "__init__",
-          [](FeltLimit* self, int link, Reals point, Reals facets, Reals room, double gravity,
-             std::optional<Reals> axis, double angle, double length, double drag) {
-            require(link >= 0 && facets.ndim() == 2 && facets.shape(1) == 3 && in_range(gravity, 1e-9), "a felt limit");
-            require_numbers(point, 3, "point of a felt limit", kMaxExtent), require_numbers(facets, "a felt limit");
-            require_numbers(room, facets.shape(0), "room for every facet");
-            for (double number : {angle, length, drag}) require(in_range(number, 0), "a slosh limit");
-            const std::vector<double> rooms(room.data(), room.data() + room.size());
-            new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, rooms, gravity, {}};
-            if (axis) {
-              require_numbers(*axis, 3, "axis of a slosh limit");
-              require(in_range(angle, 1e-9) && in_range(length, 1e-9), "a slosh limit");
-              const double* a = axis->data();
-              self->slosh = SloshLimit{{a[0], a[1], a[2]}, angle, {length, drag}};
-            }
-            for (size_t k = 0; k < facets.shape(0); ++k) {
-              const double* v = facets.data() + 3 * k;
-              self->facets.push_back({v[0], v[1], v[2]});
-            }
-          },
-          nb::kw_only(), "link"_a, "point"_a, "facets"_a, "room"_a, "gravity"_a, "axis"_a = nb::none(), "angle"_a = 0.0,
-          "length"_a = 0.0, "drag"_a = 0.0);
   nb::class_<MotionDescentRun>(m, "MotionDescent")
       .def(
           "__init__",
@@ -596,10 +513,6 @@ void bind_search(nb::module_& m) {
       .def("energy", &MotionDescentRun::energy, "controls"_a)
       .def_prop_ro("value", &MotionDescentRun::value)
       .def_prop_ro("duration", &MotionDescentRun::duration);
-  m.def("swing", &swing_along, "felt"_a, "dt"_a, "length"_a, "drag"_a);
-  m.def("spline", &spline, "controls"_a, "u"_a);
-  m.def("fastest", &fastest, "step"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a, "acceleration"_a, nb::kw_only(),
-        "limit"_a = nb::none());
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(
           "__init__",

@@ -16,7 +16,7 @@
 #include <limits>
 
 #include "search/planning.hpp"
-#include "timing/felt.hpp"
+#include "timing/felt_samples.hpp"
 #include "timing/speed_profile.hpp"
 #include "timing/spline.hpp"
 
@@ -47,7 +47,7 @@ class MotionDescent {
         dim_(size_t(space.dim)),
         basis_(settings.controls),
         profile_(settings.velocity, settings.acceleration),
-        felt_(settings.felt),
+        felt_(space, settings.felt),
         push_(settings.push) {
     for (size_t k = 0; k <= basis_.spans() * settings.density; ++k)
       row_.push_back(basis_.at(double(k) / double(settings.density)));
@@ -285,8 +285,8 @@ class MotionDescent {
     const size_t samples = row_.size();
     sample(x);
     CurveSamples curve{samples - 1, dim_, step_.data(), slope_.data(), bend_.data(), stop_.data()};
-    if (!felt_.empty()) felt_.enter(space_, q_, step_.front(), curve);
-    const std::vector<double>& squared = profile_.compute(curve);
+    const CurveLimits& limits = felt_.enter(space_, q_, step_.front(), profile_.enter(curve));
+    const std::vector<double>& squared = profile_.compute(curve, limits);
     speed_.resize(samples), pause_.resize(samples - 1);
     double duration = 0;
     for (size_t k = 0; k < samples; ++k) speed_[k] = std::sqrt(squared[k]);
@@ -307,7 +307,7 @@ class MotionDescent {
     const bool timed = space_.w > 0 && space_.measure() == Measure::kTime;
     const double slosh = weight * felt_.slosh(squared, pause_);
     std::vector<double> d_pause(samples - 1, 0.0), d_squared(samples, 0.0);
-    felt_.back_slosh(squared, weight, d_squared, d_pause, d_q_);
+    felt_.back_slosh(squared, weight, d_squared, d_pause);
     for (size_t k = 0; k + 1 < samples; ++k) {
       const double price =
           settings_.time_price + d_pause[k] + 0.5 * space_.w * (timed ? impact_[k] + impact_[k + 1] : 0.0);
@@ -317,8 +317,8 @@ class MotionDescent {
     for (size_t k = 0; k < samples; ++k)
       d_speed[k] =
           stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed[k] / (2 * speed_[k]) + d_squared[k];  // now of the square
-    profile_.back(curve, d_speed, {d_slope_.data(), d_bend_.data(), felt_.empty() ? nullptr : felt_.slopes()});
-    if (!felt_.empty()) felt_.back(d_q_);
+    profile_.back(curve, limits, d_speed, {d_slope_.data(), d_bend_.data(), felt_.slopes()});
+    felt_.back(d_q_);
     const double penalty = collide() + slosh;
     collect(gradient);
     return {total + spread + penalty, total + penalty, duration};
@@ -448,7 +448,7 @@ class MotionDescent {
   const SplineBasis basis_;
   std::vector<SplineBasis::Row> row_;
   SpeedProfile profile_;
-  FeltLimits felt_;
+  FeltSamples felt_;
   double push_, scale_ = 0, length_ = 0;
   Point first_, last_, x_, trial_, gradient_, trial_gradient_, direction_, kept_x_, kept_gradient_, inverse_;
   Point tangent_, density_, weight_;

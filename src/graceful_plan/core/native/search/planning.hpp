@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "timing/rider.hpp"
+
 namespace gp {
 
 using Point = std::vector<double>;
@@ -77,8 +79,9 @@ struct Space {
   virtual bool has_bounds() const { return false; }
   // Move a configuration to where its bounds hold, with a margin; false if that is not found nearby.
   virtual bool project(double*) { return true; }
-  // A point of a link in so many configurations; only asked where the space knows links.
-  virtual void ride(const Chain&, int, const double*, Ride*) { throw std::logic_error("a space without links"); }
+  // Poses of all links in so many configurations, [n, link, 4, 4]; only asked where the space knows links.
+  virtual void poses(const Chain&, Point&) { throw std::logic_error("a space without links"); }
+  virtual Rider rider(int, const Vector3&) const { throw std::logic_error("a space without links"); }
   // Whether the two below are known.
   virtual bool has_slopes() const { return false; }
   // Of edges sampled at so long steps; `rough` halves the work again.

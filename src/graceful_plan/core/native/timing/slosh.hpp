@@ -4,7 +4,7 @@
 // The pendulum is the one of pendulum.hpp, in steps that are shares of the intervals of the curve; derivatives come
 // from running them backwards.
 #pragma once
-#include <array>
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -12,14 +12,10 @@
 
 namespace gp {
 
-using Vector3 = std::array<double, 3>;
-
-inline double dot3(const Vector3& a, const Vector3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
 struct SloshLimit {
-  Vector3 axis;  // of the vessel, in the link
-  double angle;  // between the axis and the surface's normal, at most
-  Pendulum pendulum;
+  Vector3 axis;       // of the vessel, in the link
+  double angle;       // between the axis and the surface's normal, at most
+  Pendulum pendulum;  // without length where the surface is across what is felt: something dry
 };
 
 class Swing {
@@ -30,6 +26,7 @@ class Swing {
     std::vector<Vector3> begun, ended;  // [n]
     std::vector<double> pause;          // [n]
     void resize(size_t n) { axis.resize(n + 1), begun.resize(n), ended.resize(n), pause.resize(n); }
+    void clear(size_t n) { axis.assign(n + 1, {}), begun.assign(n, {}), ended.assign(n, {}), pause.assign(n, 0.0); }
   };
 
   explicit Swing(const SloshLimit& limit) : limit_(limit) {}
@@ -41,21 +38,25 @@ class Swing {
     frequency_ = std::sqrt(gravity / limit_.pendulum.length);
     state_.clear();
     excess_.clear();
-    Vector3 d{0, 0, -1}, rate{};  // at rest before it is moved
+    Bob bob;
     double sum = 0;
     for (size_t k = 0; k < n; ++k) {
-      sum += exceed(drive.axis[k], d);
+      sum += exceed(drive.axis[k], bob.d);
       const double h = step_of(drive.pause[k]);
-      for (int s = 0; s < steps_; ++s) advance(pull(drive, k, s), h, d, rate);
+      for (int s = 0; s < steps_; ++s) advance(pull(drive, k, s), h, bob);
     }
     // Then the robot rests.
-    const Vector3 rest = scaled({0, 0, gravity}, -1 / limit_.pendulum.length);
-    sum += exceed(drive.axis[n], d);
+    const Vector3 rest{0, 0, -gravity / limit_.pendulum.length};
+    sum += exceed(drive.axis[n], bob.d);
     for (int s = 0; s < kAfter; ++s) {
-      advance(rest, kRest / frequency_, d, rate);
-      if (s % steps_ == 0) sum += exceed(drive.axis[n], d);
+      advance(rest, kRest / frequency_, bob);
+      if (s % steps_ == 0) sum += exceed(drive.axis[n], bob.d);
     }
     return sum;
+  }
+  // Whether the last charge was more than nothing.
+  bool exceeds() const {
+    return std::any_of(excess_.begin(), excess_.end(), [](const Excess& excess) { return excess.slope != 0; });
   }
 
   // Derivatives of the last charge, times a weight, added up.
@@ -111,8 +112,6 @@ class Swing {
     double slope;  // of the charge with respect to the cosine
   };
 
-  static Vector3 scaled(const Vector3& a, double factor) { return {factor * a[0], factor * a[1], factor * a[2]}; }
-
   double step_of(double pause) const { return std::min(pause / steps_, kLongest / frequency_); }
   Vector3 pull(const Drive& drive, size_t k, int s) const {
     const double share = (s + 0.5) / steps_, per = -1 / limit_.pendulum.length;
@@ -134,15 +133,9 @@ class Swing {
     return depth * depth + 2 * kKnee * (lack - depth);
   }
 
-  void advance(const Vector3& pull, double h, Vector3& d, Vector3& rate) {
-    state_.push_back({d, rate, pull, h});
-    const double along = dot3(pull, d), drag = limit_.pendulum.drag;
-    for (size_t i = 0; i < 3; ++i) rate[i] += h * (pull[i] - along * d[i] - drag * rate[i]);
-    for (size_t i = 0; i < 3; ++i) d[i] += h * rate[i];
-    const double size = std::sqrt(dot3(d, d));
-    for (double& x : d) x /= size;
-    const double radial = dot3(rate, d);
-    for (size_t i = 0; i < 3; ++i) rate[i] -= radial * d[i];
+  void advance(const Vector3& pull, double h, Bob& bob) {
+    state_.push_back({bob.d, bob.rate, pull, h});
+    bob.advance(pull, h, limit_.pendulum.drag);
   }
 
   // From derivatives with respect to what a step leads to, to those of where it begins.
@@ -156,7 +149,7 @@ class Swing {
       moved[i] = d[i] + h * faster[i];
     }
     const double size = std::sqrt(dot3(moved, moved));
-    const Vector3 next = scaled(moved, 1 / size);
+    const Vector3 next = scaled3(moved, 1 / size);
     const double radial = dot3(faster, next), by_radial = dot3(by_rate, next);
     Vector3 by_faster, by_moved;
     for (size_t i = 0; i < 3; ++i) {

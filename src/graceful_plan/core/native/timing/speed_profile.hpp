@@ -25,14 +25,32 @@ struct CurveSamples {
   const double* step;          // [n] length of each interval, in terms of the parameter
   const double *slope, *bend;  // [n, 2, dim] first and second derivative with respect to the parameter
   const uint8_t* stop;         // [n + 1] where the motion has to rest
-  // One-sided limits a u + b x <= c on each interval, each (a, b, c) with c > 0.
-  size_t n_limit = 0;
-  const double* limit = nullptr;  // [n, n_limit, 3]
+};
+
+// One-sided limits a u + b x <= c with c > 0, those of one interval after those of another.
+struct CurveLimits {
+  struct Row {
+    double a, b, c;
+  };
+  std::vector<size_t> first{0};  // [n + 1] of each interval's rows; the last is their number
+  std::vector<Row> row;
+
+  void clear() { first.assign(1, 0), row.clear(); }
+  void end_interval() { first.push_back(row.size()); }
+};
+
+// What the joints leave to an interval: |u| and x at its beginning are at most so much.
+struct Box {
+  double push, squared;
+  // Whether a limit may be the tightest somewhere.
+  bool meets(const CurveLimits::Row& row) const {
+    return std::abs(row.a) * push + std::max(row.b, 0.0) * squared > row.c;
+  }
 };
 
 struct CurveSlopes {  // derivatives with respect to slope, bend and limits, added up
   double *slope, *bend;
-  double* limit = nullptr;
+  CurveLimits::Row* limit = nullptr;
 };
 
 class SpeedProfile {
@@ -40,116 +58,146 @@ class SpeedProfile {
   SpeedProfile(std::vector<double> velocity, std::vector<double> acceleration)
       : velocity_(std::move(velocity)), acceleration_(std::move(acceleration)) {}
 
-  // The largest squared speeds at the n + 1 points.
-  const std::vector<double>& compute(const CurveSamples& curve) {
-    const size_t n = curve.n, rows = rows_of(curve);
-    A_.resize(n * rows), B_.resize(n * rows), reach_.resize(n * rows), tilt_.resize(n * rows);
-    side_.assign(n * rows, kBoth);
-    beta_.assign(n + 1, kUnbounded), x_.resize(n + 1), bound_.assign(n + 1, {}), limited_.assign(n + 1, kBeta);
-    for (size_t i = 0; i < n; ++i) add_rows(curve, i);
-    for (size_t i = 0; i < n; ++i) cap(curve, i);
+  // Take a curve, and tell what its joints leave to each interval.
+  const std::vector<Box>& enter(const CurveSamples& curve) {
+    const size_t n = curve.n;
+    joint_rows_ = 2 * curve.dim * n;
+    A_.resize(joint_rows_), reach_.resize(joint_rows_), tilt_.resize(joint_rows_), box_.resize(n);
+    cap_.assign(n + 1, kUnbounded), cap_bound_.assign(n + 1, {});
+    for (size_t i = 0; i < n; ++i) add_joints(curve, i);
     for (size_t i = 0; i <= n; ++i)
-      if (curve.stop[i]) beta_[i] = 0, bound_[i] = {};
-    for (size_t i = n; i-- > 0;) reach_back(curve, i), ease(curve, i);
+      if (curve.stop[i]) cap_[i] = 0, cap_bound_[i] = {};
+    for (size_t i = 0; i < n; ++i) {
+      double push = kUnbounded;
+      for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r)
+        push = std::min(push, reach_[r] + std::abs(tilt_[r]) * cap_[i]);
+      box_[i] = {push, cap_[i]};
+    }
+    return box_;
+  }
+
+  // The largest squared speeds at the n + 1 points of the curve that was entered.
+  const std::vector<double>& compute(const CurveSamples& curve, const CurveLimits& limits) {
+    const size_t n = curve.n;
+    add_limits(limits);
+    beta_ = cap_, bound_ = cap_bound_, x_.resize(n + 1), limited_.assign(n + 1, kBeta);
+    for (size_t i = 0; i < n; ++i) cap(curve, limits, i);
+    for (size_t i = n; i-- > 0;) reach_back(curve, limits, i), ease(curve, limits, i);
     x_[0] = beta_[0];
-    for (size_t i = 0; i < n; ++i) go_on(curve, i);
+    for (size_t i = 0; i < n; ++i) go_on(curve, limits, i);
     return x_;
   }
 
   // Derivatives of something whose derivatives with respect to the squared speeds are `d_x`; of the last compute().
-  void back(const CurveSamples& curve, std::vector<double> d_x, const CurveSlopes& out) const {
-    const size_t n = curve.n, rows = rows_of(curve);
-    std::vector<double> d_beta(n + 1, 0.0), d_reach(n * rows, 0.0), d_tilt(n * rows, 0.0);
+  void back(const CurveSamples& curve, const CurveLimits& limits, std::vector<double>& d_x, const CurveSlopes& out) {
+    const size_t n = curve.n;
+    d_beta_.assign(n + 1, 0.0), d_reach_.assign(A_.size(), 0.0), d_tilt_.assign(A_.size(), 0.0);
     for (size_t i = n; i-- > 0;) {
       const double d = d_x[i + 1], S = 2 * curve.step[i];
-      if (limited_[i + 1] == kBeta) {
-        d_beta[i + 1] += d;
+      const size_t r = limited_[i + 1];
+      if (r == kBeta) {
+        d_beta_[i + 1] += d;
         continue;
       }
-      const size_t r = i * rows + size_t(limited_[i + 1]);
       d_x[i] += (1 - S * tilt_[r]) * d;
-      d_tilt[r] -= S * x_[i] * d, d_reach[r] += S * d;
+      d_tilt_[r] -= S * x_[i] * d, d_reach_[r] += S * d;
     }
-    d_beta[0] += d_x[0];
-    for (size_t i = 0; i <= n; ++i) back_bound(curve, i, d_beta, d_reach, d_tilt, out);
-    for (size_t i = 0; i < n; ++i) back_rows(curve, i, d_reach, d_tilt, out);
+    d_beta_[0] += d_x[0];
+    for (size_t i = 0; i <= n; ++i) back_bound(curve, i, out);
+    for (size_t i = 0; i < n; ++i) back_joints(curve, i, out);
+    for (size_t k = 0; k < limits.row.size(); ++k) {
+      const size_t r = joint_rows_ + k;
+      if (d_reach_[r] == 0 && d_tilt_[r] == 0) continue;
+      out.limit[k].a += by_a(r), out.limit[k].b += d_tilt_[r] / A_[r];
+      out.limit[k].c += d_reach_[r] / std::abs(A_[r]);
+    }
   }
 
  private:
   static constexpr double kUnbounded = 1e12, kLeast = 1e-12;
-  static constexpr int kBeta = -1;
-  static constexpr size_t kEnd = size_t(-1);
+  static constexpr size_t kBeta = size_t(-1), kEnd = size_t(-1);
   enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain, kStill, kCorner };
   struct Bound {  // what limits beta: a joint at one side, two rows, one row; of a corner the second may be kEnd
     Kind kind = kFixed;
     size_t first = 0, second = 0;
   };
 
-  enum Side : uint8_t { kUpper = 1, kLower = 2, kBoth = 3 };  // of u, which a row bounds
+  // Rows say |A u + B x| <= limit where they are of joints, and bound u from both sides; the others from one.
+  template <class F> void for_upper(const CurveSamples& curve, const CurveLimits& limits, size_t i, F&& f) const {
+    for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r) f(r);
+    for (size_t r = joint_rows_ + limits.first[i]; r < joint_rows_ + limits.first[i + 1]; ++r)
+      if (A_[r] > 0) f(r);
+  }
+  template <class F> void for_lower(const CurveSamples& curve, const CurveLimits& limits, size_t i, F&& f) const {
+    for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r) f(r);
+    for (size_t r = joint_rows_ + limits.first[i]; r < joint_rows_ + limits.first[i + 1]; ++r)
+      if (A_[r] < 0) f(r);
+  }
 
-  static size_t rows_of(const CurveSamples& curve) { return 2 * curve.dim + curve.n_limit; }
-
-  // |A u + B x| <= limit at the beginning of an interval, and at its end, where x + 2 step u holds; then the others.
-  void add_rows(const CurveSamples& curve, size_t i) {
-    const size_t dim = curve.dim, rows = rows_of(curve);
+  // Limits at the beginning of an interval, and at its end, where x + 2 step u holds.
+  void add_joints(const CurveSamples& curve, size_t i) {
+    const size_t dim = curve.dim;
     const double *slope = curve.slope + 2 * dim * i, *bend = curve.bend + 2 * dim * i, S = 2 * curve.step[i];
     for (size_t j = 0; j < dim; ++j) {
-      set_row(rows * i + j, slope[j], bend[j], acceleration_[j]);
-      set_row(rows * i + dim + j, slope[dim + j] + S * bend[dim + j], bend[dim + j], acceleration_[j]);
+      set_row(2 * dim * i + j, slope[j], bend[j], acceleration_[j]);
+      set_row(2 * dim * i + dim + j, slope[dim + j] + S * bend[dim + j], bend[dim + j], acceleration_[j]);
     }
-    for (size_t k = 0; k < curve.n_limit; ++k) {
-      const double* limit = curve.limit + 3 * (curve.n_limit * i + k);
-      const size_t r = rows * i + 2 * dim + k;
-      set_row(r, limit[0], limit[1], limit[2]);
-      side_[r] = A_[r] > 0 ? kUpper : kLower;
+    for (size_t side = 0; side < 2; ++side) {
+      if (curve.stop[i + side]) continue;
+      for (size_t j = 0; j < dim; ++j) {
+        const size_t at = 2 * dim * i + side * dim + j;
+        const double fast = velocity_[j], size = std::max(std::abs(curve.slope[at]), kLeast);
+        if (fast * fast < cap_[i + side] * size * size)
+          cap_[i + side] = (fast / size) * (fast / size), cap_bound_[i + side] = {kVelocity, at, 0};
+      }
     }
+  }
+  void add_limits(const CurveLimits& limits) {
+    const size_t rows = joint_rows_ + limits.row.size();
+    A_.resize(rows), reach_.resize(rows), tilt_.resize(rows);
+    for (size_t k = 0; k < limits.row.size(); ++k)
+      set_row(joint_rows_ + k, limits.row[k].a, limits.row[k].b, limits.row[k].c);
   }
   void set_row(size_t r, double a, double b, double limit) {
     if (std::abs(a) < kLeast) a = kLeast;
-    A_[r] = a, B_[r] = b, reach_[r] = limit / std::abs(a), tilt_[r] = b / a;
+    const double inverse = 1 / a;
+    A_[r] = a, reach_[r] = limit * std::abs(inverse), tilt_[r] = b * inverse;
   }
   void lower(size_t i, double value, Bound bound) {
     if (value < beta_[i]) beta_[i] = value, bound_[i] = bound;
   }
-  void cap(const CurveSamples& curve, size_t i) {
-    const size_t dim = curve.dim, rows = rows_of(curve);
+  void cap(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
     const double S = 2 * curve.step[i];
-    for (size_t side = 0; side < 2; ++side)
-      for (size_t j = 0; j < dim; ++j) {
-        const double fast = velocity_[j] / std::max(std::abs(curve.slope[2 * dim * i + side * dim + j]), kLeast);
-        lower(i + side, fast * fast, {kVelocity, 2 * dim * i + side * dim + j, 0});
-      }
-    const double *reach = &reach_[rows * i], *tilt = &tilt_[rows * i];
-    const uint8_t* bounds = &side_[rows * i];
-    for (size_t r = 0; r < rows; ++r) {
-      const double gain = 1 - S * tilt[r];  // not below rest within the interval
-      if (gain < 0 && (bounds[r] & kUpper)) lower(i, S * reach[r] / -gain, {kOverturn, rows * i + r, 0});
-    }
+    for_upper(curve, limits, i, [&](size_t r) {
+      const double gain = 1 - S * tilt_[r];  // not below rest within the interval
+      if (gain < 0 && S * reach_[r] < beta_[i] * -gain) lower(i, S * reach_[r] / -gain, {kOverturn, r, 0});
+    });
     // No lower bound of u may pass an upper one. Their gap is concave in x and open at rest, so that Newton's method
     // from where it is closed comes down on its root, with the tightest row of each side at a time.
-    for (size_t pair = 0; pair < rows; ++pair) {
+    for (size_t pair = 0; pair < A_.size(); ++pair) {
       double floor = -kUnbounded, ceiling = kUnbounded;
       size_t lowest = 0, highest = 0;
-      for (size_t r = 0; r < rows; ++r) {
-        const double below = -reach[r] - tilt[r] * beta_[i], above = reach[r] - tilt[r] * beta_[i];
-        if ((bounds[r] & kLower) && below > floor) floor = below, highest = r;
-        if ((bounds[r] & kUpper) && above < ceiling) ceiling = above, lowest = r;
-      }
-      const double apart = tilt[lowest] - tilt[highest], room = reach[lowest] + reach[highest];
-      if (!(apart * beta_[i] > room)) return;
-      const double before = beta_[i];
-      lower(i, room / apart, {kPair, rows * i + lowest, rows * i + highest});
-      if (!(beta_[i] < before)) return;
+      const double x = beta_[i];
+      for_lower(curve, limits, i, [&](size_t r) {
+        const double below = -reach_[r] - tilt_[r] * x;
+        if (below > floor) floor = below, highest = r;
+      });
+      for_upper(curve, limits, i, [&](size_t r) {
+        const double above = reach_[r] - tilt_[r] * x;
+        if (above < ceiling) ceiling = above, lowest = r;
+      });
+      const double apart = tilt_[lowest] - tilt_[highest], room = reach_[lowest] + reach_[highest];
+      if (!(apart * x > room)) return;
+      lower(i, room / apart, {kPair, lowest, highest});
+      if (!(beta_[i] < x)) return;
     }
   }
-  void reach_back(const CurveSamples& curve, size_t i) {
-    const size_t rows = rows_of(curve);
+  void reach_back(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
     const double S = 2 * curve.step[i];
-    for (size_t r = rows * i; r < rows * (i + 1); ++r) {
-      if (!(side_[r] & kLower)) continue;
-      const double gain = 1 - S * tilt_[r];
-      if (gain > 0) lower(i, (beta_[i + 1] + S * reach_[r]) / gain, {kChain, r, 0});
-    }
+    for_lower(curve, limits, i, [&](size_t r) {
+      const double gain = 1 - S * tilt_[r], most = beta_[i + 1] + S * reach_[r];
+      if (gain > 0 && most < beta_[i] * gain) lower(i, most / gain, {kChain, r, 0});
+    });
   }
   // What an upper row says of the squared speed at the end of its interval: at most gain x + push, x that at its
   // beginning. So does beta there, with a gain of 0.
@@ -165,14 +213,12 @@ class SpeedProfile {
   // Where to go as fast as can be now means to go slowly next, as where a row says next to nothing of u, less speed is
   // better: as much as makes the sum of both speeds the greatest. Where that is depends continuously on the curve; the
   // fastest next after the fastest now does not.
-  void ease(const CurveSamples& curve, size_t i) {
-    const size_t first = rows_of(curve) * i, end = first + rows_of(curve);
+  void ease(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
     Line now = line(curve, i, kEnd);
-    for (size_t r = first; r < end; ++r) {
-      if (!(side_[r] & kUpper)) continue;
+    for_upper(curve, limits, i, [&](size_t r) {
       const Line other = line(curve, i, r);
       if (other.at(beta_[i]) < now.at(beta_[i])) now = other;
-    }
+    });
     while (now.gain < 0) {
       const double still = now.push / (now.gain * now.gain - now.gain);
       if (still >= beta_[i]) return;
@@ -184,47 +230,43 @@ class SpeedProfile {
         if (meet > corner) corner = meet, next = other;
       };
       look(line(curve, i, kEnd));
-      for (size_t r = first; r < end; ++r)
-        if (side_[r] & kUpper) look(line(curve, i, r));
+      for_upper(curve, limits, i, [&](size_t r) { look(line(curve, i, r)); });
       if (next.row == now.row) return lower(i, still, {kStill, now.row, 0});
       lower(i, corner, {kCorner, now.row, next.row});
       now = next;
     }
   }
-  void go_on(const CurveSamples& curve, size_t i) {
-    const size_t rows = rows_of(curve);
+  void go_on(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
     const double S = 2 * curve.step[i];
     // At a corner, the steeper of its rows says the same, but with less precision.
     const size_t steep = bound_[i].kind == kCorner && x_[i] >= beta_[i] ? bound_[i].first : kEnd;
     double best = beta_[i + 1];
-    for (size_t k = 0; k < rows; ++k) {
-      const size_t r = rows * i + k;
-      if (!(side_[r] & kUpper) || r == steep) continue;
+    for_upper(curve, limits, i, [&](size_t r) {
+      if (r == steep) return;
       const double next = (1 - S * tilt_[r]) * x_[i] + S * reach_[r];
-      if (next < best) best = next, limited_[i + 1] = int(k);
-    }
+      if (next < best) best = next, limited_[i + 1] = r;
+    });
     x_[i + 1] = std::max(best, 0.0);
   }
 
-  void back_bound(const CurveSamples& curve, size_t i, std::vector<double>& d_beta, std::vector<double>& d_reach,
-                  std::vector<double>& d_tilt, const CurveSlopes& out) const {
+  void back_bound(const CurveSamples& curve, size_t i, const CurveSlopes& out) {
     const Bound& by = bound_[i];
-    const double d = d_beta[i];
+    const double d = d_beta_[i];
     if (d == 0 || by.kind == kFixed) return;
     if (by.kind == kVelocity) {
       const double slope = curve.slope[by.first];
       if (std::abs(slope) > kLeast) out.slope[by.first] -= 2 * beta_[i] / slope * d;
     } else if (by.kind == kPair) {
       const double apart = tilt_[by.first] - tilt_[by.second];
-      d_reach[by.first] += d / apart, d_reach[by.second] += d / apart;
-      d_tilt[by.first] -= beta_[i] / apart * d, d_tilt[by.second] += beta_[i] / apart * d;
+      d_reach_[by.first] += d / apart, d_reach_[by.second] += d / apart;
+      d_tilt_[by.first] -= beta_[i] / apart * d, d_tilt_[by.second] += beta_[i] / apart * d;
     } else if (by.kind == kStill || by.kind == kCorner) {
       const Line first = line(curve, i, by.first);
       const auto move = [&](size_t r, double d_gain, double d_push) {
         if (r == kEnd)
-          d_beta[i + 1] += d_push;
+          d_beta_[i + 1] += d_push;
         else
-          d_tilt[r] -= 2 * curve.step[i] * d_gain, d_reach[r] += 2 * curve.step[i] * d_push;
+          d_tilt_[r] -= 2 * curve.step[i] * d_gain, d_reach_[r] += 2 * curve.step[i] * d_push;
       };
       if (by.kind == kStill) {
         const double scale = first.gain * first.gain - first.gain;
@@ -235,34 +277,30 @@ class SpeedProfile {
       move(by.second, -d * beta_[i] / apart, -d / apart);
     } else {
       const double S = 2 * curve.step[i], gain = 1 - S * tilt_[by.first];
-      d_tilt[by.first] += S * beta_[i] / gain * d;
-      d_reach[by.first] += S / std::abs(gain) * d;
-      if (by.kind == kChain) d_beta[i + 1] += d / gain;
+      d_tilt_[by.first] += S * beta_[i] / gain * d;
+      d_reach_[by.first] += S / std::abs(gain) * d;
+      if (by.kind == kChain) d_beta_[i + 1] += d / gain;
     }
   }
-  void back_rows(const CurveSamples& curve, size_t i, const std::vector<double>& d_reach,
-                 const std::vector<double>& d_tilt, const CurveSlopes& out) const {
-    const size_t dim = curve.dim, rows = rows_of(curve);
-    for (size_t k = 0; k < rows; ++k) {
-      const size_t r = rows * i + k;
-      if (d_reach[r] == 0 && d_tilt[r] == 0) continue;
-      const double d_A = -(reach_[r] * d_reach[r] + tilt_[r] * d_tilt[r]) / A_[r], d_B = d_tilt[r] / A_[r];
-      if (k < 2 * dim) {
-        const size_t at = 2 * dim * i + k;  // slopes are laid out so too: the beginning's joints, then the end's
-        out.slope[at] += d_A;
-        out.bend[at] += d_B + (k < dim ? 0.0 : 2 * curve.step[i] * d_A);
-      } else if (out.limit) {
-        double* limit = out.limit + 3 * (curve.n_limit * i + k - 2 * dim);
-        limit[0] += d_A, limit[1] += d_B, limit[2] += d_reach[r] / std::abs(A_[r]);
-      }
+  double by_a(size_t r) const { return -(reach_[r] * d_reach_[r] + tilt_[r] * d_tilt_[r]) / A_[r]; }
+  void back_joints(const CurveSamples& curve, size_t i, const CurveSlopes& out) const {
+    const size_t dim = curve.dim;
+    for (size_t k = 0; k < 2 * dim; ++k) {
+      const size_t r = 2 * dim * i + k;  // slopes are laid out so too: the beginning's joints, then the end's
+      if (d_reach_[r] == 0 && d_tilt_[r] == 0) continue;
+      const double d_A = by_a(r);
+      out.slope[r] += d_A;
+      out.bend[r] += d_tilt_[r] / A_[r] + (k < dim ? 0.0 : 2 * curve.step[i] * d_A);
     }
   }
 
   std::vector<double> velocity_, acceleration_;
-  std::vector<double> A_, B_, reach_, tilt_, beta_, x_;
-  std::vector<uint8_t> side_;
-  std::vector<Bound> bound_;
-  std::vector<int> limited_;
+  size_t joint_rows_ = 0;
+  std::vector<double> A_, reach_, tilt_;  // of the joints' rows, then of the limits
+  std::vector<double> cap_, beta_, x_, d_beta_, d_reach_, d_tilt_;
+  std::vector<Bound> cap_bound_, bound_;
+  std::vector<size_t> limited_;
+  std::vector<Box> box_;
 };
 
 }  // namespace gp

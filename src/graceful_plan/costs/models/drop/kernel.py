@@ -12,6 +12,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
+from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
 from graceful_plan.costs.models.drop.loss import LANDING_LOSS, NODES, WEIGHTS, LossTables, loss_tables
 from graceful_plan.costs.models.drop.network import DropNetwork
@@ -125,10 +126,15 @@ class DropKernel:
             places=np.array([getattr(settings.places, name) for name in SPILL_CONSTANTS]),
         )
 
+    def of(self, batch: StateBatch) -> tuple[Float[Array, "n row entity"], Float[Array, " n"]]:
+        """Return `probability` and `own_loss` of some states; both are computed at once, and once."""
+        found = batch.kept.get(np.ndarray, self, lambda: self._all(batch.q, batch.qd)[0])
+        return found[:, :-1].reshape(len(batch), len(ROWS), self.n_entity), found[:, -1]
+
     def probability(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch row entity"]:
         """P that the object or contents reach each entity, at q with joint velocities qd [rad/s], at rest if None."""
-        flat, rates, batch = self._states(q, qd)
-        return self.native.probability(flat, rates)[:, :-1].reshape(*batch, len(ROWS), self.n_entity)
+        found, batch = self._all(q, qd)
+        return found[:, :-1].reshape(*batch, len(ROWS), self.n_entity)
 
     def sights(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch target told"]:
         """What a network is told of every surface, see `network.TOLD`, and last the P of a hit that it is to correct.
@@ -141,8 +147,8 @@ class DropKernel:
 
     def own_loss(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch"]:
         """P that the fall damages the object itself, at q with joint velocities qd [rad/s], at rest if None."""
-        flat, rates, batch = self._states(q, qd)
-        return self.native.probability(flat, rates)[:, -1].reshape(batch)
+        found, batch = self._all(q, qd)
+        return found[:, -1].reshape(batch)
 
     def impact(
         self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None, *, own: float = 0.0
@@ -185,6 +191,11 @@ class DropKernel:
         if np.shape(severity) != (len(ROWS), self.n_entity):
             raise ShapeError("severity", np.shape(severity), f"({len(ROWS)}, {self.n_entity})")
         return _reals(finite_array("severity", np.append(np.ravel(severity), own)))
+
+    def _all(self, q: ArrayLike, qd: ArrayLike | None) -> tuple[Float[Array, "n hazard"], tuple[int, ...]]:
+        """P of each row and entity, and last that of the loss of the object itself; and the batch axes."""
+        flat, rates, batch = self._states(q, qd)
+        return self.native.probability(flat, rates), batch
 
     def _states(self, q: ArrayLike, qd: ArrayLike | None) -> tuple[Array, Array, tuple[int, ...]]:
         flat, batch = self.kernels.rows("q", q)

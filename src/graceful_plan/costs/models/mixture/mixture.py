@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 from typing import final
 
@@ -80,7 +80,7 @@ class Footprint(NativeModel):
             raise SettingError("faults", self.faults, "a FaultPrior or the name of a preset")
         _ = self.prior
 
-    @property
+    @cached_property
     def prior(self) -> FaultPrior:
         """Which failures happen, and how often."""
         return FaultPrior.preset(self.faults) if isinstance(self.faults, str) else self.faults
@@ -88,7 +88,7 @@ class Footprint(NativeModel):
     @property
     def components(self) -> tuple[str, ...]:
         """The robot's body counts if there are failures of the arm to fear."""
-        return COMPONENTS if self._arm_weights().any() else FALLING
+        return COMPONENTS if self._arm_weights.any() else FALLING
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return P of a contact, summed over all that may go wrong."""
@@ -115,7 +115,7 @@ class Footprint(NativeModel):
             return {"drop": np.zeros(len(batch))}
         kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility, self.stop, self.network)
         weight = self.base.of_cargo(batch.scene) * self.prior.weights()["drop"]
-        return {"drop": weight * kernel.own_loss(batch.q, batch.qd)}
+        return {"drop": weight * kernel.of(batch)[1]}
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the sources, and how much they weigh."""
@@ -143,7 +143,7 @@ class Footprint(NativeModel):
         rows, loss = self._severities(scene, severity), self.base.of_cargo(scene) * self._own_severity(own)
         if scene.carried is not None and (rows.any() or loss):
             parts.append(self._drop_kernel(scene, own).with_severity(rows, paces, own=loss))
-        weights = self._arm_weights()
+        weights = self._arm_weights
         if weights.any() and severity.any():
             parts.append(BodyModel(self.body).kernel(scene, severity, weights, paces))
         if not parts:  # nothing can happen
@@ -162,7 +162,7 @@ class Footprint(NativeModel):
 
         Those of the body model are good for descents but not exact: see `BodyModel.impact_gradient`.
         """
-        if self._arm_weights().any():
+        if self._arm_weights.any():
             return None
         scene, aboard, found = (
             batch.scene,
@@ -189,7 +189,7 @@ class Footprint(NativeModel):
         found = {name: np.zeros((len(batch), len(scene.components), len(scene.entities))) for name in names}
         if scene.carried is None or not len(batch) or not names:
             return found
-        P = self._drop_kernel(scene, None).probability(batch.q, batch.qd)
+        P, _ = self._drop_kernel(scene, None).of(batch)
         for row, component in enumerate(scene.components):
             for own, source in _SOURCE.get(component, ()):
                 if source in found:
@@ -198,7 +198,7 @@ class Footprint(NativeModel):
 
     def _arm_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of failing arms."""
-        scene, weights = batch.scene, self._arm_weights()
+        scene, weights = batch.scene, self._arm_weights
         if not weights.any():
             return {}
         known = batch.ahead if np.isclose(self.body.step, AHEAD[0]) else None
@@ -213,6 +213,7 @@ class Footprint(NativeModel):
                         found[name][:, row] = weights[g, k] * P[:, g, k]
         return found
 
+    @cached_property
     def _arm_weights(self) -> Float[Array, "generator 2"]:
         """Weight of each of `GENERATORS` for the arm and for what it still holds."""
         weights, held = self.prior.weights(), self.prior.held_weights()

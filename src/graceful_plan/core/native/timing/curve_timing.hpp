@@ -1,0 +1,165 @@
+// The fastest motion along a curve: limits of the joints, of what is felt where something is carried, and a surface
+// that stays below its rim.
+//
+// A surface swings beyond what is felt, how far depends on the curve: limits on what is felt come in levels, from the
+// boldest to the most careful, and a level that still swings too far is slowed down as a whole. What takes the least
+// time is the motion.
+#pragma once
+#include "core.hpp"
+#include "timing/felt.hpp"
+#include "timing/spill.hpp"
+#include "timing/travel.hpp"
+
+namespace gp {
+
+class CurveTiming {
+ public:
+  using Level = std::vector<FeltLimit>;
+
+  CurveTiming(const Core* core, std::vector<Level> levels, Point velocity, Point acceleration)
+      : core_(core),
+        levels_(std::move(levels)),
+        velocity_(velocity),
+        acceleration_(acceleration),
+        profile_(std::move(velocity), std::move(acceleration)) {
+    if (levels_.empty()) levels_.emplace_back();  // nothing is felt
+    for (const FeltLimit& limit : levels_.front()) rider_.push_back(core_->rider(limit.link, limit.point));
+  }
+
+  // Where a limit does not even hold at rest, or the motion comes to a halt.
+  struct Trouble {
+    int limit = -1;    // which of a level; -1 for none
+    size_t point = 0;  // of the curve
+    bool any = false;
+  };
+
+  // Time a curve through `q`, within so many further limits on each interval [n, further, 3], at a share of the speed.
+  bool run(const CurveSamples& curve, const double* q, const double* limit, size_t further, double speed) {
+    const std::vector<Box>& box = profile_.enter(curve);
+    move(curve, q);
+    bool found = false;
+    for (const Level& level : levels_) {
+      trouble_ = {};
+      if (!time(curve, q, level, {limit, further}, box, speed)) {
+        if (found) trouble_ = {};
+        return found;
+      }
+      const double longest = found ? best_.duration() : std::numeric_limits<double>::infinity();
+      if (now_.duration() >= longest) break;
+      const double slower = slowdown(curve, level, longest);
+      const bool calm = slower == 1;
+      now_.stretch(slower);
+      if (now_.duration() < longest) best_ = now_, best_speed_ = speed_;
+      found = true;
+      if (calm) break;
+    }
+    return true;
+  }
+  const Travel& motion() const { return best_; }
+  // Of the parameter at each point, before anything was slowed down; also of one that comes to a halt.
+  const std::vector<double>& speeds() const { return best_.t.empty() ? speed_ : best_speed_; }
+  const Trouble& trouble() const { return trouble_; }
+
+ private:
+  static constexpr double kRounding = 1e-9;   // reserve below the limits, for who evaluates the motion elsewhere
+  static constexpr double kLeastRoom = 1e-3;  // of gravity, by which a facet has to hold at rest
+  static constexpr double kSlowdown = 1.01;   // by how much a motion is slowed down at least
+  static constexpr int kMostSlowdowns = 310;
+
+  struct Further {
+    const double* row;
+    size_t n;
+  };
+
+  // How the points move that something is felt at: it is the same for all levels.
+  void move(const CurveSamples& curve, const double* q) {
+    const size_t n = curve.n, dim = curve.dim, riders = rider_.size();
+    felt_.resize(riders), vessel_.resize(riders);
+    if (riders == 0) return;
+    const size_t stride = 16 * size_t(core_->tables().n_link);
+    poses_.resize((n + 1) * stride);
+    core_->kernels().link_poses(core_->tables(), {q, nullptr, n + 1}, poses_.data());
+    for (size_t l = 0; l < riders; ++l) {
+      const Rider& rider = rider_[l];
+      const std::optional<SloshLimit>& slosh = levels_.front()[l].slosh;
+      felt_[l].resize(2 * n), vessel_[l].interval.resize(n), vessel_[l].axis.resize(n + 1);
+      for (size_t i = 0; i < n; ++i)
+        for (size_t end = 0; end < 2; ++end) {
+          const LinkPoses at{&poses_[(i + end) * stride]};
+          const size_t from = (2 * i + end) * dim;
+          Vector3 &velocity = vessel_[l].interval[i].velocity[end], &bend = vessel_[l].interval[i].bend[end];
+          rider.derive(at, rider.at(at), curve.slope + from, curve.bend + from, velocity, bend);
+          felt_[l][2 * i + end] = {at.within(rider.link, velocity), at.within(rider.link, bend),
+                                   at.within(rider.link, {0, 0, 1})};
+          if (slosh) vessel_[l].axis[i + end] = at.turned(rider.link, slosh->axis);
+        }
+    }
+  }
+
+  bool time(const CurveSamples& curve, const double* q, const Level& level, const Further& further,
+            const std::vector<Box>& box, double speed) {
+    const size_t n = curve.n;
+    rows_.clear();
+    std::vector<double> tightest(level.size(), std::numeric_limits<double>::infinity());
+    std::vector<size_t> where(level.size(), 0);
+    for (size_t i = 0; i < n; ++i) {
+      for (size_t l = 0; l < level.size(); ++l)
+        for (size_t end = 0; end < 2; ++end) {
+          const double room = rows_.add(level[l], l, felt_[l][2 * i + end], {end, curve.step[i], box[i]}, 0.0, speed);
+          if (room < tightest[l]) tightest[l] = room, where[l] = i + end;
+        }
+      for (size_t k = 0; k < further.n; ++k) {
+        const double* row = further.row + 3 * (i * further.n + k);
+        rows_.add({row[0], row[1], row[2] / (speed * speed)}, box[i]);
+      }
+      rows_.end_interval();
+    }
+    for (size_t l = 0; l < level.size(); ++l)
+      if (tightest[l] < kLeastRoom * level[l].gravity) return trouble_ = {int(l), where[l], true}, false;
+    squared_ = profile_.compute(curve, rows_.limits());
+    speed_.resize(n + 1);
+    for (size_t i = 0; i <= n; ++i) speed_[i] = std::sqrt(squared_[i]);
+    size_t halted = 0;
+    if (!travel(curve, q, squared_, now_, halted)) return trouble_ = {-1, halted, true}, false;
+    now_.excess = cubics_excess(now_.t.size(), curve.dim, now_.t.data(), now_.q.data(), now_.qd.data(), now_.qdd.data(),
+                                velocity_.data(), acceleration_.data());
+    stretched_ = now_.excess * (1 + kRounding) / speed;
+    now_.stretch(stretched_);
+    return true;
+  }
+
+  // By what factor the motion has to be slowed down until nothing swings over its rim, or until it takes too long.
+  double slowdown(const CurveSamples& curve, const Level& level, double longest) const {
+    const double most_by_time = std::ceil(std::log(longest / now_.duration()) / std::log(kSlowdown));
+    const int most = int(std::min(most_by_time, double(kMostSlowdowns)));
+    const auto is_calm = [&](int slowdowns) {
+      for (size_t l = 0; l < level.size(); ++l)
+        if (level[l].slosh && !stays_in(*level[l].slosh, level[l].gravity, curve, vessel_[l], squared_,
+                                        stretched_ * std::pow(kSlowdown, slowdowns)))
+          return false;
+      return true;
+    };
+    int swings = -1, calm = 0;
+    while (calm < most && !is_calm(calm)) swings = calm, calm = std::min(std::max(1, 2 * calm), most);
+    while (calm - swings > 1) {
+      const int middle = (swings + calm) / 2;
+      (is_calm(middle) ? calm : swings) = middle;
+    }
+    return std::pow(kSlowdown, calm);
+  }
+
+  const Core* core_;
+  std::vector<Level> levels_;
+  Point velocity_, acceleration_;
+  SpeedProfile profile_;
+  std::vector<Rider> rider_;
+  FeltRows rows_;
+  std::vector<double> poses_, squared_, speed_, best_speed_;
+  std::vector<std::vector<FeltMotion>> felt_;
+  std::vector<VesselMotion> vessel_;
+  double stretched_ = 1;
+  Travel now_, best_;
+  Trouble trouble_;
+};
+
+}  // namespace gp
