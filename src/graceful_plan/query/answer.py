@@ -61,9 +61,10 @@ class BestVerified:
     @property
     def ended(self) -> bool:
         """Whether the call needs no more motions."""
-        if self._stopped or self._budget.cancelled():
-            return True
-        return self._best is not None and (self._request.stop == "first" or self._is_optimal(self._best.motion))
+        if self._best is None:
+            return self._budget.cancelled()
+        enough = self._stopped or self._request.stop == "first" or self._budget.cancelled()
+        return enough or self._is_optimal(self._best.motion)
 
     def converged(self, before: float) -> bool:
         """Tell after a round whether a call that stops once it has converged does so; `before` is the ranking then."""

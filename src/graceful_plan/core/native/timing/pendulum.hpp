@@ -15,10 +15,24 @@ struct Pendulum {
 struct Bob {
   Vector3 d{0, 0, -1}, rate{};
 
-  // A step of so many seconds; `pull` is what is felt there, reversed, by the length.
+  // A step of so many seconds, of first order; `pull` is what is felt there, reversed, by the length.
   void advance(const Vector3& pull, double h, double drag) {
+    kick(pull, h, drag);
+    drift(h);
+  }
+  // The same of second order, where `pull` is that in the middle of the step.
+  void leap(const Vector3& pull, double h, double drag) {
+    drift(0.5 * h);
+    kick(pull, h, drag);
+    drift(0.5 * h);
+  }
+
+ private:
+  void kick(const Vector3& pull, double h, double drag) {
     const double along = dot3(pull, d);
     for (size_t i = 0; i < 3; ++i) rate[i] += h * (pull[i] - along * d[i] - drag * rate[i]);
+  }
+  void drift(double h) {
     add3(d, h, rate);
     d = scaled3(d, 1 / std::sqrt(dot3(d, d)));
     add3(rate, -dot3(rate, d), d);

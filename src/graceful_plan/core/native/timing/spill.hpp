@@ -48,12 +48,12 @@ inline bool stays_in(const SloshLimit& limit, double gravity, const CurveSamples
       Vector3 axis = scaled3(vessel.axis[i], 1 - share), pull = scaled3(felt[0], per * (1 - middle));
       add3(axis, share, vessel.axis[i + 1]), add3(pull, per * middle, felt[1]);
       if (!calm(axis)) return false;
-      bob.advance(pull, h, limit.pendulum.drag);
+      bob.leap(pull, h, limit.pendulum.drag);
     }
   }
   for (double after = 0; liquid && after < kAfter; after += kStep) {
     if (!calm(vessel.axis.back())) return false;
-    bob.advance({0, 0, -gravity / limit.pendulum.length}, kStep, limit.pendulum.drag);
+    bob.leap({0, 0, -gravity / limit.pendulum.length}, kStep, limit.pendulum.drag);
   }
   return true;
 }
