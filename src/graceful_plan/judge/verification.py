@@ -198,8 +198,8 @@ def _position(samples: MotionSamples, motion: Path | Trajectory, scene: Scene) -
     else:
         q, at = motion.q, np.append(0.0, np.cumsum(motion.segment_lengths))
     excess = np.maximum(lower - q, q - upper)
-    if ((samples.q < lower - LIMIT_TOLERANCE) | (samples.q > upper + LIMIT_TOLERANCE)).any():
-        # These are close together, and tell when it begins.
+    if excess.max() > LIMIT_TOLERANCE:
+        # The samples for collisions are close together, and tell when it begins.
         beyond = np.maximum(lower - samples.q, samples.q - upper)
         excess, at = np.concatenate([excess, beyond]), np.append(np.full(len(q), np.nan), samples.at)
     return _limit_check(excess, at, scene.joints, LIMIT_TOLERANCE, "beyond its position limit [rad or m]")
