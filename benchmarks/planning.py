@@ -19,10 +19,16 @@ BEST = BestMotions(Path(__file__).parent / "best_known", W)
 
 
 def job(
-    task: str, planner: str | PlannerNote = "auto", *, seed: int = 0, w: float = W, seconds: float = 1.0
+    task: str,
+    planner: str | PlannerNote = "auto",
+    *,
+    seed: int = 0,
+    w: float = W,
+    seconds: float = 1.0,
+    refine: bool = True,
 ) -> PlannerJob:
     """Return the run of a planner on a task, "scene/task"; jerk and clearance are not measured."""
-    note = PlannerNote(label=planner, name=planner) if isinstance(planner, str) else planner
+    note = PlannerNote(label=planner, name=planner, refine=refine) if isinstance(planner, str) else planner
     return PlannerJob(problem=problem(task), planner=note, seed=seed, seconds=seconds, w=w, measured=False)
 
 

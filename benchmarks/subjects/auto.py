@@ -22,10 +22,10 @@ OTHERS_WITHIN, OTHERS_TASKS = 0.3, 20
 WANTED = {(0.3, 50): 0.02, (2.0, 50): 0.005, (1.0, 90): 0.05}
 """Greatest gap by time limit [s] and percentile."""
 PARTS = (
-    PlannerNote(label="everything", name="auto"),
-    PlannerNote(label="one search", name="auto", settings=(("workers", 1),)),
-    PlannerNote(label="without roadmaps", name="auto", settings=(("search", gp.Anytime(scouts=False)),)),
-    PlannerNote(label="without descents", name="auto", settings=(("search", gp.Anytime(descents=False)),)),
+    PlannerNote(label="everything", name="auto", refine=True),
+    PlannerNote(label="one search", name="auto", refine=True, settings=(("workers", 1),)),
+    PlannerNote(label="without roadmaps", name="auto", refine=True, settings=(("search", gp.Anytime(scouts=False)),)),
+    PlannerNote(label="without descents", name="auto", refine=True, settings=(("search", gp.Anytime(descents=False)),)),
 )
 """The default planner, and what is left without some of it; roadmaps need descents."""
 MEASURED = """\
@@ -46,7 +46,7 @@ def run(options: suite.Options) -> str:
     limits = sorted({limit for limit, _ in WANTED})
     own = [planning.job(task, seed=seed, seconds=limit) for limit in limits for seed in range(seeds) for task in tasks]
     parts = [planning.job(task, part) for part in PARTS for task in tasks]
-    others = [planning.job(task, planner, seconds=other_limit) for planner in OTHERS for task in tasks]
+    others = [planning.job(task, planner, seconds=other_limit, refine=False) for planner in OTHERS for task in tasks]
     records = _by_limit(own)
     ablation = list(planning.runs(parts, 1, "its parts"))
     slow = list(planning.runs(others, options.processes, "others"))

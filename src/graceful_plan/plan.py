@@ -104,7 +104,8 @@ def plan(
         verification: How closely the judge looks at motions; by default every 2 mm, with exact geometry wherever
             spheres do not prove that nothing is near.
         callback: Called with the first path that the search finds, at its estimated cost, then with every verified
-            motion that is better than the one before; once it returns True, the call ends with a verified motion.
+            motion that is better than the one before, and without `refine` with better paths, too; once it returns
+            True, the call ends with a verified motion.
         cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the call ends
             with the best verified motion, or with one near the first path. Without a path the status is CANCELLED.
 

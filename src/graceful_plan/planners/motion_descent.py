@@ -151,6 +151,7 @@ class MotionDescents:
         felt: Limits on the acceleration that a carried object feels.
         counts_points: Whether the cost is summed over the samples of the motion.
         careful: Whether a vessel is kept level.
+        projected: Moves configurations to where bounds hold; None without bounds.
     """
 
     space: _native.Space
@@ -162,6 +163,7 @@ class MotionDescents:
     felt: Sequence[_native.FeltLimit] = ()
     counts_points: bool = False
     careful: bool = False
+    projected: Callable[[Float[Array, "n nq"]], Float[Array, "n nq"]] | None = None
 
     @property
     def time_price(self) -> float:
@@ -326,7 +328,10 @@ class _Round:
         least, most = sizes
         size = least * (most / least) ** self.rng.uniform() / np.linalg.norm(direction)
         bump = np.maximum(0.0, 1.0 - ((s - centre) / width) ** 2) ** 2 * np.minimum(1.0, 8.0 * s * (1.0 - s))
-        return replace(start, path=Path(q + size * bump * direction), curve=None)
+        bent = q + size * bump * direction
+        if self.descents.projected is not None:  # random bends would tilt what is kept level
+            bent[1:-1] = self.descents.projected(bent[1:-1])
+        return replace(start, path=Path(bent), curve=None)
 
 
 def _value(result: DescentResult) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import final
 
@@ -39,6 +40,8 @@ class BestVerified:
         self._keep(LAST_STEPS)
         self.searched = Search()
         """The search that was begun last."""
+        self.path_cost = np.inf
+        """Least cost of a path of a search, as the search estimates it."""
         self.why_not = ""
         """Why a path has no timing, if that is so."""
         self._best: Judged | None = None
@@ -72,13 +75,15 @@ class BestVerified:
         asked = self._request.stop == "converged" and self._best is not None
         return asked and self._rounds > 1 and before - self.ranking <= _GAIN * self.ranking
 
-    def tell(self, point: TracePoint) -> None:
-        """Tell the callback of an improvement."""
+    def tell(self, point: TracePoint) -> bool:
+        """Tell the callback of an improvement, unless it has ended the call; return whether it has."""
         if not self._told:
-            self._stats |= {"search_time": point.time, "path_cost": point.total}
+            self._stats |= {"search_time": point.time, "first_path_cost": point.total}
+            self.path_cost = point.total
         self._told.append(point)
         if self._request.callback is not None and not self._stopped:
             self._stopped = bool(self._request.callback(point))
+        return self._stopped
 
     def consider(self, motion: Motion) -> None:
         """Verify a motion if it is better than the best and there is time for it; keep it if it passes."""
@@ -99,28 +104,24 @@ class BestVerified:
             self._keep(max(LAST_STEPS, self._budget.elapsed - self._stats["search_time"]))
         cost = motion.cost
         point = TracePoint(time=self._budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact)
-        if not self._stopped:
-            self.tell(point)
-        else:
-            self._told.append(point)
+        self.tell(point)
 
     def result(self) -> PlanResult:
         """Return the best motion as a result, or one that says why there is none."""
         budget, motion = self._budget, self.motion
-        stats = {**self._stats, "iterations": float(budget.spent), "rounds": float(self._rounds)}
+        stats = {**self._stats, "path_cost": self.path_cost, "iterations": float(budget.spent)}
+        stats["rounds"] = float(self._rounds)
         if self._best is None or motion is None:
             return replace(self._failed(), stats=stats)
         if motion.estimate is not None:
             stats["estimated_total"] = motion.estimate
-        # A search estimates costs of paths. Those that promised more than any motion has kept are no improvements.
-        trace = tuple(point for k, point in enumerate(self._told) if point.total > _least(self._told[k + 1 :]))
         return PlanResult(
             status=PlanStatus.SOLVED,
             path=motion.path,
             trajectory=motion.trajectory,
             cost=motion.cost,
             verdict=self._best.verdict,
-            trace=trace,
+            trace=tuple(self._trace(motion.cost.total)),
             stats=stats,
             goal_index=self._ends.goal_index[motion.arrival],
         )
@@ -140,6 +141,17 @@ class BestVerified:
         status = ended if budget.exhausted or found.paths else PlanStatus.INFEASIBLE
         return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s")
 
+    def _trace(self, total: float) -> Iterator[TracePoint]:
+        """Yield improvements up to that with the cost of the result.
+
+        A search estimates the costs of paths. Those that promised more than any motion has kept are no improvements.
+        """
+        least = np.inf
+        for point in self._told:
+            if total <= point.total < least:
+                least = point.total
+                yield point
+
     def _keep(self, seconds: float) -> None:
         """Let the budget end so many seconds before the time limit."""
         if np.isfinite(self._limit):
@@ -155,7 +167,3 @@ class BestVerified:
         start = self._ends.departure.q[0]
         nearest = min(float(np.linalg.norm(arrival.q[-1] - start)) for arrival in self._ends.arrivals)
         return motion.cost.motion <= (1.0 + _GAIN) * nearest
-
-
-def _least(points: list[TracePoint]) -> float:
-    return min((point.total for point in points), default=-np.inf)

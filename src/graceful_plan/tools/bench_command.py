@@ -18,7 +18,11 @@ def add_to(commands: Any) -> None:
     bench = add_command(commands, "bench", _bench, "compare planners on a suite of problems, at equal time")
     bench.add_argument("--suite", default="quick", help="bundled suite, suite file, problem file or folder of those")
     bench.add_argument(
-        "--planners", nargs="+", metavar="P", help="name, or name:setting=value,...; the first is the reference"
+        "--planners",
+        nargs="+",
+        metavar="P",
+        help="name, or name:setting=value,..., with +refine at the end to refine its paths as plan() does; the first "
+        "is the reference",
     )
     bench.add_argument(
         "--planner",
@@ -28,6 +32,12 @@ def add_to(commands: Any) -> None:
         help="planner of your own, by the name of its class, as package.module:Class or "
         "package.module:Class:setting=value, or of a function that asks another library; repeat for more. Its module "
         "is imported, also from the current directory",
+    )
+    bench.add_argument(
+        "--refine",
+        choices=("off", "on", "both"),
+        default="off",
+        help="whether planners without +refine are compared by their own paths, by refined ones, or both (default off)",
     )
     bench.add_argument("--seeds", metavar="N|S,S", help="number of seeds, or seeds with commas (default: the suite's)")
     add_time_limit(bench, "for every call (default: the suite's)")
@@ -73,12 +83,14 @@ def _compared(args: argparse.Namespace, suite: Any) -> Any:
     from graceful_plan import compare as bench
 
     known = None if args.known is None else bench.read_known(args.known, suite.w if args.w is None else args.w)
-    named = [*(gp.PLANNERS if args.planner and args.planners is None else args.planners or ()), *args.planner]
+    named = [*(gp.PLANNERS if args.planners is None else args.planners), *args.planner]
+    own = [] if args.refine == "on" else named
+    refined = [] if args.refine == "off" else [f"{name}{bench.REFINED}" for name in named if bench.REFINED not in name]
     counter = RunCounter(args.json)
     try:
         return bench.compare(
             suite,
-            planners=named or None,
+            planners=[*own, *refined],
             seeds=None if args.seeds is None else _seeds(args.seeds),
             seconds=args.time_limit,
             w=args.w,

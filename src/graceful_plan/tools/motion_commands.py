@@ -11,6 +11,7 @@ from graceful_plan import documents
 from graceful_plan.costs.objective import DEFAULT_WEIGHT
 from graceful_plan.exceptions import SettingError
 from graceful_plan.formats.parquet_file import check_arrow
+from graceful_plan.query.request import STOPS
 from graceful_plan.tools.console import (
     add_budget,
     add_command,
@@ -64,6 +65,15 @@ def add_to(commands: Any) -> None:
     )
     add_validation(plan, "let FailBench fail N times along the motion")
     add_budget(plan, 1.0)
+    plan.add_argument(
+        "--stop",
+        choices=STOPS,
+        default="time_limit",
+        help="end with the first verified motion, once more work hardly improves it, or with the budget (the default)",
+    )
+    plan.add_argument(
+        "--no-refine", dest="refine", action="store_false", help="follow the planner's own path, its corners rounded"
+    )
 
     evaluate = add_command(commands, "evaluate", _evaluate, "judge a path or trajectory from any planner")
     evaluate.add_argument(
@@ -110,6 +120,7 @@ def _plan(args: argparse.Namespace) -> int:
     if args.validate and task is None:
         raise SettingError("--validate", args.validate, "a task, by --task: without one nothing is carried")
     settings: dict[str, Any] = {"w": args.w, "planner": planner, "speed": args.speed, **budget(args)}
+    settings |= {"stop": args.stop, "refine": args.refine}
     validation = None
     with ProgressLine(args.json, "preparing the scene") as progress:
         result = gp.plan(start, goal, scene, callback=progress.callback, **settings)

@@ -1,7 +1,8 @@
 """Which planners are compared: names with settings, of the library's planners and of classes that are imported.
 
-A planner is written `name` or `name:setting=value,setting=value`, where the name is one of `PLANNERS`, the class of
-one's own as `package.module:Class`, or a function as `package.module:function` (see `PlainProblem`). Importing that
+A planner is written `name` or `name:setting=value,setting=value`, with `+refine` at its end if `plan` is to refine its
+paths. The name is one of `PLANNERS`, the class of one's own as `package.module:Class`, or a function as
+`package.module:function` (see `PlainProblem`). Importing that
 module runs it, in this process and in every worker.
 """
 
@@ -23,6 +24,9 @@ import yaml
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
 from graceful_plan.planners import PLANNERS, Planner
 from graceful_plan.planners.external import adapted
+
+REFINED = "+refine"
+"""Ends the words for a planner whose paths `plan` refines."""
 
 
 @final
@@ -49,12 +53,14 @@ class PlannerNote:
         name: Name in `PLANNERS`, or "package.module:Class".
         settings: Settings other than the defaults.
         digest: Checksum of the module's file; nothing if the planner is one of the library's.
+        refine: Whether `plan` refines its paths, which makes motions of most planners alike; see `plan`.
     """
 
     label: str
     name: str
     settings: tuple[tuple[str, Any], ...] = ()
     digest: str = ""
+    refine: bool = False
 
     def make(self) -> Planner:
         """Make the planner.
@@ -73,7 +79,8 @@ class PlannerNote:
     def to_document(self) -> dict[str, Any]:
         """Return what makes this planner what it is; not where its module lies."""
         document = {"label": self.label, "name": self.name, "settings": dict(self.settings)}
-        return document | ({"digest": self.digest} if self.digest else {})
+        digest = {"digest": self.digest} if self.digest else {}
+        return document | digest | ({"refine": True} if self.refine else {})
 
 
 def read_planners(words: Sequence[str] | None) -> tuple[PlannerNote, ...]:
@@ -111,7 +118,9 @@ def _check(note: PlannerNote) -> None:
         ) from error
 
 
-def _parsed(word: str) -> PlannerNote:
+def _parsed(label: str) -> PlannerNote:
+    refine = label.endswith(REFINED)
+    word = label.removesuffix(REFINED)
     name, rest = _split(word)
     if name in PLANNERS:
         planner, digest = PLANNERS[name], ""
@@ -128,7 +137,7 @@ def _parsed(word: str) -> PlannerNote:
     for key in given:
         if key not in valid:
             raise UnknownNameError(f"setting of planner {name}", key, valid)
-    return PlannerNote(label=word, name=name, settings=settings, digest=digest)
+    return PlannerNote(label=label, name=name, settings=settings, digest=digest, refine=refine)
 
 
 def _split(word: str) -> tuple[str, str | None]:

@@ -23,7 +23,9 @@ Array = np.ndarray
 SOLVED = "SOLVED"
 EARLY = (0.01, 0.1)
 """When a call's paths are looked at before it ends [s]."""
-_LATER = frozenset({"self_clearance", "certified", "times", "velocities", "motion_wall", "motion_cpu", "early"})
+_LATER = frozenset(
+    {"self_clearance", "certified", "times", "velocities", "motion_wall", "motion_cpu", "early", "path_cost"}
+)
 """Fields that the first runs did not have."""
 RAISED, CRASHED, HUNG = "RAISED", "CRASHED", "HUNG"
 """Outcomes besides those of `PlanStatus`: an exception, the end of the process, and no end at all."""
@@ -55,6 +57,7 @@ class Run:
     | self_clearance | the same to each other [m]                                                                   |
     | certified  | clearance that is proven between samples, self-collision included [m]; see `Certificate`         |
     | iterations | of the planner                                                                                   |
+    | path_cost  | total of the planner's own best path, as its search estimates it                                 |
     | early      | motion cost of the best path, as a search charges it, by the times `EARLY`; infinite: none      |
     | trace      | improvements: time [s], total, motion, impact; paths as a search charges them, last the result   |
     | path       | configurations of the result; of a motion, its samples                                           |
@@ -82,6 +85,7 @@ class Run:
     self_clearance: float = math.nan
     certified: float = math.nan
     iterations: float = math.nan
+    path_cost: float = math.nan
     early: tuple[float, ...] = ()
     trace: tuple[TracePoint, ...] = ()
     path: tuple[tuple[float, ...], ...] = ()

@@ -151,8 +151,9 @@ def warm_up(note: ProblemNote, planner: PlannerNote, seconds: float = _WARM_UP, 
                 problem.scene,
                 w=w,
                 planner=planner.make(),
+                refine=planner.refine,
                 time_limit=seconds,
-                callback=lambda _: True,
+                stop="first",
             )
     except Exception:
         return  # The run itself will meet it again, and record it.
@@ -167,6 +168,7 @@ def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
         problem.scene,
         w=job.w,
         planner=planner,
+        refine=job.planner.refine,
         time_limit=job.seconds,
         seed=job.seed,
         callback=seen.append,
@@ -177,6 +179,7 @@ def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
         seconds=seconds,
         early=tuple(_best_by(at, seen) for at in EARLY),
         iterations=result.stats.get("iterations", math.nan),
+        path_cost=result.stats.get("path_cost", math.nan),
     )
     if result.status is not PlanStatus.SOLVED or result.trajectory is None:
         return record
@@ -228,7 +231,8 @@ def _first_motion(job: PlannerJob, problem: SceneQuery, planner: Planner) -> tup
         planner=planner,
         time_limit=job.seconds,
         seed=job.seed,
-        callback=lambda _: True,
+        refine=job.planner.refine,
+        stop="first",
     )
     taken = time.perf_counter() - wall, time.process_time() - cpu
     return taken if result.status is PlanStatus.SOLVED else (math.inf, math.inf)

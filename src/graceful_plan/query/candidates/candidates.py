@@ -42,7 +42,7 @@ def candidates(
     """
     problems = [problem for problem in _more_and_more_cautious(request, ends)]
     for problem in problems:
-        source = MotionSource(request, ends, problem, rng)
+        source = MotionSource(request, ends, problem, rng, best.tell)
         best.searched = found = source.search_first(budget)
         if found.paths:
             best.tell(found.trace[-1])
@@ -59,6 +59,7 @@ def candidates(
             for part in rounds(budget, restarts=source.restarts):
                 before = best.ranking
                 yield from source.round(part, before)
+                best.path_cost = source.path_cost
                 if best.ended or best.converged(before):
                     break
             return

@@ -51,6 +51,7 @@ def motion_descents(
         has_clearance=_keeps(problem, _NEARLY * keeping.margin) if wanted else None,
         felt=request.constraints.charged,
         careful=request.constraints.level,
+        projected=problem.projected if request.constraints.level else None,
         counts_points=objective.objective.exposure == "waypoints",
         settings=_affordable(settings or DescentSettings(), objective),
     )

@@ -23,7 +23,7 @@ from graceful_plan.query.candidates.departure import search_among_moving
 from graceful_plan.query.candidates.descents import motion_descents, start_along, start_of
 from graceful_plan.query.candidates.motions import Motion, along, costed_anew, timed_curve
 from graceful_plan.query.candidates.related import related_objective
-from graceful_plan.query.candidates.search import PausedSearch, Search, thinned
+from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, thinned
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 
@@ -52,18 +52,23 @@ class MotionSource:
         ends: Both ends.
         problem: Where to search.
         rng: Chance.
+        tell: Called with improvements of a search whose paths are not refined; returns whether to end it.
     """
 
-    def __init__(self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator) -> None:
+    def __init__(
+        self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator, tell: Callback
+    ) -> None:
         self._request, self._ends, self._problem, self._rng = request, ends, problem, rng
         self._first = PausedSearch(request.planner, problem, request.objective, rng.spawn(1)[0])
-        self._continues = True
+        self._continues, self._tell = True, tell
+        self.path_cost = np.inf
+        """Least cost of a path of a search, as the search estimates it."""
         self._descents = motion_descents(request, problem) if request.refine else None
         self._results: list[DescentResult] = []
         self._related: MotionSource | None = None
         related = related_objective(request.objective) if request.refine and request.preference is None else None
         if related is not None:
-            self._related = MotionSource(replace(request, objective=related), ends, problem, rng)
+            self._related = MotionSource(replace(request, objective=related), ends, problem, rng, tell)
 
     @property
     def restarts(self) -> bool:
@@ -110,6 +115,8 @@ class MotionSource:
                 yield costed_anew(motion, self._request)
         if self._related is None or not isinstance(self._request.objective.objective.impact, ImpactCost):
             found = self._search(budget, starts[0].path if starts else None)
+            if found.trace:
+                self.path_cost = min(self.path_cost, found.trace[-1].total)
             starts += [start_of(path, self._ends) for path in _spread(found.paths)]
             if self._descents is None or not self.restarts:
                 yield from self._along(found)
@@ -151,7 +158,7 @@ class MotionSource:
         self._continues = False
         share = 1.0 if self._descents is None else _SEARCH_SHARE
         with budget.share(share * budget.remaining_seconds) as part:
-            run.advance(part)
+            run.advance(part, None if self._request.refine else self._tell)
         return run.found
 
 
