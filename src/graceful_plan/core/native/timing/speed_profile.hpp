@@ -27,30 +27,60 @@ struct CurveSamples {
   const uint8_t* stop;         // [n + 1] where the motion has to rest
 };
 
-// One-sided limits a u + b x <= c with c > 0, those of one interval after those of another.
-struct CurveLimits {
-  struct Row {
-    double a, b, c;
-  };
-  std::vector<size_t> first{0};  // [n + 1] of each interval's rows; the last is their number
-  std::vector<Row> row;
-
-  void clear() { first.assign(1, 0), row.clear(); }
-  void end_interval() { first.push_back(row.size()); }
-};
-
 // What the joints leave to an interval: |u| and x at its beginning are at most so much.
 struct Box {
   double push, squared;
-  // Whether a limit may be the tightest somewhere.
-  bool meets(const CurveLimits::Row& row) const {
-    return std::abs(row.a) * push + std::max(row.b, 0.0) * squared > row.c;
+};
+
+// One-sided limits a u + b x <= c with c > 0, those of one interval after those of another, and of each interval those
+// that bound u from above before the others. Those that are never the tightest are left out.
+class CurveLimits {
+ public:
+  struct Row {
+    double a, reach, tilt;  // u is at most reach - tilt x, or at least -(reach + tilt x) where a is below 0
+    size_t tag;
+  };
+  struct Slope {  // derivatives with respect to a, b and c
+    double a = 0, b = 0, c = 0;
+  };
+  static constexpr double kLeast = 1e-12;
+
+  void clear() { first_.assign(1, 0), middle_.clear(), row_.clear(); }
+  const std::vector<Row>& rows() const { return row_; }
+  size_t first(size_t interval) const { return first_[interval]; }
+  size_t middle(size_t interval) const { return middle_[interval]; }
+
+  void begin_interval(const Box& box) { above_ = below_ = box.push, squared_ = box.squared, upper_.clear(), lower_.clear(); }
+  // What |u| and x are at most, as far as is known.
+  Box box() const { return {std::max(above_, below_), squared_}; }
+  void add(double a, double b, double c, size_t tag = 0) {
+    if (std::abs(a) < kLeast) a = kLeast;
+    double& bound = a > 0 ? above_ : below_;
+    if (std::abs(a) * bound + std::max(b, 0.0) * squared_ <= c) return;
+    const double inverse = 1 / a;
+    const Row row{a, c * std::abs(inverse), b * inverse, tag};
+    bound = std::min(bound, row.reach + std::max(-b * std::abs(inverse), 0.0) * squared_);
+    (a > 0 ? upper_ : lower_).push_back(row);
   }
+  void end_interval() {
+    keep(upper_, above_, 1), middle_.push_back(row_.size());
+    keep(lower_, below_, -1), first_.push_back(row_.size());
+  }
+
+ private:
+  void keep(const std::vector<Row>& rows, double bound, double side) {
+    for (const Row& row : rows)
+      if (row.reach - std::max(side * row.tilt, 0.0) * squared_ <= bound) row_.push_back(row);
+  }
+
+  std::vector<size_t> first_{0}, middle_;
+  std::vector<Row> row_, upper_, lower_;
+  double above_ = 0, below_ = 0, squared_ = 0;  // of the interval that is begun
 };
 
 struct CurveSlopes {  // derivatives with respect to slope, bend and limits, added up
   double *slope, *bend;
-  CurveLimits::Row* limit = nullptr;
+  CurveLimits::Slope* limit = nullptr;
 };
 
 class SpeedProfile {
@@ -80,7 +110,7 @@ class SpeedProfile {
   const std::vector<double>& compute(const CurveSamples& curve, const CurveLimits& limits) {
     const size_t n = curve.n;
     add_limits(limits);
-    beta_ = cap_, bound_ = cap_bound_, x_.resize(n + 1), limited_.assign(n + 1, kBeta);
+    beta_ = cap_, bound_ = cap_bound_, x_.resize(n + 1), limited_.assign(n + 1, kBeta), overturns_.resize(n);
     for (size_t i = 0; i < n; ++i) cap(curve, limits, i);
     for (size_t i = n; i-- > 0;) reach_back(curve, limits, i), ease(curve, limits, i);
     x_[0] = beta_[0];
@@ -105,7 +135,7 @@ class SpeedProfile {
     d_beta_[0] += d_x[0];
     for (size_t i = 0; i <= n; ++i) back_bound(curve, i, out);
     for (size_t i = 0; i < n; ++i) back_joints(curve, i, out);
-    for (size_t k = 0; k < limits.row.size(); ++k) {
+    for (size_t k = 0; k < limits.rows().size(); ++k) {
       const size_t r = joint_rows_ + k;
       if (d_reach_[r] == 0 && d_tilt_[r] == 0) continue;
       out.limit[k].a += by_a(r), out.limit[k].b += d_tilt_[r] / A_[r];
@@ -114,7 +144,7 @@ class SpeedProfile {
   }
 
  private:
-  static constexpr double kUnbounded = 1e12, kLeast = 1e-12;
+  static constexpr double kUnbounded = 1e12, kLeast = CurveLimits::kLeast;
   static constexpr size_t kBeta = size_t(-1), kEnd = size_t(-1);
   enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain, kStill, kCorner };
   struct Bound {  // what limits beta: a joint at one side, two rows, one row; of a corner the second may be kEnd
@@ -123,15 +153,16 @@ class SpeedProfile {
   };
 
   // Rows say |A u + B x| <= limit where they are of joints, and bound u from both sides; the others from one.
-  template <class F> void for_upper(const CurveSamples& curve, const CurveLimits& limits, size_t i, F&& f) const {
+  template <class F> void for_joints(const CurveSamples& curve, size_t i, F&& f) const {
     for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r) f(r);
-    for (size_t r = joint_rows_ + limits.first[i]; r < joint_rows_ + limits.first[i + 1]; ++r)
-      if (A_[r] > 0) f(r);
+  }
+  template <class F> void for_upper(const CurveSamples& curve, const CurveLimits& limits, size_t i, F&& f) const {
+    for_joints(curve, i, f);
+    for (size_t r = joint_rows_ + limits.first(i); r < joint_rows_ + limits.middle(i); ++r) f(r);
   }
   template <class F> void for_lower(const CurveSamples& curve, const CurveLimits& limits, size_t i, F&& f) const {
-    for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r) f(r);
-    for (size_t r = joint_rows_ + limits.first[i]; r < joint_rows_ + limits.first[i + 1]; ++r)
-      if (A_[r] < 0) f(r);
+    for_joints(curve, i, f);
+    for (size_t r = joint_rows_ + limits.middle(i); r < joint_rows_ + limits.first(i + 1); ++r) f(r);
   }
 
   // Limits at the beginning of an interval, and at its end, where x + 2 step u holds.
@@ -153,10 +184,12 @@ class SpeedProfile {
     }
   }
   void add_limits(const CurveLimits& limits) {
-    const size_t rows = joint_rows_ + limits.row.size();
+    const size_t rows = joint_rows_ + limits.rows().size();
     A_.resize(rows), reach_.resize(rows), tilt_.resize(rows);
-    for (size_t k = 0; k < limits.row.size(); ++k)
-      set_row(joint_rows_ + k, limits.row[k].a, limits.row[k].b, limits.row[k].c);
+    for (size_t k = 0; k < limits.rows().size(); ++k) {
+      const CurveLimits::Row& row = limits.rows()[k];
+      A_[joint_rows_ + k] = row.a, reach_[joint_rows_ + k] = row.reach, tilt_[joint_rows_ + k] = row.tilt;
+    }
   }
   void set_row(size_t r, double a, double b, double limit) {
     if (std::abs(a) < kLeast) a = kLeast;
@@ -168,12 +201,28 @@ class SpeedProfile {
   }
   void cap(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
     const double S = 2 * curve.step[i];
-    for_upper(curve, limits, i, [&](size_t r) {
-      const double gain = 1 - S * tilt_[r];  // not below rest within the interval
-      if (gain < 0 && S * reach_[r] < beta_[i] * -gain) lower(i, S * reach_[r] / -gain, {kOverturn, r, 0});
+    double floor = -kUnbounded, ceiling = kUnbounded, steepest = 0;
+    const double x = beta_[i];
+    for_joints(curve, i, [&](size_t r) {
+      const double bent = tilt_[r] * x;
+      floor = std::max(floor, -reach_[r] - bent), ceiling = std::min(ceiling, reach_[r] - bent);
+      steepest = std::max(steepest, tilt_[r]);
     });
-    // No lower bound of u may pass an upper one. Their gap is concave in x and open at rest, so that Newton's method
-    // from where it is closed comes down on its root, with the tightest row of each side at a time.
+    for (size_t r = joint_rows_ + limits.first(i); r < joint_rows_ + limits.middle(i); ++r)
+      ceiling = std::min(ceiling, reach_[r] - tilt_[r] * x), steepest = std::max(steepest, tilt_[r]);
+    for (size_t r = joint_rows_ + limits.middle(i); r < joint_rows_ + limits.first(i + 1); ++r)
+      floor = std::max(floor, -reach_[r] - tilt_[r] * x);
+    overturns_[i] = S * steepest > 1;
+    if (overturns_[i])
+      for_upper(curve, limits, i, [&](size_t r) {
+        const double gain = 1 - S * tilt_[r];  // not below rest within the interval
+        if (gain < 0 && S * reach_[r] < beta_[i] * -gain) lower(i, S * reach_[r] / -gain, {kOverturn, r, 0});
+      });
+    if (floor > ceiling) part(curve, limits, i);
+  }
+  // No lower bound of u may pass an upper one. Their gap is concave in x and open at rest, so that Newton's method from
+  // where it is closed comes down on its root, with the tightest row of each side at a time.
+  void part(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
     for (size_t pair = 0; pair < A_.size(); ++pair) {
       double floor = -kUnbounded, ceiling = kUnbounded;
       size_t lowest = 0, highest = 0;
@@ -214,6 +263,7 @@ class SpeedProfile {
   // better: as much as makes the sum of both speeds the greatest. Where that is depends continuously on the curve; the
   // fastest next after the fastest now does not.
   void ease(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
+    if (!overturns_[i]) return;
     Line now = line(curve, i, kEnd);
     for_upper(curve, limits, i, [&](size_t r) {
       const Line other = line(curve, i, r);
@@ -300,6 +350,7 @@ class SpeedProfile {
   std::vector<double> cap_, beta_, x_, d_beta_, d_reach_, d_tilt_;
   std::vector<Bound> cap_bound_, bound_;
   std::vector<size_t> limited_;
+  std::vector<uint8_t> overturns_;  // whether going fast may mean to be below rest at the end of an interval
   std::vector<Box> box_;
 };
 
