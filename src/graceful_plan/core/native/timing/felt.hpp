@@ -43,8 +43,8 @@ inline double rests(const FeltLimit& limit, const Vector3& up, double* out) {
 }
 
 // Add the facets of a limit at the beginning of the interval that is begun, or at its end, where the squared speed is
-// x + S u. Motions that are slowed down to a share of their speed afterwards may feel more before. Tags are those of the
-// first facet and, by twos, of the others.
+// x + S u. Motions that are slowed down to a share of their speed afterwards may feel more before. Tags are those of
+// the first facet and, by twos, of the others.
 inline void add_facets(const FeltLimit& limit, const FeltMotion& at, const double* rests, double S, double speed,
                        size_t tag, CurveLimits& out) {
   const double per = 1 / (speed * speed);

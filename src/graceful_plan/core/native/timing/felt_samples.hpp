@@ -35,13 +35,14 @@ class FeltSamples {
     stride_ = poses_.size() / samples_;
     rests_.resize(facets_ * samples_);
     p_.resize(limits_.size() * samples_), motion_.resize(p_.size());
+    velocity_.resize(p_.size()), bend_.resize(p_.size());
     d_p_.assign(p_.size(), {}), d_turn_.assign(p_.size(), {});
     for (size_t l = 0; l < limits_.size(); ++l) {
       const Rider& rider = rider_[l];
       Vector3* p = &p_[l * samples_];
       for (size_t k = 0; k < samples_; ++k) p[k] = rider.at(poses(k));
       for (size_t k = 0; k < samples_; ++k) {
-        Vector3 velocity, bend;
+        Vector3 &velocity = velocity_[l * samples_ + k], &bend = bend_[l * samples_ + k];
         differences(l, k, velocity, bend);
         const LinkPoses at = poses(k);
         motion_[l * samples_ + k] = {at.within(rider.link, velocity), at.within(rider.link, bend),
@@ -76,8 +77,7 @@ class FeltSamples {
       drive.resize(n);
       drive.pause = pause;
       for (size_t k = 0; k <= n; ++k) {
-        Vector3 velocity, bend;
-        differences(l, k, velocity, bend);
+        const Vector3 &velocity = velocity_[l * samples_ + k], &bend = bend_[l * samples_ + k];
         drive.axis[k] = poses(k).turned(rider_[l].link, limits_[l].slosh->axis);
         for (size_t i = 0; i < 3; ++i) {
           const double gravity = i == 2 ? limits_[l].gravity : 0;
@@ -100,8 +100,8 @@ class FeltSamples {
       swing_[l]->back(drive_[l], weight, by);
       for (size_t k = 0; k < n; ++k) d_pause[k] += by.pause[k];
       for (size_t k = 0; k <= n; ++k) {
-        Vector3 velocity, bend, d_velocity{}, d_bend{};
-        differences(l, k, velocity, bend);
+        const Vector3 &velocity = velocity_[l * samples_ + k], &bend = bend_[l * samples_ + k];
+        Vector3 d_velocity{}, d_bend{};
         for (size_t i = 0; i < 3; ++i) {
           if (k < n) {
             const double d = by.begun[k][i], d_push = d * velocity[i] / (2 * h_);
@@ -207,7 +207,7 @@ class FeltSamples {
   CurveLimits rows_;
   std::vector<CurveLimits::Slope> slope_;
   std::vector<double> poses_, rests_;
-  std::vector<Vector3> p_, d_p_, d_turn_;
+  std::vector<Vector3> p_, velocity_, bend_, d_p_, d_turn_;  // in W
   std::vector<FeltMotion> motion_, by_motion_;
   std::vector<std::optional<Swing>> swing_;
   std::vector<Swing::Drive> drive_, by_drive_;

@@ -50,7 +50,9 @@ class CurveLimits {
   size_t first(size_t interval) const { return first_[interval]; }
   size_t middle(size_t interval) const { return middle_[interval]; }
 
-  void begin_interval(const Box& box) { above_ = below_ = box.push, squared_ = box.squared, upper_.clear(), lower_.clear(); }
+  void begin_interval(const Box& box) {
+    above_ = below_ = box.push, squared_ = box.squared, upper_.clear(), lower_.clear();
+  }
   // What |u| and x are at most, as far as is known.
   Box box() const { return {std::max(above_, below_), squared_}; }
   void add(double a, double b, double c, size_t tag = 0) {
