@@ -174,12 +174,12 @@ EDITS = {
     "timing/speed_profile.hpp": (
         PROFILES,
         (
-            ("if («gain < 0 && S * reach_[r] < beta_[i] * -gain») lower", "false"),
+            ("if («gain < 0 && S * row.reach < beta_[i] * -gain») limit", "false"),
             ("if («below > floor») floor", "below < floor"),
             ("if («gain > 0» && most < beta_[i] * gain)", "gain > 0.5"),
             ("set_row(2 * dim * i + dim + j, «slope[dim + j] + S * bend[dim + j]»", "slope[dim + j]"),
             ("if (fast * fast < «cap_[i + side]»", "cap_[i]"),
-            ("if («next < best») best = next", "next > best"),
+            ("if («next < best» && row.row", "next > best"),
         ),
     ),
     "timing/felt.hpp": (
