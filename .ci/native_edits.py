@@ -174,26 +174,26 @@ EDITS = {
     "timing/speed_profile.hpp": (
         PROFILES,
         (
-            ("if («gain < 0 && S * reach_[r] < beta_[i] * -gain») lower", "false"),
+            ("if («gain < 0 && S * row.reach < beta_[i] * -gain») limit", "false"),
             ("if («below > floor») floor", "below < floor"),
             ("if («gain > 0» && most < beta_[i] * gain)", "gain > 0.5"),
             ("set_row(2 * dim * i + dim + j, «slope[dim + j] + S * bend[dim + j]»", "slope[dim + j]"),
             ("if (fast * fast < «cap_[i + side]»", "cap_[i]"),
-            ("if («next < best») best = next", "next > best"),
+            ("if («next < best» && row.row", "next > best"),
         ),
     ),
     "timing/felt.hpp": (
         ("tests/constraints/test_felt.py",),
         (
-            ("row{«dot3(v, at.velocity) + S * b»", "dot3(v, at.velocity)"),
-            ("limit.room[f] «- limit.gravity * dot3(v, at.up)», b", "+ limit.gravity * dot3(v, at.up)"),
-            ("«std::max(rest, least_room) * per»", "std::max(rest, least_room)"),
+            ("add3(velocity, «S», at.bend)", "0.0"),
+            ("limit.room[f] «- limit.gravity * dot3(limit.facets[f], up)»", "+ limit.gravity * dot3(limit.facets[f], up)"),
+            ("room = «rests[f] * per»", "rests[f]"),
         ),
     ),
     "timing/felt_samples.hpp": (
         ("tests/constraints/test_felt.py", "tests/constraints/test_grasp.py"),
         (
-            ("d.b + («place.end ? 2 * h_ * d.a : 0.0»)", "0.0"),
+            ("d.b + («end ? 2 * h_ * d.a : 0.0»)", "0.0"),
             ("add3(about, 1, «cross3(by.bend, motion.bend)»)", "cross3(by.bend, by.bend)"),
             ("«cross3(drive_[l].axis[k], by.axis[k])»", "by.axis[k]"),
         ),
@@ -220,7 +220,7 @@ EDITS = {
     ),
     "timing/slosh.hpp": (
         ("tests/constraints/test_felt.py",),
-        (("lack = («angle - limit_.angle») / unit", "angle"),),
+        (("lack = («std::acos(cosine) - limit_.angle») / unit", "std::acos(cosine)"),),
     ),
     "timing/pendulum.hpp": (
         ("tests/constraints/test_felt.py",),

@@ -156,7 +156,7 @@ void bind_timing(nb::module_& m) {
             require_numbers(room, facets.shape(0), "room for every facet");
             for (double number : {angle, length, drag}) require(in_range(number, 0), "a slosh limit");
             const std::vector<double> rooms(room.data(), room.data() + room.size());
-            new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, rooms, gravity, {}};
+            new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, {}, rooms, gravity, {}};
             if (axis) {
               require_numbers(*axis, 3, "axis of a slosh limit");
               require(in_range(angle, 1e-9), "a slosh limit");
@@ -166,6 +166,7 @@ void bind_timing(nb::module_& m) {
             for (size_t k = 0; k < facets.shape(0); ++k) {
               const double* v = facets.data() + 3 * k;
               self->facets.push_back({v[0], v[1], v[2]});
+              self->size.push_back(std::sqrt(dot3(self->facets.back(), self->facets.back())));
             }
           },
           nb::kw_only(), "link"_a, "point"_a, "facets"_a, "room"_a, "gravity"_a, "axis"_a = nb::none(), "angle"_a = 0.0,

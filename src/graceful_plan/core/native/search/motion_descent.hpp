@@ -264,17 +264,17 @@ class MotionDescent {
     };
     for (size_t k = 0; k < row_.size(); ++k) {
       const SplineBasis::Row& row = row_[k];
-      for (size_t j = 0; j < dim_; ++j) {
-        double q = 0, slope = 0, bend = 0;
-        for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
-          const double c = control(row.first + m)[j];
-          q += row.value[m] * c, slope += row.slope[m] * c, bend += row.bend[m] * c;
-        }
-        q_[k * dim_ + j] = q;
-        // A sample is the end of an interval and the beginning of the next one.
-        if (k > 0) slope_[((k - 1) * 2 + 1) * dim_ + j] = slope, bend_[((k - 1) * 2 + 1) * dim_ + j] = bend;
-        if (k + 1 < row_.size()) slope_[k * 2 * dim_ + j] = slope, bend_[k * 2 * dim_ + j] = bend;
+      // A sample is the end of an interval and the beginning of the next one.
+      const size_t at = k + 1 < row_.size() ? 2 * k * dim_ : (2 * k - 1) * dim_;
+      double *q = &q_[k * dim_], *slope = &slope_[at], *bend = &bend_[at];
+      std::fill_n(q, dim_, 0.0), std::fill_n(slope, dim_, 0.0), std::fill_n(bend, dim_, 0.0);
+      for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
+        const double* c = control(row.first + m);
+        for (size_t j = 0; j < dim_; ++j)
+          q[j] += row.value[m] * c[j], slope[j] += row.slope[m] * c[j], bend[j] += row.bend[m] * c[j];
       }
+      if (k == 0 || k + 1 == row_.size()) continue;
+      std::copy_n(slope, dim_, slope - dim_), std::copy_n(bend, dim_, bend - dim_);
     }
   }
   const double* slope_at(size_t k) const {
@@ -296,28 +296,28 @@ class MotionDescent {
       for (size_t j = 0; j < dim_; ++j) qd_[k * dim_ + j] = slope_at(k)[j] * speed_[k];
 
     for (std::vector<double>* d : {&d_q_, &d_slope_, &d_bend_}) std::fill(d->begin(), d->end(), 0.0);
-    std::vector<double> d_speed(samples, 0.0);
+    d_speed_.assign(samples, 0.0);
     const double spread = lengthen();
     double motion = length_;
     if (!space_.motion_is_length()) motion = move();
-    const double harm = space_.w > 0 ? fail(d_speed) : 0.0;
+    const double harm = space_.w > 0 ? fail(d_speed_) : 0.0;
     const double total = motion + space_.w * harm + settings_.time_price * duration;
     if (scale_ == 0) scale_ = total;
     const double weight = push_ * scale_ / double(samples);
     const bool timed = space_.w > 0 && space_.measure() == Measure::kTime;
     const double slosh = weight * felt_.slosh(squared, pause_);
-    std::vector<double> d_pause(samples - 1, 0.0), d_squared(samples, 0.0);
-    felt_.back_slosh(squared, weight, d_squared, d_pause);
+    d_pause_.assign(samples - 1, 0.0), d_squared_.assign(samples, 0.0);
+    felt_.back_slosh(squared, weight, d_squared_, d_pause_);
     for (size_t k = 0; k + 1 < samples; ++k) {
       const double price =
-          settings_.time_price + d_pause[k] + 0.5 * space_.w * (timed ? impact_[k] + impact_[k + 1] : 0.0);
+          settings_.time_price + d_pause_[k] + 0.5 * space_.w * (timed ? impact_[k] + impact_[k + 1] : 0.0);
       const double by_speed = -price * pause_[k] / std::max(speed_[k] + speed_[k + 1], kSlowest);
-      d_speed[k] += by_speed, d_speed[k + 1] += by_speed;
+      d_speed_[k] += by_speed, d_speed_[k + 1] += by_speed;
     }
     for (size_t k = 0; k < samples; ++k)
-      d_speed[k] =
-          stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed[k] / (2 * speed_[k]) + d_squared[k];  // now of the square
-    profile_.back(curve, limits, d_speed, {d_slope_.data(), d_bend_.data(), felt_.slopes()});
+      d_speed_[k] =
+          stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed_[k] / (2 * speed_[k]) + d_squared_[k];  // now of the square
+    profile_.back(curve, limits, d_speed_, {d_slope_.data(), d_bend_.data(), felt_.slopes()});
     felt_.back(d_q_);
     const double penalty = collide() + slosh;
     collect(gradient);
@@ -424,18 +424,21 @@ class MotionDescent {
   void collect(Point& gradient) const {
     gradient.assign(x_.size(), 0.0);
     const size_t n = settings_.controls, samples = row_.size();
+    Point d_slope(dim_), d_bend(dim_);
     for (size_t k = 0; k < samples; ++k) {
       const SplineBasis::Row& row = row_[k];
+      std::fill(d_slope.begin(), d_slope.end(), 0.0), std::fill(d_bend.begin(), d_bend.end(), 0.0);
+      for (size_t side = 0; side < 2; ++side) {
+        if (side == 0 ? k == 0 : k + 1 == samples) continue;
+        const double *slope = &d_slope_[(2 * k - 1 + side) * dim_], *bend = &d_bend_[(2 * k - 1 + side) * dim_];
+        for (size_t j = 0; j < dim_; ++j) d_slope[j] += slope[j], d_bend[j] += bend[j];
+      }
       for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
         const size_t c = row.first + m;
         if (c == 0 || c == n - 1) continue;
-        for (size_t j = 0; j < dim_; ++j) {
-          double d = row.value[m] * d_q_[k * dim_ + j];
-          if (k > 0)
-            d += row.slope[m] * d_slope_[(2 * k - 1) * dim_ + j] + row.bend[m] * d_bend_[(2 * k - 1) * dim_ + j];
-          if (k + 1 < samples) d += row.slope[m] * d_slope_[2 * k * dim_ + j] + row.bend[m] * d_bend_[2 * k * dim_ + j];
-          gradient[(c - 1) * dim_ + j] += d;
-        }
+        double* out = &gradient[(c - 1) * dim_];
+        for (size_t j = 0; j < dim_; ++j)
+          out[j] += row.value[m] * d_q_[k * dim_ + j] + row.slope[m] * d_slope[j] + row.bend[m] * d_bend[j];
       }
     }
   }
@@ -453,7 +456,7 @@ class MotionDescent {
   Point first_, last_, x_, trial_, gradient_, trial_gradient_, direction_, kept_x_, kept_gradient_, inverse_;
   Point tangent_, density_, weight_;
   Point q_, qd_, impact_, impact_by_q_, impact_by_qd_, d_q_, clearance_, by_clearance_, wanted_;
-  Point step_, slope_, bend_, d_slope_, d_bend_, speed_, pause_;
+  Point step_, slope_, bend_, d_slope_, d_bend_, speed_, pause_, d_speed_, d_pause_, d_squared_;
   std::vector<uint8_t> stop_;
   Evaluation now_{}, kept_{};
   double share_ = 1, shortest_ = 0, longest_ = 0, along_ = 0;

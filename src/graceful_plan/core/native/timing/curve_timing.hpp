@@ -103,20 +103,24 @@ class CurveTiming {
     std::vector<double> tightest(level.size(), std::numeric_limits<double>::infinity());
     std::vector<size_t> where(level.size(), 0);
     for (size_t i = 0; i < n; ++i) {
+      rows_.begin_interval(box[i]);
       for (size_t l = 0; l < level.size(); ++l)
         for (size_t end = 0; end < 2; ++end) {
-          const double room = rows_.add(level[l], l, felt_[l][2 * i + end], {end, curve.step[i], box[i]}, 0.0, speed);
+          rests_.resize(level[l].facets.size());
+          const FeltMotion& at = felt_[l][2 * i + end];
+          const double room = rests(level[l], at.up, rests_.data());
           if (room < tightest[l]) tightest[l] = room, where[l] = i + end;
+          add_facets(level[l], at, rests_.data(), end ? 2 * curve.step[i] : 0.0, speed, 0, rows_);
         }
       for (size_t k = 0; k < further.n; ++k) {
         const double* row = further.row + 3 * (i * further.n + k);
-        rows_.add({row[0], row[1], row[2] / (speed * speed)}, box[i]);
+        rows_.add(row[0], row[1], row[2] / (speed * speed));
       }
       rows_.end_interval();
     }
     for (size_t l = 0; l < level.size(); ++l)
       if (tightest[l] < kLeastRoom * level[l].gravity) return trouble_ = {int(l), where[l], true}, false;
-    squared_ = profile_.compute(curve, rows_.limits());
+    squared_ = profile_.compute(curve, rows_);
     speed_.resize(n + 1);
     for (size_t i = 0; i <= n; ++i) speed_[i] = std::sqrt(squared_[i]);
     size_t halted = 0;
@@ -153,8 +157,8 @@ class CurveTiming {
   Point velocity_, acceleration_;
   SpeedProfile profile_;
   std::vector<Rider> rider_;
-  FeltRows rows_;
-  std::vector<double> poses_, squared_, speed_, best_speed_;
+  CurveLimits rows_;
+  std::vector<double> poses_, rests_, squared_, speed_, best_speed_;
   std::vector<std::vector<FeltMotion>> felt_;
   std::vector<VesselMotion> vessel_;
   double stretched_ = 1;

@@ -21,6 +21,7 @@ struct FeltLimit {
   int link;
   Vector3 point;                    // in the link
   std::vector<Vector3> facets;      // in the axes of the link
+  std::vector<double> size;         // of each facet
   std::vector<double> room;         // of each facet [m/s^2]
   double gravity;                   // [m/s^2]
   std::optional<SloshLimit> slosh;  // of what is carried there, if it has a surface
@@ -31,48 +32,31 @@ struct FeltMotion {
   Vector3 velocity, bend, up;
 };
 
-struct IntervalEnd {
-  size_t end;  // 0 for its beginning
-  double step;
-  const Box& box;
-};
-
-// A facet at one end of an interval.
-struct FacetPlace {
-  size_t limit, facet, end;
-};
-
-// The rows of all facets that may be the tightest somewhere in what the joints leave to their intervals.
-class FeltRows {
- public:
-  const CurveLimits& limits() const { return limits_; }
-  const FacetPlace& place(size_t row) const { return place_[row]; }
-  void clear() { limits_.clear(), place_.clear(); }
-  // Of a limit, at one end of an interval: at its end the squared speed is x + 2 step u. No facet is left less room
-  // than so much; returns the least that any has at rest. Motions that are slowed down to a share of their speed
-  // afterwards may feel more before.
-  double add(const FeltLimit& limit, size_t index, const FeltMotion& at, const IntervalEnd& of, double least_room,
-             double speed = 1.0) {
-    const double S = of.end ? 2 * of.step : 0.0, per = 1 / (speed * speed);
-    double tightest = std::numeric_limits<double>::infinity();
-    for (size_t f = 0; f < limit.facets.size(); ++f) {
-      const Vector3& v = limit.facets[f];
-      const double rest = limit.room[f] - limit.gravity * dot3(v, at.up), b = dot3(v, at.bend);
-      const CurveLimits::Row row{dot3(v, at.velocity) + S * b, b, std::max(rest, least_room) * per};
-      tightest = std::min(tightest, rest);
-      if (of.box.meets(row)) limits_.row.push_back(row), place_.push_back({index, f, of.end});
-    }
-    return tightest;
+// What each facet of a limit leaves to the motion; returns the least.
+inline double rests(const FeltLimit& limit, const Vector3& up, double* out) {
+  double least = std::numeric_limits<double>::infinity();
+  for (size_t f = 0; f < limit.facets.size(); ++f) {
+    out[f] = limit.room[f] - limit.gravity * dot3(limit.facets[f], up);
+    least = std::min(least, out[f]);
   }
-  // Any other row.
-  void add(const CurveLimits::Row& row, const Box& box) {
-    if (box.meets(row)) limits_.row.push_back(row), place_.push_back({});
-  }
-  void end_interval() { limits_.end_interval(); }
+  return least;
+}
 
- private:
-  CurveLimits limits_;
-  std::vector<FacetPlace> place_;
-};
+// Add the facets of a limit at the beginning of the interval that is begun, or at its end, where the squared speed is
+// x + S u. Motions that are slowed down to a share of their speed afterwards may feel more before. Tags are those of
+// the first facet and, by twos, of the others.
+inline void add_facets(const FeltLimit& limit, const FeltMotion& at, const double* rests, double S, double speed,
+                       size_t tag, CurveLimits& out) {
+  const double per = 1 / (speed * speed);
+  Vector3 velocity = at.velocity;
+  add3(velocity, S, at.bend);
+  const double fast = std::sqrt(dot3(velocity, velocity)), bent = std::sqrt(dot3(at.bend, at.bend));
+  for (size_t f = 0; f < limit.facets.size(); ++f) {
+    const double room = rests[f] * per;
+    const Box box = out.box();
+    if ((fast * box.push + bent * box.squared) * limit.size[f] > room)
+      out.add(dot3(limit.facets[f], velocity), dot3(limit.facets[f], at.bend), room, tag + 2 * f);
+  }
+}
 
 }  // namespace gp

@@ -15,6 +15,8 @@ class FeltSamples {
   FeltSamples(const Space& space, std::vector<FeltLimit> limits) : limits_(std::move(limits)) {
     for (const FeltLimit& limit : limits_) {
       rider_.push_back(space.rider(limit.link, limit.point));
+      first_facet_.push_back(facets_), facets_ += limit.facets.size();
+      limit_of_.resize(facets_, first_facet_.size() - 1);
       swing_.push_back(limit.slosh ? std::optional<Swing>(*limit.slosh) : std::nullopt);
     }
     drive_.resize(limits_.size()), by_drive_.resize(limits_.size());
@@ -26,33 +28,42 @@ class FeltSamples {
     samples_ = box.size() + 1, dim_ = q.size() / samples_, h_ = step;
     rows_.clear();
     if (empty()) {
-      for (size_t k = 0; k + 1 < samples_; ++k) rows_.end_interval();
-      return rows_.limits();
+      for (size_t k = 0; k + 1 < samples_; ++k) rows_.begin_interval(box[k]), rows_.end_interval();
+      return rows_;
     }
     space.poses({q.data(), int(samples_ - 1)}, poses_);
     stride_ = poses_.size() / samples_;
+    rests_.resize(facets_ * samples_);
     p_.resize(limits_.size() * samples_), motion_.resize(p_.size());
+    velocity_.resize(p_.size()), bend_.resize(p_.size());
     d_p_.assign(p_.size(), {}), d_turn_.assign(p_.size(), {});
     for (size_t l = 0; l < limits_.size(); ++l) {
       const Rider& rider = rider_[l];
       Vector3* p = &p_[l * samples_];
       for (size_t k = 0; k < samples_; ++k) p[k] = rider.at(poses(k));
       for (size_t k = 0; k < samples_; ++k) {
-        Vector3 velocity, bend;
+        Vector3 &velocity = velocity_[l * samples_ + k], &bend = bend_[l * samples_ + k];
         differences(l, k, velocity, bend);
         const LinkPoses at = poses(k);
         motion_[l * samples_ + k] = {at.within(rider.link, velocity), at.within(rider.link, bend),
                                      at.within(rider.link, {0, 0, 1})};
+        rests(limits_[l], motion_[l * samples_ + k].up, &rests_[facets_ * k + first_facet_[l]]);
       }
     }
+    for (size_t k = 0; k < samples_; ++k)
+      for (size_t l = 0; l < limits_.size(); ++l)
+        for (size_t f = first_facet_[l]; f < first_facet_[l] + limits_[l].facets.size(); ++f)
+          rests_[facets_ * k + f] = std::max(rests_[facets_ * k + f], kLeastRoom * limits_[l].gravity);
     for (size_t k = 0; k + 1 < samples_; ++k) {
-      for (size_t end = 0; end < 2; ++end)
-        for (size_t l = 0; l < limits_.size(); ++l)
-          rows_.add(limits_[l], l, motion_[l * samples_ + k + end], {end, h_, box[k]}, kLeastRoom * limits_[l].gravity);
+      rows_.begin_interval(box[k]);
+      for (size_t l = 0; l < limits_.size(); ++l)
+        for (size_t end = 0; end < 2; ++end)
+          add_facets(limits_[l], motion_[l * samples_ + k + end], &rests_[facets_ * (k + end) + first_facet_[l]],
+                     end ? 2 * h_ : 0.0, 1.0, 2 * first_facet_[l] + end, rows_);
       rows_.end_interval();
     }
-    slope_.resize(rows_.limits().row.size());
-    return rows_.limits();
+    slope_.resize(rows_.rows().size());
+    return rows_;
   }
 
   // What sloshing is charged along the curve of the last enter(), travelled at squared speeds `x`, so long on each
@@ -66,8 +77,7 @@ class FeltSamples {
       drive.resize(n);
       drive.pause = pause;
       for (size_t k = 0; k <= n; ++k) {
-        Vector3 velocity, bend;
-        differences(l, k, velocity, bend);
+        const Vector3 &velocity = velocity_[l * samples_ + k], &bend = bend_[l * samples_ + k];
         drive.axis[k] = poses(k).turned(rider_[l].link, limits_[l].slosh->axis);
         for (size_t i = 0; i < 3; ++i) {
           const double gravity = i == 2 ? limits_[l].gravity : 0;
@@ -90,8 +100,8 @@ class FeltSamples {
       swing_[l]->back(drive_[l], weight, by);
       for (size_t k = 0; k < n; ++k) d_pause[k] += by.pause[k];
       for (size_t k = 0; k <= n; ++k) {
-        Vector3 velocity, bend, d_velocity{}, d_bend{};
-        differences(l, k, velocity, bend);
+        const Vector3 &velocity = velocity_[l * samples_ + k], &bend = bend_[l * samples_ + k];
+        Vector3 d_velocity{}, d_bend{};
         for (size_t i = 0; i < 3; ++i) {
           if (k < n) {
             const double d = by.begun[k][i], d_push = d * velocity[i] / (2 * h_);
@@ -110,8 +120,8 @@ class FeltSamples {
     }
   }
 
-  CurveLimits::Row* slopes() {
-    std::fill(slope_.begin(), slope_.end(), CurveLimits::Row{});
+  CurveLimits::Slope* slopes() {
+    std::fill(slope_.begin(), slope_.end(), CurveLimits::Slope{});
     return slope_.data();
   }
 
@@ -119,19 +129,16 @@ class FeltSamples {
   // to q, added up.
   void back(std::vector<double>& d_q) {
     by_motion_.assign(motion_.size(), {});
-    const std::vector<size_t>& first = rows_.limits().first;
     for (size_t k = 0; k + 1 < samples_; ++k)
-      for (size_t r = first[k]; r < first[k + 1]; ++r) {
-        const CurveLimits::Row& d = slope_[r];
+      for (size_t r = rows_.first(k); r < rows_.first(k + 1); ++r) {
+        const CurveLimits::Slope& d = slope_[r];
         if (d.a == 0 && d.b == 0 && d.c == 0) continue;
-        const FacetPlace& place = rows_.place(r);
-        const FeltLimit& limit = limits_[place.limit];
-        const size_t at = place.limit * samples_ + k + place.end;
-        FeltMotion& by = by_motion_[at];
-        const Vector3& v = limit.facets[place.facet];
-        add3(by.velocity, d.a, v), add3(by.bend, d.b + (place.end ? 2 * h_ * d.a : 0.0), v);
-        if (limit.room[place.facet] - limit.gravity * dot3(v, motion_[at].up) > kLeastRoom * limit.gravity)
-          add3(by.up, -limit.gravity * d.c, v);
+        const size_t tag = rows_.rows()[r].tag, end = tag % 2, l = limit_of_[tag / 2];
+        const FeltLimit& limit = limits_[l];
+        FeltMotion& by = by_motion_[l * samples_ + k + end];
+        const Vector3& v = limit.facets[tag / 2 - first_facet_[l]];
+        add3(by.velocity, d.a, v), add3(by.bend, d.b + (end ? 2 * h_ * d.a : 0.0), v);
+        if (rests_[facets_ * (k + end) + tag / 2] > kLeastRoom * limit.gravity) add3(by.up, -limit.gravity * d.c, v);
       }
     for (size_t l = 0; l < limits_.size(); ++l) {
       for (size_t k = 0; k < samples_; ++k) back_motion(l, k);
@@ -194,12 +201,13 @@ class FeltSamples {
 
   std::vector<FeltLimit> limits_;
   std::vector<Rider> rider_;
-  size_t samples_ = 0, dim_ = 0, stride_ = 0;
+  std::vector<size_t> first_facet_, limit_of_;
+  size_t facets_ = 0, samples_ = 0, dim_ = 0, stride_ = 0;
   double h_ = 0;
-  FeltRows rows_;
-  std::vector<CurveLimits::Row> slope_;
-  std::vector<double> poses_;
-  std::vector<Vector3> p_, d_p_, d_turn_;
+  CurveLimits rows_;
+  std::vector<CurveLimits::Slope> slope_;
+  std::vector<double> poses_, rests_;
+  std::vector<Vector3> p_, velocity_, bend_, d_p_, d_turn_;  // in W
   std::vector<FeltMotion> motion_, by_motion_;
   std::vector<std::optional<Swing>> swing_;
   std::vector<Swing::Drive> drive_, by_drive_;

@@ -29,12 +29,12 @@ class Swing {
     void clear(size_t n) { axis.assign(n + 1, {}), begun.assign(n, {}), ended.assign(n, {}), pause.assign(n, 0.0); }
   };
 
-  explicit Swing(const SloshLimit& limit) : limit_(limit) {}
+  explicit Swing(const SloshLimit& limit) : limit_(limit), least_(std::cos(limit.angle)) {}
 
   // The charge: squares of what angles exceed the limit by, a tenth of the limit counted as one, added up.
   double charge(const Drive& drive, double gravity) {
     const size_t n = drive.pause.size();
-    steps_ = int(std::max(size_t(2), (kSteps + n - 1) / n));
+    steps_ = int((kSteps + n - 1) / n);
     frequency_ = std::sqrt(gravity / limit_.pendulum.length);
     state_.clear();
     excess_.clear();
@@ -96,7 +96,7 @@ class Swing {
   }
 
  private:
-  static constexpr size_t kSteps = 160;    // along the curve, at least
+  static constexpr size_t kSteps = 120;    // along the curve, at least
   static constexpr int kAfter = 24;        // after its end: about two thirds of a period
   static constexpr double kRest = 0.18;    // of the frequency's inverse, a step there
   static constexpr double kLongest = 0.8;  // of it, any step: beyond, the pendulum would gain energy
@@ -121,12 +121,12 @@ class Swing {
   }
 
   double exceed(const Vector3& axis, const Vector3& d) {
-    const double cosine = std::clamp(-dot3(axis, d), -1.0, 1.0), angle = std::acos(cosine);
-    const double unit = kUnit * limit_.angle, lack = (angle - limit_.angle) / unit;
-    if (!(lack > 0)) {
+    const double cosine = std::clamp(-dot3(axis, d), -1.0, 1.0);
+    if (cosine >= least_) {
       excess_.push_back({d, 0});
       return 0;
     }
+    const double unit = kUnit * limit_.angle, lack = (std::acos(cosine) - limit_.angle) / unit;
     const double sine = std::max(std::sqrt(1 - cosine * cosine), 1e-6);
     const double depth = std::min(lack, kKnee);
     excess_.push_back({d, -2 * depth / unit / sine});
@@ -170,6 +170,7 @@ class Swing {
   }
 
   SloshLimit limit_;
+  double least_;  // cosine of its angle
   int steps_ = 1;
   double frequency_ = 1;
   std::vector<State> state_;

@@ -27,30 +27,70 @@ struct CurveSamples {
   const uint8_t* stop;         // [n + 1] where the motion has to rest
 };
 
-// One-sided limits a u + b x <= c with c > 0, those of one interval after those of another.
-struct CurveLimits {
-  struct Row {
-    double a, b, c;
-  };
-  std::vector<size_t> first{0};  // [n + 1] of each interval's rows; the last is their number
-  std::vector<Row> row;
-
-  void clear() { first.assign(1, 0), row.clear(); }
-  void end_interval() { first.push_back(row.size()); }
-};
-
 // What the joints leave to an interval: |u| and x at its beginning are at most so much.
 struct Box {
   double push, squared;
-  // Whether a limit may be the tightest somewhere.
-  bool meets(const CurveLimits::Row& row) const {
-    return std::abs(row.a) * push + std::max(row.b, 0.0) * squared > row.c;
+};
+
+// One-sided limits a u + b x <= c with c > 0, those of one interval after those of another, and of each interval those
+// that bound u from above before the others. Those that are never the tightest are left out.
+class CurveLimits {
+ public:
+  struct Row {
+    double a, reach, tilt;  // u is at most reach - tilt x, or at least -(reach + tilt x) where a is below 0
+    size_t tag;
+  };
+  struct Slope {  // derivatives with respect to a, b and c
+    double a = 0, b = 0, c = 0;
+  };
+  static constexpr double kLeast = 1e-12;
+
+  void clear() { first_.assign(1, 0), middle_.clear(), bound_.clear(), row_.clear(); }
+  const std::vector<Row>& rows() const { return row_; }
+  size_t first(size_t interval) const { return first_[interval]; }
+  size_t middle(size_t interval) const { return middle_[interval]; }
+  // Rows that bound u from above, or from below, only beyond this are never the tightest.
+  double above(size_t interval) const { return bound_[interval].above; }
+  double below(size_t interval) const { return bound_[interval].below; }
+
+  void begin_interval(const Box& box) {
+    above_ = below_ = box.push, squared_ = box.squared, upper_.clear(), lower_.clear();
   }
+  // What |u| and x are at most, as far as is known.
+  Box box() const { return {std::max(above_, below_), squared_}; }
+  void add(double a, double b, double c, size_t tag = 0) {
+    if (std::abs(a) < kLeast) a = kLeast;
+    double& bound = a > 0 ? above_ : below_;
+    if (std::abs(a) * bound + std::max(b, 0.0) * squared_ <= c) return;
+    const double inverse = 1 / a;
+    const Row row{a, c * std::abs(inverse), b * inverse, tag};
+    bound = std::min(bound, row.reach + std::max(-b * std::abs(inverse), 0.0) * squared_);
+    (a > 0 ? upper_ : lower_).push_back(row);
+  }
+  void end_interval() {
+    keep(upper_, above_, 1), middle_.push_back(row_.size());
+    keep(lower_, below_, -1), first_.push_back(row_.size());
+    bound_.push_back({above_, below_});
+  }
+
+ private:
+  void keep(const std::vector<Row>& rows, double bound, double side) {
+    for (const Row& row : rows)
+      if (row.reach - std::max(side * row.tilt, 0.0) * squared_ <= bound) row_.push_back(row);
+  }
+
+  struct Bound {
+    double above, below;
+  };
+  std::vector<size_t> first_{0}, middle_;
+  std::vector<Bound> bound_;
+  std::vector<Row> row_, upper_, lower_;
+  double above_ = 0, below_ = 0, squared_ = 0;  // of the interval that is begun
 };
 
 struct CurveSlopes {  // derivatives with respect to slope, bend and limits, added up
   double *slope, *bend;
-  CurveLimits::Row* limit = nullptr;
+  CurveLimits::Slope* limit = nullptr;
 };
 
 class SpeedProfile {
@@ -79,12 +119,12 @@ class SpeedProfile {
   // The largest squared speeds at the n + 1 points of the curve that was entered.
   const std::vector<double>& compute(const CurveSamples& curve, const CurveLimits& limits) {
     const size_t n = curve.n;
-    add_limits(limits);
-    beta_ = cap_, bound_ = cap_bound_, x_.resize(n + 1), limited_.assign(n + 1, kBeta);
-    for (size_t i = 0; i < n; ++i) cap(curve, limits, i);
-    for (size_t i = n; i-- > 0;) reach_back(curve, limits, i), ease(curve, limits, i);
+    add_limits(limits), activate(curve, limits);
+    beta_ = cap_, bound_ = cap_bound_, x_.resize(n + 1), limited_.assign(n + 1, kBeta), overturns_.resize(n);
+    for (size_t i = 0; i < n; ++i) cap(curve, i);
+    for (size_t i = n; i-- > 0;) reach_back(curve, i), ease(curve, i);
     x_[0] = beta_[0];
-    for (size_t i = 0; i < n; ++i) go_on(curve, limits, i);
+    for (size_t i = 0; i < n; ++i) go_on(curve, i);
     return x_;
   }
 
@@ -105,7 +145,7 @@ class SpeedProfile {
     d_beta_[0] += d_x[0];
     for (size_t i = 0; i <= n; ++i) back_bound(curve, i, out);
     for (size_t i = 0; i < n; ++i) back_joints(curve, i, out);
-    for (size_t k = 0; k < limits.row.size(); ++k) {
+    for (size_t k = 0; k < limits.rows().size(); ++k) {
       const size_t r = joint_rows_ + k;
       if (d_reach_[r] == 0 && d_tilt_[r] == 0) continue;
       out.limit[k].a += by_a(r), out.limit[k].b += d_tilt_[r] / A_[r];
@@ -114,7 +154,7 @@ class SpeedProfile {
   }
 
  private:
-  static constexpr double kUnbounded = 1e12, kLeast = 1e-12;
+  static constexpr double kUnbounded = 1e12, kLeast = CurveLimits::kLeast;
   static constexpr size_t kBeta = size_t(-1), kEnd = size_t(-1);
   enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain, kStill, kCorner };
   struct Bound {  // what limits beta: a joint at one side, two rows, one row; of a corner the second may be kEnd
@@ -122,16 +162,34 @@ class SpeedProfile {
     size_t first = 0, second = 0;
   };
 
-  // Rows say |A u + B x| <= limit where they are of joints, and bound u from both sides; the others from one.
-  template <class F> void for_upper(const CurveSamples& curve, const CurveLimits& limits, size_t i, F&& f) const {
-    for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r) f(r);
-    for (size_t r = joint_rows_ + limits.first[i]; r < joint_rows_ + limits.first[i + 1]; ++r)
-      if (A_[r] > 0) f(r);
-  }
-  template <class F> void for_lower(const CurveSamples& curve, const CurveLimits& limits, size_t i, F&& f) const {
-    for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r) f(r);
-    for (size_t r = joint_rows_ + limits.first[i]; r < joint_rows_ + limits.first[i + 1]; ++r)
-      if (A_[r] < 0) f(r);
+  // A row that may be the tightest: u is at most reach - tilt x, or at least -(reach + tilt x).
+  struct Active {
+    double reach, tilt;
+    size_t row;
+  };
+  struct Actives {
+    const Active *from, *to;
+    const Active* begin() const { return from; }
+    const Active* end() const { return to; }
+  };
+  Actives upper(size_t i) const { return {&active_[first_[2 * i]], &active_[first_[2 * i + 1]]}; }
+  Actives lower(size_t i) const { return {&active_[first_[2 * i + 1]], &active_[first_[2 * i + 2]]}; }
+
+  // Joints bound u from both sides, the other limits from one.
+  void activate(const CurveSamples& curve, const CurveLimits& limits) {
+    active_.clear(), first_.assign(1, 0);
+    const auto add = [&](size_t i, double side, double bound, size_t first, size_t end) {
+      for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r)
+        if (reach_[r] - std::max(side * tilt_[r], 0.0) * cap_[i] <= bound) active_.push_back({reach_[r], tilt_[r], r});
+      for (size_t k = first; k < end; ++k)
+        active_.push_back({limits.rows()[k].reach, limits.rows()[k].tilt, joint_rows_ + k});
+      first_.push_back(active_.size());
+    };
+    for (size_t i = 0; i < curve.n; ++i) {
+      add(i, 1, limits.above(i), limits.first(i), limits.middle(i));
+      add(i, -1, limits.below(i), limits.middle(i), limits.first(i + 1));
+    }
+    active_.push_back({});  // so that there is an end to point to
   }
 
   // Limits at the beginning of an interval, and at its end, where x + 2 step u holds.
@@ -153,51 +211,62 @@ class SpeedProfile {
     }
   }
   void add_limits(const CurveLimits& limits) {
-    const size_t rows = joint_rows_ + limits.row.size();
+    const size_t rows = joint_rows_ + limits.rows().size();
     A_.resize(rows), reach_.resize(rows), tilt_.resize(rows);
-    for (size_t k = 0; k < limits.row.size(); ++k)
-      set_row(joint_rows_ + k, limits.row[k].a, limits.row[k].b, limits.row[k].c);
+    for (size_t k = 0; k < limits.rows().size(); ++k) {
+      const CurveLimits::Row& row = limits.rows()[k];
+      A_[joint_rows_ + k] = row.a, reach_[joint_rows_ + k] = row.reach, tilt_[joint_rows_ + k] = row.tilt;
+    }
   }
   void set_row(size_t r, double a, double b, double limit) {
     if (std::abs(a) < kLeast) a = kLeast;
     const double inverse = 1 / a;
     A_[r] = a, reach_[r] = limit * std::abs(inverse), tilt_[r] = b * inverse;
   }
-  void lower(size_t i, double value, Bound bound) {
+  void limit(size_t i, double value, Bound bound) {
     if (value < beta_[i]) beta_[i] = value, bound_[i] = bound;
   }
-  void cap(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
-    const double S = 2 * curve.step[i];
-    for_upper(curve, limits, i, [&](size_t r) {
-      const double gain = 1 - S * tilt_[r];  // not below rest within the interval
-      if (gain < 0 && S * reach_[r] < beta_[i] * -gain) lower(i, S * reach_[r] / -gain, {kOverturn, r, 0});
-    });
-    // No lower bound of u may pass an upper one. Their gap is concave in x and open at rest, so that Newton's method
-    // from where it is closed comes down on its root, with the tightest row of each side at a time.
+  void cap(const CurveSamples& curve, size_t i) {
+    const double S = 2 * curve.step[i], x = beta_[i];
+    double floor = -kUnbounded, ceiling = kUnbounded, steepest = 0;
+    for (const Active& row : upper(i))
+      ceiling = std::min(ceiling, row.reach - row.tilt * x), steepest = std::max(steepest, row.tilt);
+    for (const Active& row : lower(i)) floor = std::max(floor, -row.reach - row.tilt * x);
+    overturns_[i] = S * steepest > 1;
+    if (overturns_[i])
+      for (const Active& row : upper(i)) {
+        const double gain = 1 - S * row.tilt;  // not below rest within the interval
+        if (gain < 0 && S * row.reach < beta_[i] * -gain) limit(i, S * row.reach / -gain, {kOverturn, row.row, 0});
+      }
+    if (floor > ceiling) part(i);
+  }
+  // No lower bound of u may pass an upper one. Their gap is concave in x and open at rest, so that Newton's method from
+  // where it is closed comes down on its root, with the tightest row of each side at a time.
+  void part(size_t i) {
     for (size_t pair = 0; pair < A_.size(); ++pair) {
       double floor = -kUnbounded, ceiling = kUnbounded;
       size_t lowest = 0, highest = 0;
       const double x = beta_[i];
-      for_lower(curve, limits, i, [&](size_t r) {
-        const double below = -reach_[r] - tilt_[r] * x;
-        if (below > floor) floor = below, highest = r;
-      });
-      for_upper(curve, limits, i, [&](size_t r) {
-        const double above = reach_[r] - tilt_[r] * x;
-        if (above < ceiling) ceiling = above, lowest = r;
-      });
+      for (const Active& row : lower(i)) {
+        const double below = -row.reach - row.tilt * x;
+        if (below > floor) floor = below, highest = row.row;
+      }
+      for (const Active& row : upper(i)) {
+        const double above = row.reach - row.tilt * x;
+        if (above < ceiling) ceiling = above, lowest = row.row;
+      }
       const double apart = tilt_[lowest] - tilt_[highest], room = reach_[lowest] + reach_[highest];
       if (!(apart * x > room)) return;
-      lower(i, room / apart, {kPair, lowest, highest});
+      limit(i, room / apart, {kPair, lowest, highest});
       if (!(beta_[i] < x)) return;
     }
   }
-  void reach_back(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
+  void reach_back(const CurveSamples& curve, size_t i) {
     const double S = 2 * curve.step[i];
-    for_lower(curve, limits, i, [&](size_t r) {
-      const double gain = 1 - S * tilt_[r], most = beta_[i + 1] + S * reach_[r];
-      if (gain > 0 && most < beta_[i] * gain) lower(i, most / gain, {kChain, r, 0});
-    });
+    for (const Active& row : lower(i)) {
+      const double gain = 1 - S * row.tilt, most = beta_[i + 1] + S * row.reach;
+      if (gain > 0 && most < beta_[i] * gain) limit(i, most / gain, {kChain, row.row, 0});
+    }
   }
   // What an upper row says of the squared speed at the end of its interval: at most gain x + push, x that at its
   // beginning. So does beta there, with a gain of 0.
@@ -213,12 +282,13 @@ class SpeedProfile {
   // Where to go as fast as can be now means to go slowly next, as where a row says next to nothing of u, less speed is
   // better: as much as makes the sum of both speeds the greatest. Where that is depends continuously on the curve; the
   // fastest next after the fastest now does not.
-  void ease(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
+  void ease(const CurveSamples& curve, size_t i) {
+    if (!overturns_[i]) return;
     Line now = line(curve, i, kEnd);
-    for_upper(curve, limits, i, [&](size_t r) {
-      const Line other = line(curve, i, r);
+    for (const Active& row : upper(i)) {
+      const Line other = line(curve, i, row.row);
       if (other.at(beta_[i]) < now.at(beta_[i])) now = other;
-    });
+    }
     while (now.gain < 0) {
       const double still = now.push / (now.gain * now.gain - now.gain);
       if (still >= beta_[i]) return;
@@ -230,22 +300,21 @@ class SpeedProfile {
         if (meet > corner) corner = meet, next = other;
       };
       look(line(curve, i, kEnd));
-      for_upper(curve, limits, i, [&](size_t r) { look(line(curve, i, r)); });
-      if (next.row == now.row) return lower(i, still, {kStill, now.row, 0});
-      lower(i, corner, {kCorner, now.row, next.row});
+      for (const Active& row : upper(i)) look(line(curve, i, row.row));
+      if (next.row == now.row) return limit(i, still, {kStill, now.row, 0});
+      limit(i, corner, {kCorner, now.row, next.row});
       now = next;
     }
   }
-  void go_on(const CurveSamples& curve, const CurveLimits& limits, size_t i) {
+  void go_on(const CurveSamples& curve, size_t i) {
     const double S = 2 * curve.step[i];
     // At a corner, the steeper of its rows says the same, but with less precision.
     const size_t steep = bound_[i].kind == kCorner && x_[i] >= beta_[i] ? bound_[i].first : kEnd;
     double best = beta_[i + 1];
-    for_upper(curve, limits, i, [&](size_t r) {
-      if (r == steep) return;
-      const double next = (1 - S * tilt_[r]) * x_[i] + S * reach_[r];
-      if (next < best) best = next, limited_[i + 1] = r;
-    });
+    for (const Active& row : upper(i)) {
+      const double next = (1 - S * row.tilt) * x_[i] + S * row.reach;
+      if (next < best && row.row != steep) best = next, limited_[i + 1] = row.row;
+    }
     x_[i + 1] = std::max(best, 0.0);
   }
 
@@ -299,7 +368,10 @@ class SpeedProfile {
   std::vector<double> A_, reach_, tilt_;  // of the joints' rows, then of the limits
   std::vector<double> cap_, beta_, x_, d_beta_, d_reach_, d_tilt_;
   std::vector<Bound> cap_bound_, bound_;
+  std::vector<Active> active_;
+  std::vector<size_t> first_;  // of the active rows of each interval, upper ones and lower ones by turns
   std::vector<size_t> limited_;
+  std::vector<uint8_t> overturns_;  // whether going fast may mean to be below rest at the end of an interval
   std::vector<Box> box_;
 };
 
