@@ -33,6 +33,9 @@ from graceful_plan.floor.timed_paths import HEADINGS, LEAVES, STANDS, Others, Ti
 from graceful_plan.judge import _pendulum
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.timing.retiming import slowdown
+from graceful_plan.timing.spline import Spline
+from graceful_plan.timing.topp import travelled
 
 MODULES = (_native, _pendulum)
 REFUSALS = (ValueError, TypeError, RuntimeError, MemoryError, OverflowError, IndexError)
@@ -188,7 +191,7 @@ def width(made: Any, arguments: dict[str, Any]) -> int:
 WIDTHS: dict[int, int] = {}
 """Joints of what was built, by id; all of that stays in `KEPT`."""
 KEPT: list[Any] = []
-ABSTRACT = ("Space", "Impact", "Measure")
+ABSTRACT = ("Space", "Impact", "Measure", "TimedCurve")
 
 
 def record(isa: str) -> list[Call]:
@@ -264,7 +267,9 @@ def situations() -> None:
     for block in blocks:
         gp.plan(task.start, task.goal, task.scene, objective=gp.Objective(impact=0.5 * block), iterations=20)
     gp.plan(task.start, task.goal, task.scene, objective=gp.Objective(impact=Low()), iterations=20)
+    gp.plan(task.start, task.goal, task.scene, constraints=[gp.ToolSpeed(0.5)], iterations=20)
     plan_outside_of_scenes(task)
+    time_outside_of_plans(task)
     ends = np.array([0, 1, 2], dtype=np.int32), np.array([1, 2, 3], dtype=np.int32)
     _native.GraphSearch(4, *ends).cheapest(np.ones(3), 0, ends[1])
     drive = next(iter(gp.load_scene("hallway").tasks.values()))
@@ -291,6 +296,14 @@ class Low(gp.Cost):
     def state(self, batch: gp.StateBatch) -> np.ndarray:
         """Charge for what the joints are bent."""
         return np.sum(batch.q**2, axis=-1)
+
+
+def time_outside_of_plans(task: gp.Task) -> None:
+    """Travel a curve at given speeds, as where torques are limited."""
+    limits, grid = task.scene.limits, Spline(np.asarray(task.start) + np.linspace(0.0, 0.3, 8)[:, None]).grid(1)
+    speeds = np.sin(np.linspace(0.0, np.pi, len(grid.s)))
+    found = travelled(grid, speeds, limits.velocity, limits.acceleration)
+    slowdown(gp.Trajectory(found.t, found.q, found.qd, found.qdd, task.scene.joints), limits)
 
 
 def plan_outside_of_scenes(task: gp.Task) -> None:

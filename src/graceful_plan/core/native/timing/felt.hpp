@@ -51,11 +51,13 @@ inline void add_facets(const FeltLimit& limit, const FeltMotion& at, const doubl
   Vector3 velocity = at.velocity;
   add3(velocity, S, at.bend);
   const double fast = std::sqrt(dot3(velocity, velocity)), bent = std::sqrt(dot3(at.bend, at.bend));
+  const auto most = [&] { return fast * out.box().push + bent * out.box().squared; };
+  double felt = most();  // less and less, as other facets leave less
   for (size_t f = 0; f < limit.facets.size(); ++f) {
     const double room = rests[f] * per;
-    const Box box = out.box();
-    if ((fast * box.push + bent * box.squared) * limit.size[f] > room)
-      out.add(dot3(limit.facets[f], velocity), dot3(limit.facets[f], at.bend), room, tag + 2 * f);
+    if (felt * limit.size[f] <= room) continue;
+    out.add(dot3(limit.facets[f], velocity), dot3(limit.facets[f], at.bend), room, tag + 2 * f);
+    felt = most();
   }
 }
 

@@ -15,10 +15,11 @@ struct Pendulum {
 struct Bob {
   Vector3 d{0, 0, -1}, rate{};
 
-  // A step of so many seconds, of first order; `pull` is what is felt there, reversed, by the length.
-  void advance(const Vector3& pull, double h, double drag) {
+  // A step of so many seconds, of first order; `pull` is what is felt there, reversed, by the length. Returns by how much
+  // the bob was shrunk back to unit length.
+  double advance(const Vector3& pull, double h, double drag) {
     kick(pull, h, drag);
-    drift(h);
+    return drift(h);
   }
   // The same of second order, where `pull` is that in the middle of the step.
   void leap(const Vector3& pull, double h, double drag) {
@@ -32,10 +33,12 @@ struct Bob {
     const double along = dot3(pull, d);
     for (size_t i = 0; i < 3; ++i) rate[i] += h * (pull[i] - along * d[i] - drag * rate[i]);
   }
-  void drift(double h) {
+  double drift(double h) {
     add3(d, h, rate);
-    d = scaled3(d, 1 / std::sqrt(dot3(d, d)));
+    const double shrunk = 1 / std::sqrt(dot3(d, d));
+    d = scaled3(d, shrunk);
     add3(rate, -dot3(rate, d), d);
+    return shrunk;
   }
 };
 

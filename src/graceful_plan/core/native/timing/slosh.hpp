@@ -34,7 +34,7 @@ class Swing {
   // The charge: squares of what angles exceed the limit by, a tenth of the limit counted as one, added up.
   double charge(const Drive& drive, double gravity) {
     const size_t n = drive.pause.size();
-    steps_ = int((kSteps + n - 1) / n);
+    steps_ = int((kSteps + n - 1) / n), step_share_ = 1.0 / steps_, per_ = -1 / limit_.pendulum.length;
     frequency_ = std::sqrt(gravity / limit_.pendulum.length);
     state_.clear();
     excess_.clear();
@@ -84,11 +84,8 @@ class Swing {
       for (int s = steps_; s-- > 0;) {
         Vector3 by_pull{};
         retreat(state_[--at], by_d, by_rate, by_pull, by_step);
-        const double share = (s + 0.5) / steps_, per = -1 / limit_.pendulum.length;
-        for (size_t i = 0; i < 3; ++i) {
-          out.begun[k][i] += (1 - share) * per * by_pull[i];
-          out.ended[k][i] += share * per * by_pull[i];
-        }
+        const double share = (s + 0.5) * step_share_;
+        add3(out.begun[k], (1 - share) * per_, by_pull), add3(out.ended[k], share * per_, by_pull);
       }
       if (step_of(drive.pause[k]) < kLongest / frequency_) out.pause[k] += by_step / steps_;
       look(k);
@@ -105,7 +102,7 @@ class Swing {
 
   struct State {  // before a step
     Vector3 d, rate, pull;
-    double h;
+    double h, shrunk;
   };
   struct Excess {
     Vector3 d;
@@ -114,9 +111,9 @@ class Swing {
 
   double step_of(double pause) const { return std::min(pause / steps_, kLongest / frequency_); }
   Vector3 pull(const Drive& drive, size_t k, int s) const {
-    const double share = (s + 0.5) / steps_, per = -1 / limit_.pendulum.length;
-    Vector3 pull;
-    for (size_t i = 0; i < 3; ++i) pull[i] = per * ((1 - share) * drive.begun[k][i] + share * drive.ended[k][i]);
+    const double share = (s + 0.5) * step_share_;
+    Vector3 pull = scaled3(drive.begun[k], (1 - share) * per_);
+    add3(pull, share * per_, drive.ended[k]);
     return pull;
   }
 
@@ -134,13 +131,13 @@ class Swing {
   }
 
   void advance(const Vector3& pull, double h, Bob& bob) {
-    state_.push_back({bob.d, bob.rate, pull, h});
-    bob.advance(pull, h, limit_.pendulum.drag);
+    state_.push_back({bob.d, bob.rate, pull, h, 0});
+    state_.back().shrunk = bob.advance(pull, h, limit_.pendulum.drag);
   }
 
   // From derivatives with respect to what a step leads to, to those of where it begins.
   void retreat(const State& from, Vector3& by_d, Vector3& by_rate, Vector3& by_pull, double& by_h) const {
-    const auto& [d, rate, pull, h] = from;
+    const auto& [d, rate, pull, h, shrunk] = from;
     const double along = dot3(pull, d), drag = limit_.pendulum.drag;
     Vector3 force, faster, moved;
     for (size_t i = 0; i < 3; ++i) {
@@ -148,8 +145,7 @@ class Swing {
       faster[i] = rate[i] + h * force[i];
       moved[i] = d[i] + h * faster[i];
     }
-    const double size = std::sqrt(dot3(moved, moved));
-    const Vector3 next = scaled3(moved, 1 / size);
+    const Vector3 next = scaled3(moved, shrunk);
     const double radial = dot3(faster, next), by_radial = dot3(by_rate, next);
     Vector3 by_faster, by_moved;
     for (size_t i = 0; i < 3; ++i) {
@@ -157,7 +153,7 @@ class Swing {
       by_d[i] -= radial * by_rate[i] + by_radial * faster[i];
     }
     const double outward = dot3(by_d, next);
-    for (size_t i = 0; i < 3; ++i) by_moved[i] = (by_d[i] - outward * next[i]) / size;
+    for (size_t i = 0; i < 3; ++i) by_moved[i] = (by_d[i] - outward * next[i]) * shrunk;
     by_h += dot3(by_moved, faster);
     for (size_t i = 0; i < 3; ++i) by_faster[i] += h * by_moved[i];
     by_h += dot3(by_faster, force);
@@ -172,6 +168,7 @@ class Swing {
   SloshLimit limit_;
   double least_;  // cosine of its angle
   int steps_ = 1;
+  double step_share_ = 1, per_ = -1;  // a step as a share of its interval; what is felt pulls so much [1/m]
   double frequency_ = 1;
   std::vector<State> state_;
   std::vector<Excess> excess_;
