@@ -387,6 +387,7 @@ class MotionDescent:
         tight_end: float = 0.0,
         felt: Sequence[FeltLimit] = (),
         fitted: bool = False,
+        slosh: bool = True,
         points: float = 1.0,
     ) -> None: ...
     def run(self, steps: int, seconds: float) -> int: ...

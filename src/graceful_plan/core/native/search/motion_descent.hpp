@@ -35,6 +35,7 @@ struct MotionSettings {
   double tight_start = 0, tight_end = 0;
   std::vector<FeltLimit> felt;  // where something is carried
   bool fitted = false;          // whether the path is the control points of a curve
+  bool slosh = true;            // whether it counts how a liquid sloshes
   double points = 1;            // samples of the motion where these are what the impact is summed over
 };
 
@@ -47,7 +48,7 @@ class MotionDescent {
         dim_(size_t(space.dim)),
         basis_(settings.controls),
         profile_(settings.velocity, settings.acceleration),
-        felt_(space, settings.felt),
+        felt_(space, settings.felt, settings.slosh),
         push_(settings.push) {
     for (size_t k = 0; k <= basis_.spans() * settings.density; ++k)
       row_.push_back(basis_.at(double(k) / double(settings.density)));

@@ -12,12 +12,13 @@ namespace gp {
 
 class FeltSamples {
  public:
-  FeltSamples(const Space& space, std::vector<FeltLimit> limits) : limits_(std::move(limits)) {
+  // Sloshing is left out where it is not to count.
+  FeltSamples(const Space& space, std::vector<FeltLimit> limits, bool slosh) : limits_(std::move(limits)) {
     for (const FeltLimit& limit : limits_) {
       rider_.push_back(space.rider(limit.link, limit.point));
       first_facet_.push_back(facets_), facets_ += limit.facets.size();
       limit_of_.resize(facets_, first_facet_.size() - 1);
-      swing_.push_back(limit.slosh ? std::optional<Swing>(*limit.slosh) : std::nullopt);
+      swing_.push_back(limit.slosh && slosh ? std::optional<Swing>(*limit.slosh) : std::nullopt);
     }
     drive_.resize(limits_.size()), by_drive_.resize(limits_.size());
   }

@@ -15,8 +15,8 @@ struct Pendulum {
 struct Bob {
   Vector3 d{0, 0, -1}, rate{};
 
-  // A step of so many seconds, of first order; `pull` is what is felt there, reversed, by the length. Returns by how much
-  // the bob was shrunk back to unit length.
+  // A step of so many seconds, of first order; `pull` is what is felt there, reversed, by the length. Returns by how
+  // much the bob was shrunk back to unit length.
   double advance(const Vector3& pull, double h, double drag) {
     kick(pull, h, drag);
     return drift(h);

@@ -31,7 +31,9 @@ class Swing {
 
   explicit Swing(const SloshLimit& limit) : limit_(limit), least_(std::cos(limit.angle)) {}
 
-  // The charge: squares of what angles exceed the limit by, a tenth of the limit counted as one, added up.
+  // The penalty: what angles exceed the limit by, in units of kUnit times the limit, added up; squared up to a unit,
+  // then linear. Slowing a motion down until an angle is half as large takes sqrt(2) times as long, so it is worth
+  // about that: with ten times as steep a penalty, descents stayed where they began.
   double charge(const Drive& drive, double gravity) {
     const size_t n = drive.pause.size();
     steps_ = int((kSteps + n - 1) / n), step_share_ = 1.0 / steps_, per_ = -1 / limit_.pendulum.length;
@@ -97,8 +99,8 @@ class Swing {
   static constexpr int kAfter = 24;        // after its end: about two thirds of a period
   static constexpr double kRest = 0.18;    // of the frequency's inverse, a step there
   static constexpr double kLongest = 0.8;  // of it, any step: beyond, the pendulum would gain energy
-  static constexpr double kUnit = 0.1;
-  static constexpr double kKnee = 5.0;  // units beyond which the charge grows evenly
+  static constexpr double kUnit = 0.3;     // of the limit
+  static constexpr double kKnee = 1.0;     // units beyond which the charge grows evenly
 
   struct State {  // before a step
     Vector3 d, rate, pull;
