@@ -186,7 +186,10 @@ EDITS = {
         ("tests/constraints/test_felt.py",),
         (
             ("add3(velocity, «S», at.bend)", "0.0"),
-            ("limit.room[f] «- limit.gravity * dot3(limit.facets[f], up)»", "+ limit.gravity * dot3(limit.facets[f], up)"),
+            (
+                "limit.room[f] «- limit.gravity * dot3(limit.facets[f], up)»",
+                "+ limit.gravity * dot3(limit.facets[f], up)",
+            ),
             ("room = «rests[f] * per»", "rests[f]"),
         ),
     ),

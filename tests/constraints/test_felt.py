@@ -170,6 +170,26 @@ def test_motions_are_slowed_down_until_the_surface_stays_below_the_rim(coffee: g
         assert factor > 1.05 and stays(1.02 * factor) and not stays(factor / 1.03)
 
 
+def test_no_level_alone_is_faster_than_what_is_chosen_among_them(coffee: gp.Task) -> None:
+    scene, chosen = coffee.scene, set()
+
+    def duration(spline: Spline, felt: FeltLevels) -> float:
+        try:
+            return timed(spline, scene.limits, scene.joints, felt=felt).duration
+        except RetimingError:  # the most careful ones do not even hold at rest
+            return np.inf
+
+    for seed in range(6):
+        spline = curve(coffee, 0.4, seed)
+        constraints = SceneConstraints(scene, [gp.KeepContents()])
+        levels = constraints.felt_levels
+        assert levels is not None
+        alone = [duration(spline, replace(levels, levels=(one,))) for one in levels.levels]
+        assert constraints.timed(spline).duration == pytest.approx(min(alone), rel=1e-9)
+        chosen.add(int(np.argmin(alone)))
+    assert len(chosen) > 1 and chosen != {0}
+
+
 def felt_along(trajectory: gp.Trajectory, cone: FeltCone, task: gp.Task) -> np.ndarray:
     dt = 0.002
     X = compile_scene(task.scene).kernels.link_poses(trajectory.sample(dt).q[:-1])[:, cone.link]

@@ -14,7 +14,8 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.judge.exact import first_collision
 from graceful_plan.judge.motion_samples import reach
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.per_scene import per_layout, per_scene
+from graceful_plan.scene.rules.grip import find_grip
 
 
 class Kept:
@@ -70,6 +71,21 @@ def test_the_oldest_goes_where_there_are_too_many():
     assert kept(other, 1) == 1  # each scene has its own
     assert kept(scene, 1) == 1
     assert calls == [1, 2, 3, 1, 1]
+
+
+def test_what_says_nothing_of_obstacles_outlives_their_moves():
+    calls = []
+
+    @per_layout(most=2)
+    def kept(scene, number):
+        calls.append(number)
+        return number
+
+    scene = gp.load_scene("desk").tasks["bring_coffee"].scene
+    moved = scene.edit(move={"monitor": [0.6, 0.3, 0.9]})
+    assert [kept(scene, 1), kept(moved, 1), kept(moved, 2), kept(scene, 3), kept(moved, 1)] == [1, 1, 2, 3, 1]
+    assert calls == [1, 2, 3, 1]
+    assert find_grip(moved) is find_grip(scene)
 
 
 def test_threads_get_the_same_value():

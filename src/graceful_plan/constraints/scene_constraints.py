@@ -36,12 +36,6 @@ _CAREFUL = 0.6
 """Of the angle that keeps contents in, what searches and the first descents leave to what is felt, not to sloshing."""
 _SHARES = (0.65, 0.6, 0.55, 0.5, 0.45, 0.4, 0.3)
 """The same of timings, one after the other, after the share that was asked for."""
-_NARROW = 0.25
-"""Angle for what is felt [rad] below which paths are worth more of the time than descents from bad ones: with 0.4 of it
-instead of 0.15, J of nearly full soup, tray and pan fell by 26, 18 and 0 %; that of a coffee rose by 12 %."""
-_CALM = 0.15
-"""Angle for what is felt [rad] below which motions are planned from the shortest ones on; see `query.cheaper`. With
-0.25 a bucket, a cruet and a tray of cups gained nothing or lost."""
 
 
 @final
@@ -74,10 +68,6 @@ class SceneConstraints:
         """The part of it that descents of motions charge for; timing keeps all of it."""
         self.level = any(isinstance(felt, FeltCone) for felt in self.felt)
         """Whether something that is carried has to stay level."""
-        self.narrow = any(isinstance(felt, FeltCone) and felt.angle < _NARROW for felt in self.felt)
-        """Whether that leaves so little room that good paths are hard to find."""
-        self.calm = any(isinstance(felt, FeltCone) and felt.angle < _CALM for felt in self.felt)
-        """Whether it leaves so little that this alone decides how long a motion takes."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in resting_in(scene, c)]
         self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])
@@ -110,12 +100,6 @@ class SceneConstraints:
         share = max([self._share, *(keeper.needed(q, self.scene) for keeper in self.keepers)])
         same = fitted == self.constraints and share == self._share
         return self if same else SceneConstraints(self.scene, fitted, share)
-
-    @property
-    def daring(self) -> SceneConstraints:
-        """Constraints that leave no more to sloshing than what was asked for does."""
-        most = max([self._share, *(keeper.share for keeper in self.keepers)])
-        return self if most == self._share else SceneConstraints(self.scene, self.constraints, most)
 
     def custom_clearance(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
         """Return how far inside of all custom constraints configurations are, as clearance [m], and its gradient."""

@@ -30,8 +30,6 @@ _LONGEST = 1e6
 """Path that is timed [rad or m]: beyond, the pieces of a grid are lost in rounding."""
 _ROUNDING = 1e-9
 """Relative reserve below the limits, for what rounding adds when somebody else evaluates the trajectory."""
-_DENSITIES = (1, 2, 4)
-"""Of grids, one after the other."""
 ACCEPTED_SLOWDOWN = 1.02
 """The grid is refined while checking against the limits would slow the motion down by more than this."""
 
@@ -112,7 +110,7 @@ def timed(
             raise SettingError("restraint", restraint, "None where torque limits are kept: toppra is not told of it")
         return slowed(_refined_with_torque(curve, limits, joints, inverse_dynamics), 1.0 / speed)
     velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
-    for density in _DENSITIES:
+    for density in (1, 2, 4):
         grid = curve.grid(density)
         limit = None if restraint is None else np.ascontiguousarray(restraint(grid))
         found = fastest(grid, velocity, acceleration, limit=limit, felt=felt, speed=speed)
@@ -155,7 +153,7 @@ def _refined_with_torque(
     velocity, acceleration, torque = (
         np.asarray(x, float) for x in (limits.velocity, limits.acceleration, limits.torque)
     )
-    for density in _DENSITIES:
+    for density in (1, 2, 4):
         grid = curve.grid(density)
         _check_holdable(grid, torque, joints, inverse_dynamics)
         speeds = fastest_with_toppra(grid, velocity, acceleration, torque, inverse_dynamics)

@@ -47,11 +47,10 @@ class CurveTiming {
       const double longest = found ? best_.duration() : std::numeric_limits<double>::infinity();
       if (now_.duration() >= longest) break;
       const double slower = slowdown(curve, level, longest);
-      const bool calm = slower == 1;
       now_.stretch(slower);
       if (now_.duration() < longest) best_ = now_, best_speed_ = speed_;
       found = true;
-      if (calm) break;
+      if (slower == 1) break;
     }
     return true;
   }
@@ -134,8 +133,6 @@ class CurveTiming {
 
   // By what factor the motion has to be slowed down until nothing swings over its rim, or until it takes too long.
   double slowdown(const CurveSamples& curve, const Level& level, double longest) const {
-    const double most_by_time = std::ceil(std::log(longest / now_.duration()) / std::log(kSlowdown));
-    const int most = int(std::min(most_by_time, double(kMostSlowdowns)));
     const auto is_calm = [&](int slowdowns) {
       for (size_t l = 0; l < level.size(); ++l)
         if (level[l].slosh && !stays_in(*level[l].slosh, level[l].gravity, curve, vessel_[l], squared_,
@@ -143,6 +140,8 @@ class CurveTiming {
           return false;
       return true;
     };
+    const double most_by_time = std::ceil(std::log(longest / now_.duration()) / std::log(kSlowdown));
+    const int most = int(std::min(most_by_time, double(kMostSlowdowns)));
     int swings = -1, calm = 0;
     while (calm < most && !is_calm(calm)) swings = calm, calm = std::min(std::max(1, 2 * calm), most);
     while (calm - swings > 1) {

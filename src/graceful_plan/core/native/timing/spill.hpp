@@ -21,11 +21,12 @@ struct VesselMotion {
 // factor, and for a while after its end.
 inline bool stays_in(const SloshLimit& limit, double gravity, const CurveSamples& curve, const VesselMotion& vessel,
                      const std::vector<double>& x, double factor) {
-  constexpr double kStep = 0.002;     // [s]: the fastest of them swing with 5 Hz
+  constexpr double kPhase = 0.06;     // of the pendulum's swing, in one step [rad]
   constexpr double kAfter = 0.5;      // [s]
   constexpr double kMostSteps = 1e4;  // of an interval: by then it has come to rest
   const double least = std::cos(limit.angle), slower = 1 / (factor * factor);
   const bool liquid = limit.pendulum.length > 0;
+  const double longest = kPhase * std::sqrt(limit.pendulum.length / gravity);
   const auto below = [&](const Vector3& axis, const Vector3& normal, double size) {
     return dot3(axis, normal) >= least * size;
   };
@@ -42,8 +43,8 @@ inline bool stays_in(const SloshLimit& limit, double gravity, const CurveSamples
     }
     if (!liquid) continue;
     const double pause = factor * 2 * curve.step[i] / (std::sqrt(x[i]) + std::sqrt(x[i + 1]));
-    const int steps = int(std::clamp(std::ceil(pause / kStep), 1.0, kMostSteps));
-    const double h = std::min(pause / steps, kStep), per = -1 / limit.pendulum.length;
+    const int steps = int(std::clamp(std::ceil(pause / longest), 1.0, kMostSteps));
+    const double h = std::min(pause / steps, longest), per = -1 / limit.pendulum.length;
     for (int s = 0; s < steps; ++s) {
       const double share = double(s) / steps, middle = (s + 0.5) / steps;
       Vector3 axis = scaled3(vessel.axis[i], 1 - share), pull = scaled3(felt[0], per * (1 - middle));
@@ -52,9 +53,9 @@ inline bool stays_in(const SloshLimit& limit, double gravity, const CurveSamples
       bob.leap(pull, h, limit.pendulum.drag);
     }
   }
-  for (double after = 0; liquid && after < kAfter; after += kStep) {
+  for (double after = 0; liquid && after < kAfter; after += longest) {
     if (!calm(vessel.axis.back())) return false;
-    bob.leap({0, 0, -gravity / limit.pendulum.length}, kStep, limit.pendulum.drag);
+    bob.leap({0, 0, -gravity / limit.pendulum.length}, longest, limit.pendulum.drag);
   }
   return true;
 }
