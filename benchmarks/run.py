@@ -27,6 +27,7 @@ SUBJECTS = (
     "safety",
     "first_path",
     "first_motion",
+    "real_tasks",
     "inverse_kinematics",
     "straight_tool",
     "clouds",
@@ -82,6 +83,7 @@ ON_REQUEST = frozenset(
     {
         "packages",
         "best_known",
+        "real_tasks",
         "auto",
         "trajectory_prediction",
         "learned_interaction",

@@ -62,7 +62,7 @@ def plan(
     objective: Objective | None = None,
     time_limit: float | None = None,
     iterations: int | None = None,
-    stop: Stop = "time_limit",
+    stop: Stop | None = None,
     refine: bool = True,
     seed: int = 0,
     speed: float = 1.0,
@@ -88,8 +88,9 @@ def plan(
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
         iterations: Planner iterations; with these alone, the result depends on the seed only. With them, a time limit
             only ends the call early.
-        stop: When to end: "first" with the first verified motion, "converged" once a round of work that is longer than
-            all before improves the best motion by less than 0.1 %, "time_limit" with the budget.
+        stop: When to end: "first" with the first verified motion, "converged" once 32 descents in a row have improved
+            the best motion by less than 0.1 %, "time_limit" with the time limit and the iterations. The last is the
+            default of calls that have a limit of their own; others end once they have converged, at most after 1 s.
         refine: Whether paths become smooth motions that descend along the objective. Without, the motion is along the
             planner's own path, its corners cut as far as that is free.
         seed: Of all random numbers.
@@ -129,7 +130,7 @@ def plan(
         max_wait=checked_wait(max_wait, scene),
         verification=checked_verification(verification),
         refine=checked_refine(refine),
-        stop=checked_stop(stop),
+        stop=checked_stop(stop, limited=not (time_limit is None and iterations is None)),
         callback=checked_callback(callback),
     )
     rng, limit = checked_seed(seed), checked_time_limit(time_limit, iterations)

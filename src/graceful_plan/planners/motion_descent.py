@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -140,6 +140,14 @@ class DescentResult:
 
 
 @final
+@dataclass
+class Effort:
+    """Number of descents that have ended."""
+
+    descents: int = 0
+
+
+@final
 @dataclass(frozen=True, eq=False)
 class MotionDescents:
     """Descends from paths.
@@ -155,6 +163,7 @@ class MotionDescents:
         counts_points: Whether the cost is summed over the samples of the motion.
         careful: Whether a vessel is kept level.
         projected: Moves configurations to where bounds hold; None without bounds.
+        effort: Counts the descents of all rounds.
     """
 
     space: _native.Space
@@ -167,6 +176,7 @@ class MotionDescents:
     counts_points: bool = False
     careful: bool = False
     projected: Callable[[Float[Array, "n nq"]], Float[Array, "n nq"]] | None = None
+    effort: Effort = field(default_factory=Effort)
 
     @property
     def time_price(self) -> float:
@@ -294,11 +304,13 @@ class _Round:
             ended.append((descent.value, replace(start, path=Path(_resampled(curve)), curve=curve)))
             if self.descents.is_free(curve, start):
                 free.append(DescentResult(curve, descent.value, start))
+        self.descents.effort.descents += len(starts)
         return ended
 
     def _finished(self, starts: Sequence[Start]) -> Iterator[DescentResult]:
         if self.descents.settings.fine:
             for one in self.pool.map(lambda start: self.descents.finished(start, self.budget), starts):
+                self.descents.effort.descents += 1
                 if one is not None:
                     self.results.append(one)
                     yield one

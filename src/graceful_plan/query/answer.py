@@ -22,7 +22,9 @@ LAST_STEPS = 0.004
 _LAST_STEPS_SHARE = 0.2
 """Share of a time limit that is kept for it at most."""
 _GAIN = 1e-3
-"""Relative improvement by a round below which a call has converged, and distance to a bound that nothing beats."""
+"""Relative improvement of the best motion that is noticeable."""
+_PATIENCE = 32
+"""Descents without such an improvement after which a call has converged; benchmark `real_tasks` has what that costs."""
 
 
 @final
@@ -49,6 +51,8 @@ class BestVerified:
         self._told: list[TracePoint] = []
         self._stopped = False
         self._rounds = 0
+        self._improved = np.inf, 0
+        """Ranking and number of descents when the best motion last became noticeably better."""
         self._stats: dict[str, float] = {}
 
     @property
@@ -69,11 +73,21 @@ class BestVerified:
         enough = self._stopped or self._request.stop == "first" or self._budget.cancelled()
         return enough or self._is_optimal(self._best.motion)
 
-    def converged(self, before: float) -> bool:
-        """Tell after a round whether a call that stops once it has converged does so; `before` is the ranking then."""
-        self._rounds += 1
-        asked = self._request.stop == "converged" and self._best is not None
-        return asked and self._rounds > 1 and before - self.ranking <= _GAIN * self.ranking
+    def converged(self, effort: int) -> bool:
+        """Tell whether a call that stops once it has converged does so.
+
+        Args:
+            effort: Number of descents so far.
+        """
+        if self._request.stop != "converged" or self._best is None:
+            return False
+        if self.ranking < (1.0 - _GAIN) * self._improved[0]:
+            self._improved = self.ranking, effort
+        return effort - self._improved[1] >= _PATIENCE
+
+    def end_round(self, path_cost: float) -> None:
+        """Note that a round has ended, and the least cost of a path of the searches so far."""
+        self._rounds, self.path_cost = self._rounds + 1, path_cost
 
     def tell(self, point: TracePoint) -> bool:
         """Tell the callback of an improvement, unless it has ended the call; return whether it has."""

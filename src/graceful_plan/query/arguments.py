@@ -92,8 +92,10 @@ def checked_objective(objective: object, w: object) -> Objective:
     return objective if w is None else objective.with_weight(float(w))  # type: ignore[arg-type]
 
 
-def checked_stop(stop: object) -> Stop:
-    """Return when to end."""
+def checked_stop(stop: object, *, limited: bool) -> Stop:
+    """Return when to end: with its limits a call that has some, else once it has converged."""
+    if stop is None:
+        return "time_limit" if limited else "converged"
     if stop not in STOPS:
         raise UnknownNameError("stop", str(stop), STOPS)
     return stop  # type: ignore[return-value]

@@ -68,8 +68,8 @@ def add_to(commands: Any) -> None:
     plan.add_argument(
         "--stop",
         choices=STOPS,
-        default="time_limit",
-        help="end with the first verified motion, once more work hardly improves it, or with the budget (the default)",
+        help="end with the first verified motion, once more work hardly improves it (the default without a limit), or "
+        "with the time limit and iterations",
     )
     plan.add_argument(
         "--no-refine", dest="refine", action="store_false", help="follow the planner's own path, its corners rounded"

@@ -84,6 +84,8 @@ def test_a_call_that_has_converged_ends_before_its_budget(task: gp.Task) -> None
     result = gp.plan(task.start, task.goal, task.scene, iterations=50_000, stop="converged")
     assert result.status is PlanStatus.SOLVED
     assert result.stats["rounds"] >= 2 and result.stats["iterations"] < 50_000
+    again = gp.plan(task.start, task.goal, task.scene, iterations=50_000, stop="converged")
+    np.testing.assert_array_equal(again.unwrap().q, result.unwrap().q)
 
 
 def test_a_straight_motion_at_zero_weight_ends_the_call() -> None:
@@ -95,9 +97,10 @@ def test_a_straight_motion_at_zero_weight_ends_the_call() -> None:
 
 
 def test_misuse_names_the_setting() -> None:
-    for stop in ("soon", None, 1):
+    assert checked_stop(None, limited=True) == "time_limit" and checked_stop(None, limited=False) == "converged"
+    for stop in ("soon", 1):
         with pytest.raises(UnknownNameError, match=r"unknown stop .*; valid: converged, first, time_limit"):
-            checked_stop(stop)
+            checked_stop(stop, limited=True)
     for refine in ("yes", None, 1):
         with pytest.raises(SettingError, match="refine = "):
             checked_refine(refine)

@@ -40,7 +40,7 @@ def candidates(
         rng: Chance.
         best: The best of the motions that were yielded and have passed the judge.
     """
-    problems = [problem for problem in _more_and_more_cautious(request, ends)]
+    problems = list(_more_and_more_cautious(request, ends))
     for problem in problems:
         source = MotionSource(request, ends, problem, rng, best.tell)
         best.searched = found = source.search_first(budget)
@@ -56,13 +56,18 @@ def candidates(
         if best.ended or budget.exhausted or not (found.paths or found.refused):
             return
         if best.motion is not None or problem is problems[-1]:
-            for part in rounds(budget, restarts=source.restarts):
-                before = best.ranking
-                yield from source.round(part, before)
-                best.path_cost = source.path_cost
-                if best.ended or best.converged(before):
-                    break
+            yield from _better(source, budget, best)
             return
+
+
+def _better(source: MotionSource, budget: Budget, best: BestVerified) -> Iterator[Motion]:
+    """Yield the motions of rounds until the budget ends or the best motion has converged."""
+    with budget.share(until=lambda: best.converged(source.effort)) as part:
+        for one in rounds(part, restarts=source.restarts):
+            yield from source.round(one, best.ranking)
+            best.end_round(source.path_cost)
+            if best.ended:
+                return
 
 
 def rounds(budget: Budget, *, restarts: bool = True) -> Iterator[Budget]:

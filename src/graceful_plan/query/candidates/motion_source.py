@@ -77,6 +77,12 @@ class MotionSource:
         default = isinstance(request.planner, Auto) and request.planner.initial is None
         return default and request.refine and request.preference is None and not request.objective.scene.moving
 
+    @property
+    def effort(self) -> int:
+        """Number of descents so far."""
+        own = 0 if self._descents is None else self._descents.effort.descents
+        return own + (0 if self._related is None else self._related.effort)
+
     def search_first(self, budget: Budget) -> Search:
         """Search until there is a path; return what was found."""
         if self._related is not None:
