@@ -164,3 +164,16 @@ def test_a_call_keeps_as_much_time_as_its_own_last_steps_took(task: gp.Task, mon
     monkeypatch.setattr(answer_module, "judged", slow)
     result = gp.plan(task.start, task.goal, task.scene, iterations=300, time_limit=LIMIT)
     assert result.status is PlanStatus.SOLVED and len(skipped) == 1
+
+
+def test_a_callback_that_stops_late_ends_the_call_at_once(task: gp.Task) -> None:
+    """Rounds get longer, and the one that is running is not to be waited for."""
+    told: list[gp.TracePoint] = []
+
+    def third(point: gp.TracePoint) -> bool:
+        told.append(point)
+        return len(told) >= 3
+
+    result = gp.plan(task.start, task.goal, task.scene, time_limit=LIMIT, seed=1, callback=third)
+    assert len(told) == 3 and result.cost.total == told[-1].total
+    assert result.stats["total_time"] < 0.5 * LIMIT

@@ -61,13 +61,11 @@ def candidates(
 
 
 def _better(source: MotionSource, budget: Budget, best: BestVerified) -> Iterator[Motion]:
-    """Yield the motions of rounds until the budget ends or the best motion has converged."""
-    with budget.share(until=lambda: best.converged(source.effort)) as part:
+    """Yield the motions of rounds until the budget ends or `best` needs no more."""
+    with budget.share(until=lambda: best.ended or best.converged(source.effort)) as part:
         for one in rounds(part, restarts=source.restarts):
             yield from source.round(one, best.ranking)
             best.end_round(source.path_cost)
-            if best.ended:
-                return
 
 
 def rounds(budget: Budget, *, restarts: bool = True) -> Iterator[Budget]:
