@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
-from graceful_plan.judge.exact import exactly_free
 from graceful_plan.path import finite_array
 from graceful_plan.query.endpoints.ik import solve_ik
 from graceful_plan.query.endpoints.pose_sets import LEVER, reach_poses
-from graceful_plan.query.endpoints.usable import Resolved, collision, usable
+from graceful_plan.query.endpoints.usable import Resolved, collision, free_of_collision, usable
 from graceful_plan.query.endpoints.whole_body import solve_whole_body
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.placement import Placement
@@ -275,7 +274,7 @@ def _pose(
     blocked: list[Array] = []
 
     def free(q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        ok = exactly_free(q, scene)
+        ok = free_of_collision(q, scene)
         blocked.extend(q[~ok])
         return ok
 
