@@ -60,7 +60,7 @@ EDITS = {
         ),
     ),
     "geometry/reach.hpp": (
-        ("tests/core/test_tool_motion.py", "tests/query/endpoints/test_ik.py"),
+        ("tests/core/test_tool_motion.py", "tests/query/endpoints/test_pose_sets.py"),
         (
             ("J[m][i] = «link.slide» ? a[i]", "false"),
             ("link.slide ? D{} : «a[i] - along * z[i]»", "a[i]"),

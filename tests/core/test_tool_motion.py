@@ -121,6 +121,14 @@ def test_a_seed_ends_where_it_ends_alone(kernels, q):
             np.testing.assert_array_equal(one[0], all_of_them[i])
 
 
+def test_seeds_end_where_they_make_no_progress(kernels, q):
+    X_WG, free_yaw = _targets(kernels, q)
+    X_WG[:, :3, 3] += 5.0  # out of reach
+    impatient, _ = kernels.reach(q, X_WG, free_yaw, iterations=60, patience=1)
+    once, _ = kernels.reach(q, X_WG, free_yaw, iterations=1, patience=60)
+    np.testing.assert_array_equal(impatient, once)
+
+
 def test_held_joints_stay(kernels, q):
     X_WG, _ = _targets(kernels, q)
     free_yaw = np.zeros(len(q), dtype=bool)
