@@ -155,15 +155,15 @@ class Kernels:
         kept[held] = 1
         robot = self.robot
         return self.core.reach(
-            self.rows("seeds", seeds)[0],
-            _reals(X_WG[:, :3]),
-            _integers(free_yaw),
-            _reals(robot.X_LT),
-            _reals(robot.lower),
-            _reals(robot.upper),
-            kept,
-            iterations,
-            patience,
+            seed=self.rows("seeds", seeds)[0],
+            X_WG=_reals(X_WG[:, :3]),
+            free_yaw=_integers(free_yaw),
+            X_LT=_reals(robot.X_LT),
+            lower=_reals(robot.lower),
+            upper=_reals(robot.upper),
+            held=kept,
+            iterations=iterations,
+            patience=patience,
         )
 
     def free(self, q: ArrayLike, margin: float = 0.0) -> Bool[Array, "*batch"]:

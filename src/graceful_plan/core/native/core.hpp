@@ -229,7 +229,7 @@ class Core {
              int iterations, int patience) const {
     double *q, *missing;
     const size_t n = rows(seed), nq = size_t(tables_.n_joint);
-    require_numbers(X_WG, 12 * n, "a pose for each seed", kMaxExtent);
+    require_numbers(X_WG, 12 * n, "a pose for each seed");
     require_numbers(X_LT, 16, "the tool in its link", kMaxExtent);
     require(free_yaw.size() == n, "whether each pose leaves the yaw free");
     require(held.size() == nq, "joints that are held");

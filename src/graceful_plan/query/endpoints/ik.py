@@ -20,7 +20,6 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 
@@ -163,11 +162,11 @@ def draw_seeds(
 
 
 def _distinct(q: Float[Array, "n nq"]) -> Float[Array, "m nq"]:
-    kept: list[Array] = []
+    kept = q[:0]
     for configuration in q:
-        if all(np.abs(configuration - other).max() > _SAME for other in kept):
-            kept.append(configuration)
-    return np.array(kept).reshape(-1, q.shape[1])
+        if (np.abs(kept - configuration).max(axis=1) > _SAME).all():
+            kept = np.concatenate([kept, configuration[None]])
+    return kept
 
 
 @final
@@ -175,9 +174,8 @@ class PoseSolver:
     """Two ways to one pose: the core's from many seeds at once, and mink's from where that ended."""
 
     def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool] = lambda: False) -> None:
-        self.goal, self.scene, self.placement, self.cancelled = goal, scene, Placement(scene), cancelled
-        self.model = scene.model
-        self.site = self.model.site(scene.tool).id
+        self.goal, self.scene, self.cancelled = goal, scene, cancelled
+        self.kernels = compile_scene(scene).kernels
         self.lower, self.upper = scene.limits.position.T
 
     def search(
@@ -192,8 +190,7 @@ class PoseSolver:
         """
         X_WG = np.broadcast_to(self.goal.X_WT, (len(seeds), 4, 4))
         free_yaw = np.full(len(seeds), self.goal.free_yaw)
-        kernels = compile_scene(self.scene).kernels
-        q, missing = kernels.reach(seeds, X_WG, free_yaw, iterations=iterations, patience=_PATIENCE, held=held)
+        q, missing = self.kernels.reach(seeds, X_WG, free_yaw, iterations=iterations, patience=_PATIENCE, held=held)
         exact = within(missing, PRECISION * self.goal.position_tolerance, PRECISION * self.goal.orientation_tolerance)
         return q[exact], q[np.argsort(np.linalg.norm(missing, axis=1), kind="stable")]
 
@@ -232,10 +229,10 @@ class PoseSolver:
         )
         task.set_target(mink.SE3.from_matrix(self.goal.X_WT))
         adr = self.scene.qpos_adr
-        limit = mink.ConfigurationLimit(self.model, gain=1.0)
+        limit = mink.ConfigurationLimit(self.scene.model, gain=1.0)
         limit.lower[adr], limit.upper[adr] = self.lower, self.upper
         qpos = self.scene.home_qpos.copy()
-        configuration = mink.Configuration(self.model, qpos)
+        configuration = mink.Configuration(self.scene.model, qpos)
 
         def step(q: Float[Array, " nq"]) -> Float[Array, " nq"]:
             qpos[adr] = q
@@ -247,18 +244,11 @@ class PoseSolver:
 
     def errors(self, q: Float[Array, " nq"]) -> tuple[float, float]:
         """Position and orientation error of a configuration [m, rad]."""
-        return pose_error(self.goal, self._pose(q))
+        return pose_error(self.goal, self.kernels.tool_pose(q))
 
     def badness(self, error: tuple[float, float]) -> float:
         """Put position and orientation errors on one scale."""
         return error[0] / self.goal.position_tolerance + error[1] / self.goal.orientation_tolerance
-
-    def _pose(self, q: Float[Array, " nq"]) -> Float[Array, "4 4"]:
-        data = self.placement.place(q)
-        X_WT = np.eye(4)
-        X_WT[:3, :3] = data.site_xmat[self.site].reshape(3, 3)
-        X_WT[:3, 3] = data.site_xpos[self.site]
-        return X_WT
 
 
 def within(
