@@ -73,6 +73,7 @@ class Core:
     def interaction(self, q: Reals) -> Reals: ...
     def reach(
         self,
+        *,
         seed: Reals,
         X_WG: Reals,
         free_yaw: Integers,
