@@ -1,6 +1,6 @@
 """Configurations for many poses at once: a grasp of hundreds that can be reached is found among those that cannot.
 
-Inverse kinematics of one pose takes some hundredths of a second where all that reaches it collides, or nothing does.
+Inverse kinematics of one pose takes some milliseconds where all that reaches it collides, more where nothing does.
 Here the native core iterates for all poses together, from few seeds each: the start, and the random postures whose tool
 is nearest to the pose. What it reaches is a first choice; `ik` looks more closely at a pose, and gives none up so soon.
 """
