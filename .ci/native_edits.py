@@ -59,6 +59,18 @@ EDITS = {
             ("double s = «clamp(along / length, 0, 1)»", "along / length"),
         ),
     ),
+    "geometry/reach.hpp": (
+        ("tests/core/test_tool_motion.py", "tests/query/endpoints/test_pose_sets.py"),
+        (
+            ("J[m][i] = «link.slide» ? a[i]", "false"),
+            ("link.slide ? D{} : «a[i] - along * z[i]»", "a[i]"),
+            ("«0.5 * (lk - kl)»", "(lk - kl)"),
+            ("else if («cosine[i] < 0»)", "false"),
+            ("if («any(any_blocked)») step", "false"),
+            ("q[j] = where(going, «end», q[j])", "q[j] + moved[m]"),
+            ("over |= «!(now.norm[i] < kProgress * past[i])»", "false"),
+        ),
+    ),
     "geometry/bounds.hpp": (
         ("tests/constraints/test_scene_constraints.py", "tests/constraints/test_planning.py"),
         (

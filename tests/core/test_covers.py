@@ -78,7 +78,7 @@ def test_a_large_base_is_covered_once_by_large_spheres(monkeypatch: pytest.Monke
     geom = '<geom type="mesh" mesh="m"/>'
     model = mujoco.MjModel.from_xml_string(_MESHES.format(assets=mesh, geoms=geom))
     asked, cover_of = [], sphere_cover.hull_cover
-    monkeypatch.setattr(sphere_cover, "hull_cover", lambda *given: asked.append(given[2]) or cover_of(*given))
+    monkeypatch.setattr(sphere_cover, "hull_cover", lambda *given: asked.append(given[1]) or cover_of(*given))
     X = _poses(model)
     cover = group_cover(model, (0,), X, base=True)
     assert asked == [covers.BASE_PROTRUSION]

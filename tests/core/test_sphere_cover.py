@@ -94,7 +94,7 @@ def test_hull_of_a_cube_is_covered_and_barely_exceeded():
     half = np.array([0.03, 0.03, 0.03])
     corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) * half
     planes = np.concatenate([np.column_stack([s * np.eye(3), half]) for s in (1, -1)])
-    cover = sphere_cover.hull_cover(corners, planes)
+    cover = sphere_cover.hull_cover([(corners, planes)])
     assert _uncovered(_in_box(half, np.random.default_rng(0)), cover) <= _COVERED
     assert np.max(cover[1] - np.min(half - np.abs(cover[0]), axis=1)) <= sphere_cover.MAX_PROTRUSION + 1e-9
 
@@ -108,12 +108,59 @@ def test_hulls_of_many_faces_are_covered_by_few_of_them() -> None:
     few = sphere_cover.fewer_planes(points, planes)
     assert len(few) < len(planes) / 4
     assert (points @ few[:, :3].T - few[:, 3]).max() < 1e-9  # everything is inside
-    centres, radii = sphere_cover.hull_cover(points, planes)
+    centres, radii = sphere_cover.hull_cover([(points, planes)])
     mixed = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(4), 4000), points[rng.integers(len(points), size=(4000, 4))])
     inside = np.concatenate([points, mixed])
     assert (np.linalg.norm(inside[:, None] - centres, axis=2) - radii).min(axis=1).max() < 1e-9
     depth = -sphere_cover.heights(centres, planes)[0]
     assert (radii - depth).max() < 0.01
+
+
+def _hull(seed: int, shift: float) -> tuple[np.ndarray, np.ndarray]:
+    points = np.random.default_rng(seed).normal(size=(60, 3))
+    points *= np.array([0.05, 0.06, 0.09]) / np.linalg.norm(points, axis=1, keepdims=True)
+    hull = ConvexHull(points + [0.0, 0.0, shift])
+    return hull.points, np.column_stack([hull.equations[:, :3], -hull.equations[:, 3]])
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.03, 0.3])
+def test_overlapping_hulls_are_covered_together(shift: float) -> None:
+    """Both are contained, no ball sticks out of both, and what they share is covered once."""
+    rng, hulls = np.random.default_rng(0), [_hull(0, 0.0), _hull(1, shift)]
+    centres, radii = cover = sphere_cover.hull_cover(hulls)
+    for points, _ in hulls:
+        mixed = rng.dirichlet(np.ones(4), 4000)
+        inside = np.einsum("nk,nki->ni", mixed, points[rng.integers(len(points), size=(4000, 4))])
+        assert _uncovered(np.concatenate([points, inside]), cover) <= _COVERED
+    depth = np.max([-sphere_cover.heights(centres, planes)[0] for _, planes in hulls], axis=0)
+    assert (radii - depth).max() < 0.01
+    alone = sum(len(sphere_cover.hull_cover([hull])[1]) for hull in hulls)
+    assert len(radii) <= (0.7 if shift < 0.1 else 1.05) * alone
+
+
+def test_no_ball_of_a_cover_is_idle() -> None:
+    """Each has something that none of the others covers for certain."""
+    points, planes = _hull(2, 0.0)
+    pitch = 0.006
+    near, height = sphere_cover.samples_of_convex(points, planes, pitch)
+    gap = pitch * np.sqrt(5.0) / 4.0
+    centres, radii = sphere_cover.greedy_cover(near, -height, sphere_cover.MAX_PROTRUSION, gap)
+    covers = np.linalg.norm(near[:, None] - centres, axis=2) <= radii - gap + 1e-7
+    assert covers.any(axis=1).all()
+    assert (covers & (covers.sum(axis=1) == 1)[:, None]).any(axis=0).all()
+
+
+@pytest.mark.parametrize("pitch", [0.01, 0.02])
+def test_samples_are_near_everything_in_a_hull(pitch: float) -> None:
+    """As near as points of a body-centred cubic lattice."""
+    points, planes = _hull(3, 0.0)
+    near, height = sphere_cover.samples_of_convex(points, planes, pitch)
+    assert height.max() < 1e-5
+    rng = np.random.default_rng(1)
+    inside = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(4) / 4, 3000), points[rng.integers(60, size=(3000, 4))])
+    farthest = np.linalg.norm(inside[:, None] - near, axis=2).min(axis=1).max()
+    assert farthest <= np.sqrt(5.0) / 4.0 * pitch + 1e-5
+    assert farthest > 0.4 * pitch
 
 
 def test_a_sheet_keeps_all_its_faces() -> None:

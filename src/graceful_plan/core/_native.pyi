@@ -71,6 +71,19 @@ class Core:
     def clearance(self, q: Reals) -> Reals: ...
     def clearance_gradient(self, q: Reals) -> tuple[Reals, Reals]: ...
     def interaction(self, q: Reals) -> Reals: ...
+    def reach(
+        self,
+        *,
+        seed: Reals,
+        X_WG: Reals,
+        free_yaw: Integers,
+        X_LT: Reals,
+        lower: Reals,
+        upper: Reals,
+        held: Integers,
+        iterations: int,
+        patience: int,
+    ) -> tuple[Reals, Reals]: ...
     def elementary(self, x: Reals) -> tuple[Reals, Reals]: ...
 
 @final

@@ -127,16 +127,12 @@ def _group_cover(
     reach = [sphere_cover.roomy(half, protrusion) for half in halves]
     # A mobile base of many is not covered finely first, just to count.
     likely = sum(map(sphere_cover.likely_count, halves, reach)) if base else 0.0
-    covers = [] if likely > _LIKELY_MANY else [_geom_cover(model, g, far) for g, far in zip(geoms, reach, strict=True)]
+    covers = [] if likely > _LIKELY_MANY else _link_covers(model, geoms, X_LG, reach)
     if base and (not covers or sum(len(radii) for _, radii in covers) > _MANY):
-        covers = [_geom_cover(model, g, max(BASE_PROTRUSION, far)) for g, far in zip(geoms, reach, strict=True)]
-    centres, radii, sticks_out = [], [], 0.0
-    for geom, X, (c, r), far in zip(geoms, X_LG, covers, reach, strict=True):
-        centres.append(c @ X[:3, :3].T + X[:3, 3])
-        radii.append(r)
-        if not base and model.geom_type[geom] != _GEOM.mjGEOM_SPHERE:
-            sticks_out = max(sticks_out, far)
-    all_centres, all_radii = np.concatenate(centres), np.concatenate(radii)
+        covers = _link_covers(model, geoms, X_LG, [max(BASE_PROTRUSION, far) for far in reach])
+    inexact = [far for g, far in zip(geoms, reach, strict=True) if model.geom_type[g] != _GEOM.mjGEOM_SPHERE]
+    sticks_out = 0.0 if base else max(inexact, default=0.0)
+    all_centres, all_radii = (np.concatenate(of) for of in zip(*covers, strict=True))
     if len(all_radii) <= CAPACITY["spheres"]:  # more will be refused; no need to compare them all
         keep = _not_inside_others(all_centres, all_radii)
         all_centres, all_radii = all_centres[keep], all_radii[keep]
@@ -144,6 +140,34 @@ def _group_cover(
     bound = sphere_cover.enclosing_sphere(all_centres, all_radii)
     spheres.flags.writeable = bound.flags.writeable = False
     return GroupCover(spheres=spheres, bound=bound, protrusion=sticks_out)
+
+
+def _link_covers(
+    model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], reach: list[float]
+) -> list[sphere_cover.Cover]:
+    """Return covers in the frame of the link: one of hulls whose spheres may stick out as far, one of each other geom.
+
+    Hulls are placed relative to the first, so that a link with one hull finds the cover of another with the same mesh.
+    """
+    hulls: dict[float, list[int]] = {}
+    found = []
+    for k, (geom, far) in enumerate(zip(geoms, reach, strict=True)):
+        if model.geom_type[geom] == _GEOM.mjGEOM_MESH:
+            hulls.setdefault(far, []).append(k)
+        else:
+            found.append(_placed(_geom_cover(model, geom, far), X_LG[k]))
+    for far, (first, *others) in hulls.items():
+        bodies = [hull_triangles(model, int(model.geom_dataid[geoms[first]]))]
+        for k in others:
+            X = np.linalg.inv(X_LG[first]) @ X_LG[k]
+            bodies.append(hull_triangles(model, int(model.geom_dataid[geoms[k]])) @ X[:3, :3].T + X[:3, 3])
+        found.append(_placed(_mesh_cover(bodies, far), X_LG[first]))
+    return found
+
+
+def _placed(cover: sphere_cover.Cover, X: Float[Array, "4 4"]) -> sphere_cover.Cover:
+    centres, radii = cover
+    return centres @ X[:3, :3].T + X[:3, 3], radii
 
 
 def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Array:
@@ -174,24 +198,25 @@ def _geom_cover(
         return sphere_cover.cylinder_cover(size[0], size[1], protrusion)
     if kind == "ellipsoid":
         return sphere_cover.ellipsoid_cover(size, protrusion)
-    if kind == "mesh":
-        return _mesh_cover(hull_triangles(model, int(model.geom_dataid[geom])), protrusion)
     raise UnsupportedError(
         f"geom {geom_name(model, geom)!r} of the robot or the carried object is a {kind or 'geom of unknown type'}; "
         "use spheres, capsules, boxes, cylinders, ellipsoids or convex meshes"
     )
 
 
-def _mesh_cover(triangles: Float[Array, "triangle 3 3"], protrusion: float) -> sphere_cover.Cover:
-    """Cover a convex hull, or find its cover in the folder; one with a hole would hide collisions, so it is checked."""
-    vertices = np.unique(triangles.reshape(-1, 3), axis=0)
-    method = repr((sphere_cover.METHOD, protrusion)).encode()
-    digest = hashlib.sha256(method + triangles.tobytes()).hexdigest()
+def _mesh_cover(hulls: list[Float[Array, "triangle 3 3"]], protrusion: float) -> sphere_cover.Cover:
+    """Cover convex hulls, or find their cover in the folder; one with a hole hides collisions, so it is checked."""
+    vertices = [np.unique(triangles.reshape(-1, 3), axis=0) for triangles in hulls]
+    key = hashlib.sha256(repr((sphere_cover.METHOD, protrusion, [len(triangles) for triangles in hulls])).encode())
+    for triangles in hulls:
+        key.update(triangles.tobytes())
+    digest = key.hexdigest()
     found = kept.read(digest)
-    if found is not None and found.ndim == 2 and found.shape[1:] == (4,) and _contains(found, vertices):
+    if found is not None and found.ndim == 2 and found.shape[1:] == (4,) and _contains(found, np.concatenate(vertices)):
         return found[:, :3], found[:, 3]
     started = time.perf_counter()
-    cover = sphere_cover.hull_cover(vertices, _planes(triangles), protrusion)
+    bodies = [(corners, _planes(triangles)) for corners, triangles in zip(vertices, hulls, strict=True)]
+    cover = sphere_cover.hull_cover(bodies, protrusion)
     if time.perf_counter() - started > _SLOW:
         kept.write(digest, np.column_stack(cover))
     return cover

@@ -124,6 +124,48 @@ class Kernels:
         """Pose of the tool in W [m]."""
         return self.link_poses(q)[..., self.robot.tool_link, :, :] @ self.robot.X_LT
 
+    def reach(
+        self,
+        seeds: Float[Array, "n nq"],
+        X_WG: Float[Array, "n 4 4"],
+        free_yaw: Bool[Array, " n"],
+        *,
+        iterations: int,
+        patience: int,
+        held: slice = slice(0),
+    ) -> tuple[Float[Array, "n nq"], Float[Array, "n 6"]]:
+        """Take each seed towards its pose of the tool, inside the position limits, by damped least squares.
+
+        A seed ends at its pose, after all iterations, or where it makes too little progress. What becomes of it does
+        not depend on the other seeds.
+
+        Args:
+            seeds: Configurations to begin from [rad or m].
+            X_WG: The pose for each seed.
+            free_yaw: Whether the tool may be turned about its own z axis there.
+            iterations: At most, from each seed.
+            patience: Iterations in which at least .3 of the error has to go.
+            held: Joints that stay.
+
+        Returns:
+            Where the seeds end, and the twist that takes the tool from there to the pose: translation [m] and rotation
+            vector [rad], both in W.
+        """
+        kept = np.zeros(self.nq, dtype=np.int32)
+        kept[held] = 1
+        robot = self.robot
+        return self.core.reach(
+            seed=self.rows("seeds", seeds)[0],
+            X_WG=_reals(X_WG[:, :3]),
+            free_yaw=_integers(free_yaw),
+            X_LT=_reals(robot.X_LT),
+            lower=_reals(robot.lower),
+            upper=_reals(robot.upper),
+            held=kept,
+            iterations=iterations,
+            patience=patience,
+        )
+
     def free(self, q: ArrayLike, margin: float = 0.0) -> Bool[Array, "*batch"]:
         """Tell which configurations keep at least `margin` [m] of clearance; never optimistic."""
         flat, batch = self.rows("q", q)

@@ -6,6 +6,7 @@ inside of a convex body sticks out by at most R - d, which bounds the protrusion
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,7 +19,7 @@ Array = np.ndarray
 MAX_PROTRUSION = 0.0095
 """How far a cover may stick out of its geom [m]; below the promised 1 cm by the width of float32 and of samples."""
 
-METHOD = 4
+METHOD = 5
 """Counts changes of what covers are like: those kept by an earlier version are not used."""
 CANDIDATES = 40
 """Balls that are compared before the greedy cover of a hull takes the next."""
@@ -28,11 +29,16 @@ _FEW_FACES = 100
 """Of hulls that are covered as they are."""
 _SHELL = 2.0
 """Depth of what counts as surface when balls are compared, in pitches."""
+_ON_SURFACE = 1e-3
+"""How far points that were moved onto a hull may be outside of its box [m]."""
 _ROUNDING = 1e-12
 """Of squared distances [m^2]."""
-_FINEST, _FINE, _COARSE = 0.0025, 0.003, 0.0045
-"""Lattice constants of small bodies, of links, and of large ones [m]: at 3 mm links of an arm have 20 % fewer spheres
-than at 4.5 mm, since a ball is trusted with what is within its radius less the gaps between points."""
+_FINEST, _FINE, _COARSE = 0.0032, 0.0038, 0.0057
+"""Edges of lattice cells in small bodies, links, and large bodies [m]. A ball is trusted with what is within its radius
+less the gap between points, so that finer lattices need fewer balls: links of an arm 20 % fewer at 3.8 than at 5.7."""
+_GAP = np.sqrt(5.0) / 4.0
+"""Farthest that anything is from a point of a body-centred cubic lattice, in edges of its cells. For the same number of
+points that of a cubic lattice is a quarter more."""
 _POINTS = (12_000, 300_000)
 """Of the lattice of a body that is small, and from which on it is large."""
 _CHUNK = 2_000_000
@@ -248,19 +254,40 @@ def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrus
             best = int(np.argmax(covered.sum(axis=1)))
             picked.append(int(able[best]))
             left = np.delete(left, around[covered[best]])
-    return points[picked], radii[picked]
+    needed = _needed(points, within, picked)
+    return points[needed], radii[needed]
+
+
+def _needed(points: Float[Array, "n 3"], within: Float[Array, " n"], picked: list[int]) -> list[int]:
+    """Drop balls of which others cover all, those that cover least first; `within` are squared radii [m^2]."""
+    square = np.einsum("ni,ni->n", points, points)
+    covered = [np.flatnonzero(square + square[k] - 2.0 * (points @ points[k]) <= within[k]) for k in picked]
+    times = np.zeros(len(points), dtype=int)
+    for some in covered:
+        times[some] += 1
+    needed = np.ones(len(picked), dtype=bool)
+    for k in np.argsort([len(some) for some in covered], kind="stable"):
+        if times[covered[k]].min() > 1:
+            needed[k] = False
+            times[covered[k]] -= 1
+    return [k for k, stays in zip(picked, needed, strict=True) if stays]
+
+
+def _lattice(lower: Float[Array, " 3"], upper: Float[Array, " 3"], pitch: float) -> Float[Array, "n 3"]:
+    """Return the points of a body-centred cubic lattice in a box and around it."""
+    axes = [np.arange(a - pitch, b + pitch, pitch) for a, b in zip(lower, upper, strict=True)]
+    corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.concatenate([corners, corners + 0.5 * pitch])
 
 
 def samples_of_convex(
     vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], pitch: float
 ) -> tuple[Float[Array, "m 3"], Float[Array, " m"]]:
     """Return lattice points inside a convex body and its nearest points to lattice points just outside, and heights."""
-    lower, upper = vertices.min(axis=0) - pitch, vertices.max(axis=0) + pitch
-    axes = [np.arange(a, b + pitch, pitch) for a, b in zip(lower, upper, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = _lattice(vertices.min(axis=0), vertices.max(axis=0), pitch)
     height, _ = heights(grid, planes)
-    near = np.concatenate([grid[height <= pitch], vertices])
-    height = np.append(height[height <= pitch], np.full(len(vertices), np.inf))
+    near = np.concatenate([grid[height <= _GAP * pitch], vertices])
+    height = np.append(height[height <= _GAP * pitch], np.full(len(vertices), np.inf))
     projected = np.flatnonzero(height > 0.0)
     outside = projected[: len(projected) - len(vertices)]
     for _ in range(30):  # alternate projections onto the violated half-spaces
@@ -284,14 +311,32 @@ def heights(points: Float[Array, "n 3"], planes: Float[Array, "face 4"]) -> tupl
     return height, face
 
 
-def hull_cover(
-    vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], protrusion: float = MAX_PROTRUSION
-) -> Cover:
-    """Cover the convex hull of some vertices; `planes` are outward normals n and offsets d, n . x <= d inside."""
-    planes = fewer_planes(vertices, planes)
-    pitch = _pitch(np.ptp(vertices, axis=0), protrusion)
-    points, height = samples_of_convex(vertices, planes, pitch)
-    return greedy_cover(points, -height, protrusion, pitch * np.sqrt(3.0) / 2.0)
+Hull = tuple[Float[Array, "_ 3"], Float[Array, "_ 4"]]
+"""Vertices, and the planes of the faces: outward normals n and offsets d, n . x <= d inside."""
+
+
+def hull_cover(hulls: Sequence[Hull], protrusion: float = MAX_PROTRUSION) -> Cover:
+    """Cover convex hulls by balls that stick out of their union; where hulls overlap, one ball serves several."""
+    bounded = [(vertices, fewer_planes(vertices, planes)) for vertices, planes in hulls]
+    pitch = max(_pitch(np.ptp(vertices, axis=0), protrusion) for vertices, _ in bounded)
+    samples = []
+    for k, (vertices, planes) in enumerate(bounded):
+        points, _ = samples_of_convex(vertices, planes, pitch)
+        # What is near to points deep in a hull before belongs to that hull, which has points of its own.
+        own = _depth(points, bounded[:k]) < _GAP * pitch
+        samples.append(points[own])
+    points = np.concatenate(samples)
+    return greedy_cover(points, _depth(points, bounded), protrusion, _GAP * pitch)
+
+
+def _depth(points: Float[Array, "n 3"], hulls: Sequence[Hull]) -> Float[Array, " n"]:
+    """Return how deep points are in the hull that each is deepest in [m]; minus infinity outside of all boxes."""
+    depth = np.full(len(points), -np.inf)
+    for vertices, planes in hulls:
+        lower, upper = vertices.min(axis=0) - _ON_SURFACE, vertices.max(axis=0) + _ON_SURFACE
+        near = np.flatnonzero(((points >= lower) & (points <= upper)).all(axis=1))
+        depth[near] = np.maximum(depth[near], -heights(points[near], planes)[0])
+    return depth
 
 
 def fewer_planes(
@@ -340,15 +385,14 @@ def ellipsoid_cover(semi_axes: tuple[float, float, float], protrusion: float = M
     """Cover an ellipsoid."""
     axes = np.asarray(semi_axes)
     pitch = _pitch(2.0 * axes, protrusion)
-    steps = [np.arange(-a, a + pitch, pitch) for a in axes]
-    grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = _lattice(-axes, axes, pitch)
     n = int(4.0 * np.pi * np.sort(axes)[1:].prod() / (0.5 * pitch) ** 2) + 100
     k = np.arange(n) + 0.5  # a Fibonacci lattice on the unit sphere, stretched
     polar, azimuth = np.arccos(1 - 2 * k / n), np.pi * (1 + 5**0.5) * k
     unit = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
     level = np.linalg.norm(grid / axes, axis=1)
     points = np.concatenate([grid[level < 1.0], unit * axes])
-    return greedy_cover(points, _ellipsoid_depth(points, axes), protrusion, pitch * np.sqrt(3.0) / 2.0)
+    return greedy_cover(points, _ellipsoid_depth(points, axes), protrusion, _GAP * pitch)
 
 
 def _ellipsoid_depth(points: Float[Array, "n 3"], axes: Float[Array, " 3"]) -> Float[Array, " n"]:

@@ -1,11 +1,7 @@
-"""Differential kinematics of the tool in batches: pose and Jacobian, what is missing to a pose, and the step there.
+"""Differential kinematics of the tool in batches: pose and Jacobian, what is missing to a pose, least-squares steps.
 
 Twists are translation [m] and rotation vector [rad], both in W. Where only the tool's axis counts (`free_yaw`), the
 turn about the tool's own z axis is left out of what is missing and of the Jacobian.
-
-References:
-    C. W. Wampler, "Manipulator inverse kinematic solutions based on vector formulations and damped least-squares
-    methods", IEEE Transactions on Systems, Man, and Cybernetics 16 (1986).
 """
 
 from __future__ import annotations
@@ -18,8 +14,8 @@ from graceful_plan.core.kernels import Kernels
 
 Array = np.ndarray
 
-_DAMPING = (1e-2, 1e-9)
-"""Of steps: by the square of what is missing, and at the pose; steady far away, as fast as Newton's method close by."""
+_DAMPING = 1e-9
+"""Of steps; near singular postures they stay finite."""
 _SINE = 1e-9
 """Sine of an angle that is nothing, or half a turn."""
 
@@ -75,14 +71,8 @@ def without_yaw(X_WT: Float[Array, "n 4 4"], jacobian: Float[Array, "n 6 nq"]) -
     return np.concatenate([jacobian[:, :3], jacobian[:, 3:] - turning], axis=1)
 
 
-def damped_step(missing: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:
-    """Least-squares steps towards poses, with damping that fades as they come near."""
-    by_error, least = _DAMPING
-    return least_squares(missing, jacobian, by_error * (missing**2).sum(axis=1) + least)
-
-
 def least_squares(
-    twist: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"], damping: Float[Array, " n"] | float = _DAMPING[1]
+    twist: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"], damping: Float[Array, " n"] | float = _DAMPING
 ) -> Float[Array, "n nq"]:
     """Return the shortest joint steps that make twists, damped."""
     gram = jacobian @ jacobian.transpose(0, 2, 1) + np.multiply.outer(damping, np.eye(6))

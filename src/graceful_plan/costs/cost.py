@@ -17,6 +17,8 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import CompiledScene, compile_scene
+from graceful_plan.core.kernels import Kernels
+from graceful_plan.costs.one_thing import kernels_of_one_thing
 from graceful_plan.exceptions import CostError, SettingError, ShapeError
 from graceful_plan.scene.scene import Scene
 
@@ -158,8 +160,36 @@ class StateBatch:
 
     @cached_property
     def clearance(self) -> Float[Array, " n"]:
-        """Signed clearance [m]."""
+        """Signed clearance to surroundings and self, whichever is nearer [m]."""
         return self.compiled.kernels.clearance(self.q)
+
+    def clearance_to(self, to: str) -> Float[Array, " n"]:
+        """Signed clearance to one thing [m]; infinite where there is nothing to hit.
+
+        It is that of the spheres that cover robot and carried object: never more than the true one outside.
+
+        Args:
+            to: "surroundings" for all that is not the robot; "self" for links, and the carried object, among
+                themselves; or the name of an entity, where it stands still.
+
+        Raises:
+            UnknownNameError: If there is no such entity in the scene.
+        """
+        return self.kept.get(np.ndarray, ("clearance", to), lambda: self._only(to).clearance(self.q))
+
+    def clearance_gradient_to(self, to: str) -> Float[Array, "n nq"]:
+        """Derivative of `clearance_to` with respect to q [m/rad], that of the nearest pair; 0 where it is infinite.
+
+        Args:
+            to: As in `clearance_to`.
+
+        Raises:
+            UnknownNameError: If there is no such entity in the scene.
+        """
+        return self.kept.get(np.ndarray, ("gradient", to), lambda: self._only(to).clearance_gradient(self.q)[1])
+
+    def _only(self, to: str) -> Kernels:
+        return kernels_of_one_thing(self.scene, to)
 
 
 class Cost(Contract):

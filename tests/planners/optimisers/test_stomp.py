@@ -363,7 +363,7 @@ def test_what_only_a_fine_step_sees_blocks_the_first_path() -> None:
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     kernels = compile_scene(task.scene).kernels
     problem = SceneProblem(kernels=kernels, start=task.start, goals=task.goal, check_step=50.0)
-    q = np.random.default_rng(0).uniform(problem.lower, problem.upper, (300, 7))
+    q = np.random.default_rng(0).uniform(problem.lower, problem.upper, (1000, 7))
     q = q[kernels.free(q)]
     hidden = problem.edges_free(q[:-1], q[1:]) & ~kernels.edges_free(q[:-1], q[1:], FINE_STEP)
     assert hidden.any()

@@ -37,6 +37,22 @@ _MASSES = {
     "right_finger": 0.015,
 }
 
+_LINK5_OUTLINE = (
+    (-264, ((44.5, -8.5), (47.3, -7.9), (49.4, -6), (50.2, -3.5), (49.8, 5.3), (47.4, 7.9), (45.6, 8.5))),
+    (-240, ((3.3, -54.3), (26.3, -48.4), (48.9, -25.4), (54.8, 5.3), (50.2, 28.6), (24.9, 59.3), (5.7, 64.3))),
+    (-200, ((3.1, -47.9), (32.5, -38.3), (46.3, -23.3), (54.1, 21.5), (50.1, 41.7), (22.5, 81.1), (0.8, 84.8))),
+    (-160, ((2.2, -37.6), (34.8, -28.3), (46.6, -15.7), (53.4, 37.6), (50, 54.8), (27.7, 91.2), (0.6, 95.4))),
+    (-120, ((1.2, -27.3), (37.2, -18.2), (46.8, -8.1), (52.7, 53.7), (49.9, 67.9), (29.1, 99), (2.1, 104.2))),
+    (-80, ((0.3, -17), (39.5, -8.2), (47.1, -0.5), (52, 69.9), (49.7, 81), (30.4, 106.7), (3.6, 113))),
+    (-40, ((0.6, -6.8), (41.9, 1.8), (47.4, 7.1), (51.3, 86), (49.6, 94.1), (31.8, 114.5), (5.1, 121.8))),
+    (0, ((1.5, 3.5), (44.3, 11.8), (47.6, 14.8), (50.6, 102.1), (50.4, 104), (32.9, 122.1), (4.7, 129.7))),
+    (30, ((2.2, 11.2), (37.2, 15.8), (41.7, 100.4), (21.1, 118.6), (2.6, 124.8))),
+    (45, ((2.6, 15), (16.6, 15.8), (26, 98.6), (20.6, 102.6), (1.8, 109))),
+    (51.5, ((4.3, 84.7), (8.7, 97.9), (3.5, 99))),
+)
+"""Height in the frame of link 5 and the outermost points (x, y) of its convex outline there, the half with x >= 0 [mm]:
+measured on the collision mesh that the manufacturer publishes (franka_description, Apache-2.0), good to 0.1 mm."""
+
 
 @pytest.fixture(scope="module")
 def panda() -> mujoco.MjModel:
@@ -170,6 +186,21 @@ def test_the_arm_seldom_collides_with_itself(panda: mujoco.MjModel) -> None:
         mujoco.mj_collision(panda, data)
         colliding += data.ncon > 0
     assert 0.04 < colliding / 2000 < 0.12  # 0.08: real folds, not covers that are too fat
+
+
+def test_the_geoms_of_the_forearm_hold_all_of_its_published_outline(panda: mujoco.MjModel) -> None:
+    half = np.array([(x, y, z) for z, points in _LINK5_OUTLINE for x, y in points])
+    outline = 1e-3 * np.concatenate([half, half * [-1.0, 1.0, 1.0]])
+    outside = []
+    for geom in np.flatnonzero(panda.geom_bodyid == panda.body("link5").id):
+        assert panda.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, panda.geom_quat[geom])
+        p = (outline - panda.geom_pos[geom]) @ R.reshape(3, 3)
+        radius, half_length = panda.geom_size[geom, :2]
+        p[:, 2] -= np.clip(p[:, 2], -half_length, half_length)
+        outside.append(np.linalg.norm(p, axis=1) - radius)
+    assert np.min(outside, axis=0).max() <= 0.0
 
 
 def test_names_of_robots() -> None:

@@ -192,8 +192,7 @@ class Core {
     const States all = states(q);
     const size_t nq = size_t(tables_.n_joint);
     auto array = make<double>({all.n, nq}, out);
-    require_numbers(lower, nq, "limits"), require_numbers(upper, nq, "limits");
-    for (size_t j = 0; j < nq; ++j) require(lower.data()[j] <= upper.data()[j], "limits");
+    require_limits(lower, upper);
     require(in_range(clearance, -kMaxExtent, kMaxExtent), "clearance");
     nb::gil_scoped_release release;
     std::copy_n(all.q, all.n * nq, out);
@@ -223,6 +222,28 @@ class Core {
     nb::gil_scoped_release release;
     kernels().interaction(tables_, states(q), out);
     return array;
+  }
+  // Where seeds end that are taken towards poses [n, 3, 4] by damped least squares, and the twists that are missing
+  // there.
+  auto reach(Reals seed, Reals X_WG, Integers free_yaw, Reals X_LT, Reals lower, Reals upper, Integers held,
+             int iterations, int patience) const {
+    double *q, *missing;
+    const size_t n = rows(seed), nq = size_t(tables_.n_joint);
+    require_numbers(X_WG, 12 * n, "a pose for each seed");
+    require_numbers(X_LT, 16, "the tool in its link", kMaxExtent);
+    require(free_yaw.size() == n, "whether each pose leaves the yaw free");
+    require(held.size() == nq, "joints that are held");
+    require_limits(lower, upper);
+    require(iterations >= 0 && patience >= 1, "iterations");
+    auto ended = make<double>({n, nq}, q), twists = make<double>({n, 6}, missing);
+    {
+      nb::gil_scoped_release release;
+      kernels().reach(tables_,
+                      {seed.data(), X_WG.data(), free_yaw.data(), n, X_LT.data(), tool_link_, lower.data(),
+                       upper.data(), held.data(), iterations, patience},
+                      q, missing);
+    }
+    return nb::make_tuple(ended, twists);
   }
   // e^x and ln e^x as the drop model computes them.
   auto elementary(Reals x) const {
@@ -366,6 +387,11 @@ class Core {
   }
 
  private:
+  void require_limits(const Reals& lower, const Reals& upper) const {
+    const size_t nq = size_t(tables_.n_joint);
+    require_numbers(lower, nq, "limits"), require_numbers(upper, nq, "limits");
+    for (size_t j = 0; j < nq; ++j) require(lower.data()[j] <= upper.data()[j], "limits");
+  }
   void add_links(const RobotArrays& robot) {
     const Integers &parent = robot.parent, &joint = robot.joint, &slide = robot.slide;
     const Reals& X_PL = robot.X_PL;

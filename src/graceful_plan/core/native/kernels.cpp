@@ -26,6 +26,7 @@ constexpr double kHeld = 60.0;      // exponents are held within
 constexpr double kNothing = 1e-13;  // a probability that does not matter
 constexpr double kRare = 1e-11;     // of which there are few to be added up
 constexpr double kTiny = 1e-300;
+#include "geometry/reach.hpp"
 #include "impact/flight/flight.hpp"
 #include "impact/drop.hpp"
 #include "impact/learned/network.hpp"
@@ -370,6 +371,7 @@ extern const Kernels GP_JOIN(kernels_, GP_ISA) = {
     .free_edges = GP_ISA::free_edges,
     .clearance = GP_ISA::clearance,
     .interaction = GP_ISA::interaction,
+    .reach = GP_ISA::reach,
     .impact = GP_ISA::impact,
     .edge_costs = GP_ISA::edge_costs,
     .drop = GP_ISA::drop,

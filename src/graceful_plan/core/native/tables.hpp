@@ -258,6 +258,18 @@ struct Edges {  // straight ones between rows of q0 and q1, looked at every `ste
   double step;
 };
 
+// Poses of the tool to be reached, one for each seed.
+struct Reach {
+  const double *seed, *X_WG;  // [n, n_joint] inside the limits, [n, 3, 4]
+  const int32_t* free_yaw;    // [n]: whether the tool may be turned about its own z axis
+  size_t n;
+  const double* X_LT;  // [4, 4]: the tool in the frame of its link
+  int32_t tool_link;
+  const double *lower, *upper;  // [n_joint]
+  const int32_t* held;          // [n_joint]: whether a joint stays as it is
+  int iterations, patience;     // at most; and after so many, most of what was missing has to be gone
+};
+
 struct Slopes {  // a value per state, and its derivatives [n, n_joint]
   double *value, *d_q, *d_qd;
 };
@@ -283,6 +295,8 @@ struct Kernels {
   // Infinite, without a gradient, where nothing is nearer than `far`.
   void (*clearance)(const Tables&, const States&, double far, double* clearance, double* gradient);
   void (*interaction)(const Tables&, const States&, double* probability);
+  // Where each seed ended [n, n_joint], and the twist that is missing there [n, 6].
+  void (*reach)(const Tables&, const Reach&, double* q, double* missing);
   void (*impact)(const Tables&, const double* severity, const States&, double* impact);
   void (*edge_costs)(const Tables&, const double* severity, const Edges&, double* cost);
   // The drop and spill models; severity and probability are [kDropRows, n_entity].

@@ -51,7 +51,9 @@ def driven_answer(request: Request, ends: Endpoints, budget: Budget, rng: np.ran
     rolling = rolling_endpoints(ends)
     if isinstance(rolling, PlanResult):
         return rolling
+    poses = dict(zip(ends.goal_index, request.poses, strict=False))  # none if the goals are configurations
     ends = rolling
+    request = replace(request, poses=tuple(poses[k] for k in ends.goal_index) if poses else ())
     found, refused, stats = Search(), None, {}
     elapsed, limit = budget.elapsed, budget.time_limit
     clock = Clock(budget.started + limit, paces_of(request.objective.scene), max(limit - elapsed, 0.0))

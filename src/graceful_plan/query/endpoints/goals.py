@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
-from graceful_plan.judge.exact import exactly_free
 from graceful_plan.path import finite_array
 from graceful_plan.query.endpoints.ik import solve_ik
 from graceful_plan.query.endpoints.pose_sets import LEVER, reach_poses
-from graceful_plan.query.endpoints.usable import Resolved, collision, usable
+from graceful_plan.query.endpoints.usable import Resolved, collision, free_of_collision, usable
 from graceful_plan.query.endpoints.whole_body import solve_whole_body
 from graceful_plan.scene.mobile.base_pose import BasePose
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 
@@ -212,9 +211,7 @@ def _from_the_nearest_on(
     goals: Sequence[Configuration | PoseGoal | BasePose], scene: Scene, start: Float[Array, " nq"]
 ) -> list[int]:
     """Return which of several goals are poses: those of the base, then those of the tool by how far it is from them."""
-    placed = Placement(scene).place(start).site(scene.tool)
-    X_WT = np.eye(4)
-    X_WT[:3, :3], X_WT[:3, 3] = placed.xmat.reshape(3, 3), placed.xpos
+    X_WT = compile_scene(scene).kernels.tool_pose(start)
     away = {
         k: float(np.dot(pose_error(one, X_WT), (1.0, LEVER))) if isinstance(one, PoseGoal) else -1.0
         for k, one in enumerate(goals)
@@ -275,7 +272,7 @@ def _pose(
     blocked: list[Array] = []
 
     def free(q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        ok = exactly_free(q, scene)
+        ok = free_of_collision(q, scene)
         blocked.extend(q[~ok])
         return ok
 

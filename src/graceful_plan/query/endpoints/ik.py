@@ -1,10 +1,9 @@
 """Inverse kinematics: configurations that bring the tool to a pose.
 
-Two of them do it. Damped least squares from many seeds at once, on MuJoCo's Jacobians, search: they bring a seed to
-within a millimetre or so of the pose, or give it up. mink's differential inverse kinematics finishes: its quadratic
-programs, which know the joint limits, take each of those to the exact pose. Where the search brings nothing near, for
-instance because limits are in the way, mink tries the best seeds from where they ended. Solutions are filtered by a
-test for collisions, and come sorted by their distance from the start.
+The core takes many seeds to the pose at once by damped least squares (`Kernels.reach`), as exactly as doubles allow.
+Where no seed arrives, for instance because limits are in the way, mink's quadratic programs, which know the limits,
+try those that ended nearest. Solutions are filtered by a test for collisions, and come sorted by their distance from
+the start.
 """
 
 from __future__ import annotations
@@ -14,15 +13,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import final
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Bool, Float, Int
-from graceful_plan.core.tool_motion import damped_step, matrix_vector, rotation_vector
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 
@@ -32,18 +29,12 @@ FreeTest = Callable[[Array], Array]
 
 PRECISION = 1e-3
 """Share of the tolerances that a solution may use up."""
-_NEAR = (1e-3, 1e-2)
-"""Distance [m] and angle [rad] from the pose at which the search is done and mink takes over."""
-_POLISHING = 8
-"""Iterations of mink from there at most; Newton's method needs three where no limit is in the way."""
 _EXACT = 1e-10
-"""Error [m and rad together] below which another iteration would change nothing but the rounding."""
-_LARGEST_STEP = 0.5
-"""Of a joint in one iteration of the search [rad or m]."""
+"""Error [m and rad together] below which another iteration of mink would change nothing but the rounding."""
 _RETRIED = 4
-"""How many of the best seeds mink takes on where the search brought none near."""
-_PATIENCE, _PROGRESS = 10, 0.7
-"""A seed is given up if the error is not below this share of what it was that many iterations before."""
+"""Seeds that mink takes on where none arrived."""
+_PATIENCE = 10
+"""Iterations in which a seed has to make progress."""
 _SAME = 0.1
 """Solutions that differ less than this in every joint [rad or m] are one."""
 
@@ -99,26 +90,64 @@ def solve_ik(
     q_start = finite_array("start", start, ndim=1, last=len(scene.joints))
     solver = PoseSolver(goal, scene, cancelled)
     rng = np.random.default_rng(seed)
-    reached = np.empty((0, len(q_start)))
-    colliding, best = 0, (np.inf, np.inf)
+    solutions = _Solutions(q_start, count, free, cancelled)
+    missed: list[Array] = []
+    best = (np.inf, np.inf)
     for number in range(rounds):
-        near, ended = solver.search(draw_seeds(scene, q_start, seeds, rng, number), iterations)
-        best = min(best, solver.errors(ended[0]), key=solver.badness)
-        near = near[np.argsort(np.linalg.norm(near - q_start, axis=1), kind="stable")]
-        left, longest = (near, _POLISHING) if len(near) else (ended[:_RETRIED], iterations // 2)
-        out_of_reach = True
-        # The nearest first, and no more of them than it takes: most of the time goes into mink.
-        while len(left) and len(reached) < count and not cancelled():
-            found, ended = solver.polish(left[:count], longest)
-            left, out_of_reach = left[count:], out_of_reach and not len(found)
-            best = min(best, solver.errors(ended[0]), key=solver.badness)
-            good = np.ones(len(found), dtype=bool) if free is None else np.asarray(free(found), dtype=bool)
-            colliding += int((~good).sum())
-            reached = _distinct(np.concatenate([reached, found[good]]))
-        if out_of_reach or len(reached) >= count or cancelled():
+        if solutions.enough or cancelled():
             break
-    order = np.argsort(np.linalg.norm(reached - q_start, axis=1), kind="stable")
-    return IKResult(reached[order][:count], *best, colliding)
+        found, ended = solver.search(draw_seeds(scene, q_start, seeds, rng, number), iterations)
+        best = min(best, solver.errors(ended[0]), key=solver.badness)
+        missed += [*ended[:_RETRIED]]
+        solutions.add(found)
+    if not solutions.looked_at and not cancelled():
+        nearest = sorted(missed, key=lambda q: solver.badness(solver.errors(q)))[:_RETRIED]
+        found, ended = solver.polish(np.array(nearest), iterations // 2)
+        best = min(best, solver.errors(ended[0]), key=solver.badness)
+        solutions.add(found)
+    return IKResult(solutions.nearest_first[:count], *best, solutions.colliding)
+
+
+@final
+class _Solutions:
+    """Different configurations at the pose that may be used.
+
+    Args:
+        start: What they should be near to.
+        count: How many are enough.
+        free: Which may be used; all if None.
+        cancelled: Asked before each look at some of them.
+    """
+
+    def __init__(
+        self, start: Float[Array, " nq"], count: int, free: FreeTest | None, cancelled: Callable[[], bool]
+    ) -> None:
+        self._start, self._count, self._free, self._cancelled = start, count, free, cancelled
+        self._q = np.empty((0, len(start)))
+        self.looked_at = self.colliding = 0
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are as many as are enough."""
+        return len(self._q) >= self._count
+
+    @property
+    def nearest_first(self) -> Float[Array, "n nq"]:
+        """All of them, from the nearest to the start on."""
+        return self._sorted(self._q)
+
+    def add(self, q: Float[Array, "n nq"]) -> None:
+        """Look at configurations at the pose, from the nearest on, until there are enough."""
+        left = self._sorted(q)
+        while len(left) and not self.enough and not self._cancelled():
+            some, left = left[: self._count], left[self._count :]
+            good = np.ones(len(some), dtype=bool) if self._free is None else np.asarray(self._free(some), dtype=bool)
+            self.looked_at += len(some)
+            self.colliding += int((~good).sum())
+            self._q = _distinct(np.concatenate([self._q, some[good]]))
+
+    def _sorted(self, q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+        return q[np.argsort(np.linalg.norm(q - self._start, axis=1), kind="stable")]
 
 
 def draw_seeds(
@@ -133,65 +162,37 @@ def draw_seeds(
 
 
 def _distinct(q: Float[Array, "n nq"]) -> Float[Array, "m nq"]:
-    kept: list[Array] = []
+    kept = q[:0]
     for configuration in q:
-        if all(np.abs(configuration - other).max() > _SAME for other in kept):
-            kept.append(configuration)
-    return np.array(kept).reshape(-1, q.shape[1])
+        if (np.abs(kept - configuration).max(axis=1) > _SAME).all():
+            kept = np.concatenate([kept, configuration[None]])
+    return kept
 
 
 @final
 class PoseSolver:
-    """The two kinds of iterations towards one pose: a search from seeds, and mink's from where that ended."""
+    """Two ways to one pose: the core's from many seeds at once, and mink's from where that ended."""
 
     def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool] = lambda: False) -> None:
-        self.goal, self.scene, self.placement, self.cancelled = goal, scene, Placement(scene), cancelled
-        self.model = scene.model
-        self.site = self.model.site(scene.tool).id
-        self.dofs = self.model.jnt_dofadr[[self.model.joint(name).id for name in scene.joints]]
+        self.goal, self.scene, self.cancelled = goal, scene, cancelled
+        self.kernels = compile_scene(scene).kernels
         self.lower, self.upper = scene.limits.position.T
 
-    def search(self, seeds: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
-        """Iterate from all seeds; return what came near the pose, and where everything ended, the best first."""
-        q = seeds.copy()
-        active = np.arange(len(q))
-        past = np.full(len(q), np.inf)
-        for iteration in range(iterations):
-            error, jacobian = self._linearised(q[active])
-            going = ~within(error, *_NEAR)
-            if iteration % _PATIENCE == _PATIENCE - 1:
-                size = np.linalg.norm(error, axis=1)
-                going &= size < _PROGRESS * past[active]
-                past[active] = size
-            active, error, jacobian = _select(going, active, error, jacobian)
-            if not len(active) or self.cancelled():
-                break
-            q[active] = stepped(q[active], error, jacobian, (self.lower, self.upper))
-        error, _ = self._linearised(q)
-        return q[within(error, *_NEAR)], q[_best_first(error)]
+    def search(
+        self, seeds: Float[Array, "n nq"], iterations: int, held: slice = slice(0)
+    ) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
+        """Iterate from all seeds; return what reached the pose, and where everything ended, the best first.
 
-    def settled(
-        self, seeds: Float[Array, "n nq"], iterations: int, held: slice
-    ) -> tuple[Float[Array, "m nq"], tuple[float, float]]:
-        """Iterate from seeds near the pose until it is exact, some joints held; return what reached it, and errors.
-
-        Where no limit is in the way this is Newton's method, and mink has nothing to add.
+        Args:
+            seeds: Configurations inside the limits.
+            iterations: At most, from each seed.
+            held: Joints that stay.
         """
-        q = seeds.copy()
-        error, jacobian = self._linearised(q)
-        for _ in range(iterations):
-            going = ~self._exact(error)
-            if not going.any() or self.cancelled():
-                break
-            jacobian[:, :, held] = 0.0
-            q[going] = np.clip(q[going] + _short_step(error[going], jacobian[going]), self.lower, self.upper)
-            error, jacobian = self._linearised(q)
-        best = q[_best_first(error)[0]]
-        return q[self._exact(error)], self.errors(best)
-
-    def _exact(self, error: Float[Array, "n 6"]) -> Bool[Array, " n"]:
-        goal = self.goal
-        return within(error, PRECISION * goal.position_tolerance, PRECISION * goal.orientation_tolerance)
+        X_WG = np.broadcast_to(self.goal.X_WT, (len(seeds), 4, 4))
+        free_yaw = np.full(len(seeds), self.goal.free_yaw)
+        q, missing = self.kernels.reach(seeds, X_WG, free_yaw, iterations=iterations, patience=_PATIENCE, held=held)
+        exact = within(missing, PRECISION * self.goal.position_tolerance, PRECISION * self.goal.orientation_tolerance)
+        return q[exact], q[np.argsort(np.linalg.norm(missing, axis=1), kind="stable")]
 
     def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
         """Move configurations to the pose by mink; return what reached it, and where all of them ended, the best first.
@@ -199,19 +200,20 @@ class PoseSolver:
         None ends farther from the pose than it was.
         """
         ended = q.copy()
+        errors = np.array([self.errors(configuration) for configuration in q])
         for i, configuration in enumerate(q):
-            least = sum(self.errors(configuration))
             for _ in range(iterations):
                 if self.cancelled():
                     break
                 configuration = self._mink_step(configuration)
-                error = sum(self.errors(configuration))
-                if error < least - _EXACT:
-                    ended[i], least = configuration, error
-                if error <= _EXACT:
+                error = self.errors(configuration)
+                if sum(error) < errors[i].sum() - _EXACT:
+                    ended[i], errors[i] = configuration, error
+                if sum(error) <= _EXACT:
                     break
-        error, _ = self._linearised(ended)
-        return ended[self._exact(error)], ended[_best_first(error)]
+        tolerance = (self.goal.position_tolerance, self.goal.orientation_tolerance)
+        exact = (errors <= PRECISION * np.array(tolerance)).all(axis=1)
+        return ended[exact], ended[np.argsort(errors.sum(axis=1), kind="stable")]
 
     @cached_property
     def _mink_step(self) -> Callable[[Float[Array, " nq"]], Float[Array, " nq"]]:
@@ -227,10 +229,10 @@ class PoseSolver:
         )
         task.set_target(mink.SE3.from_matrix(self.goal.X_WT))
         adr = self.scene.qpos_adr
-        limit = mink.ConfigurationLimit(self.model, gain=1.0)
+        limit = mink.ConfigurationLimit(self.scene.model, gain=1.0)
         limit.lower[adr], limit.upper[adr] = self.lower, self.upper
         qpos = self.scene.home_qpos.copy()
-        configuration = mink.Configuration(self.model, qpos)
+        configuration = mink.Configuration(self.scene.model, qpos)
 
         def step(q: Float[Array, " nq"]) -> Float[Array, " nq"]:
             qpos[adr] = q
@@ -242,38 +244,11 @@ class PoseSolver:
 
     def errors(self, q: Float[Array, " nq"]) -> tuple[float, float]:
         """Position and orientation error of a configuration [m, rad]."""
-        return pose_error(self.goal, self._pose(q))
+        return pose_error(self.goal, self.kernels.tool_pose(q))
 
     def badness(self, error: tuple[float, float]) -> float:
         """Put position and orientation errors on one scale."""
         return error[0] / self.goal.position_tolerance + error[1] / self.goal.orientation_tolerance
-
-    def _pose(self, q: Float[Array, " nq"]) -> Float[Array, "4 4"]:
-        data = self.placement.place(q)
-        X_WT = np.eye(4)
-        X_WT[:3, :3] = data.site_xmat[self.site].reshape(3, 3)
-        X_WT[:3, 3] = data.site_xpos[self.site]
-        return X_WT
-
-    def _linearised(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, "n 6"], Float[Array, "n 6 nq"]]:
-        """Return what is missing to the pose, as translation [m] and rotation vector in W [rad], and its Jacobian."""
-        error, jacobian = np.empty((len(q), 6)), np.empty((len(q), 6, q.shape[1]))
-        full = np.empty((6, self.model.nv))
-        R, goal = np.empty((len(q), 3, 3)), self.goal.X_WT
-        for i, configuration in enumerate(q):
-            data = self.placement.place(configuration)
-            mujoco.mj_comPos(self.model, data)
-            mujoco.mj_jacSite(self.model, data, full[:3], full[3:], self.site)
-            jacobian[i] = full[:, self.dofs]
-            R[i] = data.site_xmat[self.site].reshape(3, 3)
-            error[i, :3] = goal[:3, 3] - data.site_xpos[self.site]
-        if self.goal.free_yaw:
-            z = R[:, :, 2]
-            error[:, 3:] = rotation_vector(np.cross(z, goal[:3, 2]), z @ goal[:3, 2])
-            jacobian[:, 3:] -= z[:, :, None] * np.einsum("ni,nij->nj", z, jacobian[:, 3:])[:, None]
-        else:
-            error[:, 3:] = matrix_vector(goal[:3, :3] @ R.transpose(0, 2, 1))
-        return error, jacobian
 
 
 def within(
@@ -281,32 +256,3 @@ def within(
 ) -> Bool[Array, " n"]:
     """Tell which errors of poses are no more than a distance [m] and an angle [rad]."""
     return (np.linalg.norm(error[:, :3], axis=1) <= distance) & (np.linalg.norm(error[:, 3:], axis=1) <= angle)
-
-
-def _best_first(error: Float[Array, "n 6"]) -> Int[Array, " n"]:
-    return np.argsort(np.linalg.norm(error, axis=1), kind="stable")
-
-
-def stepped(
-    q: Float[Array, "n nq"],
-    error: Float[Array, "n 6"],
-    jacobian: Float[Array, "n 6 nq"],
-    limits: tuple[Float[Array, " nq"], Float[Array, " nq"]],
-) -> Float[Array, "n nq"]:
-    """Step towards poses; joints that would leave their limits stay, and the others make up for them."""
-    lower, upper = limits
-    step = _short_step(error, jacobian)
-    blocked = ((q + step < lower) & (step < 0.0)) | ((q + step > upper) & (step > 0.0))
-    held = blocked.any(axis=1)
-    if held.any():
-        step[held] = _short_step(error[held], np.where(blocked[held, None, :], 0.0, jacobian[held]))
-    return np.clip(q + step, lower, upper)
-
-
-def _short_step(error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:
-    step = damped_step(error, jacobian)
-    return step * np.minimum(1.0, _LARGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
-
-
-def _select(mask: Bool[Array, " n"], *arrays: Array) -> tuple[Array, ...]:
-    return tuple(array[mask] for array in arrays)

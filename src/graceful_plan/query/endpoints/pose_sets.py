@@ -1,6 +1,6 @@
 """Configurations for many poses at once: a grasp of hundreds that can be reached is found among those that cannot.
 
-Inverse kinematics of one pose takes some hundredths of a second where all that reaches it collides, or nothing does.
+Inverse kinematics of one pose takes some milliseconds where all that reaches it collides, more where nothing does.
 Here the native core iterates for all poses together, from few seeds each: the start, and the random postures whose tool
 is nearest to the pose. What it reaches is a first choice; `ik` looks more closely at a pose, and gives none up so soon.
 """
@@ -14,10 +14,8 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.core.kernels import Kernels
-from graceful_plan.core.tool_motion import missing_twist, tool_jacobian, without_yaw
 from graceful_plan.judge.exact import exactly_free
-from graceful_plan.query.endpoints.ik import PRECISION, stepped, within
+from graceful_plan.query.endpoints.ik import PRECISION, within
 from graceful_plan.query.endpoints.usable import MOST_GOALS
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -33,8 +31,8 @@ _AT_A_TIME = 64
 """Poses between two looks at the clock."""
 _SEEDS = (1, 2, 4)
 """Postures to begin from, in each round of the poses without a usable configuration; the first has the start, too."""
-_ITERATIONS, _PATIENCE, _PROGRESS = 24, 4, 0.7
-"""At most, and how long until the error has to be below this share of what it was."""
+_ITERATIONS, _PATIENCE = 24, 4
+"""At most, and those in which a seed has to make progress."""
 _OVERLAP = 0.03
 """Depth to which spheres may collide for exact geometry to look at a configuration [m]."""
 
@@ -125,8 +123,7 @@ class _Poses:
     """Iterations towards many poses, each from its own configurations."""
 
     def __init__(self, goals: Sequence[PoseGoal], scene: Scene) -> None:
-        self.kernels: Kernels = compile_scene(scene).kernels
-        self.lower, self.upper = scene.limits.position.T
+        self.kernels = compile_scene(scene).kernels
         self.X_WG = np.stack([goal.X_WT for goal in goals])
         self.free_yaw = np.array([goal.free_yaw for goal in goals])
         tolerance = [(goal.position_tolerance, goal.orientation_tolerance) for goal in goals]
@@ -134,33 +131,9 @@ class _Poses:
 
     def reached(self, q: Float[Array, "n nq"], of: Int[Array, " n"]) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
         """Iterate from configurations to the poses with these indices; return what reached its pose, and which."""
-        q, going, past = q.copy(), np.arange(len(q)), np.full(len(q), np.inf)
-        there = np.zeros(len(q), dtype=bool)
-        for iteration in range(_ITERATIONS):
-            error, jacobian = self._linearised(q[going], of[going])
-            exact = within(error, *self.tolerance[of[going]].T)
-            there[going[exact]] = True
-            on = ~exact
-            if iteration % _PATIENCE == _PATIENCE - 1:
-                size = np.linalg.norm(error, axis=1)
-                on &= size < _PROGRESS * past[going]
-                past[going] = size
-            going, error, jacobian = going[on], error[on], jacobian[on]
-            if not len(going):
-                break
-            q[going] = stepped(q[going], error, jacobian, (self.lower, self.upper))
+        q, missing = self.kernels.reach(q, self.X_WG[of], self.free_yaw[of], iterations=_ITERATIONS, patience=_PATIENCE)
+        there = within(missing, *self.tolerance[of].T)
         return q[there], of[there]
-
-    def _linearised(
-        self, q: Float[Array, "n nq"], of: Int[Array, " n"]
-    ) -> tuple[Float[Array, "n 6"], Float[Array, "n 6 nq"]]:
-        X_WT, jacobian = tool_jacobian(self.kernels, q)
-        error = missing_twist(X_WT, self.X_WG[of])
-        yaw = self.free_yaw[of]
-        if yaw.any():
-            error[yaw] = missing_twist(X_WT[yaw], self.X_WG[of[yaw]], free_yaw=True)
-            jacobian[yaw] = without_yaw(X_WT[yaw], jacobian[yaw])
-        return error, jacobian
 
 
 def _seeds(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import exactly_free, state_contacts
 from graceful_plan.scene.scene import Scene
@@ -116,6 +116,13 @@ def _sorted_out(
         if len(free) > MOST_GOALS:
             break
     return free, blocked, unseen
+
+
+def free_of_collision(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:
+    """Tell which configurations are free: spheres prove most of them so, exact geometry looks at the others."""
+    free = compile_scene(scene).proof.free(q)
+    free[~free] = exactly_free(q[~free], scene)
+    return free
 
 
 def _beyond(word: str, q: Float[Array, " nq"], scene: Scene) -> str:

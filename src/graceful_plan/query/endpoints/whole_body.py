@@ -100,8 +100,8 @@ def solve_whole_body(
     for seeds, held in _rounds(goal, scene, start, reach, rng):
         if len(found) >= count or cancelled():
             break
-        reached, errors = solver.settled(seeds, _ITERATIONS, held)
-        best = min(best, errors, key=solver.badness)
+        reached, ended = solver.search(seeds, _ITERATIONS, held)
+        best = min(best, solver.errors(ended[0]), key=solver.badness)
         good = compile_scene(scene).kernels.free(reached, TARGET_CLEARANCE)  # a base cannot step out of tight places
         good[good] = free(reached[good])
         colliding += int((~good).sum())
