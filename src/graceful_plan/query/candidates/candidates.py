@@ -69,7 +69,7 @@ def _better(source: MotionSource, budget: Budget, best: BestVerified) -> Iterato
 
 
 def rounds(budget: Budget, *, restarts: bool = True) -> Iterator[Budget]:
-    """Divide a budget into rounds, each twice as long as the one before; the last one takes what is left.
+    """Divide a budget into rounds, each twice as long as the one before; the last one takes the rest.
 
     Without restarts of the search there is one round.
     """

@@ -38,7 +38,7 @@ _RELATED_KEPT = 2
 _STARTS = 5
 """Paths of a search that descents begin with."""
 _WORTH_TIMING = 1.1
-"""A curve is timed if its J is at most so many times that of the best; descents misjudge durations by some percent."""
+"""Ratio of the J of a curve to that of the best up to which it is timed; descents misjudge durations by some percent."""
 _FIRST_DESCENT = 0.01
 """Time limit of the first descent of a cancelled call [s]."""
 
@@ -72,19 +72,19 @@ class MotionSource:
 
     @property
     def restarts(self) -> bool:
-        """Whether each round searches anew; else there is one search."""
+        """Whether each round searches from scratch; else there is one search."""
         request = self._request
         default = isinstance(request.planner, Auto) and request.planner.initial is None
         return default and request.refine and request.preference is None and not request.objective.scene.moving
 
     @property
     def effort(self) -> int:
-        """Number of descents so far."""
+        """Number of descents that have ended."""
         own = 0 if self._descents is None else self._descents.effort.descents
         return own + (0 if self._related is None else self._related.effort)
 
     def search_first(self, budget: Budget) -> Search:
-        """Search until there is a path; return what was found."""
+        """Search until there is a path; return the search."""
         if self._related is not None:
             return self._related.search_first(budget)
         self._first.advance(budget, to_first=True)

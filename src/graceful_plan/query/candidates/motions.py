@@ -98,13 +98,13 @@ def price_of_time(request: Request) -> float:
 
 
 def _rounded(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
-    """Time a polyline whose corners are cut by so much [rad]."""
+    """Time a polyline with its corners cut by a deviation [rad]."""
     trajectory = request.constraints.retimed(whole, deviation=deviation, speed=request.speed)
     return costed(whole, trajectory, arrival, request)
 
 
 def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
-    """Return how far each corner can be cut before something comes too close [rad]."""
+    """Return the deviation by which each corner can be cut while the fast checker finds it free [rad]."""
     q = merge_near_vertices(whole)
     chosen = np.full(max(0, len(q) - 2), DEVIATIONS[0])
     kernels = request.constraints.kernels

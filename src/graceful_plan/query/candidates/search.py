@@ -1,4 +1,4 @@
-"""Run a planner within a budget and keep what it finds."""
+"""Run a planner within a budget and keep its paths."""
 
 from __future__ import annotations
 
