@@ -129,6 +129,14 @@ def test_seeds_end_where_they_make_no_progress(kernels, q):
     np.testing.assert_array_equal(impatient, once)
 
 
+@pytest.mark.parametrize("n", [0, 1, 3, 19])
+def test_any_number_of_seeds_will_do(kernels, q, n):
+    X_WG, free_yaw = _targets(kernels, q)
+    ended, missing = kernels.reach(q[:n], X_WG[:n], free_yaw[:n], iterations=5, patience=9)
+    assert ended.shape == (n, 7) and missing.shape == (n, 6)
+    np.testing.assert_allclose(missing, _twist(kernels, ended, X_WG[:n], free_yaw[:n]), atol=1e-9)
+
+
 def test_held_joints_stay(kernels, q):
     X_WG, _ = _targets(kernels, q)
     free_yaw = np.zeros(len(q), dtype=bool)

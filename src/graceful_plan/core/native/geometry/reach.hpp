@@ -146,6 +146,7 @@ struct Reaching {
 };
 
 static void reach(const Tables& tables, const Reach& ask, double* q, double* missing) {
+  if (ask.n == 0) return;
   constexpr int W = kLanes<double>;
   constexpr size_t kNone = ~size_t(0);
   Reaching now(tables, ask);
