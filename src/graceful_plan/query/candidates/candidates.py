@@ -40,9 +40,8 @@ def candidates(
         rng: Chance.
         best: The best of the motions that were yielded and have passed the judge.
     """
-    problems = [problem for problem in _more_and_more_cautious(request, ends)]
-    for problem in problems:
-        source = MotionSource(request, ends, problem, rng, best.tell)
+    for caution in _CAUTION:
+        source = MotionSource(request, ends, _problem(request, ends, *caution), rng, best.tell)
         best.searched = found = source.search_first(budget)
         if found.paths:
             best.tell(found.trace[-1])
@@ -55,7 +54,7 @@ def candidates(
                 best.why_not = str(error)
         if best.ended or budget.exhausted or not (found.paths or found.refused):
             return
-        if best.motion is not None or problem is problems[-1]:
+        if best.motion is not None or caution is _CAUTION[-1]:
             for part in rounds(budget, restarts=source.restarts):
                 before = best.ranking
                 yield from source.round(part, before)
@@ -81,14 +80,13 @@ def rounds(budget: Budget, *, restarts: bool = True) -> Iterator[Budget]:
         seconds, iterations = 2.0 * seconds, 2 * iterations
 
 
-def _more_and_more_cautious(request: Request, ends: Endpoints) -> Iterator[SceneProblem]:
-    """Yield problems that keep more and more clearance."""
-    for margin, check_step in _CAUTION:
-        yield SceneProblem(
-            kernels=request.constraints.kernels,
-            start=ends.departure.q[-1],
-            goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
-            margin=min(margin, 0.5 * ends.clearance),
-            check_step=check_step,
-            constraints=request.constraints,
-        )
+def _problem(request: Request, ends: Endpoints, margin: float, check_step: float) -> SceneProblem:
+    """Return where to search: with a margin [m], or with less if the ends have less than twice that."""
+    return SceneProblem(
+        kernels=request.constraints.kernels,
+        start=ends.departure.q[-1],
+        goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
+        margin=min(margin, 0.5 * ends.clearance),
+        check_step=check_step,
+        constraints=request.constraints,
+    )

@@ -98,7 +98,7 @@ class MotionSource:
             # A cancelled call has no budget left, but the first descent takes a millisecond.
             limit = Budget(time_limit=_FIRST_DESCENT) if budget.cancelled() else budget
             result = self._descents.first(start_of(path, self._ends), limit)
-            motion = None if result is None else timed_curve(result, self._request, self._ends)
+            motion = None if result is None else timed_curve(result, self._request)
             if motion is not None:
                 yield motion
         yield from along(path, self._request, self._ends)
@@ -129,7 +129,7 @@ class MotionSource:
         for result in self._descents.round(starts, budget, self._rng, self._results):
             self._results.append(result)
             if result.value <= _WORTH_TIMING * min(best, *(other.value for other in self._results)):
-                motion = timed_curve(result, self._request, self._ends)
+                motion = timed_curve(result, self._request)
                 if motion is not None and motion.ranking < best:
                     best = motion.ranking
                     yield motion
