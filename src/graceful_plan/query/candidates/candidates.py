@@ -24,6 +24,8 @@ _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], of the first search and of those after the judge refused."""
 _FIRST_ROUND_SECONDS, _FIRST_ROUND_ITERATIONS = 0.05, 60
 """Work of the first round; each other does twice as much as the one before."""
+_FIRST_SHORT_ROUND_SECONDS = 0.01
+"""Of the first round where the shortest motion is the best one: a descent from one path takes about so long."""
 
 
 def candidates(
@@ -55,7 +57,8 @@ def candidates(
         if best.ended or budget.exhausted or not (found.paths or found.refused):
             return
         if best.motion is not None or caution is _CAUTION[-1]:
-            for part in rounds(budget, restarts=source.restarts):
+            first = _FIRST_SHORT_ROUND_SECONDS if request.only_length else _FIRST_ROUND_SECONDS
+            for part in rounds(budget, first, restarts=source.restarts):
                 before = best.ranking
                 yield from source.round(part, before)
                 best.path_cost = source.path_cost
@@ -64,12 +67,17 @@ def candidates(
             return
 
 
-def rounds(budget: Budget, *, restarts: bool = True) -> Iterator[Budget]:
+def rounds(budget: Budget, seconds: float = _FIRST_ROUND_SECONDS, *, restarts: bool = True) -> Iterator[Budget]:
     """Divide a budget into rounds, each twice as long as the one before; the last one takes what is left.
 
     Without restarts of the search there is one round.
+
+    Args:
+        budget: For all rounds.
+        seconds: Of the first one [s].
+        restarts: Whether each round begins anew.
     """
-    seconds, iterations = _FIRST_ROUND_SECONDS, _FIRST_ROUND_ITERATIONS
+    iterations = _FIRST_ROUND_ITERATIONS
     while not budget.exhausted:
         timed = restarts and budget.timed and budget.remaining_seconds > 2.0 * seconds
         counted = restarts and budget.remaining_iterations > 2 * iterations

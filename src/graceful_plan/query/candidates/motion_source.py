@@ -117,7 +117,8 @@ class MotionSource:
             found = self._search(budget, starts[0].path if starts else None)
             if found.trace:
                 self.path_cost = min(self.path_cost, found.trace[-1].total)
-            starts += [start_of(path, self._ends) for path in _spread(found.paths)]
+            paths = found.paths[-1:] if self._request.only_length else _spread(found.paths)
+            starts += [start_of(path, self._ends) for path in paths]
             if self._descents is None or not self.restarts:
                 yield from self._along(found)
         if self._descents is not None:
@@ -151,6 +152,9 @@ class MotionSource:
                     return request.preference.search(planner, problem, part, self._rng)
                 return search_among_moving(request, problem, self._ends, part, self._rng)
         run = self._first
+        if self._continues and request.only_length and self._descents is not None and budget.timed:
+            self._continues = False
+            return run.found  # descents shorten a first path faster than the search does
         if not self._continues or initial is not None:
             if initial is not None and isinstance(planner, Auto) and planner.initial is None:
                 planner = replace(planner, initial=initial)
