@@ -16,11 +16,11 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.anytime.auto import Auto
-from graceful_plan.planners.motion_descent import DescentResult, Start
+from graceful_plan.planners.motion_descent import DescentResult, DescentSettings, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.candidates.departure import search_among_moving
-from graceful_plan.query.candidates.descents import motion_descents, start_along, start_of
+from graceful_plan.query.candidates.descents import SHORTENING, motion_descents, start_along, start_of
 from graceful_plan.query.candidates.motions import Motion, along, costed_anew, timed_curve
 from graceful_plan.query.candidates.related import related_objective
 from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, thinned
@@ -63,7 +63,9 @@ class MotionSource:
         self._continues, self._tell = True, tell
         self.path_cost = np.inf
         """Least cost of a path of a search, as the search estimates it."""
-        self._descents = motion_descents(request, problem) if request.refine else None
+        self._shortens = self.restarts and request.only_length
+        settings = SHORTENING if self._shortens else DescentSettings()
+        self._descents = motion_descents(request, problem, settings) if request.refine else None
         self._results: list[DescentResult] = []
         self._related: MotionSource | None = None
         related = related_objective(request.objective) if request.refine and request.preference is None else None
@@ -117,7 +119,7 @@ class MotionSource:
             found = self._search(budget, starts[0].path if starts else None)
             if found.trace:
                 self.path_cost = min(self.path_cost, found.trace[-1].total)
-            paths = found.paths[-1:] if self._request.only_length else _spread(found.paths)
+            paths = found.paths[-1:] if self._shortens else _spread(found.paths)
             starts += [start_of(path, self._ends) for path in paths]
             if self._descents is None or not self.restarts:
                 yield from self._along(found)
@@ -152,9 +154,9 @@ class MotionSource:
                     return request.preference.search(planner, problem, part, self._rng)
                 return search_among_moving(request, problem, self._ends, part, self._rng)
         run = self._first
-        if self._continues and request.only_length and self._descents is not None and budget.timed:
+        if self._continues and self._shortens and budget.timed:
             self._continues = False
-            return run.found  # descents shorten a first path faster than the search does
+            return run.found  # a descent shortens the first path faster than the search does
         if not self._continues or initial is not None:
             if initial is not None and isinstance(planner, Auto) and planner.initial is None:
                 planner = replace(planner, initial=initial)
