@@ -93,6 +93,25 @@ def test_samples_are_the_same_with_a_proof_and_without(task) -> None:
     assert with_.proved.any() and not without.proved.any()
 
 
+def test_a_bound_also_proves_the_neighbours_of_a_sample_and_nothing_that_touches(task) -> None:
+    clearance, asked, samples_in_all = compile_scene(task.scene).proof.clearance, 0, 0
+
+    def counting(q: np.ndarray) -> np.ndarray:
+        nonlocal asked
+        asked += len(q)
+        return clearance(q)
+
+    touching = 0
+    for motion in _motions(task.scene, 10):
+        samples = motion_samples(motion, task.scene, 0.005, counting)
+        own = clearance(samples.q) > PROVED
+        assert np.all(samples.proved[own]), "all that the bound itself proves"
+        touching += len({touch.sample for touch in Judge(task.scene).touches(samples.q)})
+        assert not list(Judge(task.scene).touches(samples.q[samples.proved]))
+        samples_in_all += len(samples.q)
+    assert touching > 50 and asked < 0.8 * samples_in_all
+
+
 def test_a_wrong_proof_is_found_out_and_no_longer_believed(task, caplog: pytest.LogCaptureFixture) -> None:
     """Whoever claims that everything is free is caught by the samples that are looked at all the same."""
     motion = next(m for m in _motions(task.scene, 25) if len(motion_violations(m, task.scene, 0.002)[0]) > 200)

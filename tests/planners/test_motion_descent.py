@@ -190,6 +190,9 @@ def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(ta
 
     coarse = curves(DescentSettings(fine=0, refinements=0))
     assert {len(one.curve.controls) for one in coarse} <= {COARSE.controls, MIDDLE.controls}
+    soon, later = curves(DescentSettings(screens=False, fine=1, hurries=True, refinements=0))
+    assert [len(one.curve.controls) for one in (soon, later)] == [MIDDLE.controls, FINE.controls]
+    assert later.start.curve is soon.curve, "the finer one goes on from there"
     finely = curves(DescentSettings(screens=False, fine=1, refinements=0))
     assert [len(one.curve.controls) for one in finely] == [FINE.controls]
     assert finely[0].value <= min(one.value for one in coarse)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from graceful_plan.planners.resampling import evenly
 from graceful_plan.timing.spline import Spline, grid_points
 
 Array = np.ndarray
+_T = TypeVar("_T")
 
 TIME_PRICE = 0.05
 """Cost of a second of motion on top of J [rad/s]; it decides between motions of about the same J."""
@@ -103,6 +104,7 @@ class DescentSettings:
     | bends       | wide bends of starts besides; as many as there is time for if None               |
     | middle      | second stage                                                                     |
     | fine        | descents that end finely, at least; with 0, coarse curves are the result         |
+    | hurries     | whether curves of the second stage are results, too, before the finer ones       |
     | refinements | at most; as many as there is time for if None                                    |
     """
 
@@ -110,6 +112,7 @@ class DescentSettings:
     bends: int | None = None
     middle: Stage = MIDDLE
     fine: int = 2
+    hurries: bool = False
     refinements: int | None = None
 
 
@@ -232,9 +235,9 @@ class MotionDescents:
         curve = Spline(descent.controls)
         return DescentResult(curve, descent.value, start) if self.is_free(curve, start) else None
 
-    def finished(self, start: Start, budget: Budget) -> DescentResult | None:
-        """Descend finely, with a heavier penalty while the curve is too close to obstacles; None if it stays so."""
-        descent = self.descended(start, FINE, budget)
+    def finished(self, start: Start, stage: Stage, budget: Budget) -> DescentResult | None:
+        """Descend, with a heavier penalty while the curve is too close to obstacles; None if it stays so."""
+        descent = self.descended(start, stage, budget)
         if descent is None:
             return None
         for hardening in range(_HARDENINGS + 1):
@@ -269,7 +272,12 @@ class _Round:
             with budget.share(began + _MIDDLE_SHARE * seconds - budget.elapsed) as part:
                 values = self._descended([start for _, start in _better(values)], settings.middle, part, coarse)
             jobs = [start for _, start in _better(values)]
-        yield from self._finished(jobs[: max(settings.fine, len(jobs) if settings.screens else 0)])
+        jobs = jobs[: max(settings.fine, len(jobs) if settings.screens else 0)]
+        if settings.hurries:
+            for k, found in self._finished(jobs, settings.middle):
+                jobs[k] = _from_curve(jobs[k], found.curve)
+                yield found
+        yield from (found for _, found in self._finished(jobs, FINE))
         if len(self.results) == before:  # coarse values are guesses, so coarse curves serve only where no fine one does
             self.results += sorted(coarse, key=_value)[:_LEAST]
             yield from self.results[before:]
@@ -296,24 +304,30 @@ class _Round:
     ) -> list[tuple[float, Start]]:
         """Return values and curves as new starts; add those that are free to `free`."""
         ended: list[tuple[float, Start]] = []
-        done = self.pool.map(lambda start: self.descents.descended(start, stage, budget), starts)
+        done = self._each(lambda start: self.descents.descended(start, stage, budget), starts)
         for descent, start in zip(done, starts, strict=True):
             if descent is None:
                 continue
             curve = Spline(descent.controls)
-            ended.append((descent.value, replace(start, path=Path(_resampled(curve)), curve=curve)))
+            ended.append((descent.value, _from_curve(start, curve)))
             if self.descents.is_free(curve, start):
                 free.append(DescentResult(curve, descent.value, start))
         self.descents.effort.descents += len(starts)
         return ended
 
-    def _finished(self, starts: Sequence[Start]) -> Iterator[DescentResult]:
+    def _finished(self, starts: Sequence[Start], stage: Stage) -> Iterator[tuple[int, DescentResult]]:
+        """Yield free curves that keep their clearance where there is room, with the index of their start."""
         if self.descents.settings.fine:
-            for one in self.pool.map(lambda start: self.descents.finished(start, self.budget), starts):
+            done = self._each(lambda start: self.descents.finished(start, stage, self.budget), list(starts))
+            for k, one in enumerate(done):
                 self.descents.effort.descents += 1
                 if one is not None:
                     self.results.append(one)
-                    yield one
+                    yield k, one
+
+    def _each(self, do: Callable[[Start], _T], starts: Sequence[Start]) -> Iterator[_T]:
+        """Do something with each start side by side; a single one does not wait for a thread to begin."""
+        return map(do, starts) if len(starts) == 1 else self.pool.map(do, starts)
 
     def _refined(self) -> Iterator[DescentResult]:
         """Bend two of the best curves at random and let them descend as long as they promise to become better."""
@@ -325,7 +339,7 @@ class _Round:
             ended = self._descended(jobs, stage, self.budget, free)
             jobs = [start for value, start in sorted(ended, key=lambda job: job[0]) if value < most * best[0].value]
         if settings.fine:
-            yield from self._finished(jobs[: settings.fine])
+            yield from (found for _, found in self._finished(jobs[: settings.fine], FINE))
         else:
             self.results += free
             yield from free
@@ -348,6 +362,10 @@ class _Round:
         if self.descents.projected is not None:  # random bends would tilt what is kept level
             bent[1:-1] = self.descents.projected(bent[1:-1])
         return replace(start, path=Path(bent), curve=None)
+
+
+def _from_curve(start: Start, curve: Spline) -> Start:
+    return replace(start, path=Path(_resampled(curve)), curve=curve)
 
 
 def _value(result: DescentResult) -> float:

@@ -176,7 +176,7 @@ class BestVerified:
         request = self._request
         if motion.trajectory.duration == 0.0:
             return True
-        if request.objective.w > 0.0 or not request.objective.motion_is_length or request.constraints.level:
+        if not request.only_length:
             return False
         start = self._ends.departure.q[0]
         nearest = min(float(np.linalg.norm(arrival.q[-1] - start)) for arrival in self._ends.arrivals)

@@ -49,6 +49,11 @@ class Request:
     stop: Stop = "time_limit"
     callback: Callback | None = None
 
+    @property
+    def only_length(self) -> bool:
+        """Whether the shortest motion is the best one: no impact counts, and nothing is kept level."""
+        return self.objective.w == 0.0 and self.objective.motion_is_length and not self.constraints.level
+
     def pose(self, arrival: int) -> PoseGoal | None:
         """Return the pose goal of an arrival; None if the goal is a configuration."""
         return self.poses[arrival] if self.poses else None

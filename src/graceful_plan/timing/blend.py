@@ -8,6 +8,7 @@ zero on the straight rest. It is the blend of smallest curvature for the distanc
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -189,8 +190,11 @@ def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float,
     return CurveGrid(s, np.concatenate([q, end[None]]), slope, bend, stop)
 
 
+@lru_cache(maxsize=256)
 def places(n: int, *, from_rest: bool, to_rest: bool) -> Float[Array, " point"]:
-    """Split 0 to 1 into `n` even intervals, the outer ones more finely where the motion rests."""
+    """Split 0 to 1 into `n` even intervals, the outer ones more finely where the motion rests; read-only."""
     before = _GRADING / n if from_rest else []
     after = 1.0 - _GRADING[::-1] / n if to_rest else []
-    return np.sort(np.concatenate([np.arange(n + 1) / n, before, after]))
+    split = np.sort(np.concatenate([np.arange(n + 1) / n, before, after]))
+    split.flags.writeable = False
+    return split

@@ -50,11 +50,19 @@ class Spline:
         """Evaluate it at parameters."""
         return _native.spline(np.ascontiguousarray(self.controls, dtype=np.float64), u)[0]
 
+    @property
+    def samples(self) -> Float[Array, "n nq"]:
+        """Configurations on it at the parameters of the coarsest grid."""
+        return self.at(self._parameters(1))
+
+    def _parameters(self, density: int) -> Float[Array, " n"]:
+        u = places(density * _intervals(self.spans), from_rest=True, to_rest=True) * self.spans
+        u[-1] = self.spans
+        return u
+
     def grid(self, density: int) -> CurveGrid:
         """Sample it for timing; see `Curve`."""
-        spans = self.spans
-        u = places(density * _intervals(spans), from_rest=True, to_rest=True) * spans
-        u[-1] = spans
+        u = self._parameters(density)
         q, slope, bend = _native.spline(np.ascontiguousarray(self.controls, dtype=np.float64), u)
         stop = np.zeros(len(u), dtype=bool)
         stop[[0, -1]] = True

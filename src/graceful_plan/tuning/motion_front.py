@@ -192,7 +192,7 @@ class MotionFront:
         descents, (budget, rng) = motion_descents(request, self.problem, settings), means
         begun = [start_along(path, arrival, ends) for path, arrival in starts if path.length > 0.0]
         results = sorted(descents.round(begun, budget, rng), key=lambda one: one.value) if descents else []
-        motions = (timed_curve(one, request, ends) for one in results[:_MOST_TIMED])
+        motions = (timed_curve(one, request) for one in results[:_MOST_TIMED])
         return [FrontMotion(motion=one, made_by="descent", made_with=w) for one in motions if one is not None]
 
 

@@ -13,6 +13,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -88,6 +89,19 @@ def test_without_fear_there_is_one_search(task):
     one, _ = solved(gp.Auto(workers=1), problem, objective)
     several, _ = solved(gp.Auto(workers=4), problem, objective)
     assert np.array_equal(one[-1].q, several[-1].q)
+
+
+def test_no_vertices_can_be_left_out_of_a_first_path_where_length_alone_counts(task):
+    problem, objective = bound(task, w=0.0)
+    corners = 0
+    for seed in range(10):
+        q = next(iter(gp.Auto().solve(problem, objective, Budget(iterations=2000), np.random.default_rng(seed)))).q
+        first, last = np.triu_indices(len(q), k=2)
+        for a, b in zip(q[first], q[last], strict=True):
+            coarse = problem.edges_free(a[None], b[None])[0]
+            assert not (coarse and problem.kernels.edges_free(a, b, FINE_STEP, problem.margin))
+        corners += len(first)
+    assert corners > 0
 
 
 def test_a_cost_without_gradient_is_lowered_too(task):

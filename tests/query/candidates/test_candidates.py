@@ -59,6 +59,11 @@ def test_rounds_of_a_time_limit_fill_it(monkeypatch: pytest.MonkeyPatch) -> None
     np.testing.assert_allclose(np.array(given[1:-1]) / given[:-2], 2.0)
 
 
+def test_a_first_round_is_as_long_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "perf_counter", lambda: 0.0)
+    assert next(rounds(Budget(1.0, started=0.0), 0.01)).remaining_seconds == pytest.approx(0.01)
+
+
 # --- when a call ends -------------------------------------------------------------------------------------------------
 
 

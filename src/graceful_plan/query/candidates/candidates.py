@@ -24,6 +24,8 @@ _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], of the first search and of those after the judge refused."""
 _FIRST_ROUND_SECONDS, _FIRST_ROUND_ITERATIONS = 0.05, 60
 """Work of the first round; each other does twice as much as the one before."""
+_FIRST_SHORT_ROUND_SECONDS = 0.01
+"""Of the first round where the shortest motion is the best one: a descent from one path takes about so long."""
 
 
 def candidates(
@@ -40,9 +42,8 @@ def candidates(
         rng: Chance.
         best: The best of the motions that were yielded and have passed the judge.
     """
-    problems = list(_more_and_more_cautious(request, ends))
-    for problem in problems:
-        source = MotionSource(request, ends, problem, rng, best.tell)
+    for caution in _CAUTION:
+        source = MotionSource(request, ends, _problem(request, ends, *caution), rng, best.tell)
         best.searched = found = source.search_first(budget)
         if found.paths:
             best.tell(found.trace[-1])
@@ -55,25 +56,31 @@ def candidates(
                 best.why_not = str(error)
         if best.ended or budget.exhausted or not (found.paths or found.refused):
             return
-        if best.motion is not None or problem is problems[-1]:
-            yield from _better(source, budget, best)
+        if best.motion is not None or caution is _CAUTION[-1]:
+            yield from _better(source, budget, best, request)
             return
 
 
-def _better(source: MotionSource, budget: Budget, best: BestVerified) -> Iterator[Motion]:
+def _better(source: MotionSource, budget: Budget, best: BestVerified, request: Request) -> Iterator[Motion]:
     """Yield the motions of rounds until the budget ends or `best` needs no more."""
+    first = _FIRST_SHORT_ROUND_SECONDS if request.only_length else _FIRST_ROUND_SECONDS
     with budget.share(until=lambda: best.ended or best.converged(source.effort)) as part:
-        for one in rounds(part, restarts=source.restarts):
+        for one in rounds(part, first, restarts=source.restarts):
             yield from source.round(one, best.ranking)
             best.end_round(source.path_cost)
 
 
-def rounds(budget: Budget, *, restarts: bool = True) -> Iterator[Budget]:
+def rounds(budget: Budget, seconds: float = _FIRST_ROUND_SECONDS, *, restarts: bool = True) -> Iterator[Budget]:
     """Divide a budget into rounds, each twice as long as the one before; the last one takes the rest.
 
     Without restarts of the search there is one round.
+
+    Args:
+        budget: For all rounds.
+        seconds: Of the first one [s].
+        restarts: Whether each round begins anew.
     """
-    seconds, iterations = _FIRST_ROUND_SECONDS, _FIRST_ROUND_ITERATIONS
+    iterations = _FIRST_ROUND_ITERATIONS
     while not budget.exhausted:
         timed = restarts and budget.timed and budget.remaining_seconds > 2.0 * seconds
         counted = restarts and budget.remaining_iterations > 2 * iterations
@@ -84,14 +91,13 @@ def rounds(budget: Budget, *, restarts: bool = True) -> Iterator[Budget]:
         seconds, iterations = 2.0 * seconds, 2 * iterations
 
 
-def _more_and_more_cautious(request: Request, ends: Endpoints) -> Iterator[SceneProblem]:
-    """Yield problems that keep more and more clearance."""
-    for margin, check_step in _CAUTION:
-        yield SceneProblem(
-            kernels=request.constraints.kernels,
-            start=ends.departure.q[-1],
-            goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
-            margin=min(margin, 0.5 * ends.clearance),
-            check_step=check_step,
-            constraints=request.constraints,
-        )
+def _problem(request: Request, ends: Endpoints, margin: float, check_step: float) -> SceneProblem:
+    """Return where to search: with a margin [m], or with less if the ends have less than twice that."""
+    return SceneProblem(
+        kernels=request.constraints.kernels,
+        start=ends.departure.q[-1],
+        goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
+        margin=min(margin, 0.5 * ends.clearance),
+        check_step=check_step,
+        constraints=request.constraints,
+    )

@@ -22,13 +22,14 @@ the path by up to 6 mm (FailBench's Panda at half of its speed, six tasks), and 
 where a vessel is kept level: its tilt counts as clearance, too, and J of a watering can rose by a third."""
 _NEARLY = 0.8
 """Share of that clearance below which a descent is repeated with a heavier penalty."""
+SHORTENING = DescentSettings(screens=False, bends=0, fine=1, hurries=True)
+"""Where the shortest motion is the best one: in each homotopy class a descent from one path ends within a percent of
+it, and each search that begins anew may find another class."""
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the spheres do not count [rad]."""
 
 
-def motion_descents(
-    request: Request, problem: SceneProblem, settings: DescentSettings | None = None
-) -> MotionDescents | None:
+def motion_descents(request: Request, problem: SceneProblem, settings: DescentSettings) -> MotionDescents | None:
     """Return descents for a request; None if its objective has no gradient.
 
     Args:
@@ -53,7 +54,7 @@ def motion_descents(
         careful=request.constraints.level,
         projected=problem.projected if request.constraints.level else None,
         counts_points=objective.objective.exposure == "waypoints",
-        settings=_affordable(settings or DescentSettings(), objective),
+        settings=_affordable(settings, objective),
     )
 
 
@@ -73,7 +74,9 @@ def _keeps(problem: SceneProblem, margin: float) -> Callable[[Spline, Start], bo
     free = replace(problem, margin=margin).states_free
 
     def is_free(curve: Spline, start: Start) -> bool:
-        q = curve.grid(1).q
+        q = curve.samples
+        if start.tight_start == start.tight_end == 0.0:
+            return bool(free(q).all())
         done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
         clear = (done >= start.tight_start) & (done <= done[-1] - start.tight_end)
         return bool(free(q[clear]).all())

@@ -16,11 +16,11 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.anytime.auto import Auto
-from graceful_plan.planners.motion_descent import DescentResult, Start
+from graceful_plan.planners.motion_descent import DescentResult, DescentSettings, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.candidates.departure import search_among_moving
-from graceful_plan.query.candidates.descents import motion_descents, start_along, start_of
+from graceful_plan.query.candidates.descents import SHORTENING, motion_descents, start_along, start_of
 from graceful_plan.query.candidates.motions import Motion, along, costed_anew, timed_curve
 from graceful_plan.query.candidates.related import related_objective
 from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, thinned
@@ -63,7 +63,9 @@ class MotionSource:
         self._continues, self._tell = True, tell
         self.path_cost = np.inf
         """Least cost of a path of a search, as the search estimates it."""
-        self._descents = motion_descents(request, problem) if request.refine else None
+        self._shortens = self.restarts and request.only_length
+        settings = SHORTENING if self._shortens else DescentSettings()
+        self._descents = motion_descents(request, problem, settings) if request.refine else None
         self._results: list[DescentResult] = []
         self._related: MotionSource | None = None
         related = related_objective(request.objective) if request.refine and request.preference is None else None
@@ -104,7 +106,7 @@ class MotionSource:
             # A cancelled call has no budget left, but the first descent takes a millisecond.
             limit = Budget(time_limit=_FIRST_DESCENT) if budget.cancelled() else budget
             result = self._descents.first(start_of(path, self._ends), limit)
-            motion = None if result is None else timed_curve(result, self._request, self._ends)
+            motion = None if result is None else timed_curve(result, self._request)
             if motion is not None:
                 yield motion
         yield from along(path, self._request, self._ends)
@@ -123,7 +125,8 @@ class MotionSource:
             found = self._search(budget, starts[0].path if starts else None)
             if found.trace:
                 self.path_cost = min(self.path_cost, found.trace[-1].total)
-            starts += [start_of(path, self._ends) for path in _spread(found.paths)]
+            paths = found.paths[-1:] if self._shortens else _spread(found.paths)
+            starts += [start_of(path, self._ends) for path in paths]
             if self._descents is None or not self.restarts:
                 yield from self._along(found)
         if self._descents is not None:
@@ -135,7 +138,7 @@ class MotionSource:
         for result in self._descents.round(starts, budget, self._rng, self._results):
             self._results.append(result)
             if result.value <= _WORTH_TIMING * min(best, *(other.value for other in self._results)):
-                motion = timed_curve(result, self._request, self._ends)
+                motion = timed_curve(result, self._request)
                 if motion is not None and motion.ranking < best:
                     best = motion.ranking
                     yield motion
@@ -157,6 +160,9 @@ class MotionSource:
                     return request.preference.search(planner, problem, part, self._rng)
                 return search_among_moving(request, problem, self._ends, part, self._rng)
         run = self._first
+        if self._continues and self._shortens and budget.timed:
+            self._continues = False
+            return run.found  # a descent shortens the first path faster than the search does
         if not self._continues or initial is not None:
             if initial is not None and isinstance(planner, Auto) and planner.initial is None:
                 planner = replace(planner, initial=initial)

@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, time_price
@@ -24,8 +23,6 @@ Array = np.ndarray
 
 DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
 """How far a motion may cut a corner of a polyline [rad], from fast to exact; with 0 it stops at the corner."""
-_CHECKED = 1000
-"""Configurations of a motion that the fast checker looks at."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,16 +40,13 @@ class Motion:
     """Total cost at the end of the descent that it comes from, if any."""
 
 
-def timed_curve(found: DescentResult, request: Request, ends: Endpoints) -> Motion | None:
-    """Time the curve of a descent; None if no timing keeps the constraints, or the motion collides."""
-    arrival = found.start.arrival
+def timed_curve(found: DescentResult, request: Request) -> Motion | None:
+    """Time the curve of a descent; None if no timing keeps the constraints."""
     try:
         trajectory = request.constraints.timed(found.curve, speed=request.speed)
     except RetimingError:
         return None
-    if ends.in_the_clear(arrival) and not _is_free(trajectory, request.constraints):
-        return None
-    motion = costed(trajectory.path, trajectory, arrival, request)
+    motion = costed(trajectory.path, trajectory, found.start.arrival, request)
     return replace(motion, estimate=found.value - price_of_time(request) * trajectory.duration)
 
 
@@ -116,8 +110,3 @@ def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
         free = kernels.free(corners.reshape(-1, q.shape[1])).reshape(corners.shape[:2]).all(axis=1)
         chosen[open_[~free]] = narrower
     return chosen
-
-
-def _is_free(trajectory: Trajectory, constraints: SceneConstraints) -> bool:
-    samples = trajectory.sample(max(trajectory.duration / _CHECKED, 1e-3)).q
-    return bool(np.all(constraints.kernels.free(samples)))

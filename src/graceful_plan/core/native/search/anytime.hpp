@@ -270,6 +270,7 @@ class Anytime {
 
   // Enter a path; it is the best one right away if it is free and there is none, or if nothing is to be descended.
   bool offer(std::vector<Point> path, Source source) {
+    if (space_.w == 0) cut_short(path);
     if (best_.q.empty()) {
       take(Polyline::of(space_, path));
       if (!descends_) challengers_.push_back(challenger(std::move(path), source));
@@ -285,6 +286,16 @@ class Anytime {
     const auto beginning = !descends_ ? Beginning::kMove : source == kPolish ? Beginning::kPolish : Beginning::kCoarse;
     const ChallengerSettings settings{settings_.spacing, beginning, scouts_ > 1, source};
     return std::make_unique<Challenger>(space_, std::move(path), settings, random_.bits());
+  }
+
+  // Leave out vertices wherever the straight edge is free, the longest first: where length counts, it is shorter.
+  void cut_short(std::vector<Point>& path) {
+    for (size_t i = 0; i + 2 < path.size(); ++i)
+      for (size_t j = path.size() - 1; j > i + 1; --j)
+        if (space_.edge_free(path[i].data(), path[j].data()) && space_.edge_certain(path[i].data(), path[j].data())) {
+          path.erase(path.begin() + long(i) + 1, path.begin() + long(j));
+          break;
+        }
   }
 
   bool take(const Polyline& path) {
