@@ -38,7 +38,7 @@ _RELATED_KEPT = 2
 _STARTS = 5
 """Paths of a search that descents begin with."""
 _WORTH_TIMING = 1.1
-"""Ratio of the J of a curve to that of the best up to which it is timed; descents misjudge durations by some percent."""
+"""Ratio of a curve's J to that of the best up to which it is timed; descents misjudge durations by some percent."""
 _FIRST_DESCENT = 0.01
 """Time limit of the first descent of a cancelled call [s]."""
 
