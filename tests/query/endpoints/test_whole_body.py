@@ -124,3 +124,12 @@ def test_who_stops_the_search_late_does_not_wait_for_all_of_the_time():
     result = gp.plan(READY, gp.PoseGoal.from_tool(q, KITCHEN), KITCHEN, time_limit=60.0, callback=stops)
     assert result.status is gp.PlanStatus.SOLVED
     assert result.stats["total_time"] < 15.0
+
+
+def test_the_first_motion_ends_the_call_of_a_base():
+    q = np.array([3.6, 1.82, -1.06, 0.18, -1.44, 0.54, -0.81, 0.39, -0.42, 1.7, -2.92])
+    told = []
+    goal = gp.PoseGoal.from_tool(q, KITCHEN)
+    result = gp.plan(READY, goal, KITCHEN, time_limit=60.0, stop="first", callback=told.append)
+    assert result.status is gp.PlanStatus.SOLVED and len(told) == 1
+    assert result.stats["total_time"] < 15.0

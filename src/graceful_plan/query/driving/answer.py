@@ -14,7 +14,7 @@ import numpy as np
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.candidates.motions import Motion
-from graceful_plan.query.candidates.search import ALL, Search, search
+from graceful_plan.query.candidates.search import ALL, Callback, Search, search
 from graceful_plan.query.driving.among.searching import search_among_walkers
 from graceful_plan.query.driving.candidates import Drives, Ordinary
 from graceful_plan.query.driving.clock import Clock, paces_of
@@ -31,7 +31,7 @@ from graceful_plan.query.driving.tight import rolling_endpoints
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.query.verification import Judged
-from graceful_plan.result import PlanResult
+from graceful_plan.result import PlanResult, TracePoint
 
 _SHARE, _ARM_SHARE = 0.5, 0.3
 """Of the time, for the search of a base's path, of one without and with an arm or among those who move; the rest is for
@@ -48,6 +48,8 @@ judged in time is not had."""
 
 def driven_answer(request: Request, ends: Endpoints, budget: Budget, rng: np.random.Generator) -> PlanResult:
     """Search, time, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
+    if request.stop == "first":
+        request = replace(request, callback=_ending(request.callback))
     rolling = rolling_endpoints(ends)
     if isinstance(rolling, PlanResult):
         return rolling
@@ -90,6 +92,17 @@ def driven_answer(request: Request, ends: Endpoints, budget: Budget, rng: np.ran
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
     return failed(found, ends, refused, budget, stats)
+
+
+def _ending(callback: Callback | None) -> Callback:
+    """Return a callback that ends the search with its first path."""
+
+    def told(point: TracePoint) -> bool:
+        if callback is not None:
+            callback(point)
+        return True
+
+    return told
 
 
 def _for_motions(found: Search, budget: Budget) -> float:
