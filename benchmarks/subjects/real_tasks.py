@@ -34,8 +34,8 @@ One process, one call at a time; scenes are compiled and warm. Classes: "block" 
 household tasks in which nothing can spill, "open vessel" those in which something can, and the stew of `dining_table`,
 a pan that is nearly full. "First" is `plan(stop="first")`, the whole call to its verified motion. "After the search" is
 the part of it after the first path: descent, timing, cost, verdict. "Gap" is how much J of the result lies above the
-best known: the least of three calls of {best:g} s (table tasks 5 s) and of all calls here. The weight is the default's unless
-it says w = 0.
+best known: the least of three calls of {best:g} s (table tasks 5 s) and of all calls here. The weight is the default's
+unless it says w = 0.
 """
 
 

@@ -13,6 +13,7 @@ import graceful_plan as gp
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
 from graceful_plan.path import Path
+from graceful_plan.planners.descent_rounds import descend_from
 from graceful_plan.planners.motion_descent import (
     COARSE,
     FINE,
@@ -181,12 +182,12 @@ def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(ta
     limits = task.scene.limits
     descents = MotionDescents(native_space(problem, objective), limits.velocity, limits.acceleration, is_free)
     rng = np.random.default_rng(0)
-    found = list(descents.round([Start(path)], Budget(iterations=1), rng))
+    found = list(descend_from([Start(path)], descents, Budget(iterations=1), rng))
     assert found and len(asked) >= 2 * len(found)
 
     def curves(settings: DescentSettings, starts: int = 1) -> list[DescentResult]:
         of = replace(descents, settings=settings, is_free=lambda curve, start: True)
-        return list(of.round([Start(path, arrival=k) for k in range(starts)], Budget(iterations=1), rng))
+        return list(descend_from([Start(path, arrival=k) for k in range(starts)], of, Budget(iterations=1), rng))
 
     coarse = curves(DescentSettings(fine=0, refinements=0))
     assert {len(one.curve.controls) for one in coarse} <= {COARSE.controls, MIDDLE.controls}
@@ -195,12 +196,13 @@ def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(ta
     assert later.start.curve is soon.curve, "the finer one goes on from there"
     finely = curves(DescentSettings(screens=False, fine=1, refinements=0))
     assert [len(one.curve.controls) for one in finely] == [FINE.controls]
-    assert finely[0].value <= min(one.value for one in coarse)
+    begun = descents.descended(Start(path), replace(FINE, evaluations=0), Budget())
+    assert begun is not None and finely[0].value < 0.8 * begun.value
     refined = curves(DescentSettings(refinements=4))
     assert min(one.value for one in refined) <= min(one.value for one in finely) * (1.0 + 1e-3)
     assert {one.start.arrival for one in curves(DescentSettings(bends=0, refinements=0), 2)} == {0, 1}
-    assert not list(descents.round([], Budget(iterations=1), rng))
-    assert not list(descents.round([Start(path)], Budget(time_limit=0.0), rng))
+    assert not list(descend_from([], descents, Budget(iterations=1), rng))
+    assert not list(descend_from([Start(path)], descents, Budget(time_limit=0.0), rng))
 
 
 def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> None:

@@ -100,13 +100,11 @@ def _proved(samples: MotionSamples, step: float, clearance: ClearanceBound | Non
     """
     if clearance is None:
         return samples
-    each, last = np.arange(len(samples.q)), len(samples.q) - 1
-    asked = np.append(np.arange(0, last, _STRIDE), last)
-    known = clearance(samples.q[asked])
-    before = np.minimum(each // _STRIDE, len(asked) - 1)
-    after = np.minimum(before + 1, len(asked) - 1)
-    far = known[before] - 2.0 * step * (each - asked[before]), known[after] - 2.0 * step * (asked[after] - each)
-    proved = np.maximum(*far) > PROVED
+    last, away = len(samples.q) - 1, 2.0 * step * np.arange(_STRIDE + 1.0)
+    known = clearance(samples.q[np.append(np.arange(0, last, _STRIDE), last)])
+    # One row for each stretch between them; of the last one, which may be shorter, too much is taken off.
+    least = np.maximum(known[:-1, None] - away[:-1], known[1:, None] - away[:0:-1])
+    proved = np.append(least.ravel()[:last], known[-1]) > PROVED
     doubtful = np.flatnonzero(~proved)
     proved[doubtful] = clearance(samples.q[doubtful]) > PROVED
     return replace(samples, proved=proved)

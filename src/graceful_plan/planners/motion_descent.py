@@ -1,19 +1,14 @@
 """Smooth motions from paths: control points of a spline descend along J of the motion as it will be executed.
 
-The core does the work (`search/motion_descent.hpp`), with the speed profile as part of the gradient. Paths do not show
-which local minimum has the best motion. So descents from many starts go from coarse to fine, and at each stage only
-the better ones are kept:
-
-- a *start* is a path of a search, a curve that has descended before, or such a path with a wide random bend;
-- a *refinement* bends one of the best curves at random and lets it descend again.
+The core does the work (`search/motion_descent.hpp`), with the speed profile as part of the gradient. Here is one
+descent; `descent_rounds` decides where descents begin and which of them go on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar, final
+from typing import final
 
 import numpy as np
 
@@ -21,11 +16,9 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.resampling import evenly
 from graceful_plan.timing.spline import Spline, grid_points
 
 Array = np.ndarray
-_T = TypeVar("_T")
 
 TIME_PRICE = 0.05
 """Cost of a second of motion on top of J [rad/s]; it decides between motions of about the same J."""
@@ -41,24 +34,6 @@ _HARDENINGS = 3
 _MORE = 40
 _FOR_CLEARANCE = 1
 """How often for more clearance than the motion must have."""
-_WORKERS = 2
-_KEPT = 4
-"""One of so many descents goes on to the next stage, and at least `_LEAST` do."""
-_LEAST = 2
-_COARSE_SHARE, _MIDDLE_SHARE = 0.3, 0.6
-"""Parts of the time after which the coarse and the middle stage begin no more descents."""
-_UNTIMED_BENDS, _UNTIMED_REFINEMENTS = 4, 2
-"""Bends of starts and refinements in a round that no clock limits."""
-_MOST_BENDS, _MOST_REFINEMENTS = 5000, 2000
-_PROMISING = (1.2, 1.05)
-"""A refinement goes on after its coarse and its middle stage if J is at most so many times that of the best curve."""
-_NARROW = (0.1, 1.0)
-"""Least and greatest size of the bend of a refinement [rad]."""
-_WIDE = (0.3, 1.5)
-"""The same of the bends of starts, of which `_WIDE_BENDS` add up."""
-_WIDE_BENDS = 2
-_RESAMPLED = 64
-"""Points of a curve from which the next descent begins."""
 
 
 def time_price(*, careful: bool) -> float:
@@ -186,22 +161,6 @@ class MotionDescents:
         """Cost of a second of motion on top of J [rad/s]."""
         return time_price(careful=self.careful)
 
-    def round(
-        self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator, best: Sequence[DescentResult] = ()
-    ) -> Iterator[DescentResult]:
-        """Yield free curves that descended from starts, then refinements of the best of all.
-
-        Without a time limit the number of descents is fixed, and the result does not depend on the clock.
-
-        Args:
-            starts: Paths to descend from.
-            budget: Time of the round.
-            rng: For bends.
-            best: Results of earlier rounds, which refinements may begin with.
-        """
-        with ThreadPoolExecutor(_WORKERS) as pool:
-            yield from _Round(self, starts, budget, rng, pool, list(best)).run()
-
     def descended(self, start: Start, stage: Stage, budget: Budget) -> _native.MotionDescent | None:
         """Descend from a path for one stage; None if the budget is over."""
         if budget.over:
@@ -249,139 +208,6 @@ class MotionDescents:
                 descent.harden()
                 _go_on(descent, _MORE, budget)
         return None
-
-
-@dataclass
-class _Round:
-    """Descents from coarse to fine, then refinements."""
-
-    descents: MotionDescents
-    starts: Sequence[Start]
-    budget: Budget
-    rng: np.random.Generator
-    pool: Executor
-    results: list[DescentResult]
-
-    def run(self) -> Iterator[DescentResult]:
-        settings, budget = self.descents.settings, self.budget
-        jobs, coarse, before = list(self.starts), list[DescentResult](), len(self.results)
-        if settings.screens and jobs:
-            began, seconds = budget.elapsed, budget.remaining_seconds
-            with budget.share(_COARSE_SHARE * seconds) as part:
-                values = self._coarse(part, coarse)
-            with budget.share(began + _MIDDLE_SHARE * seconds - budget.elapsed) as part:
-                values = self._descended([start for _, start in _better(values)], settings.middle, part, coarse)
-            jobs = [start for _, start in _better(values)]
-        jobs = jobs[: max(settings.fine, len(jobs) if settings.screens else 0)]
-        if settings.hurries:
-            for k, found in self._finished(jobs, settings.middle):
-                jobs[k] = _from_curve(jobs[k], found.curve)
-                yield found
-        yield from (found for _, found in self._finished(jobs, FINE))
-        if len(self.results) == before:  # coarse values are guesses, so coarse curves serve only where no fine one does
-            self.results += sorted(coarse, key=_value)[:_LEAST]
-            yield from self.results[before:]
-        most = _MOST_REFINEMENTS if budget.timed else _UNTIMED_REFINEMENTS
-        for _ in range(0, most if settings.refinements is None else settings.refinements, _WORKERS):
-            if budget.over or not self.results:
-                return
-            yield from self._refined()
-
-    def _coarse(self, budget: Budget, free: list[DescentResult]) -> list[tuple[float, Start]]:
-        """Descend coarsely from all starts and from wide bends of them."""
-        jobs = self._descended(self.starts, COARSE, budget, free)
-        bends = self.descents.settings.bends
-        most = bends if bends is not None else _MOST_BENDS if budget.timed else _UNTIMED_BENDS
-        for _ in range(0, most, _WORKERS):
-            if budget.over:
-                break
-            chosen = [self.starts[k] for k in self.rng.integers(len(self.starts), size=_WORKERS)]
-            jobs += self._descended([self._widely_bent(start) for start in chosen], COARSE, budget, free)
-        return jobs
-
-    def _descended(
-        self, starts: Sequence[Start], stage: Stage, budget: Budget, free: list[DescentResult]
-    ) -> list[tuple[float, Start]]:
-        """Return values and curves as new starts; add those that are free to `free`."""
-        ended: list[tuple[float, Start]] = []
-        done = self._each(lambda start: self.descents.descended(start, stage, budget), starts)
-        for descent, start in zip(done, starts, strict=True):
-            if descent is None:
-                continue
-            curve = Spline(descent.controls)
-            ended.append((descent.value, _from_curve(start, curve)))
-            if self.descents.is_free(curve, start):
-                free.append(DescentResult(curve, descent.value, start))
-        self.descents.effort.descents += len(starts)
-        return ended
-
-    def _finished(self, starts: Sequence[Start], stage: Stage) -> Iterator[tuple[int, DescentResult]]:
-        """Yield free curves that keep their clearance where there is room, with the index of their start."""
-        if self.descents.settings.fine:
-            done = self._each(lambda start: self.descents.finished(start, stage, self.budget), list(starts))
-            for k, one in enumerate(done):
-                self.descents.effort.descents += 1
-                if one is not None:
-                    self.results.append(one)
-                    yield k, one
-
-    def _each(self, do: Callable[[Start], _T], starts: Sequence[Start]) -> Iterator[_T]:
-        """Do something with each start side by side; a single one does not wait for a thread to begin."""
-        return map(do, starts) if len(starts) == 1 else self.pool.map(do, starts)
-
-    def _refined(self) -> Iterator[DescentResult]:
-        """Bend two of the best curves at random and let them descend as long as they promise to become better."""
-        settings = self.descents.settings
-        best = sorted(self.results, key=_value)[:_WORKERS]
-        chosen = [best[0] if self.rng.uniform() < 0.5 else best[-1] for _ in range(_WORKERS)]
-        jobs, free = [self._bent(_resampled(one.curve), one.start, _NARROW) for one in chosen], list[DescentResult]()
-        for stage, most in zip((COARSE, settings.middle), _PROMISING, strict=True):
-            ended = self._descended(jobs, stage, self.budget, free)
-            jobs = [start for value, start in sorted(ended, key=lambda job: job[0]) if value < most * best[0].value]
-        if settings.fine:
-            yield from (found for _, found in self._finished(jobs[: settings.fine], FINE))
-        else:
-            self.results += free
-            yield from free
-
-    def _widely_bent(self, start: Start) -> Start:
-        q = evenly(start.path.q, _RESAMPLED)
-        for _ in range(_WIDE_BENDS):
-            q = self._bent(q, start, _WIDE).path.q
-        return replace(start, path=Path(q), curve=None)
-
-    def _bent(self, q: Float[Array, "n nq"], start: Start, sizes: tuple[float, float]) -> Start:
-        """Bend a curve at a random place, by a random size and in a random direction."""
-        s = np.linspace(0.0, 1.0, len(q))[:, None]
-        centre, width = self.rng.uniform(0.1, 0.9), self.rng.uniform(0.15, 0.8)
-        direction = self.rng.normal(size=q.shape[1])
-        least, most = sizes
-        size = least * (most / least) ** self.rng.uniform() / np.linalg.norm(direction)
-        bump = np.maximum(0.0, 1.0 - ((s - centre) / width) ** 2) ** 2 * np.minimum(1.0, 8.0 * s * (1.0 - s))
-        bent = q + size * bump * direction
-        if self.descents.projected is not None:  # random bends would tilt what is kept level
-            bent[1:-1] = self.descents.projected(bent[1:-1])
-        return replace(start, path=Path(bent), curve=None)
-
-
-def _from_curve(start: Start, curve: Spline) -> Start:
-    return replace(start, path=Path(_resampled(curve)), curve=curve)
-
-
-def _value(result: DescentResult) -> float:
-    return result.value
-
-
-def _better(jobs: Sequence[tuple[float, Start]]) -> Sequence[tuple[float, Start]]:
-    """Return the part of descents that goes on, the best first."""
-    return sorted(jobs, key=lambda job: job[0])[: max(_LEAST, len(jobs) // _KEPT)]
-
-
-def _resampled(curve: Spline) -> Float[Array, "n nq"]:
-    u = np.linspace(0.0, len(curve.controls) - 3.0, _RESAMPLED)
-    q = _native.spline(np.ascontiguousarray(curve.controls), u)[0]
-    q[0], q[-1] = curve.controls[0], curve.controls[-1]
-    return q
 
 
 def _fitted(curve: Spline, controls: int) -> Float[Array, "control nq"]:

@@ -28,6 +28,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import MAX_WEIGHT
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
+from graceful_plan.planners.descent_rounds import descend_from
 from graceful_plan.planners.motion_descent import DescentSettings
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -191,7 +192,7 @@ class MotionFront:
         request, ends = replace(self.query.request, objective=self.query.at(w)), self.query.ends
         descents, (budget, rng) = motion_descents(request, self.problem, settings), means
         begun = [start_along(path, arrival, ends) for path, arrival in starts if path.length > 0.0]
-        results = sorted(descents.round(begun, budget, rng), key=lambda one: one.value) if descents else []
+        results = sorted(descend_from(begun, descents, budget, rng), key=lambda one: one.value) if descents else []
         motions = (timed_curve(one, request) for one in results[:_MOST_TIMED])
         return [FrontMotion(motion=one, made_by="descent", made_with=w) for one in motions if one is not None]
 

@@ -16,6 +16,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.anytime.auto import Auto
+from graceful_plan.planners.descent_rounds import descend_from
 from graceful_plan.planners.motion_descent import DescentResult, DescentSettings, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -135,7 +136,7 @@ class MotionSource:
     def _descended(self, starts: list[Start], budget: Budget, best: float) -> Iterator[Motion]:
         assert self._descents is not None
         starts = [start for start in starts if start.path.length > 0.0]
-        for result in self._descents.round(starts, budget, self._rng, self._results):
+        for result in descend_from(starts, self._descents, budget, self._rng, self._results):
             self._results.append(result)
             if result.value <= _WORTH_TIMING * min(best, *(other.value for other in self._results)):
                 motion = timed_curve(result, self._request)
