@@ -73,7 +73,7 @@ class MotionDescent {
     for (size_t i = 0; i < x_.size(); ++i)
       rise += gradient_[i] * (trial_[i] - x_[i]), along += trial_gradient_[i] * direction_[i];
     if (!(found.energy <= now_.energy + kArmijo * rise)) {
-      longest_ = share_, share_ = 0.5 * (shortest_ + longest_);
+      longest_ = share_, share_ = shortest_ + shrink(found.energy) * (longest_ - shortest_);
     } else if (along < kWolfe * along_ && std::isinf(longest_) && share_ < kLongestShare) {
       shortest_ = share_, share_ *= 2;
       keep(found);
@@ -118,8 +118,17 @@ class MotionDescent {
   static constexpr double kKeep = 0.001;   // clearance to keep on top of the space's margin [m]
   static constexpr double kLongest = 0.3;  // of a control point in one step [rad]
   static constexpr double kArmijo = 1e-4, kWolfe = 0.9, kLongestShare = 8.0;
+  static constexpr double kLeastShrink = 0.05;
   static constexpr int kTries = 10;       // of a line search
   static constexpr size_t kLookBack = 6;  // steps
+
+  // The part of a step that was too long where a parabola through its value and the slope at its beginning is least; a
+  // half where the step did not begin there.
+  double shrink(double energy) const {
+    if (shortest_ > 0) return 0.5;
+    const double fall = -along_ * share_, above = energy - now_.energy + fall;
+    return std::clamp(0.5 * fall / above, kLeastShrink, 0.5);
+  }
 
   double clipped(size_t i, double value) const {
     return std::clamp(value, space_.lower[i % dim_], space_.upper[i % dim_]);
