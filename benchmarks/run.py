@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import subprocess
 import sys
 import time
 import traceback
@@ -141,9 +142,20 @@ def section(name: str, options: suite.Options, arguments: list[str] | None) -> s
     body = subject.run(options)
     seconds = time.perf_counter() - started
     command = " ".join(["python benchmarks/run.py", *(sys.argv[1:] if arguments is None else arguments)])
-    made = f"{datetime.now(UTC):%Y-%m-%d}, `{command}`, {seconds:.0f} s, load average {load:.1f} before it began."
+    made = f"{datetime.now(UTC):%Y-%m-%d}, commit {_commit()}, `{command}`, {seconds:.0f} s"
+    made = f"{made}, load average {load:.1f} before it began."
     quick = "\n\n**Quick run: sizes too small for its figures to mean much.**" if options.quick else ""
     return f"## {subject.TITLE}\n\n{made} {machine.described()}.{quick}\n\n{body}"
+
+
+def _commit() -> str:
+    """Return the commit that is measured, with a plus if files differ from it; "unknown" outside of a repository."""
+    words = ["git", "describe", "--always", "--dirty=+", "--exclude=*"]
+    try:
+        found = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return found.stdout.strip()
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -10,7 +10,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from graceful_plan.query.endpoints.ik import PoseSolver, draw_seeds, solve_ik
+from graceful_plan.query.endpoints.ik import draw_seeds, solve_ik
+from graceful_plan.query.endpoints.pose_solver import PoseSolver
 from graceful_plan.scene.pose_goal import pose_error
 
 TITLE = "Inverse kinematics: goals given as a pose"

@@ -37,8 +37,9 @@ from graceful_plan.query.candidates.candidates import candidates
 from graceful_plan.query.candidates.prefer import Preference
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.driving.answer import driven_answer
+from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
-from graceful_plan.query.endpoints.goals import Configuration, Goal, poses_of
+from graceful_plan.query.endpoints.goals import Goal, poses_of
 from graceful_plan.query.request import Request, Stop
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via

@@ -86,8 +86,8 @@ class BestVerified:
         return effort - self._improved[1] >= _PATIENCE
 
     def end_round(self, path_cost: float) -> None:
-        """Note that a round has ended, and the least cost of a path of the searches so far."""
-        self._rounds, self.path_cost = self._rounds + 1, path_cost
+        """Note that a round has ended, and the least cost of a path of its search."""
+        self._rounds, self.path_cost = self._rounds + 1, min(self.path_cost, path_cost)
 
     def tell(self, point: TracePoint) -> bool:
         """Tell the callback of an improvement, unless it has ended the call; return whether it has."""

@@ -12,8 +12,9 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.planners.roadmaps.growth import Ground
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import Endpoints, find_endpoints
-from graceful_plan.query.endpoints.goals import Configuration, Goal
+from graceful_plan.query.endpoints.goals import Goal
 from graceful_plan.roadmap.answers import QueryResult, QueryStatus
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.scene.scene import Scene

@@ -20,8 +20,9 @@ from graceful_plan.planners.roadmaps.graph import non_dominated, spread_out
 from graceful_plan.planners.roadmaps.growth import Growth
 from graceful_plan.planners.settings import count
 from graceful_plan.query.arguments import check_stands, checked_objective, checked_seed, checked_time_limit
+from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import Endpoints
-from graceful_plan.query.endpoints.goals import Configuration, Goal
+from graceful_plan.query.endpoints.goals import Goal
 from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
 from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure

@@ -34,8 +34,9 @@ from graceful_plan.query.arguments import (
     checked_speed,
     checked_time_limit,
 )
+from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import Endpoints, find_endpoints
-from graceful_plan.query.endpoints.goals import Configuration, Goal, poses_of
+from graceful_plan.query.endpoints.goals import Goal, poses_of
 from graceful_plan.query.request import Request
 from graceful_plan.result import PlanStatus
 from graceful_plan.roadmap import Roadmap

@@ -16,7 +16,8 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective, evaluate
 from graceful_plan.exceptions import GracefulPlanError, SettingError, UnknownNameError
 from graceful_plan.path import Path, finite_array, is_real
-from graceful_plan.query.endpoints.goals import Configuration, Goal, configurations_of, has_poses
+from graceful_plan.query.endpoints.configurations import Configuration, configurations_of
+from graceful_plan.query.endpoints.goals import Goal, has_poses
 from graceful_plan.result import PlanResult
 from graceful_plan.scene.loading.bundled import load_scene, mobile_scenes, scenes
 from graceful_plan.scene.mobile.base_pose import BasePose

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.query.endpoints.ik import PoseSolver, draw_seeds, solve_ik
+from graceful_plan.query.endpoints.ik import draw_seeds, solve_ik
+from graceful_plan.query.endpoints.pose_solver import PoseSolver
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 

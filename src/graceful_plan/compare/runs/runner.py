@@ -23,7 +23,8 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners.planner import Budget, Planner
-from graceful_plan.query.endpoints.goals import Configuration, Goal
+from graceful_plan.query.endpoints.configurations import Configuration
+from graceful_plan.query.endpoints.goals import Goal
 from graceful_plan.result import PlanStatus, TracePoint
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.scene import Scene

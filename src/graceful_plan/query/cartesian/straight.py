@@ -25,8 +25,9 @@ from graceful_plan.query.arguments import checked_objective, checked_seed, check
 from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.cartesian.following import Follower
 from graceful_plan.query.cartesian.line import ToolLine
+from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import constrained
-from graceful_plan.query.endpoints.goals import Configuration, resolve_goal, resolve_start
+from graceful_plan.query.endpoints.goals import resolve_goal, resolve_start
 from graceful_plan.query.verification import verdict_of
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal

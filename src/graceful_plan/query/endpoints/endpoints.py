@@ -11,8 +11,9 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.judge.exact import nearest_pair
 from graceful_plan.path import Path
+from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE, way_out
-from graceful_plan.query.endpoints.goals import Configuration, Goal, has_poses, resolve_goal, resolve_start
+from graceful_plan.query.endpoints.goals import Goal, has_poses, resolve_goal, resolve_start
 from graceful_plan.query.endpoints.usable import Resolved
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene

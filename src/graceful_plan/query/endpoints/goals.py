@@ -14,26 +14,28 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.path import finite_array
+from graceful_plan.query.endpoints.configurations import (
+    Configuration,
+    configurations_of,
+    goal_words,
+    named_configuration,
+    the_short_way,
+)
 from graceful_plan.query.endpoints.ik import solve_ik
 from graceful_plan.query.endpoints.pose_sets import LEVER, reach_poses
 from graceful_plan.query.endpoints.usable import Resolved, collision, free_of_collision, usable
-from graceful_plan.query.endpoints.whole_body import solve_whole_body
+from graceful_plan.query.endpoints.whole_body import solve_whole_body, standing
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
-Configuration = ArrayLike | str
-"""A configuration [nq] or the name of a keyframe."""
 Goal = Configuration | PoseGoal | BasePose | Sequence[Configuration | PoseGoal | BasePose]
 
 _ENOUGH, _OF_EACH = 8, 2
 """Configurations that are enough for several poses that are looked at one by one, and for one of them. Of more poses
 than that, all are looked at together first."""
-_HEADINGS = 16
-"""Of a base where any heading will do."""
 
 
 def resolve_start(start: Configuration, scene: Scene) -> Resolved:
@@ -44,7 +46,11 @@ def resolve_start(start: Configuration, scene: Scene) -> Resolved:
         NonFiniteError: If it holds a NaN or an infinity.
         UnknownNameError: If there is no keyframe of that name.
     """
-    q = _named(start, scene) if isinstance(start, str) else finite_array("start", start, ndim=1, last=len(scene.joints))
+    q = (
+        named_configuration(start, scene)
+        if isinstance(start, str)
+        else finite_array("start", start, ndim=1, last=len(scene.joints))
+    )
     return usable(["start"], q[None], scene, q)
 
 
@@ -79,13 +85,15 @@ def resolve_goal(
     if isinstance(goal, PoseGoal):
         return _pose(goal, scene, start, seed, cancelled)
     if isinstance(goal, BasePose):
-        return _standing(goal, scene, np.asarray(start, dtype=float))
+        return standing(goal, scene, np.asarray(start, dtype=float))
     several = _poses_among(goal)
     if several:
         return _several(several, scene, np.asarray(start, dtype=float), seed, cancelled, hurried)
     q = configurations_of(cast("Configuration | Sequence[Configuration]", goal), scene)
     begin = np.asarray(start, dtype=float)
-    return usable(_words(len(q)), _the_short_way(q, begin, scene), scene, begin, cancelled=cancelled, hurried=hurried)
+    return usable(
+        goal_words(len(q)), the_short_way(q, begin, scene), scene, begin, cancelled=cancelled, hurried=hurried
+    )
 
 
 def has_poses(goal: Goal) -> bool:
@@ -98,25 +106,6 @@ def _poses_among(goal: Goal) -> Sequence[Configuration | PoseGoal | BasePose]:
     if isinstance(goal, Sequence) and any(isinstance(one, PoseGoal | BasePose) for one in goal):
         return cast("Sequence[Configuration | PoseGoal | BasePose]", goal)
     return ()
-
-
-def _standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolved:
-    """Return configurations with the base at a pose and the arm as it is at the start, the nearest heading first.
-
-    Raises:
-        SettingError: If the robot has no base that drives.
-    """
-    if scene.base is None:
-        raise SettingError("goal", goal, "a goal of the arm: this robot has no DiffDrive")
-    towards = np.arctan2(goal.y - start[1], goal.x - start[0])
-    turns = np.arange(_HEADINGS) * 2.0 * np.pi / _HEADINGS
-    q = np.tile(start, (1 if goal.yaw is not None else _HEADINGS, 1))
-    q[:, 0], q[:, 1], q[:, 2] = goal.x, goal.y, towards + turns if goal.yaw is None else goal.yaw
-    q = _the_short_way(q, start, scene)
-    q = q[np.argsort(np.abs(q[:, 2] - towards), kind="stable")]
-    found = usable(_words(len(q)), q, scene, start)
-    # Of many headings one that will do is enough.
-    return Resolved(found.q, (0,) * len(found.q), found.notes, () if len(found.q) else found.problems[:1])
 
 
 def poses_of(goal: Goal, index: Sequence[int]) -> tuple[PoseGoal | None, ...]:
@@ -156,7 +145,7 @@ def _several(
                 break
             own = _pose(one, scene, start, seed, cancelled, count=_OF_EACH, rounds=1)
         else:
-            own = _standing(cast("BasePose", one), scene, start)
+            own = standing(cast("BasePose", one), scene, start)
         notes, problems = (tuple(t.replace("goal", f"goal {k}", 1) for t in some) for some in (own.notes, own.problems))
         found.append(Resolved(own.q, (k,) * len(own.index), notes, problems))
         count += len(own.index)
@@ -182,7 +171,7 @@ def _together(
         return Resolved(np.empty((0, len(start))), ())
 
     def turned(q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        return _the_short_way(q, start, scene)
+        return the_short_way(q, start, scene)
 
     found = reach_poses(list(poses.values()), scene, start, turned=turned, cancelled=cancelled, hurried=hurried)
     which = list(poses)
@@ -202,7 +191,7 @@ def _given(
         return Resolved(np.zeros((0, len(scene.joints))), ())
     rows = [configurations_of(cast("Configuration", goals[k]), scene) for k in given]
     of = np.repeat(given, [len(row) for row in rows])
-    q = _the_short_way(np.concatenate(rows), start, scene)
+    q = the_short_way(np.concatenate(rows), start, scene)
     found = usable([f"goal {k}" for k in of], q, scene, start, cancelled=cancelled, hurried=hurried)
     return Resolved(found.q, tuple(int(of[i]) for i in found.index), found.notes, found.problems)
 
@@ -218,47 +207,6 @@ def _from_the_nearest_on(
         if isinstance(one, PoseGoal | BasePose)
     }
     return sorted(away, key=away.__getitem__)
-
-
-def _the_short_way(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:
-    """Return goals whose joints without limits are turned as near to the start as the range that is planned lets them.
-
-    A configuration outside of the range stays as it is, and is refused as ever.
-    """
-    lower, upper = scene.limits.position.T
-    turned = q - 2.0 * np.pi * np.round((q - start) / (2.0 * np.pi))
-    turned = turned + 2.0 * np.pi * ((turned < lower).astype(float) - (turned > upper))
-    return np.where(scene.endless & (q >= lower) & (q <= upper), turned, q)
-
-
-def _words(count: int) -> Sequence[str]:
-    """What to call goals that were given together."""
-    return ["goal"] if count == 1 else [f"goal {k}" for k in range(count)]
-
-
-def configurations_of(goal: Configuration | Sequence[Configuration], scene: Scene) -> Float[Array, "n nq"]:
-    """Return configurations and keyframes as rows.
-
-    Raises:
-        ShapeError: If one does not fit the scene's joints.
-        NonFiniteError: If one holds a NaN or an infinity.
-        UnknownNameError: If there is no keyframe of a name.
-    """
-    nq = len(scene.joints)
-    if isinstance(goal, str):
-        return _named(goal, scene)[None]
-    if isinstance(goal, Sequence) and any(isinstance(item, str) for item in goal):
-        return np.concatenate([configurations_of(item, scene) for item in goal])  # type: ignore[arg-type]
-    q = finite_array("goal", goal, last=nq)  # type: ignore[arg-type]
-    if q.ndim > 2 or q.size == 0:
-        raise ShapeError("goal", q.shape, f"({nq},) or (n >= 1, {nq})")
-    return np.atleast_2d(q)
-
-
-def _named(name: str, scene: Scene) -> Float[Array, " nq"]:
-    if name not in scene.keyframes:
-        raise UnknownNameError("keyframe", name, scene.keyframes)
-    return np.asarray(scene.keyframes[name], dtype=float)
 
 
 def _pose(

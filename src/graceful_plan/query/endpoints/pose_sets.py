@@ -15,7 +15,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import exactly_free
-from graceful_plan.query.endpoints.ik import PRECISION, within
+from graceful_plan.query.endpoints.pose_solver import PRECISION, within
 from graceful_plan.query.endpoints.usable import MOST_GOALS
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.pose_goal import PoseGoal

@@ -17,8 +17,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.exceptions import SettingError
+from graceful_plan.query.endpoints.configurations import goal_words, the_short_way
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
-from graceful_plan.query.endpoints.ik import FreeTest, IKResult, PoseSolver
+from graceful_plan.query.endpoints.ik import FreeTest, IKResult
+from graceful_plan.query.endpoints.pose_solver import PoseSolver
+from graceful_plan.query.endpoints.usable import Resolved, usable
+from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
@@ -43,6 +48,8 @@ _STAYING = 12
 """Configurations with the base as it stands, and turned there, that are tried first."""
 _APART = 0.2
 """Solutions that differ less than this in every joint [rad or m] are one."""
+_HEADINGS = 16
+"""Of a base where any heading will do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,3 +190,22 @@ def _matching(goal: PoseGoal, reach: Reach) -> Int[Array, " n"]:
 
 def _wrapped(angle: Float[Array, "..."]) -> Float[Array, "..."]:
     return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
+
+
+def standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolved:
+    """Return configurations with the base at a pose and the arm as it is at the start, the nearest heading first.
+
+    Raises:
+        SettingError: If the robot has no base that drives.
+    """
+    if scene.base is None:
+        raise SettingError("goal", goal, "a goal of the arm: this robot has no DiffDrive")
+    towards = np.arctan2(goal.y - start[1], goal.x - start[0])
+    turns = np.arange(_HEADINGS) * 2.0 * np.pi / _HEADINGS
+    q = np.tile(start, (1 if goal.yaw is not None else _HEADINGS, 1))
+    q[:, 0], q[:, 1], q[:, 2] = goal.x, goal.y, towards + turns if goal.yaw is None else goal.yaw
+    q = the_short_way(q, start, scene)
+    q = q[np.argsort(np.abs(q[:, 2] - towards), kind="stable")]
+    found = usable(goal_words(len(q)), q, scene, start)
+    # Of many headings one that will do is enough.
+    return Resolved(found.q, (0,) * len(found.q), found.notes, () if len(found.q) else found.problems[:1])

@@ -21,7 +21,8 @@ from graceful_plan.judge.passing import passing
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.candidates.motions import Motion, costed_anew
-from graceful_plan.query.endpoints.goals import Configuration, Goal, poses_of
+from graceful_plan.query.endpoints.configurations import Configuration
+from graceful_plan.query.endpoints.goals import Goal, poses_of
 from graceful_plan.query.request import Request
 from graceful_plan.query.verification import verdict_of
 from graceful_plan.query.via.stages import Stages, find_stages

@@ -11,7 +11,8 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import finite_array
-from graceful_plan.query.endpoints.goals import Configuration, Goal, resolve_goal, resolve_start
+from graceful_plan.query.endpoints.configurations import Configuration
+from graceful_plan.query.endpoints.goals import Goal, resolve_goal, resolve_start
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene

@@ -1,0 +1,59 @@
+"""Configurations as users give them: numbers, or names of keyframes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import ShapeError, UnknownNameError
+from graceful_plan.path import finite_array
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+Configuration = ArrayLike | str
+"""A configuration [nq] or the name of a keyframe."""
+
+
+def configurations_of(goal: Configuration | Sequence[Configuration], scene: Scene) -> Float[Array, "n nq"]:
+    """Return configurations and keyframes as rows.
+
+    Raises:
+        ShapeError: If one does not fit the scene's joints.
+        NonFiniteError: If one holds a NaN or an infinity.
+        UnknownNameError: If there is no keyframe of a name.
+    """
+    nq = len(scene.joints)
+    if isinstance(goal, str):
+        return named_configuration(goal, scene)[None]
+    if isinstance(goal, Sequence) and any(isinstance(item, str) for item in goal):
+        return np.concatenate([configurations_of(item, scene) for item in goal])  # type: ignore[arg-type]
+    q = finite_array("goal", goal, last=nq)  # type: ignore[arg-type]
+    if q.ndim > 2 or q.size == 0:
+        raise ShapeError("goal", q.shape, f"({nq},) or (n >= 1, {nq})")
+    return np.atleast_2d(q)
+
+
+def named_configuration(name: str, scene: Scene) -> Float[Array, " nq"]:
+    """Return the configuration of a keyframe."""
+    if name not in scene.keyframes:
+        raise UnknownNameError("keyframe", name, scene.keyframes)
+    return np.asarray(scene.keyframes[name], dtype=float)
+
+
+def the_short_way(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:
+    """Return goals whose joints without limits are turned as near to the start as the range that is planned lets them.
+
+    A configuration outside of the range stays as it is, and is refused as ever.
+    """
+    lower, upper = scene.limits.position.T
+    turned = q - 2.0 * np.pi * np.round((q - start) / (2.0 * np.pi))
+    turned = turned + 2.0 * np.pi * ((turned < lower).astype(float) - (turned > upper))
+    return np.where(scene.endless & (q >= lower) & (q <= upper), turned, q)
+
+
+def goal_words(count: int) -> Sequence[str]:
+    """Return the words for goals in messages."""
+    return ["goal"] if count == 1 else [f"goal {k}" for k in range(count)]

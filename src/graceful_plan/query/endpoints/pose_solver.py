@@ -1,0 +1,112 @@
+"""From seeds to one pose: all at once in the core, or one by one with mink, which knows the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.scene.pose_goal import PoseGoal, pose_error
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+PRECISION = 1e-3
+"""Share of the tolerances that a solution may use up."""
+_EXACT = 1e-10
+"""Error [m and rad together] below which another iteration of mink would change nothing but the rounding."""
+_PATIENCE = 10
+"""Iterations in which a seed has to make progress."""
+
+
+@final
+class PoseSolver:
+    """Two ways to one pose: the core's from many seeds at once, and mink's from where that ended."""
+
+    def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool] = lambda: False) -> None:
+        self.goal, self.scene, self.cancelled = goal, scene, cancelled
+        self.kernels = compile_scene(scene).kernels
+        self.lower, self.upper = scene.limits.position.T
+
+    def search(
+        self, seeds: Float[Array, "n nq"], iterations: int, held: slice = slice(0)
+    ) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
+        """Iterate from all seeds; return what reached the pose, and where everything ended, the best first.
+
+        Args:
+            seeds: Configurations inside the limits.
+            iterations: At most, from each seed.
+            held: Joints that stay.
+        """
+        X_WG = np.broadcast_to(self.goal.X_WT, (len(seeds), 4, 4))
+        free_yaw = np.full(len(seeds), self.goal.free_yaw)
+        q, missing = self.kernels.reach(seeds, X_WG, free_yaw, iterations=iterations, patience=_PATIENCE, held=held)
+        exact = within(missing, PRECISION * self.goal.position_tolerance, PRECISION * self.goal.orientation_tolerance)
+        return q[exact], q[np.argsort(np.linalg.norm(missing, axis=1), kind="stable")]
+
+    def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
+        """Move configurations to the pose by mink; return what reached it, and where all of them ended, the best first.
+
+        None ends farther from the pose than it was.
+        """
+        ended = q.copy()
+        errors = np.array([self.errors(configuration) for configuration in q])
+        for i, configuration in enumerate(q):
+            for _ in range(iterations):
+                if self.cancelled():
+                    break
+                configuration = self._mink_step(configuration)
+                error = self.errors(configuration)
+                if sum(error) < errors[i].sum() - _EXACT:
+                    ended[i], errors[i] = configuration, error
+                if sum(error) <= _EXACT:
+                    break
+        tolerance = (self.goal.position_tolerance, self.goal.orientation_tolerance)
+        exact = (errors <= PRECISION * np.array(tolerance)).all(axis=1)
+        return ended[exact], ended[np.argsort(errors.sum(axis=1), kind="stable")]
+
+    @cached_property
+    def _mink_step(self) -> Callable[[Float[Array, " nq"]], Float[Array, " nq"]]:
+        """One iteration of mink, as a function; nothing but the planned joints moves the tool."""
+        import mink
+
+        task = mink.FrameTask(
+            self.scene.tool,
+            "site",
+            position_cost=1.0,
+            orientation_cost=[1.0, 1.0, 0.0 if self.goal.free_yaw else 1.0],
+            lm_damping=1e-3,
+        )
+        task.set_target(mink.SE3.from_matrix(self.goal.X_WT))
+        adr = self.scene.qpos_adr
+        limit = mink.ConfigurationLimit(self.scene.model, gain=1.0)
+        limit.lower[adr], limit.upper[adr] = self.lower, self.upper
+        qpos = self.scene.home_qpos.copy()
+        configuration = mink.Configuration(self.scene.model, qpos)
+
+        def step(q: Float[Array, " nq"]) -> Float[Array, " nq"]:
+            qpos[adr] = q
+            configuration.update(qpos)
+            velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-9, limits=[limit])
+            return np.clip(configuration.integrate(velocity, 1.0)[adr], self.lower, self.upper)
+
+        return step
+
+    def errors(self, q: Float[Array, " nq"]) -> tuple[float, float]:
+        """Position and orientation error of a configuration [m, rad]."""
+        return pose_error(self.goal, self.kernels.tool_pose(q))
+
+    def badness(self, error: tuple[float, float]) -> float:
+        """Put position and orientation errors on one scale."""
+        return error[0] / self.goal.position_tolerance + error[1] / self.goal.orientation_tolerance
+
+
+def within(
+    error: Float[Array, "n 6"], distance: float | Float[Array, " n"], angle: float | Float[Array, " n"]
+) -> Bool[Array, " n"]:
+    """Tell which errors of poses are no more than a distance [m] and an angle [rad]."""
+    return (np.linalg.norm(error[:, :3], axis=1) <= distance) & (np.linalg.norm(error[:, 3:], axis=1) <= angle)
