@@ -142,7 +142,7 @@ def section(name: str, options: suite.Options, arguments: list[str] | None) -> s
     body = subject.run(options)
     seconds = time.perf_counter() - started
     command = " ".join(["python benchmarks/run.py", *(sys.argv[1:] if arguments is None else arguments)])
-    made = f"{datetime.now(UTC):%Y-%m-%d}, commit {_commit()}, `{command}`, {seconds:.0f} s"
+    made = f"{datetime.now(UTC):%Y-%m-%d}, `{command}`, commit {_commit()}, {seconds:.0f} s"
     made = f"{made}, load average {load:.1f} before it began."
     quick = "\n\n**Quick run: sizes too small for its figures to mean much.**" if options.quick else ""
     return f"## {subject.TITLE}\n\n{made} {machine.described()}.{quick}\n\n{body}"
