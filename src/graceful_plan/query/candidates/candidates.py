@@ -20,7 +20,7 @@ from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 
-_CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
+CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], of the first search and of those after the judge refused."""
 _FIRST_ROUND_SECONDS, _FIRST_ROUND_ITERATIONS = 0.05, 60
 """Work of the first round; each other does twice as much as the one before."""
@@ -42,8 +42,8 @@ def candidates(
         rng: Chance.
         best: The best of the motions that were yielded and have passed the judge.
     """
-    for caution in _CAUTION:
-        source = MotionSource(request, ends, _problem(request, ends, *caution), rng, best.tell)
+    for caution in CAUTION:
+        source = MotionSource(request, ends, problem_of(request, ends, *caution), rng, best.tell)
         best.searched = found = source.search_first(budget)
         if found.paths:
             best.tell(found.trace[-1])
@@ -56,7 +56,7 @@ def candidates(
                 best.why_not = str(error)
         if best.ended or budget.exhausted or not (found.paths or found.refused):
             return
-        if best.motion is not None or caution is _CAUTION[-1]:
+        if best.motion is not None or caution is CAUTION[-1]:
             yield from _better(source, budget, best, request)
             return
 
@@ -91,7 +91,7 @@ def rounds(budget: Budget, seconds: float = _FIRST_ROUND_SECONDS, *, restarts: b
         seconds, iterations = 2.0 * seconds, 2 * iterations
 
 
-def _problem(request: Request, ends: Endpoints, margin: float, check_step: float) -> SceneProblem:
+def problem_of(request: Request, ends: Endpoints, margin: float, check_step: float) -> SceneProblem:
     """Return where to search: with a margin [m], or with less if the ends have less than twice that."""
     return SceneProblem(
         kernels=request.constraints.kernels,

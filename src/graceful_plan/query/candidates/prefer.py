@@ -34,7 +34,7 @@ from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
-from graceful_plan.query.candidates.search import ALL, Callback, Search, search, thinned
+from graceful_plan.query.candidates.search import ALL, Search, search, thinned
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -111,11 +111,10 @@ class Preference:
         problem: SceneProblem,
         budget: Budget,
         rng: np.random.Generator,
-        callback: Callback | None = None,
     ) -> Search:
         """Search by J, then order and refine what was found by J_rho; the best is at the end."""
         with budget.share(_SEARCH * budget.remaining_seconds) as part:
-            found = search(planner, problem, self.objective, part, rng, callback, kept=ALL)
+            found = search(planner, problem, self.objective, part, rng, kept=ALL)
         if found.paths and self.objective.w > 0.0:
             kept = (found.paths[index] for index in thinned(len(found.paths)))
             found.paths = sorted(kept, key=self.total, reverse=True)

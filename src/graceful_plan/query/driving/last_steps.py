@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.candidates.candidates import CAUTION, problem_of
 from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.candidates.search import Search
 from graceful_plan.query.driving.clock import Clock
@@ -20,8 +20,6 @@ from graceful_plan.query.request import Request
 from graceful_plan.query.verification import Judged, judged
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 
-_CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
-"""Clearance to keep [m] and step of edge checks [rad], of the first search and of those after the judge refused."""
 SOON = 0.1
 """A caller that stops the search earlier than this wants a motion soon [s]."""
 _UNVERIFIED = "a path was found, but there was no time to judge a motion along it: it is NOT verified"
@@ -29,15 +27,8 @@ _UNVERIFIED = "a path was found, but there was no time to judge a motion along i
 
 def problems(request: Request, ends: Endpoints) -> Iterator[SceneProblem]:
     """Yield problems that keep more and more clearance."""
-    for margin, check_step in _CAUTION:
-        yield SceneProblem(
-            kernels=request.constraints.kernels,
-            start=ends.departure.q[-1],
-            goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
-            margin=min(margin, 0.5 * ends.clearance),
-            check_step=check_step,
-            constraints=request.constraints,
-        )
+    for caution in CAUTION:
+        yield problem_of(request, ends, *caution)
 
 
 def until_last_steps(clock: Clock, elapsed: float, *, insured: bool = False) -> float:
