@@ -6,6 +6,7 @@
 
 #include "bindings/bindings.hpp"
 #include "impact/impact.hpp"
+#include "mobile/rolling_curve.hpp"
 #include "search/anytime.hpp"
 #include "search/connect.hpp"
 #include "search/descent.hpp"
@@ -352,8 +353,8 @@ class DescentRun {
 
 class MotionDescentRun {
  public:
-  MotionDescentRun(Space& space, Reals path, const MotionSettings& settings)
-      : space_(space), descent_(checked(space, settings), path_in(space, path), settings) {}
+  MotionDescentRun(Space& space, Reals path, const MotionSettings& settings, const RollingSettings* rolling)
+      : space_(space), descent_(checked(space, settings), path_in(space, path), settings, curve(space, settings, rolling)) {}
   // At most so many evaluations or seconds; after how many of them there was still something to gain.
   int run(int steps, double seconds) {
     require_slice(steps, seconds);
@@ -366,6 +367,8 @@ class MotionDescentRun {
   }
   void harden() { descent_.harden(); }
   Out<double> controls() const { return as_array(descent_.controls(), space_.dim); }
+  // The inner ones, as energy() takes them.
+  Out<double> inner() const { return as_array({descent_.inner()}, int(descent_.unknowns())); }
   double value() const { return descent_.value(); }
   double duration() const { return descent_.duration(); }
   nb::tuple energy(Reals controls) {
@@ -377,6 +380,11 @@ class MotionDescentRun {
   }
 
  private:
+  static std::unique_ptr<MotionCurve> curve(const Space& space, const MotionSettings& of, const RollingSettings* rolling) {
+    if (!rolling) return nullptr;
+    require(space.dim >= 3, "a base has three joints");
+    return std::make_unique<RollingCurve>(space, of.controls, of.density, *rolling);
+  }
   static Space& checked(Space& space, const MotionSettings& settings) {
     require(space.has_state_slopes(), "the space has no slopes of states");
     require(settings.controls >= 4 && settings.controls <= 200, "controls of a descent");
@@ -493,23 +501,46 @@ void bind_search(nb::module_& m) {
       .def_prop_ro("path", &DescentRun::path, nb::rv_policy::move)
       .def_prop_ro("value", &DescentRun::value)
       .def_prop_ro("energy", &DescentRun::energy);
+  nb::class_<RollingSettings>(m, "Rolling")
+      .def(
+          "__init__",
+          [](RollingSettings* self, double speed, double turning, double acceleration, double turning_acceleration,
+             double across, double rim, double lever, bool forward, std::optional<double> before,
+             std::optional<double> after) {
+            for (double limit : {speed, turning, acceleration, turning_acceleration, across, rim, lever})
+              require(limit > 0 && limit <= kMaxNumber, "limits of a base");
+            for (const std::optional<double>& heading : {before, after})
+              require(!heading || in_range(*heading, -kMaxPosition, kMaxPosition), "heading of a base");
+            new (self) RollingSettings{
+                {speed, turning, acceleration, turning_acceleration, across, rim, lever},
+                forward,
+                before.has_value(),
+                after.has_value(),
+                before.value_or(0.0),
+                after.value_or(0.0)};
+          },
+          nb::kw_only(), "speed"_a, "turning"_a, "acceleration"_a, "turning_acceleration"_a, "across"_a, "rim"_a,
+          "lever"_a, "forward"_a = true, "before"_a = nb::none(), "after"_a = nb::none());
   nb::class_<MotionDescentRun>(m, "MotionDescent")
       .def(
           "__init__",
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
              size_t density, bool rough, double time_price, double push, double tolerance, double tight_start,
-             double tight_end, const std::vector<FeltLimit>& felt, bool fitted, bool slosh, double points) {
+             double tight_end, const std::vector<FeltLimit>& felt, bool fitted, bool slosh, double points,
+             double begins, const RollingSettings* rolling) {
             new (self) MotionDescentRun(space, path,
                                         {point(velocity), point(acceleration), controls, density, rough, time_price,
-                                         push, tolerance, tight_start, tight_end, felt, fitted, slosh, points});
+                                         push, tolerance, tight_start, tight_end, felt, fitted, slosh, points, begins},
+                                        rolling);
           },
           "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a,
           "rough"_a = false, "time_price"_a, "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0,
           "tight_end"_a = 0.0, "felt"_a = std::vector<FeltLimit>{}, "fitted"_a = false, "slosh"_a = true,
-          "points"_a = 1.0, nb::keep_alive<1, 2>())
+          "points"_a = 1.0, "begins"_a = 0.0, "rolling"_a = nb::none(), nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)
       .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)
+      .def_prop_ro("inner", &MotionDescentRun::inner, nb::rv_policy::move)
       .def("energy", &MotionDescentRun::energy, "controls"_a)
       .def_prop_ro("value", &MotionDescentRun::value)
       .def_prop_ro("duration", &MotionDescentRun::duration);

@@ -14,11 +14,11 @@
 #pragma once
 #include <deque>
 #include <limits>
+#include <memory>
 
-#include "search/planning.hpp"
+#include "search/motion_curve.hpp"
 #include "timing/felt_samples.hpp"
 #include "timing/speed_profile.hpp"
-#include "timing/spline.hpp"
 
 namespace gp {
 
@@ -37,28 +37,31 @@ struct MotionSettings {
   bool fitted = false;          // whether the path is the control points of a curve
   bool slosh = true;            // whether it counts how a liquid sloshes
   double points = 1;            // samples of the motion where these are what the impact is summed over
+  double begins = 0;            // when the motion sets out [s], where it matters who is where then
 };
 
 class MotionDescent {
  public:
-  // From a path in a space that has slopes of states.
-  MotionDescent(Space& space, const std::vector<Point>& path, const MotionSettings& settings)
+  // From a path in a space that has slopes of states, along curves of joints unless other curves are given.
+  MotionDescent(Space& space, const std::vector<Point>& path, const MotionSettings& settings,
+                std::unique_ptr<MotionCurve> curve = nullptr)
       : space_(space),
         settings_(settings),
         dim_(size_t(space.dim)),
-        basis_(settings.controls),
-        profile_(settings.velocity, settings.acceleration),
+        curve_(curve ? std::move(curve) : std::make_unique<JointCurve>(space, settings.controls, settings.density)),
+        profile_(curve_->axis_velocity(settings.velocity), curve_->axis_acceleration(settings.acceleration)),
         felt_(space, settings.felt, settings.slosh),
         push_(settings.push) {
-    for (size_t k = 0; k <= basis_.spans() * settings.density; ++k)
-      row_.push_back(basis_.at(double(k) / double(settings.density)));
-    const size_t samples = row_.size();
-    q_.resize(samples * dim_), qd_ = impact_by_q_ = impact_by_qd_ = d_q_ = by_clearance_ = tangent_ = q_;
+    const size_t samples = curve_->samples();
+    at_.resize(samples, dim_, curve_->axes()), d_.resize(samples, dim_, curve_->axes());
+    qd_.resize(samples * dim_), impact_by_q_ = impact_by_qd_ = by_clearance_ = qd_;
     impact_.resize(samples), density_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
     step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0),
         stop_.front() = stop_.back() = 1;
-    slope_.resize(2 * dim_ * (samples - 1)), bend_ = d_slope_ = d_bend_ = slope_;
-    settings.fitted ? adopt(path) : fit(path);
+    if (settings.fitted && path.size() != settings.controls)
+      throw std::invalid_argument("other control points than those of a curve");
+    x_ = settings.fitted ? curve_->adopted(path) : curve_->fitted(path);
+    for (size_t i = 0; i < x_.size(); ++i) x_[i] = clipped(i, x_[i]);
     trial_ = x_;
     want();
     begin();
@@ -100,14 +103,9 @@ class MotionDescent {
     push_ *= 4.0;
     begin();
   }
-  std::vector<Point> controls() const {
-    std::vector<Point> points{first_};
-    for (size_t c = 0; c + 2 < settings_.controls; ++c)
-      points.emplace_back(x_.begin() + long(c * dim_), x_.begin() + long((c + 1) * dim_));
-    points.push_back(last_);
-    return points;
-  }
+  std::vector<Point> controls() const { return curve_->controls(x_); }
   size_t unknowns() const { return x_.size(); }
+  const Point& inner() const { return x_; }
   // What falls, at other inner control points, and its derivatives with respect to them; for tests.
   double energy(const Point& controls, Point& gradient) { return evaluate(controls, gradient).energy; }
 
@@ -131,49 +129,25 @@ class MotionDescent {
   }
 
   double clipped(size_t i, double value) const {
-    return std::clamp(value, space_.lower[i % dim_], space_.upper[i % dim_]);
-  }
-
-  void adopt(const std::vector<Point>& controls) {
-    if (controls.size() != settings_.controls)
-      throw std::invalid_argument("other control points than those of a curve");
-    first_ = controls.front(), last_ = controls.back();
-    for (size_t c = 1; c + 1 < settings_.controls; ++c)
-      for (size_t j = 0; j < dim_; ++j) x_.push_back(clipped(j, controls[c][j]));
-  }
-
-  // Control points where they would lie on the path.
-  void fit(const std::vector<Point>& path) {
-    first_ = path.front(), last_ = path.back();
-    std::vector<double> at{0.0};
-    for (size_t i = 0; i + 1 < path.size(); ++i)
-      at.push_back(at.back() + space_.distance(path[i].data(), path[i + 1].data()));
-    x_.clear();
-    size_t i = 0;
-    for (size_t c = 1; c + 1 < settings_.controls; ++c) {
-      const double s = at.back() * basis_.place(c);
-      while (i + 2 < path.size() && at[i + 1] < s) ++i;
-      const double gap = at[i + 1] - at[i], share = gap > 0 ? std::min(1.0, (s - at[i]) / gap) : 0.0;
-      for (size_t j = 0; j < dim_; ++j) x_.push_back(clipped(j, path[i][j] + share * (path[i + 1][j] - path[i][j])));
-    }
+    return std::clamp(value, curve_->lower()[i], curve_->upper()[i]);
   }
 
   // How much clearance each sample is to keep: near tight ends what a straight line from theirs to the usual one says.
   void want() {
-    sample(x_);
-    const size_t samples = row_.size();
+    curve_->sample(x_, at_);
+    const size_t samples = curve_->samples();
     const double everything = std::numeric_limits<double>::infinity();
-    space_.clearances({q_.data(), int(samples), everything}, clearance_.data(), by_clearance_.data());
+    space_.clearances({at_.q.data(), int(samples), everything}, clearance_.data(), by_clearance_.data());
     const double usual = space_.margin + kKeep;
     const auto relaxed = [&](double end, double length, double tight) {
       return length < tight ? end + (usual - end) * length / tight : usual;
     };
     double whole = 0, length = 0;
-    for (size_t k = 0; k + 1 < samples; ++k) whole += space_.distance(&q_[k * dim_], &q_[(k + 1) * dim_]);
+    for (size_t k = 0; k + 1 < samples; ++k) whole += space_.distance(&at_.q[k * dim_], &at_.q[(k + 1) * dim_]);
     for (size_t k = 0; k < samples; ++k) {
       wanted_[k] = std::min(relaxed(std::min(usual, clearance_.front()), length, settings_.tight_start),
                             relaxed(std::min(usual, clearance_.back()), whole - length, settings_.tight_end));
-      if (k + 1 < samples) length += space_.distance(&q_[k * dim_], &q_[(k + 1) * dim_]);
+      if (k + 1 < samples) length += space_.distance(&at_.q[k * dim_], &at_.q[(k + 1) * dim_]);
     }
   }
 
@@ -194,8 +168,8 @@ class MotionDescent {
     const size_t m = settings_.controls - 2;
     for (size_t a = 0; a < m; ++a)
       for (size_t b = 0; b < m; ++b)  // the inverse of second differences between two fixed ends
-        for (size_t j = 0; j < dim_; ++j)
-          inverse_[(a * dim_ + j) * n + b * dim_ + j] =
+        for (size_t j = 0; j < curve_->columns(); ++j)
+          inverse_[(a * curve_->columns() + j) * n + b * curve_->columns() + j] =
               double((std::min(a, b) + 1) * (m - std::max(a, b))) / double(m + 1) / stiffness;
     fresh_ = true, settled_ = false;
     descend();
@@ -249,7 +223,7 @@ class MotionDescent {
     const size_t n = x_.size();
     Point slope = gradient_;
     for (size_t i = 0; i < n; ++i)  // nothing is gained by going on into a limit
-      if ((x_[i] <= space_.lower[i % dim_] && slope[i] > 0) || (x_[i] >= space_.upper[i % dim_] && slope[i] < 0))
+      if ((x_[i] <= curve_->lower()[i] && slope[i] > 0) || (x_[i] >= curve_->upper()[i] && slope[i] < 0))
         slope[i] = 0;
     direction_.assign(n, 0.0);
     double longest = kLongest;
@@ -267,104 +241,84 @@ class MotionDescent {
     if (!fresh_) restart();
   }
 
-  void sample(const Point& x) {
-    const size_t n = settings_.controls;
-    const auto control = [&](size_t c) {
-      return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim_];
-    };
-    for (size_t k = 0; k < row_.size(); ++k) {
-      const SplineBasis::Row& row = row_[k];
-      // A sample is the end of an interval and the beginning of the next one.
-      const size_t at = k + 1 < row_.size() ? 2 * k * dim_ : (2 * k - 1) * dim_;
-      double *q = &q_[k * dim_], *slope = &slope_[at], *bend = &bend_[at];
-      std::fill_n(q, dim_, 0.0), std::fill_n(slope, dim_, 0.0), std::fill_n(bend, dim_, 0.0);
-      for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
-        const double* c = control(row.first + m);
-        for (size_t j = 0; j < dim_; ++j)
-          q[j] += row.value[m] * c[j], slope[j] += row.slope[m] * c[j], bend[j] += row.bend[m] * c[j];
-      }
-      if (k == 0 || k + 1 == row_.size()) continue;
-      std::copy_n(slope, dim_, slope - dim_), std::copy_n(bend, dim_, bend - dim_);
-    }
-  }
-  const double* slope_at(size_t k) const {
-    return k + 1 < row_.size() ? &slope_[2 * k * dim_] : &slope_[(2 * k - 1) * dim_];
-  }
-
   Evaluation evaluate(const Point& x, Point& gradient) {
-    const size_t samples = row_.size();
-    sample(x);
-    CurveSamples curve{samples - 1, dim_, step_.data(), slope_.data(), bend_.data(), stop_.data()};
-    const CurveLimits& limits = felt_.enter(space_, q_, step_.front(), profile_.enter(curve));
-    const std::vector<double>& squared = profile_.compute(curve, limits);
-    speed_.resize(samples), pause_.resize(samples - 1);
+    const size_t samples = curve_->samples();
+    curve_->sample(x, at_);
+    CurveSamples curve{samples - 1, curve_->axes(), step_.data(), at_.slope.data(), at_.bend.data(), stop_.data()};
+    const CurveLimits& limits = felt_.enter(space_, at_.q, step_.front(), profile_.enter(curve));
+    const std::vector<double>& fastest = profile_.compute(curve, limits);
+    squared_.resize(samples), speed_.resize(samples), pause_.resize(samples - 1);
     double duration = 0;
-    for (size_t k = 0; k < samples; ++k) speed_[k] = std::sqrt(squared[k]);
+    for (size_t k = 0; k < samples; ++k)
+      squared_[k] = at_.share[k] * at_.share[k] * fastest[k], speed_[k] = std::sqrt(squared_[k]);
     for (size_t k = 0; k + 1 < samples; ++k)
       duration += pause_[k] = 2 * step_[k] / std::max(speed_[k] + speed_[k + 1], kSlowest);
     for (size_t k = 0; k < samples; ++k)
-      for (size_t j = 0; j < dim_; ++j) qd_[k * dim_ + j] = slope_at(k)[j] * speed_[k];
+      for (size_t j = 0; j < dim_; ++j) qd_[k * dim_ + j] = at_.tangent[k * dim_ + j] * speed_[k];
 
-    for (std::vector<double>* d : {&d_q_, &d_slope_, &d_bend_}) std::fill(d->begin(), d->end(), 0.0);
-    d_speed_.assign(samples, 0.0);
+    d_.clear();
+    d_speed_.assign(samples, 0.0), d_pause_.assign(samples - 1, 0.0), d_squared_.assign(samples, 0.0);
     const double spread = lengthen();
     double motion = length_;
     if (!space_.motion_is_length()) motion = move();
+    const bool moves = space_.has_moving();
+    if (moves) arrive();
     const double harm = space_.w > 0 ? fail(d_speed_) : 0.0;
     const double total = motion + space_.w * harm + settings_.time_price * duration;
     if (scale_ == 0) scale_ = total;
     const double weight = push_ * scale_ / double(samples);
     const bool timed = space_.w > 0 && space_.measure() == Measure::kTime;
-    const double slosh = weight * felt_.slosh(squared, pause_);
-    d_pause_.assign(samples - 1, 0.0), d_squared_.assign(samples, 0.0);
-    felt_.back_slosh(squared, weight, d_squared_, d_pause_);
+    const double penalty = collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_);
+    felt_.back_slosh(squared_, weight, d_squared_, d_pause_);
+    if (moves) delay();
     for (size_t k = 0; k + 1 < samples; ++k) {
       const double price =
           settings_.time_price + d_pause_[k] + 0.5 * space_.w * (timed ? impact_[k] + impact_[k + 1] : 0.0);
       const double by_speed = -price * pause_[k] / std::max(speed_[k] + speed_[k + 1], kSlowest);
       d_speed_[k] += by_speed, d_speed_[k + 1] += by_speed;
     }
-    for (size_t k = 0; k < samples; ++k)
-      d_speed_[k] =
-          stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed_[k] / (2 * speed_[k]) + d_squared_[k];  // now of the square
-    profile_.back(curve, limits, d_speed_, {d_slope_.data(), d_bend_.data(), felt_.slopes()});
-    felt_.back(d_q_);
-    const double penalty = collide() + slosh;
-    collect(gradient);
-    return {total + spread + penalty, total + penalty, duration};
+    for (size_t k = 0; k < samples; ++k) {
+      const double by_squared =
+          stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed_[k] / (2 * speed_[k]) + d_squared_[k];
+      d_.share[k] = 2 * at_.share[k] * fastest[k] * by_squared;
+      d_speed_[k] = at_.share[k] * at_.share[k] * by_squared;  // now of the square of the fastest
+    }
+    profile_.back(curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()});
+    felt_.back(d_.q);
+    curve_->collect(d_, gradient);
+    const double charge = curve_->charge(x, settings_.time_price, gradient);
+    return {total + spread + penalty + charge, total + penalty + charge, duration};
   }
 
   // The length of the curve, and by how much its energy exceeds it, which is nothing where samples are even: the length
   // alone does not say where along the curve control points should be.
   double lengthen() {
-    const size_t n = row_.size() - 1;
+    const size_t n = curve_->samples() - 1;
     double energy = 0;
     length_ = 0;
     for (size_t k = 0; k < n; ++k) {
-      const double d = space_.distance(&q_[k * dim_], &q_[(k + 1) * dim_]);
+      const double d = space_.distance(&at_.q[k * dim_], &at_.q[(k + 1) * dim_]);
       energy += d * d, length_ += d;
     }
     const double value = std::sqrt(double(n) * energy), factor = value > 0 ? double(n) / value : 0.0;
     for (size_t k = 0; k < n; ++k)
       for (size_t j = 0; j < dim_; ++j) {
-        const double d = factor * (q_[(k + 1) * dim_ + j] - q_[k * dim_ + j]);
-        d_q_[k * dim_ + j] -= d, d_q_[(k + 1) * dim_ + j] += d;
+        const double d = factor * (at_.q[(k + 1) * dim_ + j] - at_.q[k * dim_ + j]);
+        d_.q[k * dim_ + j] -= d, d_.q[(k + 1) * dim_ + j] += d;
       }
     return value - length_;
   }
 
   // V of a density over length, and its derivatives; lengthen() has charged the length.
   double move() {
-    const size_t samples = row_.size();
-    for (size_t k = 0; k < samples; ++k) std::copy_n(slope_at(k), dim_, &tangent_[k * dim_]);
-    space_.motion_slopes({q_.data(), tangent_.data(), int(samples), settings_.rough},
+    const size_t samples = curve_->samples();
+    space_.motion_slopes({at_.q.data(), at_.tangent.data(), int(samples), settings_.rough},
                          {density_.data(), impact_by_q_.data(), impact_by_qd_.data()});
     const double sum = stretch(density_, 1.0, -1.0);
     for (size_t k = 0; k < samples; ++k) {
-      double* d_slope = k + 1 < samples ? &d_slope_[2 * k * dim_] : &d_slope_[(2 * k - 1) * dim_];
       for (size_t j = 0; j < dim_; ++j) {
-        d_q_[k * dim_ + j] += weight_[k] * impact_by_q_[k * dim_ + j];
-        d_slope[j] += weight_[k] * impact_by_qd_[k * dim_ + j];
+        d_.q[k * dim_ + j] += weight_[k] * impact_by_q_[k * dim_ + j];
+        d_.tangent[k * dim_ + j] += weight_[k] * impact_by_qd_[k * dim_ + j];
       }
     }
     return sum;
@@ -373,16 +327,16 @@ class MotionDescent {
   // The integral of a density over length. Derivatives for (factor density + offset) are added as far as lengths have
   // them; how much each sample stands for is left in weight_.
   double stretch(const Point& density, double factor, double offset) {
-    const size_t samples = row_.size();
+    const size_t samples = curve_->samples();
     double sum = 0;
     weight_.assign(samples, 0.0);
     for (size_t k = 0; k + 1 < samples; ++k) {
-      const double *a = &q_[k * dim_], *b = a + dim_, d = space_.distance(a, b),
+      const double *a = &at_.q[k * dim_], *b = a + dim_, d = space_.distance(a, b),
                    mean = 0.5 * (density[k] + density[k + 1]);
       weight_[k] += 0.5 * d, weight_[k + 1] += 0.5 * d, sum += d * mean;
       for (size_t j = 0; d > 0 && j < dim_; ++j) {
         const double along = (factor * mean + offset) * (b[j] - a[j]) / d;
-        d_q_[k * dim_ + j] -= along, d_q_[(k + 1) * dim_ + j] += along;
+        d_.q[k * dim_ + j] -= along, d_.q[(k + 1) * dim_ + j] += along;
       }
     }
     return sum;
@@ -390,8 +344,8 @@ class MotionDescent {
 
   // The integral of the impact, and derivatives but for those of the times.
   double fail(std::vector<double>& d_speed) {
-    const size_t samples = row_.size();
-    space_.state_slopes({q_.data(), qd_.data(), int(samples), settings_.rough},
+    const size_t samples = curve_->samples();
+    space_.state_slopes({at_.q.data(), qd_.data(), int(samples), settings_.rough},
                         {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
     const Measure measure = space_.measure();
     if (measure == Measure::kLength) stretch(impact_, space_.w, 0.0);
@@ -402,21 +356,20 @@ class MotionDescent {
                                ? settings_.points / double(samples)
                                : 0.5 * ((k > 0 ? pause_[k - 1] : 0.0) + (k + 1 < samples ? pause_[k] : 0.0));
       sum += share * impact_[k];
-      const double* slope = slope_at(k);
-      double* d_slope = k + 1 < samples ? &d_slope_[2 * k * dim_] : &d_slope_[(2 * k - 1) * dim_];
+      if (space_.has_moving()) d_time_[k] += space_.w * share * by_time_[k];
       for (size_t j = 0; j < dim_; ++j) {
         const double by_qd = space_.w * share * impact_by_qd_[k * dim_ + j];
-        d_q_[k * dim_ + j] += space_.w * share * impact_by_q_[k * dim_ + j];
-        d_slope[j] += by_qd * speed_[k], d_speed[k] += by_qd * slope[j];
+        d_.q[k * dim_ + j] += space_.w * share * impact_by_q_[k * dim_ + j];
+        d_.tangent[k * dim_ + j] += by_qd * speed_[k], d_speed[k] += by_qd * at_.tangent[k * dim_ + j];
       }
     }
     return sum;
   }
 
   double collide() {
-    const size_t samples = row_.size();
+    const size_t samples = curve_->samples();
     const double unit = space_.margin + kKeep;
-    space_.clearances({q_.data(), int(samples), unit}, clearance_.data(), by_clearance_.data());
+    space_.clearances({at_.q.data(), int(samples), unit}, clearance_.data(), by_clearance_.data());
     const double weight = push_ * scale_ / double(samples);
     double sum = 0;
     for (size_t k = 1; k + 1 < samples; ++k) {
@@ -425,48 +378,58 @@ class MotionDescent {
       // Beyond a few margins it grows evenly: how deep the nearest pair is says little then.
       const double knee = 5.0, depth = std::min(lack, knee);
       sum += weight * (depth * depth + 2 * knee * (lack - depth));
-      for (size_t j = 0; j < dim_; ++j) d_q_[k * dim_ + j] -= 2 * weight * depth / unit * by_clearance_[k * dim_ + j];
+      for (size_t j = 0; j < dim_; ++j) d_.q[k * dim_ + j] -= 2 * weight * depth / unit * by_clearance_[k * dim_ + j];
     }
     return sum;
   }
 
-  // From derivatives at samples to those of control points.
-  void collect(Point& gradient) const {
-    gradient.assign(x_.size(), 0.0);
-    const size_t n = settings_.controls, samples = row_.size();
-    Point d_slope(dim_), d_bend(dim_);
-    for (size_t k = 0; k < samples; ++k) {
-      const SplineBasis::Row& row = row_[k];
-      std::fill(d_slope.begin(), d_slope.end(), 0.0), std::fill(d_bend.begin(), d_bend.end(), 0.0);
-      for (size_t side = 0; side < 2; ++side) {
-        if (side == 0 ? k == 0 : k + 1 == samples) continue;
-        const double *slope = &d_slope_[(2 * k - 1 + side) * dim_], *bend = &d_bend_[(2 * k - 1 + side) * dim_];
-        for (size_t j = 0; j < dim_; ++j) d_slope[j] += slope[j], d_bend[j] += bend[j];
-      }
-      for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
-        const size_t c = row.first + m;
-        if (c == 0 || c == n - 1) continue;
-        double* out = &gradient[(c - 1) * dim_];
-        for (size_t j = 0; j < dim_; ++j)
-          out[j] += row.value[m] * d_q_[k * dim_ + j] + row.slope[m] * d_slope[j] + row.bend[m] * d_bend[j];
-      }
-    }
+  // When the motion is where.
+  void arrive() {
+    const size_t samples = curve_->samples();
+    time_.assign(samples, settings_.begins), by_time_.assign(samples, 0.0), d_time_.assign(samples, 0.0);
+    for (size_t k = 0; k + 1 < samples; ++k) time_[k + 1] = time_[k] + pause_[k];
   }
 
+  // What is charged for coming too close to an entity that moves, where it is then.
+  double pass() {
+    const size_t samples = curve_->samples();
+    gap_.resize(samples), by_gap_.resize(samples * dim_), gap_by_time_.resize(samples);
+    space_.gaps({at_.q.data(), time_.data(), int(samples), kPassing}, {gap_.data(), by_gap_.data(), gap_by_time_.data()});
+    const double weight = push_ * scale_ / double(samples);
+    double sum = 0;
+    for (size_t k = 1; k + 1 < samples; ++k) {
+      const double lack = (kPassing - gap_[k]) / kPassing;
+      if (!(lack > 0)) continue;
+      sum += kPassingWeight * weight * lack * lack;
+      const double d = -2 * kPassingWeight * weight * lack / kPassing;
+      for (size_t j = 0; j < dim_; ++j) d_.q[k * dim_ + j] += d * by_gap_[k * dim_ + j];
+      d_time_[k] += d * gap_by_time_[k];
+    }
+    return sum;
+  }
+
+  // A longer pause delays everything after it.
+  void delay() {
+    double later = 0;
+    for (size_t k = d_pause_.size(); k-- > 0;) later += d_time_[k + 1], d_pause_[k] += later;
+  }
+
+  static constexpr double kPassing = 0.15;       // clearance to entities that move [m]; the judge asks for more than none
+  static constexpr double kPassingWeight = 3.0;  // of its square, relative to that of other clearance
   static constexpr double kSlowest = 1e-9;
 
   Space& space_;
   const MotionSettings settings_;
   const size_t dim_;
-  const SplineBasis basis_;
-  std::vector<SplineBasis::Row> row_;
+  const std::unique_ptr<MotionCurve> curve_;
   SpeedProfile profile_;
   FeltSamples felt_;
   double push_, scale_ = 0, length_ = 0;
-  Point first_, last_, x_, trial_, gradient_, trial_gradient_, direction_, kept_x_, kept_gradient_, inverse_;
-  Point tangent_, density_, weight_;
-  Point q_, qd_, impact_, impact_by_q_, impact_by_qd_, d_q_, clearance_, by_clearance_, wanted_;
-  Point step_, slope_, bend_, d_slope_, d_bend_, speed_, pause_, d_speed_, d_pause_, d_squared_;
+  Point x_, trial_, gradient_, trial_gradient_, direction_, kept_x_, kept_gradient_, inverse_;
+  CurveStates at_, d_;
+  Point qd_, impact_, impact_by_q_, impact_by_qd_, density_, weight_, clearance_, by_clearance_, wanted_;
+  Point step_, squared_, speed_, pause_, d_speed_, d_pause_, d_squared_;
+  Point time_, by_time_, d_time_, gap_, by_gap_, gap_by_time_;  // among entities that move
   std::vector<uint8_t> stop_;
   Evaluation now_{}, kept_{};
   double share_ = 1, shortest_ = 0, longest_ = 0, along_ = 0;

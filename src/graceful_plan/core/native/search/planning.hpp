@@ -40,6 +40,24 @@ struct StateSlopes {
   double *impact, *by_q, *by_qd;
 };
 
+// The same at times [s], and the derivatives with respect to these.
+struct TimedStates {
+  const double *q, *qd, *t;
+  int n;
+};
+struct TimedSlopes {
+  double *impact, *by_q, *by_qd, *by_t;
+};
+// Configurations at times, and the gap to entities that move below which they matter, with its derivatives.
+struct TimedProbes {
+  const double *q, *t;
+  int n;
+  double wanted;
+};
+struct GapSlopes {
+  double *gap, *by_q, *by_t;
+};
+
 // What a density of states is integrated over along a motion: its time, its length, or the plain sum over its samples.
 enum class Measure { kTime, kLength, kPoints };
 
@@ -89,6 +107,11 @@ struct Space {
   // Of states that move.
   virtual bool has_state_slopes() const { return false; }
   virtual void state_slopes(const MovingStates&, const StateSlopes&) {}
+  // Whether there are entities that move: what they add to the impact of states and its derivatives, and how far the
+  // robot is from the nearest of them, infinite where that is more than what is wanted.
+  virtual bool has_moving() const { return false; }
+  virtual void moving_slopes(const TimedStates&, const TimedSlopes&) {}
+  virtual void gaps(const TimedProbes&, const GapSlopes&) {}
   // What the impact of a motion is integrated over.
   virtual Measure measure() const { return Measure::kTime; }
   // Where motion() is not the length: its density over length, at states whose `qd` is a tangent of the path.

@@ -4,6 +4,7 @@
 // Reference: C. de Boor, "A Practical Guide to Splines", 1978.
 #pragma once
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <vector>
 
@@ -17,6 +18,13 @@ class SplineBasis {
     size_t first;  // control point
     double value[kOrder], slope[kOrder], bend[kOrder];
   };
+  // Weights of the third derivative, which is constant between two knots.
+  std::array<double, kOrder> third(size_t span) const {
+    const Row begin = at(double(span)), middle = at(double(span) + 0.5);
+    std::array<double, kOrder> out{};
+    for (size_t m = 0; m < kOrder; ++m) out[m] = 2.0 * (middle.bend[m] - begin.bend[m]);
+    return out;
+  }
 
   // Of at least four control points. The parameter goes from 0 to the number of intervals between knots.
   explicit SplineBasis(size_t controls) : controls_(controls) {}

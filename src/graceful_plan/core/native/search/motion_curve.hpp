@@ -1,0 +1,161 @@
+// How the control points of a spline become a motion's curve: its configurations, and along which axes their speed and
+// acceleration are limited. Of an arm these axes are its joints.
+#pragma once
+#include <algorithm>
+#include <vector>
+
+#include "search/planning.hpp"
+#include "timing/spline.hpp"
+
+namespace gp {
+
+// Even samples of a curve with parameter u; also derivatives of a sum with respect to them.
+struct CurveStates {
+  Point q, tangent;   // [sample, joint] configurations, and dq/du
+  Point slope, bend;  // [interval, 2, axis] first and second derivatives at both ends of each interval, by u
+  Point share;        // [sample] of the fastest speed
+
+  void resize(size_t samples, size_t joints, size_t axes) {
+    q.resize(samples * joints), tangent.resize(q.size()), share.resize(samples);
+    slope.resize(2 * axes * (samples - 1)), bend.resize(slope.size());
+  }
+  void clear() {
+    for (Point* of : {&q, &tangent, &slope, &bend, &share}) std::fill(of->begin(), of->end(), 0.0);
+  }
+};
+
+class MotionCurve {
+ public:
+  MotionCurve(size_t controls, size_t density, size_t columns) : basis_(controls), columns_(columns) {
+    for (size_t k = 0; k <= basis_.spans() * density; ++k) row_.push_back(basis_.at(double(k) / double(density)));
+  }
+  virtual ~MotionCurve() = default;
+
+  size_t samples() const { return row_.size(); }
+  // Of a control point; the unknowns are those of the inner ones, point by point.
+  size_t columns() const { return columns_; }
+  const Point& lower() const { return lower_; }
+  const Point& upper() const { return upper_; }
+  virtual size_t axes() const = 0;
+  // Limits of speed and acceleration along the axes, from those of the joints.
+  virtual Point axis_velocity(const Point& velocity) const { return velocity; }
+  virtual Point axis_acceleration(const Point& acceleration) const { return acceleration; }
+  // Unknowns of a path, or of the control points of a curve.
+  virtual Point fitted(const std::vector<Point>& path) = 0;
+  virtual Point adopted(const std::vector<Point>& controls) = 0;
+  virtual std::vector<Point> controls(const Point& x) const = 0;
+  virtual void sample(const Point& x, CurveStates& out) = 0;
+  // From derivatives with respect to samples of the last sample() to those with respect to unknowns.
+  virtual void collect(const CurveStates& d, Point& gradient) const = 0;
+  // What is charged besides for the unknowns themselves; its derivatives are added.
+  virtual double charge(const Point&, double, Point&) const { return 0.0; }
+
+ protected:
+  size_t control_count() const { return basis_.spans() + 3; }
+  size_t inner() const { return control_count() - 2; }
+  // Where control points would lie on a polyline: for each inner one the vertex before, and the share of its edge.
+  template <class Place> void along(const Space& space, const std::vector<Point>& path, const Place& place) const {
+    std::vector<double> at{0.0};
+    for (size_t i = 0; i + 1 < path.size(); ++i)
+      at.push_back(at.back() + space.distance(path[i].data(), path[i + 1].data()));
+    size_t i = 0;
+    for (size_t c = 1; c + 1 < control_count(); ++c) {
+      const double s = at.back() * basis_.place(c);
+      while (i + 2 < path.size() && at[i + 1] < s) ++i;
+      const double gap = at[i + 1] - at[i], share = gap > 0 ? std::min(1.0, (s - at[i]) / gap) : 0.0;
+      place(c, i, share);
+    }
+  }
+
+  const SplineBasis basis_;
+  const size_t columns_;
+  std::vector<SplineBasis::Row> row_;
+  Point lower_, upper_;
+};
+
+// Every joint is a column and an axis.
+class JointCurve final : public MotionCurve {
+ public:
+  JointCurve(const Space& space, size_t controls, size_t density)
+      : MotionCurve(controls, density, size_t(space.dim)), space_(space) {
+    for (size_t c = 0; c < inner(); ++c) {
+      lower_.insert(lower_.end(), space.lower.begin(), space.lower.end());
+      upper_.insert(upper_.end(), space.upper.begin(), space.upper.end());
+    }
+  }
+
+  size_t axes() const override { return columns(); }
+
+  Point fitted(const std::vector<Point>& path) override {
+    first_ = path.front(), last_ = path.back();
+    Point x;
+    along(space_, path, [&](size_t, size_t i, double share) {
+      for (size_t j = 0; j < columns(); ++j) x.push_back(path[i][j] + share * (path[i + 1][j] - path[i][j]));
+    });
+    return x;
+  }
+  Point adopted(const std::vector<Point>& controls) override {
+    first_ = controls.front(), last_ = controls.back();
+    Point x;
+    for (size_t c = 1; c + 1 < controls.size(); ++c) x.insert(x.end(), controls[c].begin(), controls[c].end());
+    return x;
+  }
+  std::vector<Point> controls(const Point& x) const override {
+    std::vector<Point> points{first_};
+    for (size_t c = 0; c < inner(); ++c)
+      points.emplace_back(x.begin() + long(c * columns()), x.begin() + long((c + 1) * columns()));
+    points.push_back(last_);
+    return points;
+  }
+
+  void sample(const Point& x, CurveStates& out) override {
+    const size_t n = control_count(), dim = columns();
+    const auto control = [&](size_t c) {
+      return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim];
+    };
+    std::fill(out.share.begin(), out.share.end(), 1.0);
+    for (size_t k = 0; k < samples(); ++k) {
+      const SplineBasis::Row& row = row_[k];
+      // A sample is the end of an interval and the beginning of the next one.
+      const size_t at = k + 1 < samples() ? 2 * k * dim : (2 * k - 1) * dim;
+      double *q = &out.q[k * dim], *slope = &out.slope[at], *bend = &out.bend[at];
+      std::fill_n(q, dim, 0.0), std::fill_n(slope, dim, 0.0), std::fill_n(bend, dim, 0.0);
+      for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
+        const double* c = control(row.first + m);
+        for (size_t j = 0; j < dim; ++j)
+          q[j] += row.value[m] * c[j], slope[j] += row.slope[m] * c[j], bend[j] += row.bend[m] * c[j];
+      }
+      std::copy_n(slope, dim, &out.tangent[k * dim]);
+      if (k == 0 || k + 1 == samples()) continue;
+      std::copy_n(slope, dim, slope - dim), std::copy_n(bend, dim, bend - dim);
+    }
+  }
+
+  void collect(const CurveStates& d, Point& gradient) const override {
+    const size_t n = control_count(), dim = columns();
+    gradient.assign(dim * inner(), 0.0);
+    Point slope(dim), bend(dim);
+    for (size_t k = 0; k < samples(); ++k) {
+      const SplineBasis::Row& row = row_[k];
+      std::copy_n(&d.tangent[k * dim], dim, slope.begin()), std::fill(bend.begin(), bend.end(), 0.0);
+      for (size_t side = 0; side < 2; ++side) {
+        if (side == 0 ? k == 0 : k + 1 == samples()) continue;
+        const size_t at = (2 * k - 1 + side) * dim;
+        for (size_t j = 0; j < dim; ++j) slope[j] += d.slope[at + j], bend[j] += d.bend[at + j];
+      }
+      for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
+        const size_t c = row.first + m;
+        if (c == 0 || c == n - 1) continue;
+        double* out = &gradient[(c - 1) * dim];
+        for (size_t j = 0; j < dim; ++j)
+          out[j] += row.value[m] * d.q[k * dim + j] + row.slope[m] * slope[j] + row.bend[m] * bend[j];
+      }
+    }
+  }
+
+ private:
+  const Space& space_;
+  Point first_, last_;
+};
+
+}  // namespace gp
