@@ -52,6 +52,9 @@ _COMPILED_SOON = 0.1
 """Compiling is not worth a word if it took less [s]: several times what bundled scenes take."""
 
 
+import os
+NEW=bool(os.environ.get('NEW'))
+from graceful_plan.query.driving.tight import rolling_endpoints
 def plan(
     start: Configuration,
     goal: Goal,
@@ -156,10 +159,13 @@ def plan(
         return _with_notes(ends, notes)
     request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index))
     try:
-        if scene.base is not None:
+        if scene.base is not None and not NEW:
             result = driven_answer(request, ends, budget, rng)
         else:
             best = BestVerified(request, ends, budget)
+            if scene.base is not None:
+                ends = rolling_endpoints(ends)
+                best._ends = ends
             for motion in candidates(request, ends, budget, rng, best):
                 best.consider(motion)
             result = best.result()

@@ -382,6 +382,25 @@ class Descent:
     def energy(self) -> float: ...
 
 @final
+class Rolling:
+    def __init__(
+        self,
+        *,
+        speed: float,
+        turning: float,
+        acceleration: float,
+        turning_acceleration: float,
+        across: float,
+        rim: float,
+        lever: float,
+        forward: bool = True,
+        before: float,
+        after: float,
+        turns_before: bool = False,
+        turns_after: bool = False,
+    ) -> None: ...
+
+@final
 class MotionDescent:
     def __init__(
         self,
@@ -402,11 +421,15 @@ class MotionDescent:
         fitted: bool = False,
         slosh: bool = True,
         points: float = 1.0,
+        begins: float = 0.0,
+        rolling: Rolling | None = None,
     ) -> None: ...
     def run(self, steps: int, seconds: float) -> int: ...
     def harden(self) -> None: ...
     @property
     def controls(self) -> Reals: ...
+    @property
+    def inner(self) -> Reals: ...
     def energy(self, controls: Reals) -> tuple[float, Reals]: ...
     @property
     def value(self) -> float: ...

@@ -17,12 +17,10 @@ from typing import TypeVar
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.core import _native
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import COARSE, FINE, DescentResult, MotionDescents, Stage, Start
+from graceful_plan.planners.motion_descent import COARSE, FINE, DescentResult, MotionDescents, SmoothCurve, Stage, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
-from graceful_plan.timing.spline import Spline
 
 Array = np.ndarray
 _T = TypeVar("_T")
@@ -131,7 +129,7 @@ class _Round:
         for descent, start in zip(done, starts, strict=True):
             if descent is None:
                 continue
-            curve = Spline(descent.controls)
+            curve = start.kind.curve(descent.controls)
             ended.append((descent.value, _from_curve(start, curve)))
             if self.descents.is_free(curve, start):
                 free.append(DescentResult(curve, descent.value, start))
@@ -158,7 +156,7 @@ class _Round:
         settings = self.descents.settings
         best = sorted(self.results, key=_value)[:_WORKERS]
         chosen = [best[0] if self.rng.uniform() < 0.5 else best[-1] for _ in range(_WORKERS)]
-        jobs, free = [self._bent(_resampled(one.curve), one.start, _NARROW) for one in chosen], list[DescentResult]()
+        jobs, free = [self._bent(one.curve.even(_RESAMPLED), one.start, _NARROW) for one in chosen], list[DescentResult]()
         for stage, most in zip((COARSE, settings.middle), _PROMISING, strict=True):
             ended = self._descended(jobs, stage, self.budget, free)
             jobs = [start for value, start in sorted(ended, key=lambda job: job[0]) if value < most * best[0].value]
@@ -188,8 +186,8 @@ class _Round:
         return replace(start, path=Path(bent), curve=None)
 
 
-def _from_curve(start: Start, curve: Spline) -> Start:
-    return replace(start, path=Path(_resampled(curve)), curve=curve)
+def _from_curve(start: Start, curve: SmoothCurve) -> Start:
+    return replace(start, path=Path(curve.even(_RESAMPLED)), curve=curve)
 
 
 def _value(result: DescentResult) -> float:
@@ -201,9 +199,3 @@ def _better(ended: Sequence[tuple[float, Start]]) -> list[Start]:
     kept = max(_LEAST, len(ended) // _KEPT)
     return [start for _, start in sorted(ended, key=lambda job: job[0])[:kept]]
 
-
-def _resampled(curve: Spline) -> Float[Array, "n nq"]:
-    u = np.linspace(0.0, len(curve.controls) - 3.0, _RESAMPLED)
-    q = _native.spline(np.ascontiguousarray(curve.controls), u)[0]
-    q[0], q[-1] = curve.controls[0], curve.controls[-1]
-    return q

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import Protocol, Self, final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
+from graceful_plan.timing.blend import Curve
 from graceful_plan.timing.spline import Spline, grid_points
 
 Array = np.ndarray
@@ -32,6 +33,7 @@ _SLICE = 20
 _HARDENINGS = 3
 """How often a descent that ends too close to an obstacle goes on with a heavier penalty, for `_MORE` evaluations."""
 _MORE = 40
+_MOST_CONTROLS = 64
 _FOR_CLEARANCE = 1
 """How often for more clearance than the motion must have."""
 
@@ -91,6 +93,59 @@ class DescentSettings:
     refinements: int | None = None
 
 
+class SmoothCurve(Curve, Protocol):
+    """A curve that descents move by its control points."""
+
+    @property
+    def controls(self) -> Float[Array, "control column"]:
+        """Its control points."""
+        ...
+
+    @property
+    def samples(self) -> Float[Array, "n nq"]:
+        """Configurations on it, close enough to check it by."""
+        ...
+
+    def even(self, n: int) -> Float[Array, "n nq"]:
+        """Return configurations on it at even parameters, both ends among them."""
+        ...
+
+    def with_controls(self, n: int) -> Self:
+        """Return the same curve, or one close to it, with so many control points."""
+        ...
+
+
+class CurveKind(Protocol):
+    """What kind of curve a descent moves."""
+
+    @property
+    def rolling(self) -> _native.Rolling | None:
+        """How a base rolls along it; None for curves of joints."""
+        ...
+
+    @property
+    def begins(self) -> float:
+        """When the motion along it sets out [s]."""
+        ...
+
+    def curve(self, controls: Float[Array, "control column"]) -> SmoothCurve:
+        """Return the curve of control points."""
+        ...
+
+
+@final
+@dataclass(frozen=True)
+class JointCurves:
+    """Splines through configurations, every joint for itself."""
+
+    rolling: None = None
+    begins: float = 0.0
+
+    def curve(self, controls: Float[Array, "control nq"]) -> Spline:
+        """See `CurveKind`."""
+        return Spline(controls)
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -102,9 +157,10 @@ class Start:
     path: Path
     tight_start: float = 0.0
     tight_end: float = 0.0
-    curve: Spline | None = None
+    curve: SmoothCurve | None = None
     arrival: int = 0
     """Which of several ways to a goal the path takes."""
+    kind: CurveKind = JointCurves()
 
 
 @final
@@ -112,7 +168,7 @@ class Start:
 class DescentResult:
     """A free curve, its J as the descent computes it, and the start it descended from."""
 
-    curve: Spline
+    curve: SmoothCurve
     value: float
     start: Start
 
@@ -141,37 +197,50 @@ class MotionDescents:
         counts_points: Whether the cost is summed over the samples of the motion.
         careful: Whether a vessel is kept level.
         projected: Moves configurations to where bounds hold; None without bounds.
+        price: Cost of a second of motion on top of J; by default, that of an arm.
+        spacing: Greatest length of a path for each control point [rad or m]; None if it does not matter.
         effort: Counts the descents of all rounds.
     """
 
     space: _native.Space
     velocity: Float[Array, " nq"]
     acceleration: Float[Array, " nq"]
-    is_free: Callable[[Spline, Start], bool]
-    has_clearance: Callable[[Spline, Start], bool] | None = None
+    is_free: Callable[[SmoothCurve, Start], bool]
+    has_clearance: Callable[[SmoothCurve, Start], bool] | None = None
     settings: DescentSettings = DescentSettings()
     felt: Sequence[_native.FeltLimit] = ()
     counts_points: bool = False
     careful: bool = False
     projected: Callable[[Float[Array, "n nq"]], Float[Array, "n nq"]] | None = None
+    price: float | None = None
+    spacing: float | None = None
     effort: Effort = field(default_factory=Effort)
 
     @property
     def time_price(self) -> float:
         """Cost of a second of motion on top of J [rad/s]."""
-        return time_price(careful=self.careful)
+        return time_price(careful=self.careful) if self.price is None else self.price
+
+    def controls(self, start: Start, stage: Stage) -> int:
+        """Return the number of control points: as many as a stage has, more for a long path."""
+        if self.spacing is None:
+            return stage.controls
+        wanted = int(np.ceil(start.path.length / self.spacing)) + 3
+        return int(np.clip(wanted, stage.controls, _MOST_CONTROLS))
 
     def descended(self, start: Start, stage: Stage, budget: Budget) -> _native.MotionDescent | None:
         """Descend from a path for one stage; None if the budget is over."""
         if budget.over:
             return None
+        controls = self.controls(start, stage)
+        fitted = None if start.curve is None else start.curve.with_controls(controls).controls
         descent = _native.MotionDescent(
             self.space,
-            path=np.ascontiguousarray(start.path.q if start.curve is None else _fitted(start.curve, stage.controls)),
-            fitted=start.curve is not None,
+            path=np.ascontiguousarray(start.path.q if fitted is None else fitted),
+            fitted=fitted is not None,
             velocity=self.velocity,
             acceleration=self.acceleration,
-            controls=stage.controls,
+            controls=controls,
             density=stage.density,
             rough=stage.rough,
             time_price=self.time_price,
@@ -179,7 +248,9 @@ class MotionDescents:
             tight_end=start.tight_end,
             felt=self.felt,
             slosh=stage.slosh,
-            points=float(grid_points(stage.controls)) if self.counts_points else 1.0,
+            points=float(grid_points(controls)) if self.counts_points else 1.0,
+            rolling=start.kind.rolling,
+            begins=start.kind.begins,
         )
         _go_on(descent, stage.evaluations, budget)
         return descent
@@ -188,10 +259,10 @@ class MotionDescents:
         """Descend coarsely from one path; None if the curve is not free, at the end or half-way already."""
         half = COARSE.evaluations // 2
         descent = self.descended(start, replace(COARSE, evaluations=half), budget)
-        if descent is None or not self.is_free(Spline(descent.controls), start):
+        if descent is None or not self.is_free(start.kind.curve(descent.controls), start):
             return None
         _go_on(descent, COARSE.evaluations - half, budget)
-        curve = Spline(descent.controls)
+        curve = start.kind.curve(descent.controls)
         return DescentResult(curve, descent.value, start) if self.is_free(curve, start) else None
 
     def finished(self, start: Start, stage: Stage, budget: Budget) -> DescentResult | None:
@@ -200,7 +271,7 @@ class MotionDescents:
         if descent is None:
             return None
         for hardening in range(_HARDENINGS + 1):
-            curve = Spline(descent.controls)
+            curve = start.kind.curve(descent.controls)
             enough = self.has_clearance is None or hardening >= _FOR_CLEARANCE or self.has_clearance(curve, start)
             if enough and self.is_free(curve, start):
                 return DescentResult(curve, descent.value, start)
@@ -208,15 +279,6 @@ class MotionDescents:
                 descent.harden()
                 _go_on(descent, _MORE, budget)
         return None
-
-
-def _fitted(curve: Spline, controls: int) -> Float[Array, "control nq"]:
-    """Return the control points of the same curve, or of one that meets it at all knots, with so many."""
-    if len(curve.controls) == controls:
-        return curve.controls
-    fitted = Spline.through(curve.at(np.linspace(0.0, curve.spans, controls - 2))).controls.copy()
-    fitted[0], fitted[-1] = curve.controls[0], curve.controls[-1]  # to the last bit
-    return fitted
 
 
 def _go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:

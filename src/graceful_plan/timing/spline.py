@@ -55,6 +55,20 @@ class Spline:
         """Configurations on it at the parameters of the coarsest grid."""
         return self.at(self._parameters(1))
 
+    def even(self, n: int) -> Float[Array, "n nq"]:
+        """Return configurations on it at even parameters, both ends among them."""
+        q = self.at(np.linspace(0.0, self.spans, n))
+        q[0], q[-1] = self.controls[0], self.controls[-1]  # to the last bit
+        return q
+
+    def with_controls(self, n: int) -> Spline:
+        """Return the same curve, or one that meets it at all knots, with so many control points."""
+        if len(self.controls) == n:
+            return self
+        fitted = Spline.through(self.at(np.linspace(0.0, self.spans, n - 2))).controls.copy()
+        fitted[0], fitted[-1] = self.controls[0], self.controls[-1]
+        return Spline(fitted)
+
     def _parameters(self, density: int) -> Float[Array, " n"]:
         u = places(density * _intervals(self.spans), from_rest=True, to_rest=True) * self.spans
         u[-1] = self.spans

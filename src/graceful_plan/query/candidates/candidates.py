@@ -43,7 +43,9 @@ def candidates(
         best: The best of the motions that were yielded and have passed the judge.
     """
     for caution in CAUTION:
-        source = MotionSource(request, ends, problem_of(request, ends, *caution), rng, best.tell)
+        from graceful_plan.mobile.motions.drive_source import DriveSource
+        kind = MotionSource if request.objective.scene.base is None else DriveSource
+        source = kind(request, ends, problem_of(request, ends, *caution), rng, best.tell)
         best.searched = found = source.search_first(budget)
         if found.paths:
             best.tell(found.trace[-1])

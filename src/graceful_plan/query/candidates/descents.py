@@ -9,12 +9,11 @@ import numpy as np
 
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import LONG, DescentSettings, MotionDescents, Start
+from graceful_plan.planners.motion_descent import LONG, DescentSettings, MotionDescents, SmoothCurve, Start
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
-from graceful_plan.timing.spline import Spline
 
 STRAY_CLEARANCE = 0.005
 """Clearance that descents keep where there is room for it [m]: a healthy robot and the object in its fingers stray from
@@ -69,11 +68,11 @@ def start_along(whole: Path, arrival: int, ends: Endpoints) -> Start:
     return Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival]), arrival=arrival)
 
 
-def _keeps(problem: SceneProblem, margin: float) -> Callable[[Spline, Start], bool]:
+def _keeps(problem: SceneProblem, margin: float) -> Callable[[SmoothCurve, Start], bool]:
     """Return whether curves keep a margin [m], but for tight ends."""
     free = replace(problem, margin=margin).states_free
 
-    def is_free(curve: Spline, start: Start) -> bool:
+    def is_free(curve: SmoothCurve, start: Start) -> bool:
         q = curve.samples
         if start.tight_start == start.tight_end == 0.0:
             return bool(free(q).all())

@@ -505,22 +505,21 @@ void bind_search(nb::module_& m) {
       .def(
           "__init__",
           [](RollingSettings* self, double speed, double turning, double acceleration, double turning_acceleration,
-             double across, double rim, double lever, bool forward, std::optional<double> before,
-             std::optional<double> after) {
+             double across, double rim, double lever, bool forward, double before, double after, bool turns_before,
+             bool turns_after) {
             for (double limit : {speed, turning, acceleration, turning_acceleration, across, rim, lever})
               require(limit > 0 && limit <= kMaxNumber, "limits of a base");
-            for (const std::optional<double>& heading : {before, after})
-              require(!heading || in_range(*heading, -kMaxPosition, kMaxPosition), "heading of a base");
-            new (self) RollingSettings{
-                {speed, turning, acceleration, turning_acceleration, across, rim, lever},
-                forward,
-                before.has_value(),
-                after.has_value(),
-                before.value_or(0.0),
-                after.value_or(0.0)};
+            for (double heading : {before, after})
+              require(in_range(heading, -kMaxPosition, kMaxPosition), "heading of a base");
+            new (self) RollingSettings{{speed, turning, acceleration, turning_acceleration, across, rim, lever},
+                                       forward,
+                                       before,
+                                       after,
+                                       turns_before,
+                                       turns_after};
           },
           nb::kw_only(), "speed"_a, "turning"_a, "acceleration"_a, "turning_acceleration"_a, "across"_a, "rim"_a,
-          "lever"_a, "forward"_a = true, "before"_a = nb::none(), "after"_a = nb::none());
+          "lever"_a, "forward"_a = true, "before"_a, "after"_a, "turns_before"_a = false, "turns_after"_a = false);
   nb::class_<MotionDescentRun>(m, "MotionDescent")
       .def(
           "__init__",

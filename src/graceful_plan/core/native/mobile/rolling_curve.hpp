@@ -20,9 +20,9 @@ struct DriveLimits {
 struct RollingSettings {
   DriveLimits limits;
   bool forward = true;
-  // Whether the base turns in place before and after, so that the curve's own directions at its ends are free.
+  double heading_before = 0, heading_after = 0;  // [rad] of the base before and after
+  // Whether it turns in place before and after, so that the curve's own directions at its ends are free.
   bool turns_before = false, turns_after = false;
-  double heading_before = 0, heading_after = 0;  // [rad] of the base before it turns, and after
 };
 
 class RollingCurve final : public MotionCurve {
@@ -57,16 +57,10 @@ class RollingCurve final : public MotionCurve {
     set(controls.front(), path.front(), path.front(), 0.0), set(controls.back(), path.back(), path.back(), 0.0);
     along(space_, path,
           [&](size_t c, size_t i, double share) { set(controls[c], path[i], path[i + 1], share); });
-    return entered(controls, path.front()[2], path.back()[2]);
+    return entered(controls);
   }
   // Control points with columns x, y, those of the arm, and the logarithm of the share of the speed.
-  Point adopted(const std::vector<Point>& controls) override {
-    const double sign = settings_.forward ? 1.0 : -1.0;
-    const auto heading = [&](const Point& a, const Point& b) {
-      return std::atan2(sign * (b[1] - a[1]), sign * (b[0] - a[0]));
-    };
-    return entered(controls, heading(controls[0], controls[1]), heading(controls[controls.size() - 2], controls.back()));
-  }
+  Point adopted(const std::vector<Point>& controls) override { return entered(controls); }
   std::vector<Point> controls(const Point& x) const override {
     std::vector<Point> points;
     for (size_t c = 0; c < control_count(); ++c) {
@@ -218,9 +212,10 @@ class RollingCurve final : public MotionCurve {
   }
 
   // Unknowns of control points, whose directions at the ends are given unless the base turns there.
-  Point entered(const std::vector<Point>& controls, double begin, double end) {
+  Point entered(const std::vector<Point>& controls) {
     const size_t n = columns(), last = inner() - 1;
     first_ = controls.front(), last_ = controls.back();
+    const double begin = settings_.heading_before, end = settings_.heading_after;
     const double sign = settings_.forward ? 1.0 : -1.0;
     begin_ = {sign * std::cos(begin), sign * std::sin(begin)}, end_ = {sign * std::cos(end), sign * std::sin(end)};
     Point x;

@@ -1,0 +1,1 @@
+"""Motions of bases: curves that they can roll along, descents of these, and their timing."""

@@ -1,0 +1,102 @@
+"""What a base with an arm travels: smooth curves that it rolls along, and turns in place or moves of the arm between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.mobile.motions.rolling_spline import RollingSpline
+from graceful_plan.path import Path
+from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, rounded
+
+Array = np.ndarray
+
+_SAME = 1e-9
+"""Difference between two configurations that are the same [rad or m]."""
+_FULL = 0.98
+"""Share of the fastest speed from which on a curve is driven as fast as it can be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Curves one after the other, with a rest at the end of each.
+
+    Args:
+        parts: At least one; each begins where the one before ends.
+    """
+
+    parts: tuple[Curve, ...]
+
+    def grid(self, density: int) -> CurveGrid:
+        """Sample it for timing; see `Curve`."""
+        grids = [part.grid(density) for part in self.parts]
+        begins = np.cumsum([0.0, *(grid.s[-1] for grid in grids)])
+        s = [grid.s[1:] + begin for grid, begin in zip(grids, begins, strict=False)]
+        return CurveGrid(
+            np.concatenate([[0.0], *s]),
+            np.concatenate([*(grid.q[:-1] for grid in grids), grids[-1].q[-1:]]),
+            np.concatenate([grid.slope for grid in grids]),
+            np.concatenate([grid.bend for grid in grids]),
+            np.concatenate([[True], *(grid.stop[1:] for grid in grids)]),
+        )
+
+    def share(self, grid: CurveGrid) -> Float[Array, " point"] | None:
+        """Return which share of the fastest speed is used at the points of a grid of it; None if all of it is."""
+        share, begin = np.ones(len(grid.s)), 0.0
+        for part in self.parts:
+            if isinstance(part, RollingSpline):
+                inside = (grid.s >= begin) & (grid.s <= begin + part.spans)
+                share[inside] = np.minimum(share[inside], part.share(np.clip(grid.s[inside] - begin, 0.0, part.spans)))
+                begin += part.spans
+            else:
+                begin += float(part.grid(1).s[-1])
+        return None if share.min() > _FULL else share
+
+
+def straight(a: Float[Array, " nq"], b: Float[Array, " nq"]) -> Polyline:
+    """Return a turn in place, or a move of the arm: straight in joint space."""
+    return Polyline(rounded(Path(np.stack([a, b])), 0.0), b)
+
+
+def joined(
+    start: Float[Array, " nq"], curves: Sequence[RollingSpline | Float[Array, "2 nq"]], end: Float[Array, " nq"]
+) -> Drive:
+    """Return curves and moves of the arm one after the other, with turns in place where headings differ.
+
+    Args:
+        start: First configuration [rad or m].
+        curves: Curves, and moves of the arm as their two configurations, of which the headings do not count.
+        end: Last configuration, at any whole turn of the heading.
+    """
+    parts: list[Curve] = []
+    heading = start[2]
+    for curve in curves:
+        if isinstance(curve, RollingSpline):
+            first = curve.even(2)[0]
+            parts += _turn(first, heading, nearest(first[2], heading))
+            rolled = RollingSpline(curve.controls, curve.forward, nearest(first[2], heading))
+            parts.append(rolled)
+            heading = rolled.samples[-1, 2]
+        elif np.abs(curve[1] - curve[0])[[0, 1, *range(3, curve.shape[1])]].max() > _SAME:
+            parts.append(straight(with_heading(curve[0], heading), with_heading(curve[1], heading)))
+    parts += _turn(end, heading, nearest(end[2], heading))
+    return Drive(tuple(parts))
+
+
+def with_heading(q: Float[Array, " nq"], heading: float) -> Float[Array, " nq"]:
+    """Return a configuration at another heading."""
+    turned = q.copy()
+    turned[2] = heading
+    return turned
+
+
+def nearest(heading: float, to: float) -> float:
+    """Return a heading at the whole turn that is nearest to another one."""
+    return float(to + np.remainder(heading - to + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def _turn(q: Float[Array, " nq"], a: float, b: float) -> Iterable[Curve]:
+    return [straight(with_heading(q, a), with_heading(q, b))] if abs(b - a) > _SAME else []

@@ -1,0 +1,116 @@
+"""From paths of straight stretches and turns in place to legs: what a base rolls in one gear, as descents begin with it.
+
+Turns at either end of a leg are free: a curve may turn instead, partly or as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.path import Path
+from graceful_plan.query.driving.stages import DriveStage, Move, stages
+
+Array = np.ndarray
+
+_SMALL = 0.05
+"""Turns in place below which no curve differs that makes them itself [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """What a base rolls in one gear, with turns in place before and after where there may be any.
+
+    | field        | meaning                                             | unit     | shape     |
+    |--------------|-----------------------------------------------------|----------|-----------|
+    | q            | vertices; the headings at both ends are as before turning, and after | rad or m | vertex nq |
+    | forward      | whether it drives forward                           |          |           |
+    | turns_before | whether it may turn in place first                  |          |           |
+    | turns_after  | whether it may turn in place at the end             |          |           |
+    """
+
+    q: Float[Array, "vertex nq"]
+    forward: bool
+    turns_before: bool = False
+    turns_after: bool = False
+
+
+ArmMove = Float[Array, "2 nq"]
+Route = tuple[Leg | ArmMove, ...]
+"""Legs, and moves of the arm where the base stands."""
+
+
+def routes(path: Path) -> Iterator[Route]:
+    """Yield routes along a path, from those that turn and move the arm on the way to those that do it at rests."""
+    parts = stages(path)
+    route = tuple(_parts(parts))
+    yield from _turning(_arm_moved_on_the_way(route))
+    if any(not isinstance(part, Leg) for part in route):
+        yield from _turning(route)
+
+
+def _parts(parts: list[DriveStage]) -> Iterator[Leg | ArmMove]:
+    """Yield legs and moves of the arm; turns in place belong to the legs beside them."""
+    before: Float[Array, " nq"] | None = None
+    leg: Leg | None = None
+    for stage in parts:
+        if stage.kind is Move.TURN:
+            if leg is not None:
+                leg = replace(leg, q=np.concatenate([leg.q[:-1], stage.q[-1:]]), turns_after=True)
+            before = stage.q[0] if before is None else before
+            continue
+        if leg is not None:
+            yield leg
+            leg = None
+        if stage.kind is Move.ARM:
+            yield stage.q[[0, -1]]
+            continue
+        q = stage.q if before is None else np.concatenate([before[None], stage.q[1:]])
+        leg = Leg(q, stage.kind is Move.FORWARD, turns_before=before is not None)
+        before = None
+    if leg is not None:
+        yield leg
+    elif before is not None:  # it turns in place and goes nowhere
+        yield np.stack([before, parts[-1].q[-1]])
+
+
+def _turning(route: Route) -> Iterator[Route]:
+    """Yield a route whose curves turn instead of the base in place, at its ends, where that makes a difference."""
+    legs = [k for k, part in enumerate(route) if isinstance(part, Leg)]
+    if not legs:
+        yield route
+        return
+    first, last = route[legs[0]], route[legs[-1]]
+    assert isinstance(first, Leg)
+    assert isinstance(last, Leg)
+    for before in (False, True) if first.turns_before else (False,):
+        for after in (False, True) if last.turns_after else (False,):
+            changed = list(route)
+            changed[legs[0]] = replace(first, turns_before=before)
+            of = changed[legs[-1]]
+            assert isinstance(of, Leg)
+            changed[legs[-1]] = replace(of, turns_after=after)
+            yield tuple(changed)
+
+
+def _arm_moved_on_the_way(route: Route) -> Route:
+    """Return a route whose arm moves along its longest leg, from where it is at the start to where it is at the end."""
+    legs = [k for k, part in enumerate(route) if isinstance(part, Leg)]
+    if not legs:
+        return route
+    arms = [part.q if isinstance(part, Leg) else part for part in route]
+    first, last = arms[0][0, 3:], arms[-1][-1, 3:]
+    longest = max(legs, key=lambda k: float(np.linalg.norm(np.diff(arms[k][:, :2], axis=0), axis=1).sum()))
+    changed: list[Leg | ArmMove] = []
+    for k in legs:
+        leg = route[k]
+        assert isinstance(leg, Leg)
+        q = leg.q.copy()
+        done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q[:, :2], axis=0), axis=1))])
+        share = done[:, None] / max(done[-1], 1e-9) if k == longest else float(k > longest)
+        q[:, 3:] = first + share * (last - first)
+        changed.append(replace(leg, q=q))
+    return tuple(changed)

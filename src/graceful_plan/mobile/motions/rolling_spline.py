@@ -1,0 +1,153 @@
+"""Smooth curves that a base rolls along: its heading is that of the tangent, or of the opposite in reverse.
+
+Curvature is continuous, as the splines are cubic, and so is the rate of turning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core import _native
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.timing.blend import CurveGrid, places
+from graceful_plan.timing.spline import Spline
+
+Array = np.ndarray
+
+_INTERVALS, _BY_METRE = 128, 25.0
+"""Of the coarsest grid: in all and by length [1/m], at least. Between the points of such a grid, what moves sideways at
+2 m/s stays below 0.2 mm/s."""
+_LEAST_SQUARED = 1e-12
+"""Squared length of a tangent below which a curve has no direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class RollingSpline:
+    """A clamped cubic B-spline of a base and its arm.
+
+    | field    | meaning                                                                                          |
+    |----------|--------------------------------------------------------------------------------------------------|
+    | controls | x and y of the base [m], joints of the arm [rad or m], logarithm of the share of the fastest speed |
+    | forward  | whether the heading is that of the tangent, or the opposite                                      |
+    | before   | heading of the base at the start, whole turns included [rad]                                     |
+    """
+
+    controls: Float[Array, "control column"]
+    forward: bool
+    before: float
+
+    @property
+    def spans(self) -> int:
+        """Number of intervals between knots; the parameter goes from 0 to it."""
+        return len(self.controls) - 3
+
+    @property
+    def samples(self) -> Float[Array, "n nq"]:
+        """Configurations on it at the parameters of the coarsest grid."""
+        return self._at(self._parameters(1))[0]
+
+    def even(self, n: int) -> Float[Array, "n nq"]:
+        """Return configurations on it at even parameters, both ends among them."""
+        return self._at(np.linspace(0.0, self.spans, n))[0]
+
+    def with_controls(self, n: int) -> RollingSpline:
+        """Return the same curve, or one close to it, with so many control points."""
+        return replace(self, controls=Spline(self.controls).with_controls(n).controls)
+
+    def share(self, u: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Return which share of the fastest speed is used at parameters."""
+        return np.exp(_native.spline(np.ascontiguousarray(self.controls), u)[0][:, -1])
+
+    def grid(self, density: int) -> CurveGrid:
+        """Sample it for timing; see `Curve`."""
+        u = self._parameters(density)
+        q, slope, bend, third = self._at(u)
+        both = np.stack([bend[:-1], bend[1:]], axis=1)
+        both[:, :, 2] += third
+        stop = np.zeros(len(u), dtype=bool)
+        stop[[0, -1]] = True
+        return CurveGrid(u, q, np.stack([slope[:-1], slope[1:]], axis=1), both, stop)
+
+    def _parameters(self, density: int) -> Float[Array, " n"]:
+        """Return parameters that have all knots among them, where the third derivative jumps."""
+        length = float(np.linalg.norm(np.diff(self.controls[:, :2], axis=0), axis=1).sum())
+        each = int(np.ceil(max(_INTERVALS, _BY_METRE * length) / self.spans))
+        u = places(density * each * self.spans, from_rest=True, to_rest=True) * self.spans
+        u[-1] = self.spans
+        return u
+
+    def _at(
+        self, u: Float[Array, " n"]
+    ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"], Float[Array, "n nq"], Float[Array, "interval 2"]]:
+        """Return configurations, their first two derivatives, and what third ones add to that of the heading.
+
+        The second derivative of the heading is that of both arrays, the latter at both ends of each interval.
+        """
+        value, slope, bend = (part[:, :-1] for part in _native.spline(np.ascontiguousarray(self.controls), u))
+        v, a = slope[:, :2], bend[:, :2]
+        squared = np.maximum((v * v).sum(axis=1), _LEAST_SQUARED)
+        turn = _cross(v, a) / squared
+        sign = 1.0 if self.forward else -1.0
+        heading = np.unwrap(np.concatenate([[self.before], np.arctan2(sign * v[:, 1], sign * v[:, 0])]))[1:]
+        swing = -2.0 * turn * (v * a).sum(axis=1) / squared
+        rows = [np.insert(part, 2, column, axis=1) for part, column in ((value, heading), (slope, turn), (bend, swing))]
+        jerk = np.diff(a, axis=0) / np.diff(u)[:, None]
+        third = np.stack([_cross(v[:-1], jerk) / squared[:-1], _cross(v[1:], jerk) / squared[1:]], axis=1)
+        return rows[0], rows[1], rows[2], third
+
+
+@dataclass(frozen=True, eq=False)
+class RollingCurves:
+    """Curves of a base between two headings; a kind of curve for descents.
+
+    | field        | meaning                                                                   | unit |
+    |--------------|---------------------------------------------------------------------------|------|
+    | base         | how the robot drives                                                      |      |
+    | before       | heading of the base at the start                                          | rad  |
+    | after        | heading at the end                                                        | rad  |
+    | forward      | whether it drives forward                                                 |      |
+    | turns_before | whether the base may turn in place first                                  |      |
+    | turns_after  | whether it may turn in place at the end                                   |      |
+    | begins       | when it sets out                                                          | s    |
+    | speed        | fraction of the limits of speed to use                                    |      |
+    """
+
+    base: DiffDrive
+    before: float
+    after: float
+    forward: bool = True
+    turns_before: bool = False
+    turns_after: bool = False
+    begins: float = 0.0
+    speed: float = 1.0
+    rolling: _native.Rolling = field(init=False)
+    """The same, as the core takes it."""
+
+    def __post_init__(self) -> None:
+        base, share = self.base, self.speed
+        rolling = _native.Rolling(
+            speed=share * base.v_max,
+            turning=share * base.omega_max,
+            acceleration=share**2 * base.a_max,
+            turning_acceleration=share**2 * base.alpha_max,
+            across=share**2 * base.lateral_max,
+            rim=share * base.rim_max,
+            lever=base.lever,
+            forward=self.forward,
+            before=self.before,
+            after=self.after,
+            turns_before=self.turns_before,
+            turns_after=self.turns_after,
+        )
+        object.__setattr__(self, "rolling", rolling)
+
+    def curve(self, controls: Float[Array, "control column"]) -> RollingSpline:
+        """See `CurveKind`."""
+        return RollingSpline(controls, self.forward, self.before)
+
+
+def _cross(a: Float[Array, "n 2"], b: Float[Array, "n 2"]) -> Float[Array, " n"]:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
