@@ -9,15 +9,40 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
-from graceful_plan.path import Path
-from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, rounded
+from graceful_plan.timing.blend import CurveGrid, places
 
 Array = np.ndarray
 
 _SAME = 1e-9
 """Difference between two configurations that are the same [rad or m]."""
+_INTERVALS = 16
+"""Of the coarsest grid of a move."""
 _FULL = 0.98
 """Share of the fastest speed from which on a curve is driven as fast as it can be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """A turn in place, or a move of the arm: straight in joint space.
+
+    Args:
+        begin: First configuration [rad or m].
+        end: Last one.
+    """
+
+    begin: Float[Array, " nq"]
+    end: Float[Array, " nq"]
+
+    def grid(self, density: int) -> CurveGrid:
+        """Sample it for timing; see `Curve`."""
+        u = places(_INTERVALS * density, from_rest=True, to_rest=True)
+        way = self.end - self.begin
+        q = self.begin + u[:, None] * way
+        q[-1] = self.end
+        stop = np.zeros(len(u), dtype=bool)
+        stop[[0, -1]] = True
+        slope = np.broadcast_to(way, (len(u) - 1, 2, len(way)))
+        return CurveGrid(u, q, slope, np.zeros_like(slope), stop)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +53,7 @@ class Drive:
         parts: At least one; each begins where the one before ends.
     """
 
-    parts: tuple[Curve, ...]
+    parts: tuple[RollingSpline | Move, ...]
 
     def grid(self, density: int) -> CurveGrid:
         """Sample it for timing; see `Curve`."""
@@ -52,13 +77,8 @@ class Drive:
                 share[inside] = np.minimum(share[inside], part.share(np.clip(grid.s[inside] - begin, 0.0, part.spans)))
                 begin += part.spans
             else:
-                begin += float(part.grid(1).s[-1])
+                begin += 1.0
         return None if share.min() > _FULL else share
-
-
-def straight(a: Float[Array, " nq"], b: Float[Array, " nq"]) -> Polyline:
-    """Return a turn in place, or a move of the arm: straight in joint space."""
-    return Polyline(rounded(Path(np.stack([a, b])), 0.0), b)
 
 
 def joined(
@@ -71,7 +91,7 @@ def joined(
         curves: Curves, and moves of the arm as their two configurations, of which the headings do not count.
         end: Last configuration, at any whole turn of the heading.
     """
-    parts: list[Curve] = []
+    parts: list[RollingSpline | Move] = []
     heading = start[2]
     for curve in curves:
         if isinstance(curve, RollingSpline):
@@ -81,7 +101,7 @@ def joined(
             parts.append(rolled)
             heading = rolled.samples[-1, 2]
         elif np.abs(curve[1] - curve[0])[[0, 1, *range(3, curve.shape[1])]].max() > _SAME:
-            parts.append(straight(with_heading(curve[0], heading), with_heading(curve[1], heading)))
+            parts.append(Move(with_heading(curve[0], heading), with_heading(curve[1], heading)))
     parts += _turn(end, heading, nearest(end[2], heading))
     return Drive(tuple(parts))
 
@@ -98,5 +118,5 @@ def nearest(heading: float, to: float) -> float:
     return float(to + np.remainder(heading - to + np.pi, 2.0 * np.pi) - np.pi)
 
 
-def _turn(q: Float[Array, " nq"], a: float, b: float) -> Iterable[Curve]:
-    return [straight(with_heading(q, a), with_heading(q, b))] if abs(b - a) > _SAME else []
+def _turn(q: Float[Array, " nq"], a: float, b: float) -> Iterable[Move]:
+    return [Move(with_heading(q, a), with_heading(q, b))] if abs(b - a) > _SAME else []

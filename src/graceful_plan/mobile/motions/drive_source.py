@@ -1,9 +1,14 @@
-"""Motions of a base from paths of a lattice: curves descend from their legs, are put together and timed."""
+"""Motions of a base: curves descend from ways over the floor and from paths of a lattice, and are timed.
+
+Ways over the floor know no headings: most of them are good to begin with, and found in milliseconds. Where no curve
+near one of them is free, the lattice finds a path with turns in place and changes of gear.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import final
 
 import numpy as np
@@ -11,19 +16,13 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.mobile.motions.drive import Drive, joined
-from graceful_plan.mobile.motions.legs import ArmMove, Leg, Route, routes
+from graceful_plan.mobile.motions.legs import ArmMove, Leg, Route, along_ways, routes
 from graceful_plan.mobile.motions.rolling_spline import RollingCurves, RollingSpline
+from graceful_plan.mobile.motions.ways import ways
 from graceful_plan.path import Path
 from graceful_plan.planners.descent_rounds import descend_from
-from graceful_plan.planners.motion_descent import (
-    COARSE,
-    DRIVING_TIME_PRICE,
-    DescentResult,
-    DescentSettings,
-    MotionDescents,
-    Stage,
-    Start,
-)
+from graceful_plan.planners.driving.drive_lattice import DriveLattice
+from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, DescentSettings, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.candidates.descents import motion_descents
@@ -31,7 +30,7 @@ from graceful_plan.query.candidates.motions import Motion, costed
 from graceful_plan.query.candidates.search import Callback, PausedSearch, Search
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
-from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.result import TracePoint
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.topp import Restraint
 
@@ -43,6 +42,10 @@ _SEARCH_SHARE = 0.15
 """Of a round, for searching paths; the rest is for descents near them."""
 _WORTH_TIMING = 1.1
 """Ratio of a route's J to that of the best up to which it is timed."""
+_GOALS, _SHORTEST = 3, 2
+"""Goals that ways lead to, and ways for a first motion."""
+_TRIED = 6
+"""Routes along these that are tried for it."""
 _FREE = 1e9
 """Squared path speed where nothing is to be slower."""
 
@@ -62,31 +65,43 @@ class DriveSource:
     def __init__(
         self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator, tell: Callback
     ) -> None:
+        del tell
         base = request.objective.scene.base
         assert base is not None
         self._request, self._ends, self._problem, self._rng, self._base = request, ends, problem, rng, base
-        objective = request.objective
-        short = objective.objective.with_weight(0.0).bind(objective.scene, objective.paces)
-        self._first = PausedSearch(request.planner, problem, short, rng.spawn(1)[0])
-        self._descents = motion_descents(request, problem, DescentSettings())
-        if self._descents is not None:
-            self._descents = replace(self._descents, price=DRIVING_TIME_PRICE, spacing=_SPACING)
-        self._best = np.inf
+        self._short = replace(request, objective=_without_impact(request), preference=None)
+        self._lattice = PausedSearch(request.planner, problem, self._short.objective, rng.spawn(1)[0])
+        self._descents, self._shortening = (
+            replace(found, price=DRIVING_TIME_PRICE, spacing=_SPACING)
+            for of in (request, self._short)
+            if (found := motion_descents(of, problem, DescentSettings())) is not None
+        )
+        self._drives: list[tuple[Drive, Path, int]] = []
+        self._ways: list[tuple[Route, int]] | None = None
+        self._results: list[DescentResult] = []
         self.path_cost = np.inf
         """Least cost of a path of a search, as the search estimates it."""
-        self._results: dict[tuple[int, int], list[DescentResult]] = {}
 
     restarts = True
+    """Whether each round searches from scratch; else there is one search."""
 
     @property
     def effort(self) -> int:
         """Number of descents that have ended."""
-        return 0 if self._descents is None else self._descents.effort.descents
+        return self._descents.effort.descents + self._shortening.effort.descents
 
     def search_first(self, budget: Budget) -> Search:
-        """Search until there is a path; return the search."""
-        self._first.advance(budget, to_first=True)
-        return self._first.found
+        """Search until there is a drive or a path; return the search."""
+        for route, arrival in self._along_ways(first=True)[:_TRIED]:
+            drive = self._coarse(route, arrival, budget)
+            if drive is not None:
+                q = drive.grid(1).q
+                self._drives.append((drive, Path(q), arrival))
+                length = Path(q).length
+                point = TracePoint(time=budget.elapsed, total=length, motion=length, impact=0.0)
+                return Search(paths=[Path(q)], trace=[point])
+        self._lattice.advance(budget, to_first=True)
+        return self._lattice.found
 
     def first(self, budget: Budget) -> Iterator[Motion]:
         """Yield motions near the first path: smooth ones, then one along the path itself.
@@ -94,71 +109,97 @@ class DriveSource:
         Raises:
             RetimingError: If the path has no timing.
         """
-        whole, arrival = self._ends.joined(self._first.found.paths[-1])
-        if whole.length > 0.0:
-            for route in routes(whole):
+        for drive, whole, arrival in self._drives:
+            motion = self._timed(drive, whole, arrival)
+            if motion is not None:
+                yield motion
+        if not self._lattice.found.paths:
+            self._lattice.advance(budget, to_first=True)
+        for path in self._lattice.found.paths[-1:]:
+            whole, arrival = self._ends.joined(path)
+            for route in routes(whole) if whole.length > 0.0 else ():
                 drive = self._coarse(route, arrival, budget)
                 motion = None if drive is None else self._timed(drive, whole, arrival)
                 if motion is not None:
                     yield motion
-        yield self._along(whole, arrival)
+            yield self._along(whole, arrival)
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
         """Yield motions of one round, those that are ranked before the best one known."""
         with budget.share(_SEARCH_SHARE * budget.remaining_seconds) as part:
-            self._first.advance(part)
-        found = self._first.found
+            self._lattice.advance(part)
+        found = self._lattice.found
         if found.trace:
             self.path_cost = min(self.path_cost, found.trace[-1].total)
-        jobs = [(path, route) for path in found.paths[-1:-4:-1] for route in routes(self._ends.joined(path)[0])]
-        for k, (path, route) in enumerate(jobs):
+        choices = list(self._along_ways())
+        for path in found.paths[-1:-3:-1]:
+            whole, arrival = self._ends.joined(path)
+            choices += [(route, arrival) for route in routes(whole)]
+        single = [(route, arrival) for route, arrival in choices if _is_single(route)]
+        composed = [(route, arrival) for route, arrival in choices if not _is_single(route)]
+        share = len(single) / len(choices) if choices else 0.0
+        starts = [self._start(route[0], arrival) for route, arrival in single if isinstance(route[0], Leg)]
+        with budget.share(share * budget.remaining_seconds) as part:
+            for result in descend_from(starts, self._descents, part, self._rng, self._results):
+                self._results.append(result)
+                if result.value > _WORTH_TIMING * min(other.value for other in self._results):
+                    continue
+                motion = self._motion([result.curve], result.start.arrival)
+                if motion is not None and motion.ranking < best:
+                    best = motion.ranking
+                    yield motion
+        for k, (route, arrival) in enumerate(composed):
             if budget.over:
                 return
-            with budget.share(budget.remaining_seconds / (len(jobs) - k)) as part:
-                for motion in self._descended(route, path, part):
-                    if motion.ranking < best:
-                        best = motion.ranking
-                        yield motion
+            with budget.share(budget.remaining_seconds / (len(composed) - k)) as part:
+                motion = self._descended(route, arrival, part)
+            if motion is not None and motion.ranking < best:
+                best = motion.ranking
+                yield motion
 
-    def _descended(self, route: Route, path: Path, budget: Budget) -> Iterator[Motion]:
-        """Yield motions along a route whose legs descend."""
-        descents = self._descents
-        if descents is None:
-            return
-        whole, arrival = self._ends.joined(path)
-        chosen: list[RollingSpline | ArmMove | None] = [None if isinstance(p, Leg) else p for p in route]
-        legs = [k for k, part in enumerate(route) if isinstance(part, Leg)]
-        for n, k in enumerate(legs):
-            leg = route[k]
-            assert isinstance(leg, Leg)
-            results: list[DescentResult] = []
-            with budget.share(budget.remaining_seconds / (len(legs) - n)) as part:
-                for result in descend_from([self._start(leg, arrival)], descents, part, self._rng, results):
-                    results.append(result)
-            if not results:
-                return
-            curve = min(results, key=lambda one: one.value).curve
-            assert isinstance(curve, RollingSpline)
-            chosen[k] = curve
-        motion = self._timed(self._joined(chosen), whole, arrival)
-        if motion is not None:
-            yield motion
+    def _along_ways(self, *, first: bool = False) -> list[tuple[Route, int]]:
+        """Return routes along ways over the floor, those that are tried first in front; or along the shortest alone."""
+        if not isinstance(self._request.planner, DriveLattice):
+            return []
+        if self._ways is not None:
+            return self._ways
+        start, found = self._problem.start, list[tuple[Route, int]]()
+        for arrival, goal in enumerate(self._problem.goals[: 1 if first else _GOALS]):
+            over = ways(self._request.objective.scene, start, goal)
+            chosen = list(islice(over, _SHORTEST)) if first else list(over)
+            found += [(route, arrival) for route in along_ways(chosen, start, goal, self._base.reverse)]
+        if not first:
+            self._ways = found
+        return found
 
-    def _coarse(self, route: Route, arrival: int, budget: Budget) -> Drive | None:
-        """Return a drive along a route whose legs descended coarsely; None if one of them is not free."""
-        if self._descents is None:
-            return None
-        chosen: list[RollingSpline | ArmMove | None] = []
+    def _descended(self, route: Route, arrival: int, budget: Budget) -> Motion | None:
+        """Return a motion along a route whose legs descend one after the other."""
+        chosen: list[RollingSpline | ArmMove] = []
+        legs = sum(isinstance(part, Leg) for part in route)
         for part in route:
             if not isinstance(part, Leg):
                 chosen.append(part)
                 continue
-            found = self._descents.first(self._start(part, arrival), budget)
+            with budget.share(budget.remaining_seconds / legs) as share:
+                results = list(descend_from([self._start(part, arrival)], self._descents, share, self._rng))
+            legs -= 1
+            if not results:
+                return None
+            chosen.append(min(results, key=lambda one: one.value).curve)
+        return self._motion(chosen, arrival)
+
+    def _coarse(self, route: Route, arrival: int, budget: Budget) -> Drive | None:
+        """Return a drive along a route whose legs became short and smooth; None if one of them is not free."""
+        chosen: list[RollingSpline | ArmMove] = []
+        for part in route:
+            if not isinstance(part, Leg):
+                chosen.append(part)
+                continue
+            found = self._shortening.first(self._start(part, arrival), budget)
             if found is None:
                 return None
-            assert isinstance(found.curve, RollingSpline)
             chosen.append(found.curve)
-        return self._joined(chosen)
+        return self._joined(chosen, arrival)
 
     def _start(self, leg: Leg, arrival: int) -> Start:
         kind = RollingCurves(
@@ -172,9 +213,12 @@ class DriveSource:
         )
         return Start(Path(leg.q), arrival=arrival, kind=kind)
 
-    def _joined(self, parts: Sequence[RollingSpline | ArmMove | None]) -> Drive:
-        ends = self._ends
-        return joined(ends.departure.q[-1], [part for part in parts if part is not None], ends.arrivals[0].q[0])
+    def _joined(self, parts: Sequence[RollingSpline | ArmMove], arrival: int) -> Drive:
+        return joined(self._ends.departure.q[-1], parts, self._ends.arrivals[arrival].q[0])
+
+    def _motion(self, parts: Sequence[RollingSpline | ArmMove], arrival: int) -> Motion | None:
+        drive = self._joined(parts, arrival)
+        return self._timed(drive, Path(drive.grid(1).q), arrival)
 
     def _along(self, whole: Path, arrival: int) -> Motion:
         """Return a motion along a path itself, with a stop at each of its corners."""
@@ -186,17 +230,16 @@ class DriveSource:
         request = self._request
         try:
             trajectory = request.constraints.timed(drive, speed=request.speed)
-            if drive.share(drive.grid(1)) is not None:
-                trajectory = request.constraints.timed(
-                    drive, speed=request.speed, slower=slower(drive, trajectory.t, trajectory.qd)
-                )
+            restraint = slower(drive, trajectory.t, trajectory.qd)
+            if restraint is not None:
+                trajectory = request.constraints.timed(drive, speed=request.speed, slower=restraint)
         except RetimingError:
             return None
         return costed(whole, trajectory, arrival, request)
 
 
 def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]) -> Restraint | None:
-    """Return limits on the path speed at the shares that a drive has of its fastest motion.
+    """Return limits on the path speed at the shares that a drive has of its fastest motion; None if it has all of it.
 
     Args:
         drive: The drive.
@@ -219,3 +262,12 @@ def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]
         return np.stack([begin, end], axis=1)
 
     return limits
+
+
+def _is_single(route: Route) -> bool:
+    return len(route) == 1 and isinstance(route[0], Leg)
+
+
+def _without_impact(request: Request) -> object:
+    of = request.objective
+    return of.objective.with_weight(0.0).bind(of.scene, of.paces)

@@ -5,7 +5,7 @@ Turns at either end of a leg are free: a curve may turn instead, partly or as a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,11 @@ from graceful_plan.query.driving.stages import DriveStage, Move, stages
 
 Array = np.ndarray
 
-_SMALL = 0.05
+_SHARP = 1.2
+"""Angle from which on a base had better turn in place first [rad]."""
+_BACKWARD = 0.1
+"""Length by which a way must be shorter to be tried backward before forward [m]."""
+_SMALL = 0.3
 """Turns in place below which no curve differs that makes them itself [rad]."""
 
 
@@ -50,6 +54,42 @@ def routes(path: Path) -> Iterator[Route]:
     yield from _turning(_arm_moved_on_the_way(route))
     if any(not isinstance(part, Leg) for part in route):
         yield from _turning(route)
+
+
+def along_ways(
+    over: Sequence[Float[Array, "point 2"]], start: Float[Array, " nq"], goal: Float[Array, " nq"], reverse: bool
+) -> Iterator[Route]:
+    """Yield routes along ways over the floor: forward, then backward, each with turns at the ends or without.
+
+    Those that turn least by themselves where they need not come first.
+
+    Args:
+        over: The ways.
+        start: Where they begin, with heading and arm.
+        goal: Where they end.
+        reverse: Whether the base may drive backwards.
+    """
+    found: list[tuple[float, Route]] = []
+    for way in over:
+        for forward in (True, False) if reverse else (True,):
+            off = [_off(way[1] - way[0], start[2], forward), _off(way[-1] - way[-2], goal[2], forward)]
+            done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+            share = done[:, None] / max(done[-1], 1e-9)
+            q = np.column_stack([way, np.zeros(len(way)), start[3:] + share * (goal[3:] - start[3:])])
+            q[0], q[-1] = start, goal
+            sharp = [angle > _SHARP for angle in off]
+            for before in (False, True) if off[0] > _SMALL else (False,):
+                for after in (False, True) if off[1] > _SMALL else (False,):
+                    needless = sum(turns != wanted for turns, wanted in zip((before, after), sharp, strict=True))
+                    rank = done[-1] + sum(off) + 0.5 * needless + _BACKWARD * (not forward)
+                    found.append((rank, (Leg(q, forward, before, after),)))
+    yield from (route for _, route in sorted(found, key=lambda one: one[0]))
+
+
+def _off(direction: Float[Array, "2"], heading: float, forward: bool) -> float:
+    """Return the angle between a heading and that of driving in a direction [rad]."""
+    wanted = np.arctan2(direction[1], direction[0]) + (0.0 if forward else np.pi)
+    return float(abs(np.remainder(wanted - heading + np.pi, 2.0 * np.pi) - np.pi))
 
 
 def _parts(parts: list[DriveStage]) -> Iterator[Leg | ArmMove]:

@@ -1,0 +1,91 @@
+"""Ways of a base over the floor: short ones that differ, as descents begin with them.
+
+A disc goes over the cells of a map that is cut out of the scene; a small one gets through everywhere, a large one keeps
+clear. Then again with what is near the ways so far made dear, until nothing new is found. No way is checked for
+collision with the robot: descents from it are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core import _native
+from graceful_plan.floor.floor_map import FloorMap
+from graceful_plan.floor.grid_paths import FloorGrid
+from graceful_plan.planners.driving.footprint import floor_around, footprint, radii
+from graceful_plan.planners.resampling import evenly
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_CELL, _AROUND = 0.05, 8.0
+"""Width of a cell, and how far beyond both ends the map reaches [m]."""
+_SHARES = (0.0, 0.5)
+"""Of the way from the disc inside the robot to the one around it: what keeps clear."""
+_MOST, _NEAR, _DEAR = 4, 0.6, 1.5
+"""Ways at most; cells within so many metres of one cost so many times more in the search for another."""
+_APART = 0.4
+"""Distance by which ways differ somewhere [m]."""
+_LOOKED_AT = 40
+"""Points of a way that are compared."""
+_SECONDS = 1.0
+"""Of one search, at most [s]."""
+
+
+def ways(scene: Scene, start: Float[Array, " nq"], goal: Float[Array, " nq"]) -> Iterator[Float[Array, "point 2"]]:
+    """Yield ways from the place of a base to another, the shortest first.
+
+    Args:
+        scene: With a base.
+        start: Where it is, and the posture of its arm.
+        goal: Where it goes.
+    """
+    discs, top = footprint(scene, start)
+    inside, outside = radii(discs)
+    ends = np.stack([start[:2], goal[:2]])
+    floor = _floor(scene, round(top, 2), tuple(ends.min(axis=0).round(1)), tuple(ends.max(axis=0).round(1)))
+    found: list[Float[Array, "point 2"]] = []
+    for share in _SHARES:
+        grid = FloorGrid(floor=floor, radius=inside + share * (outside - inside))
+        way = _found(grid, ends)
+        if way is not None and _differs(way, found):
+            found.append(way)
+            yield way
+    while found and len(found) < _MOST:
+        grid = FloorGrid(floor=floor, radius=inside, charge=_dear(floor, found))
+        way = _found(grid, ends)
+        if way is None or not _differs(way, found):
+            return
+        found.append(way)
+        yield way
+
+
+@per_scene(most=4)
+def _floor(scene: Scene, top: float, low: tuple[float, float], high: tuple[float, float]) -> FloorMap:
+    return floor_around(scene, top, np.array([low, high]), (_CELL, _AROUND))
+
+
+def _found(grid: FloorGrid, ends: Float[Array, "2 2"]) -> Float[Array, "point 2"] | None:
+    xy = grid.path(ends[0], ends[1], method="theta_star", time_limit=_SECONDS).xy
+    return np.concatenate([ends[:1], xy[1:-1], ends[1:]]) if len(xy) else None
+
+
+def _differs(way: Float[Array, "point 2"], others: list[Float[Array, "point 2"]]) -> bool:
+    here = evenly(way, _LOOKED_AT)
+    apart = [np.linalg.norm(here[:, None] - evenly(other, 4 * _LOOKED_AT), axis=2).min(axis=1) for other in others]
+    return all(float(one.max()) > _APART for one in apart)
+
+
+def _dear(floor: FloorMap, found: list[Float[Array, "point 2"]]) -> Float[Array, "row column"]:
+    """Return what cells near ways cost besides."""
+    near = np.zeros(floor.shape, dtype=np.uint8)
+    for way in found:
+        n = int(np.ceil(np.linalg.norm(np.diff(way, axis=0), axis=1).sum() / floor.resolution)) + 2
+        cells = floor.cells(evenly(way, n))
+        near[cells[:, 1], cells[:, 0]] = 1
+    distance = _native.distance_field(blocked=near, resolution=floor.resolution, outside=False)
+    return np.where(distance < _NEAR, _DEAR, 0.0)
