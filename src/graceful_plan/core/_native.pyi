@@ -240,7 +240,9 @@ class CoastModel:
 
 @final
 class CoastImpact(Impact):
-    def __init__(self, model: CoastModel, severity: Reals, speed: Reals, slow: float, fast: float) -> None: ...
+    def __init__(
+        self, model: CoastModel, rough: CoastModel, severity: Reals, speed: Reals, slow: float, fast: float
+    ) -> None: ...
 
 @final
 class BodyImpact(Impact):

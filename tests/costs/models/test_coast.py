@@ -273,9 +273,11 @@ def test_gradients_are_those_of_differences():
         return kernel.state_slopes(q, qd)[0]
 
     for j in range(3):
-        e = 1e-4 * np.eye(3)[j]
-        np.testing.assert_allclose(by_q[:, j], (value(q + e, qd) - value(q, qd)) / 1e-4, atol=1e-6)
-        np.testing.assert_allclose(by_qd[:, j], (value(q, qd + e) - value(q, qd)) / 1e-4, atol=1e-6)
+        e = 1e-6 * np.eye(3)[j]
+        differences = (value(q + e, qd) - value(q - e, qd)) / 2e-6, (value(q, qd + e) - value(q, qd - e)) / 2e-6
+        assert max(np.abs(of).max() for of in differences) > 0.1
+        np.testing.assert_allclose(by_q[:, j], differences[0], rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(by_qd[:, j], differences[1], rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize(

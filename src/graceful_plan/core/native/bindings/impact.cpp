@@ -122,8 +122,8 @@ void bind_impact(nb::module_& m) {
       .def("probability", &CoastModel::probability, "q"_a, "qd"_a)
       .def("met", &CoastModel::met, "q"_a, "qd"_a, nb::kw_only(), "shape"_a, "velocity"_a, "spread"_a);
   nb::class_<CoastImpact, Impact>(m, "CoastImpact")
-      .def(nb::init<const CoastModel&, Reals, Reals, double, double>(), "model"_a, "severity"_a, "speed"_a, "slow"_a,
-           "fast"_a, nb::keep_alive<1, 2>());
+      .def(nb::init<const CoastModel&, const CoastModel&, Reals, Reals, double, double>(), "model"_a, "rough"_a,
+           "severity"_a, "speed"_a, "slow"_a, "fast"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
   nb::class_<BodyImpact, Impact>(m, "BodyImpact")
       .def(nb::init<const BodyModel&, Reals, Reals, double, double>(), "model"_a, "weight"_a, "severity"_a, "slow"_a,
            "fast"_a, nb::keep_alive<1, 2>());

@@ -140,7 +140,7 @@ class DynamicWindow {
       const double far = (of.limits_.v + of.limits_.a * of.set_.period) * of.set_.horizon + reach + of.set_.near;
       for (const FloorShape& shape : around.shape) {
         const double moves = std::hypot(shape.vx, shape.vy);
-        const double d = shape.distance(at.x, at.y, 0);
+        const double d = shape.distance(at.x, at.y, 0.0);
         if (d < far + moves * of.set_.horizon) near.push_back(shape), fastest = std::max(fastest, moves);
       }
       now = of.clearance(near, at.x, at.y, at.yaw, 0, of.set_.near);

@@ -55,7 +55,13 @@ class CoastModel {
     return array;
   }
   bool hits(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
-    return coasting_.hits({q[0], q[1], q[2], speed(q, qd), qd[2]}, shape_, severity, work);
+    return coasting_.hits(Coasting::State{q[0], q[1], q[2], speed(q, qd), qd[2]}, shape_, severity, work);
+  }
+  // The same with derivatives by x, y, heading, speed along it and rate of turning.
+  bool hits_slopes(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
+    const Coasting::Moving<Dual> at{Dual::variable(q[0], 0), Dual::variable(q[1], 1), Dual::variable(q[2], 2),
+                                    Dual::variable(speed(q, qd), 3), Dual::variable(qd[2], 4)};
+    return coasting_.hits(at, shape_, severity, work);
   }
 
  private:
@@ -79,12 +85,13 @@ class CoastModel {
   const size_t n_entity_;
 };
 
-// The coast model with severities; along edges at their mean pace.
+// The coast model with severities, and one of fewer ways that is close to it; along edges at their mean pace.
 class CoastImpact final : public Impact {
  public:
-  CoastImpact(const CoastModel& model, Reals severity, Reals speed, double slow, double fast)
-      : Impact(model.core(), severity), model_(model), speed_(point(speed)), pace_{slow, fast} {
-    require(severity_.size() == model.n_entity(), "severity of each entity");
+  CoastImpact(const CoastModel& model, const CoastModel& rough, Reals severity, Reals speed, double slow, double fast)
+      : Impact(model.core(), severity), model_(model), rough_(rough), speed_(point(speed)), pace_{slow, fast} {
+    for (const CoastModel* one : {&model, &rough})
+      require(severity_.size() == one->n_entity(), "severity of each entity");
     require_positive(speed, size_t(core_.tables().n_joint), "speed of each joint");
     require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
   }
@@ -99,6 +106,25 @@ class CoastImpact final : public Impact {
     }
   }
   bool asks_for_velocity() const override { return true; }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    const size_t nq = size_t(core_.tables().n_joint);
+    const CoastModel& model = rough ? rough_ : model_;
+    Coasting::Work work = model.work();
+    std::fill_n(out.d_q, states.n * nq, 0.0), std::fill_n(out.d_qd, states.n * nq, 0.0);
+    for (size_t i = 0; i < states.n; ++i) {
+      out.value[i] = 0;
+      const double *q = states.q + i * nq, *qd = states.qd + i * nq;
+      if (!model.hits_slopes(q, qd, severity_.data(), work)) continue;
+      Dual sum(0.0);
+      for (size_t e = 0; e < severity_.size(); ++e) sum += severity_[e] * work.hit_slopes[e];
+      out.value[i] = sum.value();
+      const double c = std::cos(q[2]), s = std::sin(q[2]), by_speed = sum.slope(3);
+      double *d_q = out.d_q + i * nq, *d_qd = out.d_qd + i * nq;
+      for (int j = 0; j < 3; ++j) d_q[j] = sum.slope(j);
+      d_q[2] += by_speed * (qd[1] * c - qd[0] * s);
+      d_qd[0] = by_speed * c, d_qd[1] = by_speed * s, d_qd[2] = sum.slope(4);
+    }
+  }
   void edges(const Edges& edges, double* cost) const override {
     EdgeStates sampled(core_, speed_.data(), pace_, {edges.q0, edges.q1, edges.n, std::max(edges.step, kStep)},
                        Sampling::kMean);
@@ -110,7 +136,7 @@ class CoastImpact final : public Impact {
  private:
   static constexpr double kStep = 0.1;  // between samples of an edge, which blur as far [m or rad]
 
-  const CoastModel& model_;
+  const CoastModel &model_, &rough_;
   const Point speed_;
   const double pace_[2];
 };

@@ -276,13 +276,13 @@ class Timed {
   }
   double clearance(size_t w, size_t half, double x, double y, int heading) const {
     const FloorShape who = shape(w, half);
-    const double around = who.distance(x, y, 0) - reach_;
+    const double around = who.distance(x, y, 0.0) - reach_;
     if (around >= rules_.wanted) return around;
     const size_t n = disc_.size() / size_t(floor_.headings);
     double gap = std::numeric_limits<double>::infinity();
     for (size_t k = 0; k < n; ++k) {
       const Disc& d = disc_[size_t(heading) * n + k];
-      gap = std::min(gap, who.distance(x + d.x, y + d.y, 0) - d.r);
+      gap = std::min(gap, who.distance(x + d.x, y + d.y, 0.0) - d.r);
     }
     return gap;
   }

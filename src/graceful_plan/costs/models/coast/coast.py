@@ -47,6 +47,7 @@ from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.coast.native import coast_model, reals
+from graceful_plan.costs.models.coast.thinned import thinned
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.scene.scene import Scene
@@ -97,7 +98,8 @@ class Coast(NativeModel):
             return kernels.overlap(np.zeros_like(severity))
         row = severity[list(scene.components).index("body")]
         speed = reals(scene.limits.velocity)
-        native = _native.CoastImpact(coast_model(scene, self.settings), reals(row), speed, *paces)
+        models = coast_model(scene, self.settings), coast_model(scene, thinned(self.settings))
+        native = _native.CoastImpact(*models, reals(row), speed, *paces)
         return ImpactKernel(kernels, native)
 
     def gradients(
