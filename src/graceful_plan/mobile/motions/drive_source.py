@@ -15,6 +15,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError
+from graceful_plan.mobile.motions.carry_postures import carry_postures, with_posture
 from graceful_plan.mobile.motions.drive import Drive, joined
 from graceful_plan.mobile.motions.legs import ArmMove, Leg, Route, along_ways, routes
 from graceful_plan.mobile.motions.rolling_spline import RollingCurves, RollingSpline
@@ -22,7 +23,7 @@ from graceful_plan.mobile.motions.ways import ways
 from graceful_plan.path import Path
 from graceful_plan.planners.descent_rounds import descend_from
 from graceful_plan.planners.driving.drive_lattice import DriveLattice
-from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, DescentSettings, Start
+from graceful_plan.planners.motion_descent import COARSE, DRIVING_TIME_PRICE, DescentResult, DescentSettings, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.candidates.descents import motion_descents
@@ -46,6 +47,14 @@ _GOALS, _SHORTEST = 3, 2
 """Goals that ways lead to, and ways for a first motion."""
 _TRIED = 6
 """Routes along these that are tried for it."""
+_LATEST = 2
+"""Paths of a search that a round begins with at most."""
+_STARTS = 3
+"""Curves that a round begins with, besides those that it refines."""
+_LOOK = replace(COARSE, evaluations=0)
+"""Tells J of a curve as it is."""
+_POSED = 64
+"""Points of a curve along which the arm has other postures."""
 _FREE = 1e9
 """Squared path speed where nothing is to be slower."""
 
@@ -79,6 +88,11 @@ class DriveSource:
         self._drives: list[tuple[Drive, Path, int]] = []
         self._ways: list[tuple[Route, int]] | None = None
         self._results: list[DescentResult] = []
+        self._latest: tuple[Motion, DescentResult] | None = None
+        self._entered = 0
+        self._rough: list[Start] = []
+        self._untried: list[tuple[float, Start]] = []
+        self._composed: list[tuple[Route, int]] = []
         self.path_cost = np.inf
         """Least cost of a path of a search, as the search estimates it."""
 
@@ -131,31 +145,61 @@ class DriveSource:
         found = self._lattice.found
         if found.trace:
             self.path_cost = min(self.path_cost, found.trace[-1].total)
-        choices = list(self._along_ways())
-        for path in found.paths[-1:-3:-1]:
-            whole, arrival = self._ends.joined(path)
-            choices += [(route, arrival) for route in routes(whole)]
-        single = [(route, arrival) for route, arrival in choices if _is_single(route)]
-        composed = [(route, arrival) for route, arrival in choices if not _is_single(route)]
-        share = len(single) / len(choices) if choices else 0.0
-        starts = [self._start(route[0], arrival) for route, arrival in single if isinstance(route[0], Leg)]
-        with budget.share(share * budget.remaining_seconds) as part:
-            for result in descend_from(starts, self._descents, part, self._rng, self._results):
-                self._results.append(result)
-                if result.value > _WORTH_TIMING * min(other.value for other in self._results):
-                    continue
-                motion = self._motion([result.curve], result.start.arrival)
-                if motion is not None and motion.ranking < best:
-                    best = motion.ranking
-                    yield motion
-        for k, (route, arrival) in enumerate(composed):
-            if budget.over:
-                return
-            with budget.share(budget.remaining_seconds / (len(composed) - k)) as part:
-                motion = self._descended(route, arrival, part)
+        fresh = [*(self._along_ways() if self._ways is None else ()), *self._along_lattice()]
+        self._composed += [one for one in fresh if not _is_single(one[0])]
+        self._rough += [self._start(route[0], arrival) for route, arrival in fresh if _is_single(route)]
+        self._rough += self._posed()
+        self._enter(budget)
+        starts, self._untried = self._untried[:_STARTS], self._untried[_STARTS:]
+        for result in descend_from([start for _, start in starts], self._descents, budget, self._rng, self._results):
+            self._results.append(result)
+            if result.value > _WORTH_TIMING * min(other.value for other in self._results):
+                continue
+            motion = self._motion([result.curve], result.start.arrival)
+            if motion is not None and motion.ranking < best:
+                best, self._latest = motion.ranking, (motion, result)
+                yield motion
+        while self._composed and not budget.over:
+            motion = self._descended(*self._composed.pop(0), budget)
             if motion is not None and motion.ranking < best:
                 best = motion.ranking
                 yield motion
+
+    def _enter(self, budget: Budget) -> None:
+        """Let rough starts become short and smooth, and keep them in the order of J, the best first."""
+        while self._rough and not budget.over:
+            start = self._rough.pop(0)
+            short = start if start.curve is not None else self._shortened(start, budget)
+            descent = None if short is None else self._descents.descended(short, _LOOK, budget)
+            if descent is not None:
+                self._untried.append((descent.value, short))
+        self._untried.sort(key=lambda one: one[0])
+
+    def _shortened(self, start: Start, budget: Budget) -> Start | None:
+        descent = self._shortening.descended(start, COARSE, budget)
+        if descent is None:
+            return None
+        curve = start.kind.curve(descent.controls)
+        return replace(start, path=Path(curve.even(_POSED)), curve=curve)
+
+    def _along_lattice(self) -> list[tuple[Route, int]]:
+        """Return routes along the latest paths of the lattice that were not entered yet."""
+        paths = self._lattice.found.paths
+        latest, self._entered = paths[max(self._entered, len(paths) - _LATEST) :], len(paths)
+        joined = [self._ends.joined(path) for path in reversed(latest)]
+        return [(route, arrival) for whole, arrival in joined if whole.length > 0.0 for route in routes(whole)]
+
+    def _posed(self) -> list[Start]:
+        """Return starts with the arm in other postures along the best curve."""
+        objective = self._request.objective
+        if self._latest is None or objective.w == 0.0 or self._problem.start.size == 3:
+            return []
+        motion, result = self._latest
+        self._latest = None
+        arms = carry_postures(motion.trajectory, self._problem, objective, self._rng)
+        assert isinstance(result.curve, RollingSpline)
+        curves = [replace(result.curve, controls=with_posture(result.curve.controls, arm)) for arm in arms]
+        return [replace(result.start, path=Path(curve.even(_POSED)), curve=curve) for curve in curves]
 
     def _along_ways(self, *, first: bool = False) -> list[tuple[Route, int]]:
         """Return routes along ways over the floor, those that are tried first in front; or along the shortest alone."""

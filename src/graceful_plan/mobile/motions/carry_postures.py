@@ -1,0 +1,97 @@
+"""Postures of the arm in which little would be harmed along a motion: where to begin, for descents move the arm on.
+
+Candidates are drawn around the postures at both ends, and moved to where what has to stay level does. The few are kept
+that cost least along the whole motion, the arm's own way there and back included.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+_BASE = 3
+"""Joints of the base, before those of the arm."""
+_DRAWN = 300
+_SCALES = (0.4, 1.2)
+"""Standard deviation of how far joints move, from the first candidate to the last [rad, or share of a shorter range]."""
+_MOVED = 0.5
+"""Share of the joints that do."""
+_PLACES = 12
+"""Along the motion."""
+_FREE_SHARE = 0.6
+"""Of these, where a posture has to be free: at both ends of a motion there may be less room."""
+_KEPT, _APART = 3, 0.3
+"""Postures, and how far apart they are somewhere [rad or m]."""
+_RAMP = 0.3
+"""Share of a motion in which the arm gets there, and in which it goes on to the end."""
+
+
+def carry_postures(
+    motion: Trajectory, problem: SceneProblem, objective: SceneObjective, rng: np.random.Generator
+) -> Float[Array, "posture arm"]:
+    """Return postures that cost less along a motion than those that it has, the best first.
+
+    Args:
+        motion: The motion.
+        problem: What has to be free, and to be kept level.
+        objective: What is minimised.
+        rng: For candidates.
+    """
+    ends = motion.q[[0, -1], _BASE:]
+    arms = _candidates(ends, problem, rng)
+    t = motion.t[0] + motion.duration * (np.arange(_PLACES) + 0.5) / _PLACES
+    state, seconds = motion.at(t), motion.duration / _PLACES
+    n, shape = len(arms), (len(arms), _PLACES)
+    q, qd = np.tile(state.q, (n, 1)), np.tile(state.qd, (n, 1))
+    q[:, _BASE:], qd[:, _BASE:] = np.repeat(arms, _PLACES, axis=0), 0.0
+    free = problem.states_free(q).reshape(shape)
+    possible = np.flatnonzero(free.mean(axis=1) >= _FREE_SHARE)
+    if not len(possible):
+        return arms[:0]
+    rows = (possible[:, None] * _PLACES + np.arange(_PLACES)).ravel()
+    impact = objective.quick_states(q[rows], qd[rows]).reshape(-1, _PLACES)
+    now = objective.quick_states(state.q, state.qd)
+    # Where a posture is not free the arm has to be as it is now.
+    harm = seconds * np.where(free[possible], impact, now).sum(axis=1)
+    way = np.linalg.norm(arms[possible, None] - ends, axis=2).sum(axis=1) - np.linalg.norm(ends[1] - ends[0])
+    # The arm moves while the base does: beside a long way its own hardly counts.
+    length = max(motion.path.length, 1e-3)
+    cost = objective.w * harm + np.hypot(length, way) - length
+    chosen: list[int] = []
+    for k in np.argsort(cost):
+        if cost[k] >= objective.w * seconds * now.sum() or len(chosen) == _KEPT:
+            break
+        if all(np.abs(arms[possible[k]] - arms[possible[other]]).max() > _APART for other in chosen):
+            chosen.append(int(k))
+    return arms[possible[chosen]]
+
+
+def with_posture(
+    controls: Float[Array, "control column"], arm: Float[Array, " arm"]
+) -> Float[Array, "control column"]:
+    """Return control points of a `RollingSpline` with the arm in another posture but towards both ends."""
+    share = np.linspace(0.0, 1.0, len(controls))[:, None]
+    near = np.clip(np.minimum(share, 1.0 - share) / _RAMP, 0.0, 1.0)
+    near = near * near * (3.0 - 2.0 * near)
+    moved = controls.copy()
+    moved[:, _BASE - 1 : -1] += near * (arm - controls[:, _BASE - 1 : -1])
+    return moved
+
+
+def _candidates(
+    ends: Float[Array, "2 arm"], problem: SceneProblem, rng: np.random.Generator
+) -> Float[Array, "n arm"]:
+    """Draw postures: some joints elsewhere, and the others moved until what has to be level is."""
+    lower, upper = problem.lower[_BASE:], problem.upper[_BASE:]
+    shape = _DRAWN, ends.shape[1]
+    scale = np.linspace(*_SCALES, _DRAWN)[:, None] * np.minimum(1.0, upper - lower)
+    step = np.where(rng.uniform(size=shape) < _MOVED, scale * rng.normal(size=shape), 0.0)
+    q = np.tile(problem.start, (_DRAWN, 1))
+    q[:, _BASE:] = np.clip(ends[rng.integers(2, size=_DRAWN)] + step, lower, upper)
+    return problem.projected(q)[:, _BASE:]
