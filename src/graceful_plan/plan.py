@@ -36,7 +36,7 @@ from graceful_plan.query.arguments import (
 from graceful_plan.query.candidates.candidates import candidates
 from graceful_plan.query.candidates.prefer import Preference
 from graceful_plan.query.candidates.search import Callback
-from graceful_plan.query.driving.answer import driven_answer
+from graceful_plan.query.driving import driving_of
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
 from graceful_plan.query.endpoints.goals import Goal, poses_of
@@ -156,8 +156,8 @@ def plan(
         return _with_notes(ends, notes)
     request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index))
     try:
-        if scene.base is not None:
-            result = driven_answer(request, ends, budget, rng)
+        if (driving := driving_of(scene)) is not None:
+            result = driving.answer(request, ends, budget, rng)
         else:
             best = BestVerified(request, ends, budget)
             for motion in candidates(request, ends, budget, rng, best):
