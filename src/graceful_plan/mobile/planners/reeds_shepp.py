@@ -8,7 +8,7 @@ do not interleave two of these planners where results must be reproducible.
 References:
     [LaValle1998] Rapidly-exploring random trees. [Karaman2011] S. Karaman, E. Frazzoli, "Sampling-based algorithms for
     optimal motion planning", IJRR 30. [Kavraki1996] L. Kavraki et al., "Probabilistic roadmaps", TRA 12.
-    [ReedsShepp1990] As in `floor.reeds_shepp`.
+    [ReedsShepp1990] As in `mobile.floor.reeds_shepp`.
 """
 
 from __future__ import annotations
