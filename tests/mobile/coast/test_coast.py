@@ -11,6 +11,7 @@ from scipy.special import erfc
 
 import graceful_plan as gp
 from graceful_plan.costs.cost import moving_batch
+from graceful_plan.costs.models.failing_base import FailingBase
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import Astray, CoastSettings, Way
@@ -253,6 +254,51 @@ def test_by_default_all_failures_of_a_base_without_an_arm_are_its_own():
     kernel = gp.Objective(w=1.0).bind(SCENE).kernel
     edge = kernel.edges(q[:50], q[:50] + 0.1 * qd[:50])
     assert (edge[:, 1] >= 0.0).all() and edge[:, 1].max() > 0.0
+
+
+class Doubtful(FailingBase):
+    """A user's own: as the shipped one, and half of that."""
+
+    coast, share = Coast(), 0.5
+
+    def of_base(self, scene):
+        return 0.5
+
+    def of_cargo(self, scene):
+        return 0.5
+
+    def worth(self, speed):
+        return self.coast.worth(speed)
+
+    def probability(self, batch):
+        return self.coast.probability(batch)
+
+    def met(self, batch):
+        return self.coast.met(batch)
+
+    def kernel(self, scene, severity, paces):
+        return self.coast.kernel(scene, severity, paces)
+
+    def gradients(self, batch, severity):
+        return self.coast.gradients(batch, severity)
+
+
+def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_descents():
+    q, qd = states()
+    batch = moving_batch(SCENE, q, qd)
+    shipped, own = (gp.ImpactCost(model=gp.Footprint(base=base)) for base in (None, Doubtful()))
+    assert shipped.state(batch).max() > 0.0
+    np.testing.assert_allclose(own.state(batch), 0.5 * shipped.state(batch), atol=1e-12)
+    np.testing.assert_allclose(own.gradient(batch), 0.5 * shipped.gradient(batch), atol=1e-9)
+    one, other = (gp.Objective(impact=cost, w=1.0).bind(SCENE).edges(q[:50], q[:50] + 0.1) for cost in (shipped, own))
+    np.testing.assert_allclose(other[:, 1], 0.5 * one[:, 1], atol=1e-12)
+
+
+def test_settings_alone_are_no_model_of_how_bases_fail():
+    model = gp.Footprint()
+    object.__setattr__(model, "base", SHIPPED)  # past the checks of types, which users do not have
+    with pytest.raises(SettingError, match=r"base = .*, expected a FailingBase, such as Coast\(settings\)"):
+        model.__post_init__()
 
 
 def test_a_robot_that_stands_still_has_no_base_to_fear():

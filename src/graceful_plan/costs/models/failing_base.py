@@ -46,13 +46,13 @@ class FailingBase(ABC):
     @abstractmethod
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
-    ) -> ImpactKernel | None:
+    ) -> ImpactKernel:
         """Return the native kernel for sums of P S: see `NativeModel.kernel`."""
 
     @abstractmethod
     def gradients(
         self, batch: StateBatch, severity: Float[Array, "component entity"]
-    ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+    ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]]:
         """Return its derivatives with respect to q and to the joint velocities."""
 
 

@@ -112,7 +112,7 @@ class Coast(NativeModel, FailingBase):
         severity: Float[Array, "component entity"],
         paces: tuple[float, float],
         own: OwnLoss | None = None,
-    ) -> ImpactKernel | None:
+    ) -> ImpactKernel:
         """Return the native kernel; nobody is in it if the robot does not drive."""
         del own
         kernels = compile_scene(scene).kernels
@@ -125,8 +125,7 @@ class Coast(NativeModel, FailingBase):
 
     def gradients(
         self, batch: StateBatch, severity: Float[Array, "component entity"], own: OwnLoss | None = None
-    ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+    ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]]:
         """Return derivatives with respect to q and to the joint velocities, by differences in the core."""
         del own
-        kernel = self.kernel(batch.scene, severity, (1.0, 1.0))
-        return None if kernel is None else kernel.state_slopes(batch.q, batch.qd)[1:]
+        return self.kernel(batch.scene, severity, (1.0, 1.0)).state_slopes(batch.q, batch.qd)[1:]

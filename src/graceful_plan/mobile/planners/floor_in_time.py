@@ -1,9 +1,10 @@
 """Paths over the cells of a floor map, headings and time, among those who move: before or behind somebody, or waiting.
 
-The robot's outline at the heading of travel, as discs, goes over coarse cells in the core (`mobile.floor.timed_paths`). A move
-costs its length, its time and w times what those around would suffer if the base failed on it, where they then are;
-nobody is driven into, and nobody is waited for where they walk. Where no way is found, cells are halved. What is found
-becomes turns in place and straight stretches, and loses its times: the law of time is found again on the smooth curve.
+The robot's outline at the heading of travel, as discs, goes over coarse cells in the core
+(`mobile.floor.timed_paths`). A move costs its length, its time and w times what those around would suffer if the base
+failed on it, where they then are; nobody is driven into, and nobody is waited for where they walk. Where no way is
+found, cells are halved. What is found becomes turns in place and straight stretches, and loses its times: the law of
+time is found again on the smooth curve.
 """
 
 from __future__ import annotations

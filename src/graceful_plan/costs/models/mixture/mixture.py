@@ -61,7 +61,7 @@ class Footprint(NativeModel):
 
     Raises:
         UnknownNameError: If there is no such preset.
-        SettingError: If so many places cannot stand for anybody.
+        SettingError: If so many places cannot stand for anybody, or `base` is no FailingBase.
     """
 
     faults: str | FaultPrior = "drop_only"
@@ -77,6 +77,8 @@ class Footprint(NativeModel):
         check_places(self.places)
         if not isinstance(self.faults, str | FaultPrior):
             raise SettingError("faults", self.faults, "a FaultPrior or the name of a preset")
+        if not (self.base is None or isinstance(self.base, FailingBase)):
+            raise SettingError("base", self.base, "a FailingBase, such as Coast(settings)")
         _ = self.prior
 
     @cached_property
@@ -137,8 +139,7 @@ class Footprint(NativeModel):
         """Return the native kernel; where arms may fail, its derivatives along edges are close rather than exact."""
         parts: list[ImpactKernel] = []
         if (base := failing_base(scene, self.base)) is not None:
-            coast = base.kernel(scene, base.of_base(scene) * severity, paces)
-            parts += [coast] if coast is not None else []
+            parts.append(base.kernel(scene, base.of_base(scene) * severity, paces))
             severity = base.of_cargo(scene) * severity
         rows, loss = self._severities(scene, severity), self._of_cargo(scene) * self._own_severity(own)
         if scene.carried is not None and (rows.any() or loss):
@@ -167,7 +168,7 @@ class Footprint(NativeModel):
         scene, aboard = batch.scene, self._of_cargo(batch.scene)
         found = np.zeros_like(batch.q), np.zeros_like(batch.q)
         if (base := failing_base(scene, self.base)) is not None:
-            found = base.gradients(batch, base.of_base(scene) * severity) or found
+            found = base.gradients(batch, base.of_base(scene) * severity)
         if scene.carried is None:
             return found
         kernel, rows = self._drop_kernel(scene, own), self._severities(scene, aboard * severity)
