@@ -27,10 +27,10 @@ import numpy as np
 import graceful_plan as gp
 from graceful_plan.core import _native
 from graceful_plan.core.kernels import instruction_sets
-from graceful_plan.floor.lattice import LatticeSettings, StateLattice
-from graceful_plan.floor.reeds_shepp import Steering
-from graceful_plan.floor.timed_paths import HEADINGS, LEAVES, STANDS, Others, TimedLattice
 from graceful_plan.judge import _pendulum
+from graceful_plan.mobile.floor.lattice import LatticeSettings, StateLattice
+from graceful_plan.mobile.floor.reeds_shepp import Steering
+from graceful_plan.mobile.floor.timed_paths import HEADINGS, LEAVES, STANDS, Others, TimedLattice
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.timing.retiming import slowdown

@@ -56,11 +56,11 @@ from graceful_plan.compare.runs.best_motions import BestMotions
 from graceful_plan.compare.runs.comparison import compare, load_comparison
 from graceful_plan.compare.runs.known import read_known, write_known
 from graceful_plan.costs.models.body.constants import BodySettings
-from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.spill.constants import SpillSettings
-from graceful_plan.floor.files.moving_ai import MovingAIScenario, read_scenarios, write_scenarios
+from graceful_plan.mobile.coast.constants import CoastSettings
+from graceful_plan.mobile.floor.files.moving_ai import MovingAIScenario, read_scenarios, write_scenarios
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.urdf.srdf import read_srdf
 from graceful_plan.viewer.opening import asked

@@ -52,7 +52,7 @@ MODULES = {
         "tests/query/endpoints/test_pose_sets.py",
         "tests/query/endpoints/test_ik.py",
         "tests/query/test_cancel.py",
-        "tests/query/driving/test_drives.py",
+        "tests/mobile/motions/test_drives.py",
     ),
     "scene/scene.py": (
         "tests/scene/test_scene.py",

@@ -241,8 +241,8 @@ EDITS = {
         ("tests/constraints/test_felt.py",),
         (("add3(rate, «-dot3(rate, d)», d)", "0.0"), ("- «drag * rate[i]»)", "0 * drag")),
     ),
-    "grid/distance_field.hpp": (
-        ("tests/floor/test_floor_map.py",),
+    "mobile/grid/distance_field.hpp": (
+        ("tests/mobile/floor/test_floor_map.py",),
         (
             ("«last[x] == 0.0F ? 0.5F : last[x] + 1.0F»", "last[x] + 1.0F"),
             ("h = «std::min(before, after)»", "after"),
@@ -251,8 +251,8 @@ EDITS = {
             ("«std::min(own * own, d * d + height_[size_t(k)])»", "d * d + height_[size_t(k)]"),
         ),
     ),
-    "lattice/floor_field.hpp": (
-        ("tests/floor/test_lattice.py", "tests/floor/test_reeds_shepp.py"),
+    "mobile/lattice/floor_field.hpp": (
+        ("tests/mobile/floor/test_lattice.py", "tests/mobile/floor/test_reeds_shepp.py"),
         (
             (
                 "return distance[index(c)] «- std::hypot(x - (c.x + 0.5) * resolution, y - (c.y + 0.5) * resolution)»",
@@ -262,8 +262,8 @@ EDITS = {
             ("std::max(dx, dy) + («grid::kDiagonal - 1.0») * std::min(dx, dy)", "grid::kDiagonal"),
         ),
     ),
-    "control/dynamic_window.hpp": (
-        ("tests/control/test_dwa.py", "tests/control/test_controllers.py"),
+    "mobile/control/dynamic_window.hpp": (
+        ("tests/mobile/control/test_dwa.py", "tests/mobile/control/test_controllers.py"),
         (
             ("if («d <= touch») break", "d <= -1"),
             ("stops = std::fabs(one.v) <= «2 * limits_.a * left»", "20 * limits_.a * left"),

@@ -8,8 +8,8 @@ import graceful_plan as gp
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
-from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.judge import _pendulum
+from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 

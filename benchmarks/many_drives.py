@@ -30,9 +30,9 @@ if str(ROOT) not in sys.path:
 
 import graceful_plan as gp  # noqa: E402
 from benchmarks.many_motions import Checker, cubics  # noqa: E402
-from failbench.policies.bases.driving import drive  # noqa: E402
+from failbench.mobile.driving import drive  # noqa: E402
 from graceful_plan.compare.runs import machine  # noqa: E402
-from graceful_plan.floor.generated import floor_plan  # noqa: E402
+from graceful_plan.mobile.floor.generated import floor_plan  # noqa: E402
 
 Array = np.ndarray
 

@@ -47,7 +47,7 @@ def main(picture: Path | None = None, iterations: int | None = None) -> dict[str
             f"to ben {cost.impact_by_entity['ben']:5.2f}; {passing.detail}"
         )
     if picture is not None:
-        from graceful_plan.viz.floor_pictures import draw_floor
+        from graceful_plan.mobile.floor_pictures import draw_floor
 
         draw_floor(scene, results["with regard for time"].trajectory, picture, floor=floor)
     return results

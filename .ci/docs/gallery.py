@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import graceful_plan as gp
-from graceful_plan.floor.generated import GeneratedFloor, floor_plan
-from graceful_plan.floor.grid_paths import FloorGrid
+from graceful_plan.mobile.floor.generated import GeneratedFloor, floor_plan
+from graceful_plan.mobile.floor.grid_paths import FloorGrid
 from graceful_plan.viz.outlines import draw_entities
 
 ROOT = Path(__file__).parents[2]

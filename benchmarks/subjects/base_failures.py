@@ -11,12 +11,12 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.mobile import standing
-from failbench.wheels.coasting import BaseFailure, coasted, coasting, drawn
-from failbench.wheels.wheeled import Wheeled, wheeled
+from failbench.mobile.coasting import BaseFailure, coasted, coasting, drawn
+from failbench.mobile.wheeled import Wheeled, wheeled
 from graceful_plan.costs.cost import moving_batch
-from graceful_plan.costs.models.coast.closed_forms import slope_distance
-from graceful_plan.costs.models.coast.coast import Coast
-from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.mobile.coast.closed_forms import slope_distance
+from graceful_plan.mobile.coast.coast import Coast
+from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.scene.loading.robot_models import robot_file
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.known_bases import known_base

@@ -12,11 +12,11 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.mobile import standing
-from failbench.policies.bases.driving import drive
-from graceful_plan.control.drive_state import DriveState
-from graceful_plan.control.dwa import DWA, seen
-from graceful_plan.floor.lattice import LatticeSettings, StateLattice
-from graceful_plan.floor.reeds_shepp import Steering
+from failbench.mobile.driving import drive
+from graceful_plan.mobile.control.drive_state import DriveState
+from graceful_plan.mobile.control.dwa import DWA, seen
+from graceful_plan.mobile.floor.lattice import LatticeSettings, StateLattice
+from graceful_plan.mobile.floor.reeds_shepp import Steering
 from graceful_plan.scene.mobile.known_bases import known_base
 
 Array = np.ndarray

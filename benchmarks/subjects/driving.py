@@ -11,12 +11,12 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.mobile import standing
-from failbench.policies.bases.driving import drive
-from failbench.wheels.coasting import coasted, drawn
-from failbench.wheels.wheeled import wheeled
+from failbench.mobile.coasting import coasted, drawn
+from failbench.mobile.driving import drive
+from failbench.mobile.wheeled import wheeled
 from graceful_plan.costs.cost import moving_batch
-from graceful_plan.costs.models.coast.coast import Coast
-from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.mobile.coast.coast import Coast
+from graceful_plan.mobile.coast.constants import CoastSettings
 
 Array = np.ndarray
 

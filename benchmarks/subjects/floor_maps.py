@@ -14,10 +14,10 @@ from scipy.sparse.csgraph import dijkstra
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from graceful_plan.floor import generated
-from graceful_plan.floor.floor_map import FloorMap
-from graceful_plan.floor.generated import obstacle_course
-from graceful_plan.floor.grid_paths import FloorGrid
+from graceful_plan.mobile.floor import generated
+from graceful_plan.mobile.floor.floor_map import FloorMap
+from graceful_plan.mobile.floor.generated import obstacle_course
+from graceful_plan.mobile.floor.grid_paths import FloorGrid
 
 Array = np.ndarray
 

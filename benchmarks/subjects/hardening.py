@@ -19,7 +19,7 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.planners.driving import DRIVING
+from graceful_plan.mobile.planners import DRIVING
 
 Array = np.ndarray
 

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from benchmarks import report, suite
-from graceful_plan.floor.lattice import LatticeSettings, LatticeStatus, StateLattice
-from graceful_plan.floor.reeds_shepp import Steering, shortest_curves
+from graceful_plan.mobile.floor.lattice import LatticeSettings, LatticeStatus, StateLattice
+from graceful_plan.mobile.floor.reeds_shepp import Steering, shortest_curves
 
 Array = np.ndarray
 

@@ -11,7 +11,7 @@ import failbench as fb
 import graceful_plan as gp
 from benchmarks import report, suite
 from failbench.scenario import MOBILE
-from graceful_plan.floor.generated import floor_plan
+from graceful_plan.mobile.floor.generated import floor_plan
 
 Array = np.ndarray
 

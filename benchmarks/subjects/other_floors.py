@@ -10,8 +10,8 @@ import failbench as fb
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.subjects.mobile_prevention import FAILURES, HORIZON, SECONDS, asked, examine
-from graceful_plan.costs.models.coast.coast import Coast
-from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.mobile.coast.coast import Coast
+from graceful_plan.mobile.coast.constants import CoastSettings
 
 Array = np.ndarray
 

@@ -28,7 +28,7 @@ Where they are is known to 0.05 m and 0.05 m/s. Three plans for each: "nobody", 
 both as entities where they are at the start; "in time", by `Scene.with_moving` and `max_wait={WAIT:g}`. All are judged
 among those who walk: whether the sound robot drives into somebody (exact geometry, at the predicted places), and the
 harm of failures per executed task, the exposure of severity to both adults where they then are, by the model's own
-probabilities (`costs/models/coast/walkers.py`). "By chance" does without its closed forms: {ROLLS} failures of each
+probabilities (`mobile/coast/walkers.py`). "By chance" does without its closed forms: {ROLLS} failures of each
 motion are rolled step by step along the arc of the moment, with stops drawn from the model's ways in which both sides
 do the same, and walkers off their prediction; harm counts the square of the speed at the first touch.
 """
@@ -118,7 +118,7 @@ def _judged(seed: int, name: str, scene: gp.Scene, wait: float, ends: tuple[Arra
 
 def rolled(trajectory: gp.Trajectory, scene: gp.Scene, rng: np.random.Generator, n: int = ROLLS) -> float:
     """Return the harm per executed task of failures at random moments, step by step: no closed form of the model."""
-    from graceful_plan.costs.models.coast.constants import CoastSettings
+    from graceful_plan.mobile.coast.constants import CoastSettings
 
     settings, base = CoastSettings.shipped(), scene.base
     assert base is not None

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from failbench.fault.fault import Fault
     from failbench.fault.registry import faults, reactions
     from failbench.front_validation import FrontValidation, validate_front
+    from failbench.mobile.driving import drive
     from failbench.pictures.playback import replay
-    from failbench.policies.bases.driving import drive
     from failbench.recording.healthy import HealthyHarm
     from failbench.recording.records import ContactEvent, Job, Rollout
     from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
@@ -59,7 +59,7 @@ else:
             "build_world": "failbench.simulated.world",
             "compare": "failbench.comparison",
             "disturbances": "failbench.surroundings.registry",
-            "drive": "failbench.policies.bases.driving",
+            "drive": "failbench.mobile.driving",
             "energy_impact": "failbench.recording.score",
             "execute": "failbench.rollouts.execution",
             "faults": "failbench.fault.registry",

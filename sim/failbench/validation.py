@@ -44,7 +44,6 @@ from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_g
 from failbench.scenario import scenarios as find_scenarios
 from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import staged_for
-from failbench.wheels.following import Controller
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import trajectory_batch
@@ -74,7 +73,7 @@ def validate(
     threads: int | None = None,
     settings: SimSettings | None = None,
     prediction: ImpactCost | None = None,
-    controller: Controller | None = None,
+    controller: object = None,
     rate: float = FAILURES_PER_HOUR,
     confidence: float = 0.95,
     progress: Progress | None = None,

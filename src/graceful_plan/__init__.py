@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from graceful_plan.constraints.grasp import GraspHolds
     from graceful_plan.constraints.standing import KeepStanding
     from graceful_plan.constraints.tool import ToolSpeed, ToolWithin
-    from graceful_plan.control.dwa import DWA
     from graceful_plan.costs.blocks.clearance_cost import ClearanceCost
     from graceful_plan.costs.cost import Cost, StateBatch
     from graceful_plan.costs.fault_prior import FaultPrior
@@ -34,8 +33,10 @@ if TYPE_CHECKING:
     from graceful_plan.costs.motion import JointLength
     from graceful_plan.costs.objective import Objective, evaluate
     from graceful_plan.exceptions import GracefulPlanError
-    from graceful_plan.floor.floor_map import FloorMap
     from graceful_plan.judge.verification import Verification, verify
+    from graceful_plan.mobile.control.dwa import DWA
+    from graceful_plan.mobile.floor.floor_map import FloorMap
+    from graceful_plan.mobile.planners.drive_lattice import DriveLattice
     from graceful_plan.path import Path
     from graceful_plan.plan import plan
     from graceful_plan.planners import (
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
         RRTConnect,
         RRTStar,
     )
-    from graceful_plan.planners.driving.drive_lattice import DriveLattice
     from graceful_plan.query.cartesian.straight import straight_motion
     from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult, PlanStatus, Verdict
     from graceful_plan.roadmap import Roadmap
@@ -86,14 +86,14 @@ else:
             "Constraint": "graceful_plan.constraints.constraint",
             "Cost": "graceful_plan.costs.cost",
             "CostBreakdown": "graceful_plan.result",
-            "DWA": "graceful_plan.control.dwa",
+            "DWA": "graceful_plan.mobile.control.dwa",
             "DiffDrive": "graceful_plan.scene.mobile.diff_drive",
-            "DriveLattice": "graceful_plan.planners.driving.drive_lattice",
+            "DriveLattice": "graceful_plan.mobile.planners.drive_lattice",
             "DropNetwork": "graceful_plan.costs.models.drop.network",
             "Dry": "graceful_plan.scene.elements",
             "EntityNote": "graceful_plan.scene.elements",
             "FaultPrior": "graceful_plan.costs.fault_prior",
-            "FloorMap": "graceful_plan.floor.floor_map",
+            "FloorMap": "graceful_plan.mobile.floor.floor_map",
             "Footprint": "graceful_plan.costs.models.mixture.mixture",
             "GracefulPlanError": "graceful_plan.exceptions",
             "GraspHolds": "graceful_plan.constraints.grasp",

@@ -36,7 +36,7 @@ from graceful_plan.query.arguments import (
 from graceful_plan.query.candidates.candidates import candidates
 from graceful_plan.query.candidates.prefer import Preference
 from graceful_plan.query.candidates.search import Callback
-from graceful_plan.query.driving.answer import driven_answer
+from graceful_plan.query.driving import driving_of
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
 from graceful_plan.query.endpoints.goals import Goal, poses_of
@@ -52,9 +52,6 @@ _COMPILED_SOON = 0.1
 """Compiling is not worth a word if it took less [s]: several times what bundled scenes take."""
 
 
-import os
-NEW=bool(os.environ.get('NEW'))
-from graceful_plan.query.driving.tight import rolling_endpoints
 def plan(
     start: Configuration,
     goal: Goal,
@@ -155,20 +152,16 @@ def plan(
         return plan_through((start, passed, goal), leg, request, budget, seed)
     ends = find_endpoints(start, goal, asked, rng, seed=seed, cancelled=budget.cancelled, late=budget.is_late)
     notes = _compiled(compiled, limit)
+    if (driving := driving_of(scene)) is not None and not isinstance(ends, PlanResult):
+        ends = driving.ends(ends)
     if isinstance(ends, PlanResult):
         return _with_notes(ends, notes)
     request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index))
     try:
-        if scene.base is not None and not NEW:
-            result = driven_answer(request, ends, budget, rng)
-        else:
-            best = BestVerified(request, ends, budget)
-            if scene.base is not None:
-                ends = rolling_endpoints(ends)
-                best._ends = ends
-            for motion in candidates(request, ends, budget, rng, best):
-                best.consider(motion)
-            result = best.result()
+        best = BestVerified(request, ends, budget)
+        for motion in candidates(request, ends, budget, rng, best):
+            best.consider(motion)
+        result = best.result()
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     result = _with_notes(result, [*notes, *ends.notes, *_waived(asked)])

@@ -26,7 +26,7 @@ from graceful_plan.compare.runs.comparison import compare, load_comparison
 from graceful_plan.compare.runs.known import read_known
 from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.exceptions import FormatError, SceneError
-from graceful_plan.floor.files.moving_ai import read_scenarios
+from graceful_plan.mobile.floor.files.moving_ai import read_scenarios
 from graceful_plan.regular_file import check_regular, open_regular, read_content
 from graceful_plan.scene.urdf.srdf import read_srdf
 from graceful_plan.tools.cli import main

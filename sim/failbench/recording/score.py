@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from failbench.recording.records import ContactEvent
 from graceful_plan import Scene
-from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.costs.models.failing_base import failing_base
 from graceful_plan.scene.harm.fragility import FragilityTable
 
 
@@ -130,6 +130,5 @@ def impact_by_entity(
 
 
 def _worth(event: ContactEvent, scene: Scene) -> float:
-    if scene.base is None or event.striker != "body":
-        return 1.0
-    return min(1.0, (event.speed / CoastSettings.shipped().reference_speed) ** 2)
+    base = failing_base(scene) if event.striker == "body" else None
+    return 1.0 if base is None else base.worth(event.speed)

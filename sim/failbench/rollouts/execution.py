@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike
 
 from failbench.basics.errors import ExecutionRefused
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
-from failbench.rollouts.base_loop import TICK, BasePlan
+from failbench.rollouts.driven import TICK, WheelPlan, wheel_plan
 from failbench.simulated.rolling import PLANAR, lifted
 from failbench.simulated.states import CHECKPOINT, STATE, control_spec, put, warnings_counted_only
 from failbench.simulated.walkers import Walk, put_walkers
 from failbench.simulated.world import World
-from failbench.wheels.following import Controller
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
@@ -70,7 +69,7 @@ class Execution:
     tracking_error: Float[Array, " nq"]
     slip: float
     healthy: HealthyHarm
-    base: BasePlan | None = None
+    base: WheelPlan | None = None
     loop: Float[Array, "tick wheel_and_1"] | None = None
 
     @property
@@ -182,7 +181,7 @@ def execute(
     world: World,
     *,
     tolerance: float = _TRACKING,
-    controller: Controller | None = None,
+    controller: object = None,
 ) -> Execution:
     """Carry out a motion with a healthy robot.
 
@@ -201,9 +200,9 @@ def execute(
     """
     trajectory = as_trajectory(motion, world)
     dt = world.settings.timestep
-    base = BasePlan.of(world, trajectory, controller)
-    free = base is not None and base.course.wanted is None
-    whole = trajectory.duration if base is None or not free else min(base.course.seconds, LONGEST)
+    base = wheel_plan(world, trajectory, controller)
+    free = base is not None and not base.in_time
+    whole = trajectory.duration if base is None or not free else min(base.seconds, LONGEST)
     steps = max(1, int(np.ceil(whole / dt - 1e-9)))
     wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
     _check_range(wanted, tolerance, world, dt)
@@ -286,7 +285,7 @@ def _driven(
     batch: Batch,
     command: Float[Array, "step actuator"],
     start: Float[Array, "1 state"],
-    base: BasePlan,
+    base: WheelPlan,
 ) -> tuple[_Run, Float[Array, "tick wheel_and_1"]]:
     """Drive a base: its loop is closed tick by tick, and what it sends is written into the commands."""
     qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
@@ -302,7 +301,7 @@ def _driven(
         command[step:until, base.motor] = rows[: until - step]
         runs.append(_simulated(world, batch, command[step:until], start if not runs else runs[-1].states[-1:]))
     else:
-        if base.course.wanted is None:
+        if not base.in_time:
             raise ExecutionRefused(
                 "the base", steps * base.dt, "its controller has not brought it to the end of the path"
             )

@@ -9,7 +9,7 @@ import numpy as np
 
 from failbench.fault.drives import close_brakes
 from failbench.recording.records import Job
-from failbench.rollouts.base_loop import TICK, BasePlan
+from failbench.rollouts.driven import TICK, WheelPlan
 from failbench.simulated.plant import Plant
 from failbench.simulated.states import CHECKPOINT
 from failbench.simulated.world import World
@@ -45,7 +45,7 @@ class Commanded(Protocol):
         ...
 
     @property
-    def base(self) -> BasePlan | None:
+    def base(self) -> WheelPlan | None:
         """What a base follows; None for a robot that does not drive."""
         ...
 

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.constraints.base_limits import base_limits
 from graceful_plan.constraints.bounds import bounded_kernels
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
@@ -25,7 +26,6 @@ from graceful_plan.scene.rules.rules import CustomRule, SpeedRule
 from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import Curve
-from graceful_plan.timing.drive_curve import drive_limits
 from graceful_plan.timing.retiming import retime, timed
 from graceful_plan.timing.topp import FeltLevels, Restraint
 from graceful_plan.timing.trajectory import Trajectory
@@ -168,9 +168,8 @@ class SceneConstraints:
         own: list[Restraint] = [] if slower is None else [slower]
         if self._speeds:
             own.append(lambda grid: speed_limits(self._speeds, self.scene, grid))
-        base = self.scene.base
-        if base is not None:
-            own.append(lambda grid: drive_limits(base, grid))
+        if (limits_of_base := base_limits(self.scene)) is not None:
+            own.append(limits_of_base)
         return (lambda grid: np.concatenate([limits(grid) for limits in own], axis=1)) if own else None
 
     def _carrying(self, share: float) -> list[FeltConstraint]:

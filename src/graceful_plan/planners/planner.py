@@ -205,6 +205,8 @@ class Planner(ABC):
     """The word that selects it in `plan(planner=...)`."""
     anytime: ClassVar[bool]
     """Whether it keeps improving its solution until the budget ends."""
+    drives: ClassVar[bool] = False
+    """Whether it plans for bases that roll along their heading, and for these alone."""
 
     @abstractmethod
     def solve(

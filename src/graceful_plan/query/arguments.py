@@ -14,9 +14,8 @@ from graceful_plan.exceptions import SettingError, UnknownNameError, Unsupported
 from graceful_plan.judge.verification import Verification
 from graceful_plan.path import is_real
 from graceful_plan.planners import PLANNERS, Auto, Planner
-from graceful_plan.planners.driving import DRIVING
-from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.query.candidates.search import Callback
+from graceful_plan.query.driving import driving_of, planners_by_name
 from graceful_plan.query.request import STOPS, Stop
 from graceful_plan.scene.scene import Scene
 
@@ -32,9 +31,11 @@ def checked_planner(planner: object) -> Planner:
         raise SettingError("planner", planner.__name__, f"an instance: {planner.__name__}()")
     if not isinstance(planner, str):
         raise SettingError("planner", planner, "a name or a Planner")
-    known = {**PLANNERS, **DRIVING}
+    if planner in PLANNERS:
+        return PLANNERS[planner]()
+    known = planners_by_name()
     if planner not in known:
-        raise UnknownNameError("planner", planner, known)
+        raise UnknownNameError("planner", planner, {**PLANNERS, **known})
     return known[planner]()
 
 
@@ -43,16 +44,17 @@ def driving_planner(planner: Planner, scene: Scene) -> Planner:
 
     Raises:
         SettingError: If it is one that does not, or one for bases and the robot has none.
+        UnsupportedError: If the robot drives, and the room of what drives is not installed.
     """
-    drives = isinstance(planner, tuple(DRIVING.values()))
-    if drives and scene.base is None:
+    driving = driving_of(scene)
+    if planner.drives and driving is None:
         raise SettingError("planner", planner.name, "a planner for arms: this robot has no DiffDrive")
-    if scene.base is None or drives:
+    if driving is None or planner.drives:
         return planner
     if planner != Auto():
-        names = ", ".join(sorted(DRIVING))
+        names = ", ".join(sorted(driving.planners))
         raise SettingError("planner", planner.name, f"'auto' or one that knows how a base rolls: {names}")
-    return DriveLattice()
+    return driving.default_planner()
 
 
 def check_stands(scene: Scene, what: str) -> None:

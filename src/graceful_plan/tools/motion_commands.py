@@ -11,6 +11,8 @@ from graceful_plan import documents
 from graceful_plan.costs.objective import DEFAULT_WEIGHT
 from graceful_plan.exceptions import SettingError
 from graceful_plan.formats.parquet_file import check_arrow
+from graceful_plan.mobile.floor_pictures import draw_floor
+from graceful_plan.mobile.map_options import PICTURES, add_map, chosen_map, map_problem
 from graceful_plan.query.request import STOPS
 from graceful_plan.tools.console import (
     add_budget,
@@ -30,11 +32,9 @@ from graceful_plan.tools.console import (
     sentence,
     show,
 )
-from graceful_plan.tools.floor.map_options import PICTURES, add_map, chosen_map, map_problem
 from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import ProgressLine
 from graceful_plan.tools.validation import Validation, check_failures, validate_motion
-from graceful_plan.viz.floor_pictures import draw_floor
 
 
 def add_to(commands: Any) -> None:

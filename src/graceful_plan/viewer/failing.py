@@ -16,10 +16,10 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.fault_prior import DEGREES, REACTIONS, FaultPrior, shipped_effects
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.models.coast.coast import Coast
-from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.mobile.coast.coast import Coast
+from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.poses import Poses
 from graceful_plan.viewer.recorded import RecordedRollouts
@@ -234,8 +234,8 @@ def _said(rollout: Any, scene: Scene) -> tuple[str, ...]:
 
 def _base_replay(failure: Failure, motion: ShownMotion) -> Replay:
     """Let a base fail on its wheels; of what it carries nothing is simulated."""
-    coasting = importlib.import_module("failbench.wheels.coasting")
-    wheeled = importlib.import_module("failbench.wheels.wheeled")
+    coasting = importlib.import_module("failbench.mobile.coasting")
+    wheeled = importlib.import_module("failbench.mobile.wheeled")
     scene = motion.scene if motion.scene.carried is None else motion.scene.detach()
     wheels = wheeled.wheeled(scene)
     settings = CoastSettings.shipped()

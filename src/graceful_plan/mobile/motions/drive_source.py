@@ -22,13 +22,13 @@ from graceful_plan.mobile.motions.rolling_spline import RollingCurves, RollingSp
 from graceful_plan.mobile.motions.ways import ways
 from graceful_plan.path import Path
 from graceful_plan.planners.descent_rounds import descend_from
-from graceful_plan.planners.driving.drive_lattice import DriveLattice
+from graceful_plan.mobile.planners.drive_lattice import DriveLattice
 from graceful_plan.planners.motion_descent import COARSE, DRIVING_TIME_PRICE, DescentResult, DescentSettings, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.candidates.descents import motion_descents
 from graceful_plan.query.candidates.motions import Motion, costed
-from graceful_plan.query.candidates.search import Callback, PausedSearch, Search
+from graceful_plan.query.candidates.search import PausedSearch, Search
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import TracePoint
@@ -68,13 +68,9 @@ class DriveSource:
         ends: Both ends.
         problem: Where to search.
         rng: Chance.
-        tell: Called with improvements of a search whose paths are not refined; returns whether to end it.
     """
 
-    def __init__(
-        self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator, tell: Callback
-    ) -> None:
-        del tell
+    def __init__(self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator) -> None:
         base = request.objective.scene.base
         assert base is not None
         self._request, self._ends, self._problem, self._rng, self._base = request, ends, problem, rng, base

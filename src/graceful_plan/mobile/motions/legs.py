@@ -12,7 +12,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.path import Path
-from graceful_plan.query.driving.stages import DriveStage, Move, stages
+from graceful_plan.mobile.motions.stages import DriveStage, Move, stages
 
 Array = np.ndarray
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.core import _native
-from graceful_plan.floor.floor_map import FloorMap
-from graceful_plan.floor.grid_paths import FloorGrid
-from graceful_plan.planners.driving.footprint import floor_around, footprint, radii
+from graceful_plan.mobile.floor.floor_map import FloorMap
+from graceful_plan.mobile.floor.grid_paths import FloorGrid
+from graceful_plan.mobile.planners.footprint import floor_around, footprint, radii
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene

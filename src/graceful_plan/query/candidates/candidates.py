@@ -15,8 +15,10 @@ from graceful_plan.exceptions import RetimingError
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.answer import BestVerified
+from graceful_plan.query.candidates.maker import MotionMaker
 from graceful_plan.query.candidates.motion_source import MotionSource
 from graceful_plan.query.candidates.motions import Motion
+from graceful_plan.query.driving import driving_of
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 
@@ -43,9 +45,7 @@ def candidates(
         best: The best of the motions that were yielded and have passed the judge.
     """
     for caution in CAUTION:
-        from graceful_plan.mobile.motions.drive_source import DriveSource
-        kind = MotionSource if request.objective.scene.base is None else DriveSource
-        source = kind(request, ends, problem_of(request, ends, *caution), rng, best.tell)
+        source = _maker(request, ends, problem_of(request, ends, *caution), rng, best)
         best.searched = found = source.search_first(budget)
         if found.paths:
             best.tell(found.trace[-1])
@@ -63,7 +63,16 @@ def candidates(
             return
 
 
-def _better(source: MotionSource, budget: Budget, best: BestVerified, request: Request) -> Iterator[Motion]:
+def _maker(
+    request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator, best: BestVerified
+) -> MotionMaker:
+    driving = driving_of(request.objective.scene)
+    if driving is not None:
+        return driving.motions(request, ends, problem, rng)
+    return MotionSource(request, ends, problem, rng, best.tell)
+
+
+def _better(source: MotionMaker, budget: Budget, best: BestVerified, request: Request) -> Iterator[Motion]:
     """Yield the motions of rounds until the budget ends or `best` needs no more."""
     first = _FIRST_SHORT_ROUND_SECONDS if request.only_length else _FIRST_ROUND_SECONDS
     with budget.share(until=lambda: best.ended or best.converged(source.effort)) as part:

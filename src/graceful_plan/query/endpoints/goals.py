@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
+from graceful_plan.query.endpoints.base_goals import base_goals
 from graceful_plan.query.endpoints.configurations import (
     Configuration,
     configurations_of,
@@ -25,7 +27,6 @@ from graceful_plan.query.endpoints.configurations import (
 from graceful_plan.query.endpoints.ik import solve_ik
 from graceful_plan.query.endpoints.pose_sets import LEVER, reach_poses
 from graceful_plan.query.endpoints.usable import Resolved, collision, free_of_collision, usable
-from graceful_plan.query.endpoints.whole_body import solve_whole_body, standing
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
@@ -85,7 +86,7 @@ def resolve_goal(
     if isinstance(goal, PoseGoal):
         return _pose(goal, scene, start, seed, cancelled)
     if isinstance(goal, BasePose):
-        return standing(goal, scene, np.asarray(start, dtype=float))
+        return _standing(goal, scene, np.asarray(start, dtype=float))
     several = _poses_among(goal)
     if several:
         return _several(several, scene, np.asarray(start, dtype=float), seed, cancelled, hurried)
@@ -145,7 +146,7 @@ def _several(
                 break
             own = _pose(one, scene, start, seed, cancelled, count=_OF_EACH, rounds=1)
         else:
-            own = standing(cast("BasePose", one), scene, start)
+            own = _standing(cast("BasePose", one), scene, start)
         notes, problems = (tuple(t.replace("goal", f"goal {k}", 1) for t in some) for some in (own.notes, own.problems))
         found.append(Resolved(own.q, (k,) * len(own.index), notes, problems))
         count += len(own.index)
@@ -209,6 +210,18 @@ def _from_the_nearest_on(
     return sorted(away, key=away.__getitem__)
 
 
+def _standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolved:
+    """Resolve a pose of the base.
+
+    Raises:
+        SettingError: If the robot has no base that drives.
+    """
+    bases = base_goals(scene)
+    if bases is None:
+        raise SettingError("goal", goal, "a goal of the arm: this robot has no DiffDrive")
+    return bases.standing(goal, scene, start)
+
+
 def _pose(
     goal: PoseGoal,
     scene: Scene,
@@ -224,9 +237,10 @@ def _pose(
         blocked.extend(q[~ok])
         return ok
 
-    if scene.base is not None and len(scene.joints) > len(scene.base.joints):
+    bases = base_goals(scene)
+    if bases is not None and scene.base is not None and len(scene.joints) > len(scene.base.joints):
         begin = np.asarray(start, dtype=float)
-        found = solve_whole_body(goal, scene, begin, free=free, seed=seed, cancelled=cancelled)
+        found = bases.reaching(goal, scene, begin, free=free, seed=seed, cancelled=cancelled)
         if len(found.q):
             return Resolved(found.q, (0,) * len(found.q))
     found = solve_ik(goal, scene, start, free=free, seed=seed, cancelled=cancelled, **effort)

@@ -10,9 +10,6 @@ void bind_core(nb::module_&);
 void bind_impact(nb::module_&);  // after bind_core
 void bind_timing(nb::module_&);  // after bind_core
 void bind_search(nb::module_&);  // after bind_impact and bind_timing
-void bind_lattice(nb::module_&);
-void bind_grid(nb::module_&);
-void bind_timed(nb::module_&);
-void bind_control(nb::module_&);
+void bind_mobile(nb::module_&);  // after bind_impact; not there in a build without mobile/
 
 }  // namespace gp

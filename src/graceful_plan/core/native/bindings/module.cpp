@@ -7,8 +7,7 @@ NB_MODULE(_native, m) {
   gp::bind_impact(m);
   gp::bind_timing(m);
   gp::bind_search(m);
-  gp::bind_lattice(m);
-  gp::bind_grid(m);
-  gp::bind_timed(m);
-  gp::bind_control(m);
+#ifdef GP_MOBILE
+  gp::bind_mobile(m);
+#endif
 }

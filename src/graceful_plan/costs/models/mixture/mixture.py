@@ -21,11 +21,10 @@ from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.body.body import BodyModel
 from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings
 from graceful_plan.costs.models.body.tables import ROWS as HOLDING
-from graceful_plan.costs.models.coast.coast import Coast
-from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.drop.network import DropNetwork
+from graceful_plan.costs.models.failing_base import FailingBase, failing_base
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.models.moving.whereabouts import PLACES, check_places
 from graceful_plan.costs.models.spill.constants import SpillSettings, StopSettings
@@ -55,14 +54,14 @@ class Footprint(NativeModel):
         spill: Constants of the spill model; the shipped ones by default.
         body: Constants of the body model; the shipped ones by default.
         stop: How hard the robot stops by itself, and what contents make of it; the shipped constants by default.
-        base: How a base that drives goes on when it fails, and how often it is what fails; the shipped constants by
-            default. Of no account for robots without one.
+        base: How a base that drives fails, and how often it is what fails, such as `Coast(settings)`; the shipped model
+            by default. Of no account for robots without one.
         network: What corrects the hits of the object after a drop, such as `DropNetwork.shipped()`; nothing by default.
         places: How many stand for where somebody may be who moves and is expected somewhere; searches ask for fewer.
 
     Raises:
         UnknownNameError: If there is no such preset.
-        SettingError: If so many places cannot stand for anybody.
+        SettingError: If so many places cannot stand for anybody, or `base` is no FailingBase.
     """
 
     faults: str | FaultPrior = "drop_only"
@@ -70,7 +69,7 @@ class Footprint(NativeModel):
     spill: SpillSettings = field(default_factory=SpillSettings.shipped)
     body: BodySettings = field(default_factory=BodySettings.shipped)
     stop: StopSettings = field(default_factory=StopSettings.shipped)
-    base: CoastSettings = field(default_factory=CoastSettings.shipped)
+    base: FailingBase | None = None
     network: DropNetwork | None = None
     places: int = PLACES
 
@@ -78,6 +77,8 @@ class Footprint(NativeModel):
         check_places(self.places)
         if not isinstance(self.faults, str | FaultPrior):
             raise SettingError("faults", self.faults, "a FaultPrior or the name of a preset")
+        if not (self.base is None or isinstance(self.base, FailingBase)):
+            raise SettingError("base", self.base, "a FailingBase, such as Coast(settings)")
         _ = self.prior
 
     @cached_property
@@ -98,10 +99,11 @@ class Footprint(NativeModel):
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
         """Return the same by generator, those that have a weight."""
         found = {**self._gripper_sources(batch), **self._arm_sources(batch)}
-        if batch.scene.base is None:
+        base = failing_base(batch.scene, self.base)
+        if base is None:
             return found
-        coast = self.base.of_base(batch.scene) * Coast(self.base).probability(batch)
-        aboard = self.base.of_cargo(batch.scene)
+        coast = base.of_base(batch.scene) * base.probability(batch)
+        aboard = base.of_cargo(batch.scene)
         return {**{name: aboard * P for name, P in found.items()}, "coast": coast}
 
     @property
@@ -114,7 +116,7 @@ class Footprint(NativeModel):
         if batch.scene.carried is None or not self.knows_own_loss or not len(batch):
             return {"drop": np.zeros(len(batch))}
         kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility, self.stop, self.network)
-        weight = self.base.of_cargo(batch.scene) * self.prior.weights()["drop"]
+        weight = self._of_cargo(batch.scene) * self.prior.weights()["drop"]
         return {"drop": weight * kernel.of(batch)[1]}
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
@@ -124,8 +126,8 @@ class Footprint(NativeModel):
     def moving(self) -> MovingModel:
         """Return the model for entities that move, with the constants and weights of this one."""
         weights = self.prior.weights()
-        shares = {"drop": weights["drop"], "collapse": weights["collapse"], "coast": self.base.share}
-        return MovingModel(settings=self.settings, base=self.base, places=self.places, **shares)
+        shares = {"drop": weights["drop"], "collapse": weights["collapse"]}
+        return MovingModel(settings=self.settings, coast=None, base=self.base, places=self.places, **shares)
 
     def kernel(
         self,
@@ -136,11 +138,10 @@ class Footprint(NativeModel):
     ) -> ImpactKernel:
         """Return the native kernel; where arms may fail, its derivatives along edges are close rather than exact."""
         parts: list[ImpactKernel] = []
-        if scene.base is not None:
-            coast = Coast(self.base).kernel(scene, self.base.of_base(scene) * severity, paces)
-            parts += [coast] if coast is not None else []
-            severity = self.base.of_cargo(scene) * severity
-        rows, loss = self._severities(scene, severity), self.base.of_cargo(scene) * self._own_severity(own)
+        if (base := failing_base(scene, self.base)) is not None:
+            parts.append(base.kernel(scene, base.of_base(scene) * severity, paces))
+            severity = base.of_cargo(scene) * severity
+        rows, loss = self._severities(scene, severity), self._of_cargo(scene) * self._own_severity(own)
         if scene.carried is not None and (rows.any() or loss):
             parts.append(self._drop_kernel(scene, own).with_severity(rows, paces, own=loss))
         weights = self._arm_weights
@@ -164,13 +165,10 @@ class Footprint(NativeModel):
         """
         if self._arm_weights.any():
             return None
-        scene, aboard, found = (
-            batch.scene,
-            self.base.of_cargo(batch.scene),
-            (np.zeros_like(batch.q), np.zeros_like(batch.q)),
-        )
-        if scene.base is not None:
-            found = Coast(self.base).gradients(batch, self.base.of_base(scene) * severity) or found
+        scene, aboard = batch.scene, self._of_cargo(batch.scene)
+        found = np.zeros_like(batch.q), np.zeros_like(batch.q)
+        if (base := failing_base(scene, self.base)) is not None:
+            found = base.gradients(batch, base.of_base(scene) * severity)
         if scene.carried is None:
             return found
         kernel, rows = self._drop_kernel(scene, own), self._severities(scene, aboard * severity)
@@ -181,6 +179,11 @@ class Footprint(NativeModel):
         """Return a model in which places that things fall from, and distances, are uncertain by so much more."""
         wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
         return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))
+
+    def _of_cargo(self, scene: Scene) -> float:
+        """P that gripper or arm fail, or what stands on a base is thrown off, given a failure."""
+        base = failing_base(scene, self.base)
+        return 1.0 if base is None else base.of_cargo(scene)
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of drops, of spills and of stops."""

@@ -11,9 +11,8 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.coast.constants import CoastSettings
-from graceful_plan.costs.models.coast.walkers import walkers_met
 from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.failing_base import FailingBase, failing_base
 from graceful_plan.costs.models.moving.drops import moving_probability
 from graceful_plan.costs.models.moving.kernel import moving_kernels
 from graceful_plan.costs.models.moving.whereabouts import PLACES, check_places
@@ -26,14 +25,15 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True, kw_only=True)
 class MovingModel:
-    """Whom of those in `Scene.moving` failures hit: the drop and coast models, and a rule of thumb for the arm.
+    """Whom of those in `Scene.moving` failures hit: the drop model, that of a base, and a rule of thumb for the arm.
 
     Args:
         settings: Constants of the drop model.
         drop: P that the gripper lets go, given a failure.
         collapse: P that the arm collapses, given a failure.
-        coast: P that it is the base that fails, given a failure, if the robot drives; the others share the rest.
-        base: Constants of the coast model.
+        coast: P that it is the base that fails, given a failure, if the robot drives; the others share the rest. By
+            default as `base` has it.
+        base: How a base fails; by the shipped model by default.
         places: How many stand for where somebody may be who is expected somewhere.
 
     Raises:
@@ -43,8 +43,8 @@ class MovingModel:
     settings: DropSettings = field(default_factory=DropSettings.shipped)
     drop: float = 1.0
     collapse: float = 1.0
-    coast: float = 0.0
-    base: CoastSettings = field(default_factory=CoastSettings.shipped)
+    coast: float | None = 0.0
+    base: FailingBase | None = None
     places: int = PLACES
 
     def __post_init__(self) -> None:
@@ -62,11 +62,11 @@ class MovingModel:
         counted = [name for name in components if (self.collapse if name == "body" else self.drop) > 0.0]
         P = moving_probability(batch, self.settings, counted, self.places)
         falls = np.array([name != "body" for name in batch.scene.components])[:, None]
-        drives = batch.scene.base is not None and self.coast > 0.0 and "body" in components
-        aboard = 1.0 - self.coast if batch.scene.base is not None else 1.0
+        base, coast = self._of_base(batch.scene)
+        aboard = 1.0 - coast
         found = {"drop": aboard * self.drop * P * falls, "collapse": aboard * self.collapse * P * ~falls}
-        if drives:
-            met = self.coast * walkers_met(batch, self.base)
+        if base is not None and coast > 0.0 and "body" in components:
+            met = coast * base.met(batch)
             found["coast"] = np.where(falls, 0.0, met[:, None])
         return found
 
@@ -78,7 +78,12 @@ class MovingModel:
         Law: close to sums of P S from `sources` without times; they need not be the same.
         """
         falls = np.array([name != "body" for name in scene.components])
-        drives = scene.base is not None and self.coast > 0.0
-        if (self.collapse > 0.0 or drives) and (severity[~falls] > 0.0).any():
+        if (self.collapse > 0.0 or self._of_base(scene)[1] > 0.0) and (severity[~falls] > 0.0).any():
             return None
         return moving_kernels(scene, self.settings, self.drop * severity[falls].sum(axis=0), paces)
+
+    def _of_base(self, scene: Scene) -> tuple[FailingBase | None, float]:
+        """Return how the base of a scene fails, and P that it does; None and 0 for a robot without one."""
+        if self.coast == 0.0 or (base := failing_base(scene, self.base)) is None:
+            return None, 0.0
+        return base, base.share if self.coast is None else self.coast

@@ -1,0 +1,250 @@
+"""What a base hits after it failed: rollouts from the very moment of the failure, with parameters drawn at random."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from failbench.mobile.following import within_reach
+from failbench.mobile.slipping import steady_drive
+from failbench.mobile.wheeled import TIMESTEP, Wheeled
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.mobile.coast.constants import ONE_SIDE, WHEELS, CoastSettings
+from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, gone_on
+from graceful_plan.mobile.control.diff_drive_controller import Tracking
+from graceful_plan.mobile.control.drive_state import DriveState
+
+Array = np.ndarray
+
+_STILL = 0.02
+"""Speed of the base below which it has come to rest [m/s]; it is looked at every `_LOOK` seconds."""
+_LOOK = 0.05
+_SKEWS = 0.1
+"""Speed below which a base that turns is not held at an angle to its way [m/s]."""
+
+
+@dataclass(frozen=True)
+class BaseFailure:
+    """One failure of a base.
+
+    Args:
+        wheels: What they do, one of the words of the coast settings: "released" wheels turn freely, "locked" ones are
+            held, "driven" ones go on as commanded for a while and then stop by their controllers; "side_locked" and
+            "side_dead": those of one side are held or turn freely while the others go on and then stop.
+        deceleration: While it rolls, by friction in the drive, or while it stops [m/s^2]; with held wheels the
+            friction of tyres is this over gravity.
+        drag: What is added while it rolls, per speed [1/s].
+        delay: How long what is driven goes on before [s].
+        aside: How far to the left of where it was planned to be it fails [m].
+        askew: By how much its heading is off there [rad].
+        bend: Curvature that is added to what is commanded [1/m].
+        left: Which side fails, if one does.
+        steered: Whether a controller that does not know of it steers the other side until the delay is over.
+        friction: Coefficient of tyres, if wheels of one side turn freely.
+        brakes: Deceleration of the rims of the side that works, once it is stopped [m/s^2].
+    """
+
+    wheels: str
+    deceleration: float
+    drag: float
+    delay: float
+    aside: float = 0.0
+    askew: float = 0.0
+    bend: float = 0.0
+    left: bool = True
+    friction: float = 0.6
+    brakes: float = 1.5
+    steered: bool = False
+
+    def __post_init__(self) -> None:
+        if self.wheels not in WHEELS:
+            raise UnknownNameError("what wheels do", self.wheels, WHEELS)
+
+
+@dataclass(frozen=True)
+class BaseHit:
+    """The first touch of an entity.
+
+    Args:
+        entity: Its number in the scene.
+        speed: Of what touches it, along the normal [m/s].
+        time: After the failure [s].
+    """
+
+    entity: int
+    speed: float
+    time: float
+
+
+def drawn(settings: CoastSettings, rng: np.random.Generator) -> BaseFailure:
+    """Draw a failure that is not harmless as the settings of the coast model say."""
+    names = list(settings.ways)
+    weights = np.array([settings.ways[name].weight for name in names])
+    way = settings.ways[names[int(rng.choice(len(names), p=weights / weights.sum()))]]
+    aside, askew = settings.position_spread * rng.normal(), settings.drift * rng.normal()
+    return BaseFailure(
+        way.wheels,
+        float(rng.choice(way.deceleration)),
+        way.drag,
+        float(rng.choice(way.delay)),
+        float(aside),
+        float(askew),
+        bend=float(rng.choice(way.bend)),
+        left=bool(rng.integers(2)),
+        friction=settings.friction,
+        brakes=settings.brakes,
+        steered=way.steered,
+    )
+
+
+def coasted(
+    wheels: Wheeled, q: Float[Array, " nq"], qd: Float[Array, " nq"], failure: BaseFailure, seconds: float = 4.0
+) -> Sequence[BaseHit]:
+    """Let a base fail while it drives; return whom it hits, in the order of time.
+
+    Args:
+        wheels: The scene on wheels.
+        q: Where it was planned to be when it fails.
+        qd: How fast it drives there [m/s, rad/s].
+        failure: How it fails.
+        seconds: How long it is watched, unless it comes to rest before [s].
+    """
+    hits: dict[int, BaseHit] = {}
+    for data, before in coasting(wheels, q, qd, failure, seconds):
+        _note(wheels, data, hits, before)
+    return sorted(hits.values(), key=lambda hit: hit.time)
+
+
+def coasting(
+    wheels: Wheeled, q: Float[Array, " nq"], qd: Float[Array, " nq"], failure: BaseFailure, seconds: float = 4.0
+) -> Iterator[tuple[mujoco.MjData, Float[Array, " 3"]]]:
+    """Yield the data after each step of `coasted`; and the base's velocity in W before it [m/s], and rate of turning.
+
+    The data are changed.
+
+    It begins as a controller that keeps the base on its way has it drive: a skid-steer at an angle to its heading.
+    """
+    v = float(qd[0] * np.cos(q[2]) + qd[1] * np.sin(q[2]))
+    omega = float(qd[2])
+    steady = steady_drive(wheels.scene, v, omega)
+    off = failure.aside * np.array([-np.sin(q[2]), np.cos(q[2])])
+    begin = np.array([q[0] + off[0], q[1] + off[1], q[2] + failure.askew, *q[3:]])
+    if abs(v) > _SKEWS:
+        begin[2] -= np.arctan2(np.sign(v) * steady.sideways, np.sign(v) * steady.forwards)
+    model, data = _failing(wheels, failure), wheels.placed(begin, v, omega)
+    c, s = np.cos(begin[2]), np.sin(begin[2])
+    x, y = steady.forwards, steady.sideways
+    data.qvel[wheels.dof : wheels.dof + 2] = c * x - s * y, s * x + c * y
+    data.qvel[wheels.dof + 5] = steady.omega
+    data.qvel[wheels.wheel] = data.ctrl[wheels.motor] = steady.wheel
+    data, rates = _moved(model, data), steady.wheel
+    steers = _Steers(wheels, (float(q[0]), float(q[1]), float(q[2])), v, omega) if failure.steered else None
+    for step in range(int(seconds / TIMESTEP)):
+        if steers is not None and step % round(TICK / TIMESTEP) == 0 and step * TIMESTEP <= failure.delay:
+            rates = steers.rates(data, step * TIMESTEP)
+        _command(wheels, data, failure, (v, rates), step * TIMESTEP)
+        before = data.qvel[[wheels.dof, wheels.dof + 1, wheels.dof + 5]]
+        mujoco.mj_step(model, data)
+        yield data, before
+        waited = step * TIMESTEP > failure.delay or failure.wheels in ("released", "locked")
+        if waited and step % int(_LOOK / TIMESTEP) == 0 and np.hypot(*before[:2]) < _STILL and abs(before[2]) < _STILL:
+            return
+
+
+@dataclass(eq=False)
+class _Steers:
+    """A controller that follows the way that a base would have gone on, and does not know that it failed."""
+
+    wheels: Wheeled
+    begin: tuple[float, float, float]
+    v: float
+    omega: float
+    follows: Tracking = field(default_factory=Tracking)
+    summed: float = 0.0
+    told: Float[Array, " wheel"] | None = None
+
+    def rates(self, data: mujoco.MjData, time: float) -> Float[Array, " wheel"]:
+        """Return what it tells the wheels [rad/s], a time after the failure [s]."""
+        (x0, y0, yaw0), wheels = self.begin, self.wheels
+        x, y, yaw = wheels.pose(data)
+        ahead = data.qvel[wheels.dof] * np.cos(yaw) + data.qvel[wheels.dof + 1] * np.sin(yaw)
+        state = DriveState(x, y, yaw, float(ahead), float(data.qvel[wheels.dof + 5]))
+        turned, ((far,), (v,)) = self.omega * time, gone_on(wheels.base, np.array([self.v]), time)
+        chord, middle = far * np.sinc(0.5 * turned / np.pi), yaw0 + 0.5 * turned
+        there = x0 + chord * np.cos(middle), y0 + chord * np.sin(middle)
+        wanted = DriveState(*there, yaw0 + turned, float(v), self.omega)
+        command = self.follows.command(state, wanted)
+        self.summed = self.follows.summed(self.summed, command, state, TICK)
+        told = self.follows.held(command, state, self.summed)
+        base, turning = wheels.base, data.qvel[wheels.wheel]
+        reach = MOTORS * base.a_max * TICK
+        told = within_reach(told, turning if self.told is None else self.told, turning, base, reach)
+        most = FASTER * base.rim_max / base.radius
+        self.told = np.clip(wheels.wheel_rates(told.v, told.omega), -most, most)
+        return self.told
+
+
+def _failing(wheels: Wheeled, failure: BaseFailure) -> mujoco.MjModel:
+    """Return the model with friction and actuators as they are after the failure."""
+    model, broken = copy.copy(wheels.model), _broken(wheels, failure)
+    if failure.wheels in ("locked", "side_locked"):
+        model.geom_friction[list(wheels.sphere), 0] = failure.deceleration / 9.81
+    if failure.wheels in ("released", "side_dead"):
+        n, r = len(wheels.wheel), wheels.base.radius
+        mass = float(model.body_subtreemass[wheels.body])
+        effective = mass + n * float(model.dof_M0[wheels.wheel[0]]) / r**2
+        model.dof_frictionloss[wheels.wheel[broken]] = failure.deceleration * effective * r / n
+        model.dof_damping[wheels.wheel[broken]] = failure.drag * effective * r**2 / n
+        motors = wheels.motor[broken]
+        model.actuator_gainprm[motors, 0] = model.actuator_biasprm[motors, 2] = 0.0
+    if failure.wheels == "side_dead":
+        model.geom_friction[list(wheels.sphere), 0] = failure.friction
+    return model
+
+
+def _broken(wheels: Wheeled, failure: BaseFailure) -> Bool[Array, " wheel"]:
+    """Which wheels do not work."""
+    if failure.wheels in ONE_SIDE:
+        return (wheels.sides < 0.0) == failure.left
+    return np.full(len(wheels.wheel), failure.wheels != "driven")
+
+
+def _moved(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    """Return the state of data of another model of the same size."""
+    found = mujoco.MjData(model)
+    found.qpos[:], found.qvel[:], found.ctrl[:] = data.qpos, data.qvel, data.ctrl
+    mujoco.mj_forward(model, found)
+    return found
+
+
+def _command(
+    wheels: Wheeled, data: mujoco.MjData, failure: BaseFailure, driven: tuple[float, Array], time: float
+) -> None:
+    v, rates = driven
+    late = max(0.0, time - failure.delay)
+    if failure.wheels in ONE_SIDE:
+        rims = wheels.base.radius * rates
+        going = np.sign(rims) * np.maximum(0.0, np.abs(rims) - failure.brakes * late)
+        data.ctrl[wheels.motor] = np.where(_broken(wheels, failure), 0.0, going / wheels.base.radius)
+    elif failure.wheels == "locked":
+        data.ctrl[wheels.motor] = 0.0
+    elif failure.wheels == "driven":
+        left = max(0.0, 1.0 - failure.deceleration * late / max(abs(v), 1e-9))
+        data.ctrl[wheels.motor] = left * (rates + wheels.wheel_rates(0.0, failure.bend * abs(v)))
+
+
+def _note(wheels: Wheeled, data: mujoco.MjData, hits: dict[int, BaseHit], before: Float[Array, " 3"]) -> None:
+    for k in range(data.ncon):
+        first, second = int(data.contact.geom1[k]), int(data.contact.geom2[k])
+        if data.contact.dist[k] > 0.0 or (first in wheels.robot) == (second in wheels.robot):
+            continue
+        entity = int(wheels.entity[second if first in wheels.robot else first])
+        if entity >= 0 and entity not in hits:
+            x, y = data.contact.pos[k, :2] - data.qpos[wheels.qpos : wheels.qpos + 2]
+            there = before[:2] + before[2] * np.array([-y, x])
+            hits[entity] = BaseHit(entity, abs(float(data.contact.frame[k, :2] @ there)), float(data.time))

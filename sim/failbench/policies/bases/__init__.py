@@ -1,1 +1,0 @@
-"""Bases that controllers drive, healthy and while they fail."""

@@ -1,0 +1,31 @@
+"""Limits of a base on timing: along and across its heading, and of its wheels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.mobile.room import mobile_room
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.blend import CurveGrid
+from graceful_plan.timing.topp import Restraint
+
+Array = np.ndarray
+DriveLimits = Callable[[DiffDrive, CurveGrid], Float[Array, "interval limit 3"]]
+"""Returns limits a u + b x <= c of a base on path acceleration u and squared path speed x."""
+
+
+def base_limits(scene: Scene) -> Restraint | None:
+    """Return the limits of a scene's base on path acceleration and speed; None for a robot without one.
+
+    Raises:
+        UnsupportedError: If there is a base, and the room of what drives is not installed.
+    """
+    if scene.base is None:
+        return None
+    limits: DriveLimits = mobile_room("motions.drive_curve").drive_limits
+    return partial(limits, scene.base)

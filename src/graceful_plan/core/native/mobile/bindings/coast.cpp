@@ -1,0 +1,28 @@
+// What a base that fails harms.
+#include "mobile/coast/coast.hpp"
+
+#include "mobile/bindings/mobile.hpp"
+
+using namespace nb::literals;
+
+namespace gp {
+
+void bind_coast(nb::module_& m) {
+  nb::class_<CoastModel>(m, "CoastModel")
+      .def(
+          "__init__",
+          [](CoastModel* self, const Core& core, Integers entity, Reals shape, int n_entity, Reals outline, Reals stops,
+             Reals constants, Reals share, Reals speeds, Reals rates, Reals places, Reals astray) {
+            new (self) CoastModel(core, {outline, stops, constants, share, speeds, rates, places, astray}, entity,
+                                  shape, n_entity);
+          },
+          "core"_a, nb::kw_only(), "entity"_a, "shape"_a, "n_entity"_a, "outline"_a, "stops"_a, "constants"_a,
+          "share"_a, "speeds"_a, "rates"_a, "places"_a, "astray"_a, nb::keep_alive<1, 2>())
+      .def("probability", &CoastModel::probability, "q"_a, "qd"_a)
+      .def("met", &CoastModel::met, "q"_a, "qd"_a, nb::kw_only(), "shape"_a, "velocity"_a, "spread"_a);
+  nb::class_<CoastImpact, Impact>(m, "CoastImpact")
+      .def(nb::init<const CoastModel&, const CoastModel&, Reals, Reals, double, double>(), "model"_a, "rough"_a,
+           "severity"_a, "speed"_a, "slow"_a, "fast"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
+}
+
+}  // namespace gp

@@ -1,0 +1,68 @@
+// Controllers of bases that drive.
+#include <nanobind/stl/tuple.h>
+
+#include "mobile/bindings/mobile.hpp"
+#include "mobile/control/dynamic_window.hpp"
+
+using namespace nb::literals;
+
+namespace gp {
+namespace {
+
+constexpr int kMostSamples = 1000;
+constexpr size_t kMostEntities = 100000;
+
+DriveLimits limits_of(const Reals& values) {
+  require_numbers(values, 8, "limits of a base", kMaxPosition);
+  const double* x = values.data();
+  for (int k = 1; k < 8; ++k) require(x[k] > 0, "limits of a base");
+  require(x[0] <= 0, "least speed of a base");
+  return {x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]};
+}
+
+WindowSettings settings_of(const Reals& values, int n_v, int n_omega) {
+  require_numbers(values, 12, "settings of a dynamic window");
+  const double* x = values.data();
+  for (int k = 0; k < 12; ++k) require(x[k] >= 0, "settings of a dynamic window");
+  require(x[5] >= 0.05 && x[5] <= 60 && x[6] > 0 && x[6] <= x[5] && x[7] > 0 && x[11] >= x[6],
+          "settings of a dynamic window");
+  require(n_v >= 2 && n_omega >= 2 && n_v <= kMostSamples && n_omega <= kMostSamples, "samples of a dynamic window");
+  return {x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], n_v, n_omega};
+}
+
+nb::tuple choose(const DynamicWindow& window, Reals state, Reals path, Integers entity, Reals shape, Reals velocity,
+                 Reals severity, bool every) {
+  require_numbers(state, 5, "state of a base", kMaxExtent);
+  require(severity.size() <= kMostEntities, "number of entities");
+  require_numbers(severity, "severity");
+  for (size_t k = 0; k < severity.size(); ++k) require(severity.data()[k] >= 0, "severity");
+  DynamicWindow::Around around{floor_shapes(entity, shape, &velocity, int(severity.size())),
+                               {severity.data(), severity.data() + severity.size()}};
+  const FloorPath polyline(path);
+  const double* s = state.data();
+  DynamicWindow::Choice c;
+  {
+    nb::gil_scoped_release released;
+    c = window.choose({s[0], s[1], s[2], s[3], s[4]}, polyline, around, every);
+  }
+  return nb::make_tuple(c.v, c.omega, c.score, c.clearance, c.impact, c.admissible, c.evaluated);
+}
+
+}  // namespace
+
+void bind_control(nb::module_& m) {
+  nb::class_<DynamicWindow>(m, "DynamicWindow")
+      .def(
+          "__init__",
+          [](DynamicWindow* self, Reals outline, Reals stops, Reals constants, Reals share, Reals speeds, Reals rates,
+             Reals places, Reals astray, Reals limits, Reals settings, int n_v, int n_omega) {
+            new (self) DynamicWindow({outline, stops, constants, share, speeds, rates, places, astray},
+                                     limits_of(limits), settings_of(settings, n_v, n_omega));
+          },
+          nb::kw_only(), "outline"_a, "stops"_a, "constants"_a, "share"_a, "speeds"_a, "rates"_a, "places"_a,
+          "astray"_a, "limits"_a, "settings"_a, "n_v"_a, "n_omega"_a)
+      .def("choose", &choose, nb::kw_only(), "state"_a, "path"_a, "entity"_a, "shape"_a, "velocity"_a, "severity"_a,
+           "every"_a = false);
+}
+
+}  // namespace gp

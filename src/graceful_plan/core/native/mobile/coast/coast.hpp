@@ -1,0 +1,144 @@
+// What a base harms that fails while it drives, as an impact for planners.
+#pragma once
+#include "mobile/coast/coasting.hpp"
+#include "impact/impact.hpp"
+
+namespace gp {
+
+class CoastModel {
+ public:
+  CoastModel(const Core& core, const CoastingArrays& of, const Integers& entity, const Reals& shape, int n_entity)
+      : core_(core),
+        coasting_(of),
+        shape_(floor_shapes(entity, shape, nullptr, n_entity)),
+        n_entity_(size_t(n_entity)) {
+    require(core.tables().n_joint >= 3, "joints of a base");
+    require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
+  }
+
+  const Core& core() const { return core_; }
+  size_t n_entity() const { return n_entity_; }
+  Coasting::Work work() const { return {coasting_, n_entity_}; }
+
+  // P by entity.
+  auto probability(Reals q, Reals qd) const {
+    double* out;
+    auto array = make<double>({core_.rows(q), n_entity_}, out);
+    const States states = core_.states(q, qd);
+    nb::gil_scoped_release release;
+    const size_t nq = size_t(core_.tables().n_joint);
+    Coasting::Work work = this->work();
+    for (size_t i = 0; i < states.n; ++i) {
+      hits(states.q + i * nq, states.qd + i * nq, nullptr, work);
+      out = std::copy(work.hit.begin(), work.hit.end(), out);
+    }
+    return array;
+  }
+  // P that somebody is met who is there when the base fails, and goes on as now: one for each state.
+  auto met(Reals q, Reals qd, Reals shape, Reals velocity, Reals spread) const {
+    double* out;
+    auto array = make<double>({core_.rows(q)}, out);
+    const States states = core_.states(q, qd);
+    const std::vector<FloorShape> who = walkers(states.n, shape, velocity, spread);
+    nb::gil_scoped_release release;
+    const size_t nq = size_t(core_.tables().n_joint);
+    Coasting::Work work{coasting_, n_entity_ + 1};
+    std::vector<FloorShape> all = shape_;
+    for (size_t i = 0; i < states.n; ++i) {
+      all.push_back(who[i]);
+      const double* qi = states.q + i * nq;
+      const double v = speed(qi, states.qd + i * nq);
+      const Coasting::State at{qi[0], qi[1], qi[2], v, states.qd[i * nq + 2]};
+      out[i] = coasting_.reaches(at, who[i]) && coasting_.hits(at, all, nullptr, work) ? work.hit[n_entity_] : 0.0;
+      all.pop_back();
+    }
+    return array;
+  }
+  bool hits(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
+    return coasting_.hits(Coasting::State{q[0], q[1], q[2], speed(q, qd), qd[2]}, shape_, severity, work);
+  }
+  // The same with derivatives by x, y, heading, speed along it and rate of turning.
+  bool hits_slopes(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
+    const Coasting::Moving<Dual> at{Dual::variable(q[0], 0), Dual::variable(q[1], 1), Dual::variable(q[2], 2),
+                                    Dual::variable(speed(q, qd), 3), Dual::variable(qd[2], 4)};
+    return coasting_.hits(at, shape_, severity, work);
+  }
+
+ private:
+  static double speed(const double* q, const double* qd) { return qd[0] * std::cos(q[2]) + qd[1] * std::sin(q[2]); }
+  std::vector<FloorShape> walkers(size_t n, const Reals& shape, const Reals& velocity, const Reals& spread) const {
+    require_numbers(shape, 7 * n, "shapes that move", 2 * kMaxExtent);
+    require_numbers(velocity, 2 * n, "velocities of shapes", kMaxPosition);
+    require_numbers(spread, n, "spreads of shapes", kMaxExtent);
+    std::vector<FloorShape> out;
+    for (size_t k = 0; k < n; ++k) {
+      const double *s = shape.data() + 7 * k, *v = velocity.data() + 2 * k;
+      require(spread.data()[k] >= 0, "spread of a shape");
+      out.push_back({int(n_entity_), s[0], s[1], s[2], s[3], s[4], s[5], s[6], v[0], v[1], spread.data()[k]});
+    }
+    return out;
+  }
+
+  const Core& core_;
+  const Coasting coasting_;
+  const std::vector<FloorShape> shape_;
+  const size_t n_entity_;
+};
+
+// The coast model with severities, and one of fewer ways that is close to it; along edges at their mean pace.
+class CoastImpact final : public Impact {
+ public:
+  CoastImpact(const CoastModel& model, const CoastModel& rough, Reals severity, Reals speed, double slow, double fast)
+      : Impact(model.core(), severity), model_(model), rough_(rough), speed_(point(speed)), pace_{slow, fast} {
+    for (const CoastModel* one : {&model, &rough})
+      require(severity_.size() == one->n_entity(), "severity of each entity");
+    require_positive(speed, size_t(core_.tables().n_joint), "speed of each joint");
+    require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
+  }
+  void states(const double*, size_t n, double* impact) const override { std::fill_n(impact, n, 0.0); }  // at rest
+  void moving_states(const States& states, double* impact) const override {
+    const size_t nq = size_t(core_.tables().n_joint);
+    Coasting::Work work = model_.work();
+    for (size_t i = 0; i < states.n; ++i) {
+      impact[i] = 0;
+      if (!model_.hits(states.q + i * nq, states.qd + i * nq, severity_.data(), work)) continue;
+      for (size_t e = 0; e < severity_.size(); ++e) impact[i] += severity_[e] * work.hit[e];
+    }
+  }
+  bool asks_for_velocity() const override { return true; }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    const size_t nq = size_t(core_.tables().n_joint);
+    const CoastModel& model = rough ? rough_ : model_;
+    Coasting::Work work = model.work();
+    std::fill_n(out.d_q, states.n * nq, 0.0), std::fill_n(out.d_qd, states.n * nq, 0.0);
+    for (size_t i = 0; i < states.n; ++i) {
+      out.value[i] = 0;
+      const double *q = states.q + i * nq, *qd = states.qd + i * nq;
+      if (!model.hits_slopes(q, qd, severity_.data(), work)) continue;
+      Dual sum(0.0);
+      for (size_t e = 0; e < severity_.size(); ++e) sum += severity_[e] * work.hit_slopes[e];
+      out.value[i] = sum.value();
+      const double c = std::cos(q[2]), s = std::sin(q[2]), by_speed = sum.slope(3);
+      double *d_q = out.d_q + i * nq, *d_qd = out.d_qd + i * nq;
+      for (int j = 0; j < 3; ++j) d_q[j] = sum.slope(j);
+      d_q[2] += by_speed * (qd[1] * c - qd[0] * s);
+      d_qd[0] = by_speed * c, d_qd[1] = by_speed * s, d_qd[2] = sum.slope(4);
+    }
+  }
+  void edges(const Edges& edges, double* cost) const override {
+    EdgeStates sampled(core_, speed_.data(), pace_, {edges.q0, edges.q1, edges.n, std::max(edges.step, kStep)},
+                       Sampling::kMean);
+    moving_states(sampled.states(), sampled.impact.data());
+    Point slopes(2 * edges.n * size_t(core_.tables().n_joint));
+    sampled.integrate({cost, slopes.data(), slopes.data() + slopes.size() / 2});
+  }
+
+ private:
+  static constexpr double kStep = 0.1;  // between samples of an edge, which blur as far [m or rad]
+
+  const CoastModel &model_, &rough_;
+  const Point speed_;
+  const double pace_[2];
+};
+
+}  // namespace gp

@@ -1,0 +1,189 @@
+// What the search knows of a floor: which cells the footprint may be over, what impact costs there, and a bound from
+// below of what it costs to get to the goal, over cells alone.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "mobile/grid/grid_search.hpp"
+#include "mobile/lattice/primitives.hpp"
+
+namespace gp::lattice {
+
+// Row by row from below, in the frame of the map: cell (column x, row y) has its centre at (x + .5, y + .5) resolution.
+struct Floor {
+  int columns, rows;
+  double resolution;
+  const float* distance;     // [rows, columns] from the centre of a cell to the next obstacle, not above it [m]
+  const float* impact;       // [rows, columns, headings] for driving forward, or none
+  const float* impact_back;  // the same for driving backwards
+
+  bool holds(const Cell& c) const { return c.x >= 0 && c.y >= 0 && c.x < columns && c.y < rows; }
+  size_t index(const Cell& c) const { return size_t(c.y) * size_t(columns) + size_t(c.x); }
+  Cell cell(double x, double y) const { return {int(std::floor(x / resolution)), int(std::floor(y / resolution))}; }
+  double clearance(double x, double y) const {  // not above the distance from the point to the next obstacle
+    const Cell c = cell(x, y);
+    if (!holds(c)) return -1.0;
+    return distance[index(c)] - std::hypot(x - (c.x + 0.5) * resolution, y - (c.y + 0.5) * resolution);
+  }
+};
+
+// What a search over cells knows of a floor: which cells the base may be in, and what impact there is in them for
+// driving in each of eight directions.
+class Guide {
+ public:
+  static constexpr int kSteps = grid::GridMap::kSteps;
+  using Eight = std::array<float, kSteps>;
+
+  // A bound from below: cells that the disc inside of the footprint may be over, and the least impact over headings
+  // within half a right angle of the direction, since curves are made of such steps, and over neighbouring cells, since
+  // a chain of cells is beside the curve by up to one.
+  static Guide bound(const Floor& floor, double inner, int headings) {
+    Guide guide(floor, inner, nullptr);
+    if (floor.impact) {
+      const int reach = headings / 8 + 1;
+      guide.ahead_ = spread(floor, guide.map_, guide.gathered(floor, floor.impact, headings, 0, reach, true));
+      guide.back_ =
+          spread(floor, guide.map_, guide.gathered(floor, floor.impact_back, headings, headings / 2, reach, true));
+    }
+    return guide;
+  }
+  // An estimate: mean impact over headings that are nearest to the direction, and cells in which the footprint hardly
+  // has room cost `kTight` times as much, for most ways through them are dead ends.
+  static Guide estimate(const Floor& floor, double inner, double room, int headings) {
+    std::vector<float> tight(size_t(floor.rows) * size_t(floor.columns));
+    for (size_t k = 0; k < tight.size(); ++k) tight[k] = double(floor.distance[k]) < room ? kTight - 1.0F : 0.0F;
+    Guide guide(floor, inner, tight.data());
+    if (floor.impact) {
+      guide.ahead_ = guide.gathered(floor, floor.impact, headings, 0, headings / 16, false);
+      guide.back_ = guide.gathered(floor, floor.impact_back, headings, headings / 2, headings / 16, false);
+    }
+    return guide;
+  }
+  const grid::GridMap& map() const { return map_; }
+  // In the order of the steps of a search from the goal: what is driven is the other way round.
+  const Eight& ahead(size_t at) const { return ahead_[at]; }
+  const Eight& back(size_t at) const { return back_[at]; }
+
+ private:
+  static constexpr float kTight = 1000.0F;
+
+  Guide(const Floor& floor, double inner, const float* tight)
+      : map_(closed(floor, inner).data(), tight, floor.rows, floor.columns, floor.resolution, true) {}
+  static std::vector<uint8_t> closed(const Floor& floor, double inner) {
+    std::vector<uint8_t> out(size_t(floor.rows) * size_t(floor.columns));
+    // Float: the disc is let through where rounding decides.
+    for (size_t k = 0; k < out.size(); ++k) out[k] = double(floor.distance[k]) < inner;
+    return out;
+  }
+  std::vector<Eight> gathered(const Floor& floor, const float* impact, int headings, int turned, int reach,
+                              bool least) const {
+    std::vector<Eight> out(map_.size(), Eight{});
+    std::array<int, kSteps> middle{};
+    for (int k = 0; k < kSteps; ++k) {
+      const double yaw = std::atan2(-grid::GridMap::kDy[k], -grid::GridMap::kDx[k]);
+      middle[size_t(k)] = int(std::lround(yaw * headings / (2.0 * kPi))) + turned + 2 * headings;
+    }
+    for (int y = 0; y < floor.rows; ++y) {
+      for (int x = 0; x < floor.columns; ++x) {
+        const float* of = impact + floor.index({x, y}) * size_t(headings);
+        Eight& to = out[map_.index(x, y)];
+        for (size_t k = 0; k < kSteps; ++k) {
+          float low = of[middle[k] % headings], sum = 0.0F;
+          for (int h = middle[k] - reach; h <= middle[k] + reach; ++h) {
+            low = std::min(low, of[h % headings]), sum += of[h % headings];
+          }
+          to[k] = least ? low : sum / float(2 * reach + 1);
+        }
+      }
+    }
+    return out;
+  }
+  static std::vector<Eight> spread(const Floor& floor, const grid::GridMap& map, const std::vector<Eight>& own) {
+    std::vector<Eight> out = own;
+    for (int y = 0; y < floor.rows; ++y) {
+      for (int x = 0; x < floor.columns; ++x) {
+        Eight& to = out[map.index(x, y)];
+        for (int dy = -1; dy <= 1; ++dy) {
+          for (int dx = -1; dx <= 1; ++dx) {
+            if (!floor.holds({x + dx, y + dy})) continue;
+            const Eight& near = own[map.index(x + dx, y + dy)];
+            for (size_t k = 0; k < kSteps; ++k) to[k] = std::min(to[k], near[k]);
+          }
+        }
+      }
+    }
+    return out;
+  }
+
+  grid::GridMap map_;
+  std::vector<Eight> ahead_, back_;
+};
+
+// Cost to go over cells, backwards from the goal: A*, or Dijkstra where there is impact, until the start is reached and
+// some more. Where it did not get,
+// the least cost that it can find there (as in D. Silver, "Cooperative pathfinding", AIIDE 2005, for its resumable
+// search, which is not resumed here).
+class CostToGo {
+ public:
+  // `penalty`: what a metre backwards costs; infinite where the base does not drive so.
+  CostToGo(const Guide& guide, double w, double penalty)
+      : guide_(guide), search_(guide.map()), w_(w), penalty_(penalty) {}
+
+  // Whether there is a way and the time to find it; afterwards `at` answers.
+  template <class Late> bool flood(const Cell& start, const Cell& goal, double share, double more, const Late& late) {
+    const grid::GridMap& map = guide_.map();
+    const size_t from = map.index(goal.x, goal.y), to = map.index(start.x, start.y);
+    start_ = start, goal_ = goal;
+    const double cell = map.resolution(), aslant = grid::kDiagonal * cell;
+    const Four diagonal = {aslant, cell, aslant, 0.0}, straight = {cell, 0.0, cell, 0.0};
+    if (w_ == 0.0 && map.charged()) {
+      edge_ = search_.flood_towards(from, to, share, more, true, grid::GridSearch::Mean{map}, late);
+    } else if (w_ == 0.0) {
+      const grid::GridSearch::Steps same{diagonal, straight, diagonal};
+      edge_ = search_.flood_towards(from, to, share, more, true, [&](size_t) { return same; }, late);
+    } else {
+      const auto charged = [&](size_t at) {
+        const Guide::Eight &a = guide_.ahead(at), &b = guide_.back(at);
+        double price[Guide::kSteps];
+        for (size_t k = 0; k < Guide::kSteps; ++k) {
+          price[k] = std::min(1.0 + w_ * double(a[k]), penalty_ + w_ * double(b[k]));
+        }
+        const double tight = 2.0 * double(map.half()[at]) / cell;  // a factor
+        for (double& one : price) one *= tight;
+        return grid::GridSearch::Steps{Four{price[0], price[1], price[2], 0.0} * diagonal,
+                                       Four{price[3], 0.0, price[4], 0.0} * straight,
+                                       Four{price[5], price[6], price[7], 0.0} * diagonal};
+      };
+      edge_ = search_.flood_towards(from, to, share, more, false, charged, late);
+    }
+    return edge_ >= 0.0 && search_.costs()[to] < kFar && guide_.map().free(to);
+  }
+  // A bound from below [m] of getting from a cell to the goal's.
+  double at(const Cell& cell) const {
+    const size_t k = guide_.map().index(cell.x, cell.y);
+    if (!guide_.map().free(k)) return kFar;
+    const double known = search_.costs()[k], aside = far(cell, start_);
+    // An estimate had better say too much: what was not reached leads away.
+    if (guide_.map().charged()) return std::min(known, edge_ + far(cell, goal_));
+    if (w_ == 0.0) return known + aside <= edge_ ? known : std::max(edge_ - aside, far(cell, goal_));
+    return std::min(known, edge_);
+  }
+
+ private:
+  static constexpr double kFar = std::numeric_limits<double>::infinity();
+  using Four = grid::GridSearch::Four;
+  double far(const Cell& a, const Cell& b) const {  // octile
+    const int dx = std::abs(a.x - b.x), dy = std::abs(a.y - b.y);
+    return guide_.map().resolution() * (std::max(dx, dy) + (grid::kDiagonal - 1.0) * std::min(dx, dy));
+  }
+
+  const Guide& guide_;
+  grid::GridSearch search_;
+  double w_, penalty_;
+  Cell start_{}, goal_{};
+  double edge_ = kFar;
+};
+
+}  // namespace gp::lattice

@@ -1,0 +1,231 @@
+r"""A base of which one side fails: four wheels with dry friction, integrated in time.
+
+Each wheel carries its share of the weight on the driven ones and slides over the floor at the velocity s of its rim
+against it; the floor pushes with :math:`-\mu N s / \sqrt{|s|^2 + \epsilon^2}`. Rims on the side that works go on at
+their speed for the delay, or as a controller steers them (`steering`), and then stop; rims that are held stand; rims
+that turn freely are moved by the floor against the friction of their gears and the inertia of their motors. Two
+wheels with casters are four of which the front and rear ones coincide. Everything is per mass of the base, so that
+only its radius of gyration and its centre of mass count.
+
+There are no closed forms: what comes out is tabulated over speeds and rates of turning, as `Coast` reads it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.mobile.coast.constants import CoastSettings
+from graceful_plan.mobile.coast.steering import MOTORS, TICK, OneSideSteering
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+
+Array = np.ndarray
+
+SAMPLES = 40
+"""Places along each way."""
+_SPEEDS, _RATES = 8, 9
+_GRAVITY = 9.81
+_STEP = 0.004
+_AFTER = 0.5
+"""How long places are kept after the last rim has stopped [s]."""
+_KEPT = round(TICK / _STEP)
+"""Steps between places that are kept, and between commands."""
+_SMOOTH = 0.04
+"""Speed of sliding at which friction is 70 % of what it is at most [m/s]."""
+_LEAST_ROTOR = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseBody:
+    """What counts of a base that slides.
+
+    Args:
+        base: How it drives.
+        mass: Of all that moves with it [kg].
+        gyration: Radius of gyration about the vertical through its centre of mass [m].
+        centre: Of its mass, in the frame of its joints [m].
+        middle: Of its driven wheels, likewise.
+    """
+
+    base: DiffDrive
+    mass: float
+    gyration: float
+    centre: tuple[float, float]
+    middle: tuple[float, float] = (0.0, 0.0)
+
+
+class Ways(NamedTuple):
+    """Where bases go of which one side fails.
+
+    | field  | meaning                                                                 | shape                        |
+    |--------|-------------------------------------------------------------------------|------------------------------|
+    | share  | probability of each table                                               | table                        |
+    | speeds | along the heading when it fails, from 0 on [m/s]                        | speed                        |
+    | rates  | of turning then [rad/s]                                                 | rate                         |
+    | places | x, y, turned in the frame of the base then; speed of its fastest point  | speed rate table sample 5    |
+    |        | [m/s]; time [s]                                                         |                              |
+    """
+
+    share: Float[Array, " table"]
+    speeds: Float[Array, " speed"]
+    rates: Float[Array, " rate"]
+    places: Float[Array, "speed rate table sample 5"]
+
+
+class Case(NamedTuple):
+    """One failure of one side; arrays may be of any shape that fits the states'."""
+
+    left: Array
+    """Whether it is the left side."""
+    held: Array
+    """Whether its wheels are held; else they turn freely."""
+    friction: Array
+    """Coefficient of tyres."""
+    rolling: Array
+    """Deceleration of the base if all of its wheels turned freely [m/s^2]."""
+    drag: Array
+    """What is added to it per speed [1/s]."""
+    delay: Array
+    """How long the other side goes on [s]."""
+    brakes: float
+    """Deceleration of its rims then [m/s^2]."""
+    steered: Array = np.array(False)
+    """Whether a controller steers it until then."""
+
+
+@lru_cache(maxsize=8)
+def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
+    """Tabulate where a base goes of which one side fails, for all ways of the settings; none if there are none."""
+    base, found = body.base, settings.one_sided()
+    speeds = np.linspace(0.0, base.v_max, _SPEEDS)
+    rates = np.linspace(-base.omega_max, base.omega_max, _RATES)
+    if not found:
+        return Ways(np.zeros(0), speeds, rates, np.zeros((len(speeds), len(rates), 0, SAMPLES, 5)))
+    rows = [
+        (left, way.wheels == "side_locked", a / _GRAVITY if way.wheels == "side_locked" else settings.friction, a,
+         way.drag, delay, way.steered)
+        for _, way, a, delay in found
+        for left in (True, False)
+    ]  # fmt: skip
+    left, held, friction, rolling, drag, delay, steered = (np.array(column) for column in zip(*rows, strict=True))
+    case = Case(left, held, friction, rolling, drag, delay=delay, brakes=settings.brakes, steered=steered)
+    v, omega = speeds[:, None, None], rates[None, :, None]
+    shape = (len(speeds), len(rates), len(rows))
+    places = integrated(body, np.broadcast_to(v, shape), np.broadcast_to(omega, shape), case)
+    places[..., 3] = _fastest(places, base)
+    share = np.repeat([0.5 * p for p, *_ in found], 2)
+    return Ways(share, speeds, rates, resampled(places, _reach(base), SAMPLES))
+
+
+def integrated(
+    body: BaseBody, v: Float[Array, "*batch"], omega: Float[Array, "*batch"], case: Case
+) -> Float[Array, "*batch time 5"]:
+    """Integrate failures of one side.
+
+    Args:
+        body: Of the base.
+        v: Speed along the heading when it fails [m/s].
+        omega: Rate of turning then [rad/s].
+        case: What fails.
+
+    Returns:
+        x, y [m], angle turned [rad] in the frame of the base when it fails; speed of its origin [m/s]; time [s].
+    """
+    base, batch = body.base, np.shape(v)
+    v, omega = np.atleast_1d(v, omega)
+    (cx, cy), (mx, my) = body.centre, body.middle
+    side = np.array([1.0, 1.0, -1.0, -1.0])
+    x = mx + 0.5 * base.wheel_base * np.array([1.0, -1.0, 1.0, -1.0])
+    y = my + 0.5 * base.track * side
+    broken = np.where(np.asarray(case.left)[..., None], side > 0.0, side < 0.0)
+    held, free = broken & np.asarray(case.held)[..., None], broken & ~np.asarray(case.held)[..., None]
+    grip = np.asarray(case.friction)[..., None] * _GRAVITY * base.load / 4.0
+    rotor = max(base.rotor / (base.radius**2 * body.mass) * _wheels(base) / 4.0, _LEAST_ROTOR)
+    weight = 1.0 + 4.0 * rotor
+    rolling, drag = (np.asarray(value)[..., None] * weight / 4.0 for value in (case.rolling, case.drag))
+    rim = v[..., None] - side * base.lever * omega[..., None]
+    drive, rim = _Drive(case, rim, OneSideSteering(base, v, omega)), np.where(held, 0.0, rim)
+    lasts = float(np.max(case.delay) + np.abs(drive.told).max() / case.brakes) + _AFTER
+    vx, vy, w = v - omega * cy, omega * cx, omega.astype(float)
+    px, py, turned = np.zeros_like(w), np.zeros_like(w), np.zeros_like(w)
+    kept = []
+    for step in range(int(lasts / _STEP) + 1):
+        c, s = np.cos(turned), np.sin(turned)
+        if step % _KEPT == 0:
+            ox, oy = px + cx - (c * cx - s * cy), py + cy - (s * cx + c * cy)
+            speed = np.hypot(vx + w * cy, vy - w * cx)
+            kept.append(np.stack([ox, oy, turned, speed, np.full_like(w, step * _STEP)], axis=-1))
+            drive.tell(step * _STEP, (ox, oy, turned), w, rim)
+        rim = np.where(broken, rim, drive.going(step * _STEP, rim))
+        sx, sy = vx[..., None] - w[..., None] * (y - cy) - rim, vy[..., None] + w[..., None] * (x - cx)
+        share = grip / np.sqrt(sx**2 + sy**2 + _SMOOTH**2)
+        fx, fy = -share * sx, -share * sy
+        gears = (rolling + drag * np.abs(rim)) * np.tanh(rim / _SMOOTH)
+        rim = np.where(free, rim + _STEP * (-fx - gears) / (rotor + _STEP * (share + rolling / _SMOOTH)), rim)
+        ax, ay = fx.sum(axis=-1), fy.sum(axis=-1)
+        alpha = ((x - cx) * fy - (y - cy) * fx).sum(axis=-1) / body.gyration**2
+        vx, vy = vx + _STEP * (ax + w * vy), vy + _STEP * (ay - w * vx)
+        w = w + _STEP * alpha
+        px, py, turned = px + _STEP * (c * vx - s * vy), py + _STEP * (s * vx + c * vy), turned + _STEP * w
+    return np.stack(kept, axis=-2).reshape(*batch, len(kept), 5)
+
+
+@dataclass(eq=False)
+class _Drive:
+    """What the rims of a side that works do.
+
+    Args:
+        case: What fails.
+        told: Speeds that the rims are told, at first those that they have [m/s].
+        steering: Who tells them.
+    """
+
+    case: Case
+    told: Float[Array, "*batch wheel"]
+    steering: OneSideSteering
+
+    def tell(self, time: float, pose: tuple[Array, Array, Array], rate: Array, rim: Array) -> None:
+        """Ask the controller what is next, where there is one that nobody has stopped; see `OneSideSteering`."""
+        asked = np.asarray(self.case.steered) & (time <= np.asarray(self.case.delay))
+        if asked.any():
+            told = self.steering.tell(time, pose, rate, (rim[..., 0], rim[..., 2]))
+            self.told = np.where(asked[..., None], np.repeat(np.stack(told, axis=-1), 2, axis=-1), self.told)
+
+    def going(self, time: float, rim: Float[Array, "*batch wheel"]) -> Float[Array, "*batch wheel"]:
+        """Return the speeds of rims a step after they had these [m/s]; who steers has no more than the motors give."""
+        late = np.maximum(0.0, time - np.asarray(self.case.delay))[..., None]
+        going = np.sign(self.told) * np.maximum(0.0, np.abs(self.told) - self.case.brakes * late)
+        faster = MOTORS * self.steering.base.a_max * _STEP
+        return np.where(np.asarray(self.case.steered)[..., None], rim + np.clip(going - rim, -faster, faster), going)
+
+
+def resampled(places: Float[Array, "*batch time 5"], reach: float, count: int) -> Float[Array, "*batch count 5"]:
+    """Thin places out so that the farthest point of the base moves as far from each to the next."""
+    flat = places.reshape(-1, *places.shape[-2:])
+    step = np.hypot(*np.moveaxis(np.diff(flat[..., :2], axis=1), -1, 0)) + reach * np.abs(np.diff(flat[..., 2], axis=1))
+    moved = np.concatenate([np.zeros((len(flat), 1)), np.cumsum(step, axis=1)], axis=1)
+    out = np.empty((len(flat), count, 5))
+    for row, (place, s) in enumerate(zip(flat, moved, strict=True)):
+        # Once round is round: what it sweeps later it has swept.
+        most = s[np.searchsorted(np.abs(place[:, 2]), 2.0 * np.pi)] if np.abs(place[-1, 2]) > 2.0 * np.pi else s[-1]
+        at = np.linspace(0.0, most, count)
+        out[row] = np.stack([np.interp(at, s + 1e-12 * np.arange(len(s)), place[:, k]) for k in range(5)], axis=-1)
+    return out.reshape(*places.shape[:-2], count, 5)
+
+
+def _fastest(places: Float[Array, "*batch time 5"], base: DiffDrive) -> Float[Array, "*batch time"]:
+    """Return the speed of what is farthest from the origin of a base that spins: that is what hits [m/s]."""
+    turned, speed = places[..., 2], places[..., 3]
+    return speed + _reach(base) * np.abs(np.diff(turned, axis=-1, append=turned[..., -1:])) / TICK
+
+
+def _wheels(base: DiffDrive) -> int:
+    return len(base.wheels) or (4 if base.wheel_base > 0.0 else 2)
+
+
+def _reach(base: DiffDrive) -> float:
+    return float(np.hypot(0.5 * base.track, 0.5 * base.wheel_base)) + base.radius

@@ -1,0 +1,128 @@
+"""What the coast model sees of a scene: the outline of the base, and what stands at its height, both from above."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.mobile.coast.four_wheel import BaseBody
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.model_parts import colliding_geoms, rigid_group, subtree
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_GEOM = mujoco.mjtGeom
+_OVER_THE_FLOOR = 0.03
+"""What is lower than this over the lowest point of the base is rolled over or under [m]."""
+_ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
+_UPRIGHT = 0.99
+_WITHIN = 1e-3
+"""What a part of the base sticks out of another one by at most for it to be left out [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoastTables:
+    """The base and what it may meet.
+
+    | field   | meaning                                                                         | unit | shape   |
+    |---------|---------------------------------------------------------------------------------|------|---------|
+    | outline | parts of the base, as shapes, in the frame of its joints                        | m    | part 7  |
+    | entity  | which entity a shape is of; -1 for obstacles                                    |      | shape   |
+    | shape   | rectangles from above: centre, direction, half sizes, and by how much rounded   | m    | shape 7 |
+    | body    | its mass, and where it is                                                       |      |         |
+    | height  | from what it rolls over to its highest point                                    | m    | 2       |
+    """
+
+    outline: Float[Array, "part 7"]
+    entity: Int[Array, " shape"]
+    shape: Float[Array, "shape 7"]
+    body: BaseBody
+    height: tuple[float, float]
+
+
+@per_scene
+def coast_tables(scene: Scene) -> CoastTables:
+    """Collect them, everything that stands in its initial pose."""
+    assert scene.base is not None
+    model, data = scene.model, scene.data_at(np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T))
+    body = int(model.jnt_bodyid[model.joint(scene.base.joints[2]).id])
+    mine = [g for g in colliding_geoms(model, rigid_group(model, body)) if model.geom_type[g] != _GEOM.mjGEOM_PLANE]
+    parts = [_from_above(model, data, geom) for geom in mine]
+    low, high = min(bottom for _, bottom, _ in parts), max(top for *_, top in parts)
+    owner = {geom: k for k, entity in enumerate(scene.entities.values()) for geom in entity.geoms}
+    robot = scene.robot_bodies | ({model.body(scene.carried.body).id} if scene.carried is not None else set())
+    entity, shape = [], []
+    for geom in range(model.ngeom):
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if int(model.geom_bodyid[geom]) in robot or not collides or model.geom_type[geom] == _GEOM.mjGEOM_PLANE:
+            continue
+        row, bottom, top = _from_above(model, data, geom)
+        if bottom < high and top > low + _OVER_THE_FLOOR:
+            entity.append(owner.get(geom, -1))
+            shape.append(row)
+    return CoastTables(
+        outline=_outline(np.array([row for row, *_ in parts]), data.qpos[scene.qpos_adr[:3]]),
+        entity=np.array(entity, dtype=np.int32),
+        shape=np.array(shape).reshape(-1, 7),
+        body=_body(scene.base, model, data, body),
+        height=(low + _OVER_THE_FLOOR, high),
+    )
+
+
+def _body(base: DiffDrive, model: mujoco.MjModel, data: mujoco.MjData, body: int) -> BaseBody:
+    """Add up the masses that move with the base, the arm where it is."""
+    bodies = sorted(subtree(model, body))
+    mass, x = model.body_mass[bodies], data.xipos[bodies][:, :2]
+    total = float(mass.sum())
+    centre = mass @ x / max(total, 1e-9)
+    R = data.ximat[bodies].reshape(-1, 3, 3)
+    about = (R[:, 2] ** 2 * model.body_inertia[bodies]).sum(axis=1) + mass * ((x - centre) ** 2).sum(axis=1)
+    gyration = float(np.sqrt(about.sum() / total)) if total > 0.0 else base.track
+    middle = data.xpos[[model.body(name).id for name in base.wheels] or [body]][:, :2].mean(axis=0)
+    from_origin = np.array([centre, middle]) - data.xpos[body][:2]
+    (cx, cy), (mx, my) = from_origin @ data.xmat[body].reshape(3, 3)[:2, :2]
+    return BaseBody(base=base, mass=max(total, 1e-9), gyration=max(gyration, 1e-3), centre=(cx, cy), middle=(mx, my))
+
+
+def _outline(rows: Float[Array, "geom 7"], pose: Float[Array, " 3"]) -> Float[Array, "part 7"]:
+    """Return parts in the frame of a base, without those that are within others."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    to_base = np.array([[c, s], [-s, c]])
+    rows = np.column_stack([(rows[:, :2] - pose[:2]) @ to_base.T, rows[:, 2:4] @ to_base.T, rows[:, 4:]])
+    rows = rows[np.argsort(-(rows[:, 4] + rows[:, 6]) * (rows[:, 5] + rows[:, 6]), kind="stable")]
+    kept: list[Float[Array, " 7"]] = []
+    for row in rows:
+        if not any(_is_within(row, other) for other in kept):
+            kept.append(row)
+    return np.array(kept)
+
+
+def _is_within(row: Float[Array, " 7"], other: Float[Array, " 7"]) -> bool:
+    """Whether a rounded rectangle sticks out of another one by next to nothing."""
+    x, y = row[2:4], np.array([-row[3], row[2]])
+    corners = np.array([row[:2] + a * row[4] * x + b * row[5] * y for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
+    u, w = corners - other[:2], np.stack([other[2:4], [-other[3], other[2]]])
+    beyond = np.abs(u @ w.T) - other[4:6]
+    outside = np.hypot(*np.maximum(beyond, 0.0).T) + np.minimum(beyond.max(axis=1), 0.0)
+    return bool((outside + row[6] <= other[6] + _WITHIN).all())
+
+
+def _from_above(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Float[Array, " 7"], float, float]:
+    """Return centre, direction, half sizes and rounding of a geom from above, its bottom and its top."""
+    kind, R = int(model.geom_type[geom]), data.geom_xmat[geom].reshape(3, 3)
+    half, p = model.geom_aabb[geom, 3:], data.geom_xpos[geom] + R @ model.geom_aabb[geom, :3]
+    x = R[:2, int(np.argmin(np.abs(R[2])))]
+    x = x / np.linalg.norm(x)
+    y = np.array([-x[1], x[0]])
+    size = np.array([np.abs(x @ R[:2]) @ half, np.abs(y @ R[:2]) @ half])
+    reach = float(np.abs(R[2]) @ half)
+    rounding = 0.0
+    if kind == _GEOM.mjGEOM_SPHERE or (kind in _ROUND and abs(R[2, 2]) > _UPRIGHT):
+        rounding = float(model.geom_size[geom, 0])
+        size = np.zeros(2)
+    return np.array([*p[:2], *x, *size, rounding]), float(p[2] - reach), float(p[2] + reach)

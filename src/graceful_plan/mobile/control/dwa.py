@@ -1,0 +1,243 @@
+r"""The dynamic window approach: of the speeds that a base can reach in a short time, the one whose arc is best.
+
+D. Fox, W. Burgard and S. Thrun, "The dynamic window approach to collision avoidance", IEEE Robotics & Automation
+Magazine 4 (1997). A pair :math:`(v, \omega)` is admissible if the base can stand before it touches anything on its arc.
+Among those the greatest
+
+.. math:: \alpha\, \text{heading} + \beta\, \text{progress} - \gamma\, \text{off the path} + \delta\, \text{clearance}
+          - w \sum_e P_e S_e - \text{share of the horizon after a touch}
+
+is taken, where differs from the paper: heading is towards the path ahead of the arc's end (and middle), progress is
+along the path, as a share of what the greatest speed makes of the horizon, and P is the probability that the base hits
+an entity if it fails at the next command or half of the horizon later, times what the energy of the hit is worth, by
+the coast model. What moves is expected to go on as it does. Speeds from which the base cannot stop at the end of the
+path, whose acceleration across the heading is too great, or whose wheels turn too fast are not looked at.
+
+Candidates are looked at best first, by what they are worth at most, until no other can be better: that changes nothing
+but the time that it takes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core import _native
+from graceful_plan.exceptions import SettingError
+from graceful_plan.mobile.coast.constants import CoastSettings
+from graceful_plan.mobile.coast.native import coasting_arrays
+from graceful_plan.mobile.coast.tables import coast_tables
+from graceful_plan.mobile.coast.walkers import seen_from_above
+from graceful_plan.mobile.control.diff_drive_controller import limited
+from graceful_plan.mobile.control.drive_state import (
+    DriveCommand,
+    DriveState,
+    Surroundings,
+    check_numbers,
+    checked_places,
+    checked_state,
+)
+from graceful_plan.path import is_real
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_MUCH = 1e12
+"""Stands for infinity in the core."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DWA:
+    """Settings of the dynamic window approach.
+
+    Args:
+        heading: Weight of heading for the path ahead, which is between 0 and 1.
+        velocity: Weight of progress, which is 1 at the greatest speed along the path.
+        path: Weight of the distance to the path [1/m].
+        clearance: Weight of the clearance along the arc, which is 1 from `near` on.
+        impact: Weight of what is hit if the base fails, in units of severity: the w of `plan`.
+        most_impact: What that may be at most; where it is more for all, the least is taken.
+        horizon: How far arcs are followed [s].
+        period: Time until the next command [s].
+        window: For how long the base may accelerate to speeds that are looked at, at least the period [s].
+        near: Clearance that is enough [m].
+        margin: Clearance that is needed [m].
+        ahead: How far ahead of an arc's end the path is headed for [m].
+        tolerance: Distance to the end of the path at which it comes to a stop [m].
+        speeds: Speeds that are looked at.
+        rates: Rates of turning that are looked at, besides straight on and the arc to the path ahead.
+
+    Raises:
+        SettingError: If a number is out of its range.
+    """
+
+    heading: float = 0.3
+    velocity: float = 1.0
+    path: float = 1.0
+    clearance: float = 0.2
+    impact: float = 0.3
+    most_impact: float = math.inf
+    horizon: float = 1.2
+    period: float = 0.05
+    window: float = 0.2
+    near: float = 0.3
+    margin: float = 0.05
+    ahead: float = 0.3
+    tolerance: float = 0.05
+    speeds: int = 7
+    rates: int = 15
+
+    def __post_init__(self) -> None:
+        check_numbers(self, ("heading", "velocity", "path", "clearance", "impact", "margin", "ahead", "tolerance"))
+        check_numbers(self, ("most_impact",), finite=False)
+        check_numbers(self, ("near",), above=True)
+        for name in ("horizon", "period", "window"):
+            if not is_real(getattr(self, name)):
+                raise SettingError(f"DWA.{name}", getattr(self, name), "a number")
+        if not 0.05 <= self.horizon <= 60.0:
+            raise SettingError("DWA.horizon", self.horizon, "between 0.05 and 60 s")
+        if not 0.0 < self.period <= self.horizon:
+            raise SettingError("DWA.period", self.period, "above 0 s and at most the horizon")
+        if not self.period <= self.window < math.inf:
+            raise SettingError("DWA.window", self.window, "a finite time of at least the period")
+        for name in ("speeds", "rates"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 2 <= value <= 1000:
+                raise SettingError(f"DWA.{name}", value, "a whole number between 2 and 1000")
+
+    def bind(self, scene: Scene, coast: CoastSettings | None = None) -> DynamicWindow:
+        """Return the controller of a scene's base.
+
+        Args:
+            scene: Of which the base, its limits and its outline are taken; what stands there is not (see `seen`).
+            coast: How it fails; the shipped settings by default. What leads astray counts as what bends off at once: a
+                window looks at one moment alone.
+
+        Raises:
+            SettingError: If its robot does not drive.
+        """
+        if scene.base is None:
+            raise SettingError("scene", scene.name, "a scene with a robot that drives: give it a DiffDrive")
+        return DynamicWindow(self, scene, CoastSettings.shipped() if coast is None else coast)
+
+
+class WindowChoice(NamedTuple):
+    """What a base is to do, and why."""
+
+    command: DriveCommand
+    score: float
+    """Of the best candidate; 0 if there was none."""
+    clearance: float
+    """Least one along its arc, at most `DWA.near` [m]."""
+    impact: float
+    """Of a failure there."""
+    admissible: bool
+    """False if nothing was: then it brakes as hard as it can."""
+    evaluated: int
+    """Candidates whose arcs were looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicWindow:
+    """Chooses commands for one base. Made by `DWA.bind`.
+
+    Args:
+        settings: As given.
+        scene: Whose base it is.
+        coast: How it fails.
+    """
+
+    settings: DWA
+    scene: Scene
+    coast: CoastSettings
+    _native: _native.DynamicWindow = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        assert self.scene.base is not None
+        s = self.settings
+        numbers = (
+            s.heading, s.velocity, s.path, s.clearance, s.impact, s.horizon, s.period, s.near, s.margin,
+            min(s.most_impact, _MUCH), s.ahead, s.window,
+        )  # fmt: skip
+        native = _native.DynamicWindow(
+            **coasting_arrays(self.scene, self.coast.of_the_moment()),
+            limits=_limits(self.scene.base),
+            settings=np.array(numbers, dtype=float),
+            n_v=s.speeds,
+            n_omega=s.rates,
+        )
+        object.__setattr__(self, "_native", native)
+
+    def choose(
+        self, state: DriveState, path: Float[Array, "n 2"], around: Surroundings, *, every: bool = False
+    ) -> WindowChoice:
+        """Choose the next command.
+
+        Args:
+            state: Where the base is and how fast it drives.
+            path: Where to go, from place to place; it stops at the last one [m].
+            around: What stands and moves there.
+            every: Whether all candidates are looked at, which changes nothing but the time that it takes.
+
+        Raises:
+            ShapeError: If state or path are not of the right shape.
+            NonFiniteError: If a number of them is not finite: a base that does not know where it is has to be stopped.
+            SettingError: If a number of them is too large.
+        """
+        state, places = checked_state(state), checked_places(path)
+        if not isinstance(around, Surroundings):
+            raise SettingError("around", around, "Surroundings, such as those of `seen`")
+        if np.hypot(*(places[-1] - [state.x, state.y])) <= self.settings.tolerance and self.scene.base is not None:
+            told = limited(
+                DriveCommand(0.0, 0.0), DriveCommand(state.v, state.omega), self.scene.base, self.settings.period
+            )
+            return WindowChoice(told, 0.0, self.settings.near, 0.0, True, 0)
+        found = self._native.choose(
+            state=np.array(state, dtype=float),
+            path=places,
+            entity=around.entity,
+            shape=around.shape,
+            velocity=around.velocity,
+            severity=around.severity,
+            every=every,
+        )
+        return WindowChoice(DriveCommand(*found[:2]), *found[2:])
+
+
+def seen(scene: Scene, t: float = 0.0, *, static: bool = True) -> Surroundings:
+    """Return what a scene says that there is around its base, from above.
+
+    Args:
+        scene: Where.
+        t: When, on the clock of its moving entities [s].
+        static: Whether what stands still is in it too.
+    """
+    tables = _standing(scene)
+    moving = [seen_from_above(entity, np.array([t])) for entity in scene.moving.values()]
+    count = len(scene.entities)
+    shape = [*(tables[0] if static else ()), *(row[0] for row, _, _ in moving)]
+    entity = [*(tables[1] if static else ()), *range(count, count + len(moving))]
+    velocity = np.concatenate([np.zeros((len(shape) - len(moving), 2)), *(v for _, v, _ in moving)])
+    body = [entity.severity["body"] if "body" in entity.severity else 0.0 for entity in scene.entities.values()]
+    walking = [float(scene.moving_severity[name]["body"]) for name in scene.moving]
+    return Surroundings(np.array(shape).reshape(-1, 7), np.array(entity, dtype=int), velocity, [*body, *walking])
+
+
+@per_scene
+def _standing(scene: Scene) -> tuple[Array, Array]:
+    tables = coast_tables(scene)
+    return tables.shape, tables.entity
+
+
+def _limits(base: DiffDrive) -> Float[Array, " 8"]:
+    least = -base.v_max if base.reverse else 0.0
+    values = (
+        least, base.v_max, base.omega_max, base.a_max, base.alpha_max, base.lateral_max, base.lever, base.rim_max,
+    )  # fmt: skip
+    return np.array(values, dtype=float)

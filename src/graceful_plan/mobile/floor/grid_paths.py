@@ -1,0 +1,178 @@
+"""Paths of a point over the cells of a floor map: Dijkstra, A* and Theta*, with what a metre costs in each cell.
+
+A step leads to one of eight neighbours and costs its length times one plus the mean charge of the two cells; a diagonal
+one needs both cells beside it, so that no corner is cut. Dijkstra and A* are exact; Theta* [Daniel2010] goes from cell
+to any cell in sight, at what the cells on the way cost, which is never more than over eight neighbours, and not always
+the least there is.
+
+[Daniel2010] K. Daniel, A. Nash, S. Koenig, A. Felner, "Theta*: any-angle path planning on grids", JAIR 39.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.core import _native
+from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
+from graceful_plan.mobile.floor.floor_map import FloorMap
+from graceful_plan.path import finite_array
+
+Array = np.ndarray
+
+METHODS = ("a_star", "dijkstra", "theta_star")
+MOST_CHARGE = 1e12
+"""Of a cell: so much longer than on free floor a metre may count."""
+
+
+class GridStatus(Enum):
+    """How a search ended, and what may help."""
+
+    SOLVED = "a path was found"
+    NO_PATH = "no path leads from start to goal: a smaller radius or finer cells may"
+    STOPPED = "the time limit came before a path"
+    START_BLOCKED = "the start is off the map, or closer to an obstacle than the radius"
+    GOAL_BLOCKED = "the goal is off the map, or closer to an obstacle than the radius"
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GridPath:
+    """What a search found.
+
+    | field      | meaning                                                    | unit | shape   |
+    |------------|------------------------------------------------------------|------|---------|
+    | status     | how it ended                                               |      |         |
+    | xy         | centres of cells in W, from the start's to the goal's      | m    | point 2 |
+    | cells      | the same as column and row                                 |      | point 2 |
+    | cost       | length and charges                                         | m    |         |
+    | expansions | cells that were looked at                                  |      |         |
+    """
+
+    status: GridStatus
+    xy: Float[Array, "point 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    cells: Int[Array, "point 2"] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    cost: float = math.inf
+    expansions: int = 0
+
+    @property
+    def length(self) -> float:
+        """Of the path [m]; infinite without one."""
+        return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum()) if len(self.xy) else math.inf
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FloorGrid:
+    """Where a point may be on a map, made once and searched many times.
+
+    Args:
+        floor: The map.
+        radius: What the point keeps from obstacles [m], such as the radius of a round base; at least 0.
+        charge: What a metre costs in each cell besides itself, at least 0; None: nothing. Such as w times an impact.
+
+    Raises:
+        ShapeError: If the charge does not fit the map.
+        NonFiniteError: If it is not finite.
+        SettingError: If the radius or a charge is out of its range.
+    """
+
+    floor: FloorMap
+    radius: float = 0.0
+    charge: Float[Array, "row column"] | None = None
+    native: _native.FloorGrid = field(init=False, repr=False)
+    """The same in the core."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.radius < math.inf:
+            raise SettingError("FloorGrid.radius", self.radius, "a finite number >= 0")
+        charge = None
+        if self.charge is not None:
+            charge = np.ascontiguousarray(finite_array("charge", np.asarray(self.charge)), dtype=np.float32)
+            if charge.shape != self.floor.shape:
+                raise ShapeError("charge", charge.shape, str(self.floor.shape))
+            if charge.min() < 0.0 or charge.max() > MOST_CHARGE:
+                raise SettingError("FloorGrid.charge", [float(charge.min()), float(charge.max())], "from 0 to 1e12")
+        closed = self.floor.occupied if self.radius == 0.0 else self.floor.distance < self.radius
+        native = _native.FloorGrid(
+            closed=np.ascontiguousarray(closed, dtype=np.uint8), resolution=self.floor.resolution, charge=charge
+        )
+        object.__setattr__(self, "native", native)
+
+    def path(
+        self,
+        start: Sequence[float] | ArrayLike,
+        goal: Sequence[float] | ArrayLike,
+        *,
+        method: str = "a_star",
+        time_limit: float = math.inf,
+    ) -> GridPath:
+        """Search a path between the cells that two points of W are in.
+
+        Args:
+            start: x and y [m].
+            goal: Likewise.
+            method: "a_star", "dijkstra" (both exact over eight neighbours), or "theta_star" (any angle).
+            time_limit: [s], above 0.
+
+        Raises:
+            ShapeError: If a point is not (2,).
+            NonFiniteError: If a point is not finite.
+            UnknownNameError: If there is no such method.
+            SettingError: If the time limit is not above 0.
+        """
+        if method not in METHODS:
+            raise UnknownNameError("method", method, METHODS)
+        if not time_limit > 0.0:
+            raise SettingError("time_limit", time_limit, "a number of seconds above 0")
+        ends = []
+        for name, point, blocked in (
+            ("start", start, GridStatus.START_BLOCKED),
+            ("goal", goal, GridStatus.GOAL_BLOCKED),
+        ):
+            cell = self._cell(name, point)
+            if cell is None:
+                return GridPath(status=blocked)
+            ends.append(cell)
+        found = self.native.path(start=ends[0], goal=ends[1], method=method, time_limit=time_limit)
+        if not found["found"]:
+            status = GridStatus.STOPPED if found["stopped"] else GridStatus.NO_PATH
+            return GridPath(status=status, expansions=found["expansions"])
+        return GridPath(
+            status=GridStatus.SOLVED,
+            xy=self.floor.centres(found["cells"]),
+            cells=found["cells"],
+            cost=found["cost"],
+            expansions=found["expansions"],
+        )
+
+    def costs(self, start: Sequence[float] | ArrayLike) -> Float[Array, "row column"]:
+        """Return the least costs [m] from the cell of a point of W to all cells, exactly; infinite where none leads.
+
+        Raises:
+            ShapeError: If the point is not (2,).
+            NonFiniteError: If it is not finite.
+        """
+        cell = self._cell("start", start)
+        if cell is None:
+            return np.full(self.floor.shape, np.inf)
+        return self.native.costs(int(cell[0]), int(cell[1]))
+
+    def _cell(self, name: str, point: Sequence[float] | ArrayLike) -> Int[Array, " 2"] | None:
+        """Return the cell of a point; None if it is not free."""
+        xy = finite_array(name, np.asarray(point), ndim=1, last=2)
+        column, row = self.floor.cells(xy).tolist()
+        rows, columns = self.floor.shape
+        if not (0 <= column < columns and 0 <= row < rows):
+            return None
+        closed = (
+            self.floor.occupied[row, column] if self.radius == 0.0 else self.floor.distance[row, column] < self.radius
+        )
+        return None if closed else np.array([column, row], dtype=np.int32)

@@ -1,0 +1,128 @@
+"""Any-angle paths over a floor map that is cut out of the scene: first paths over large floors.
+
+The map has what stands between the floor and the robot's top. A disc around the robot, in which it can turn anywhere,
+goes over its cells by Theta*; where none gets through, smaller ones are tried. What is found becomes turns in place and
+straight stretches, which the exact checks of `plan` see, and smooth drives take their place. Impact is the mean over
+directions of driving: a point on a map has none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.mobile.floor.floor_map import FloorMap
+from graceful_plan.mobile.floor.grid_paths import FloorGrid
+from graceful_plan.mobile.planners.bases_only import of_a_base
+from graceful_plan.mobile.planners.footprint import floor_around, footprint, near_entities, radii, turns_and_straights
+from graceful_plan.mobile.planners.postures import BASE, postures
+from graceful_plan.path import Path
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
+from graceful_plan.planners.settings import positive
+from graceful_plan.planners.trivial import stays_at_goal
+
+Array = np.ndarray
+
+_COARSE = 4
+"""Impact is looked at in every so manieth cell of a row and a column."""
+_DIRECTIONS = 8
+_CRUISE = 0.6
+"""Share of the fastest speed at which the impact of a metre is counted."""
+_SHARES = (1.0, 0.5, 0.0)
+"""Of the way from the disc inside of the robot to the one around it: what keeps clear, one after the other."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class FloorThetaStar(Planner):
+    """Theta* over the cells of a floor map, without a look at headings; one path for each disc that gets through.
+
+    The arm keeps its posture, as for `DriveLattice`. One iteration is one search.
+
+    Args:
+        resolution: Width of a cell [m].
+        around: How far beyond start and goals the map reaches, if the limits of the base let it [m].
+    """
+
+    name: ClassVar[str] = "floor_theta_star"
+    anytime: ClassVar[bool] = True
+    drives: ClassVar[bool] = True
+
+    resolution: float = 0.05
+    around: float = 8.0
+
+    def __post_init__(self) -> None:
+        positive("resolution", self.resolution)
+        positive("around", self.around)
+
+    @stays_at_goal
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths.
+
+        Raises:
+            SettingError: If the robot has no base that drives.
+        """
+        del rng
+        charging, _ = of_a_base(objective, self.name)
+        best = np.inf
+        for begin in postures(problem):
+            for path in self._searched(begin, problem, charging, budget):
+                if (total := path_total(objective, path)) < best:
+                    best = total
+                    yield path
+
+    def _searched(self, begin: Path, problem: Problem, objective: SceneObjective, budget: Budget) -> Iterator[Path]:
+        start = begin.q[-1]
+        goals = [goal for goal in problem.goals if np.array_equal(goal[BASE:], start[BASE:])]
+        discs, top = footprint(objective.scene, start)
+        inside, outside = radii(discs)
+        ends = np.array([start, *problem.goals])[:, :2]
+        floor = floor_around(objective.scene, top, ends, (self.resolution, self.around))
+        # What costs nothing first: where impact decides, looking at it takes its time.
+        for charged in (False, True)[: 1 + (objective.w > 0.0)]:
+            charge = objective.w * self._impact(floor, objective, start, budget) if charged else None
+            for share in _SHARES:
+                grid = FloorGrid(floor=floor, radius=inside + share * (outside - inside), charge=charge)
+                for goal in goals:
+                    if not budget.spend():
+                        return
+                    found = grid.path(start[:2], goal[:2], method="theta_star", time_limit=_left(budget))
+                    if not len(found.xy):
+                        continue
+                    q = np.concatenate([begin.q[:-1], turns_and_straights(found.xy, start, goal)])
+                    if problem.edges_free(q[:-1], q[1:]).all():
+                        yield Path(q).without_duplicates()
+
+    def _impact(
+        self, floor: FloorMap, objective: SceneObjective, start: Float[Array, " nq"], budget: Budget
+    ) -> Float[Array, "row column"]:
+        """Return the mean impact of a metre over directions, where somebody is near; 0 elsewhere."""
+        base = objective.scene.base
+        assert base is not None
+        speed = _CRUISE * base.v_max
+        rows, columns = (math.ceil(n / _COARSE) for n in floor.shape)
+        cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+        xy = floor.centres((cells + 0.5) * _COARSE - 0.5)
+        near = near_entities(xy, objective.scene)
+        field, n = np.zeros((rows, columns)), int(near.sum())
+        q, qd = np.tile(start, (n, 1)), np.zeros((n, len(start)))
+        q[:, :2] = xy[near]
+        for yaw in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+            if budget.exhausted:
+                break
+            q[:, 2], qd[:, :2] = yaw, speed * np.array([np.cos(yaw), np.sin(yaw)])
+            field[near] += objective.quick_states(q, qd) / (speed * _DIRECTIONS)
+        fine = field.repeat(_COARSE, axis=0).repeat(_COARSE, axis=1)
+        return fine[: floor.shape[0], : floor.shape[1]]
+
+
+def _left(budget: Budget) -> float:
+    return max(budget.remaining_seconds, 1e-3)

@@ -1,0 +1,43 @@
+"""How `plan` plans for robots that drive: see the contract, `query.driving`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import final
+
+import numpy as np
+
+from graceful_plan.mobile.planners import DRIVING
+from graceful_plan.mobile.planners.drive_lattice import DriveLattice
+from graceful_plan.mobile.motions.drive_source import DriveSource
+from graceful_plan.mobile.query.tight import rolling_endpoints
+from graceful_plan.planners.planner import Planner
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.driving import Driving
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.query.request import Request
+from graceful_plan.result import PlanResult
+
+
+@final
+class PlansForBases(Driving):
+    """Curves that descend from ways over the floor and from paths of a lattice."""
+
+    @property
+    def planners(self) -> Mapping[str, type[Planner]]:
+        """Every planner for bases by name."""
+        return DRIVING
+
+    def default_planner(self) -> Planner:
+        """Return the lattice."""
+        return DriveLattice()
+
+    def ends(self, ends: Endpoints) -> Endpoints | PlanResult:
+        """See `rolling_endpoints`."""
+        return rolling_endpoints(ends)
+
+    def motions(
+        self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator
+    ) -> DriveSource:
+        """See `DriveSource`."""
+        return DriveSource(request, ends, problem, rng)

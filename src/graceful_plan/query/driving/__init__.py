@@ -1,1 +1,0 @@
-"""From paths of a base to smooth, timed drives."""

@@ -1,1 +1,0 @@
-"""Floor maps on the command line."""

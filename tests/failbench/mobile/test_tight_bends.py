@@ -1,0 +1,30 @@
+"""Healthy bases drive bends that are as tight and as fast as plans have them."""
+
+import numpy as np
+import pytest
+
+from failbench.mobile.slipping import fitted_tracking, steady_drive
+from failbench.rollouts.execution import execute
+from failbench.simulated.world import build_world
+from graceful_plan.mobile.motions.drive_curve import Drive, Roll, drive_limits
+from graceful_plan.timing.retiming import timed
+from jackals import jackal
+
+HOOK = [[0, 0], [0.2, 0], [0.4, 0], [0.6, 0], [0.75, 0.1], [0.75, 0.4], [0.6, 0.5], [0.6, 0.8], [0.8, 0.9], [1.1, 0.9],
+        [1.4, 0.9], [1.7, 0.9]]  # fmt: skip
+
+
+def test_a_skid_steer_drives_a_hook_there_and_back():
+    """Held at the angle to its way that its pivot asks for, its heading was off by 0.35 rad, and the motion refused."""
+    scene, controls = jackal(), np.array(HOOK)
+    roll = Roll(controls, np.array([*controls[0], 0.0]), np.array([*controls[-1], 0.0]), True)
+    motion = timed(Drive((roll,)), scene.limits, scene.joints, restraint=lambda grid: drive_limits(scene.base, grid))
+    error = execute(motion, build_world(scene)).tracking_error
+    assert error[2] < 0.27 and error[:2].max() < 0.1
+
+
+@pytest.mark.parametrize(("v", "omega"), [(1.5, 1.0), (-1.5, 1.0), (-1.0, 1.0), (-0.5, 1.0)])
+def test_where_nothing_moves_sideways_is_known_in_both_gears(v, omega):
+    """Backwards at 1.5 m/s it is 13 cm behind the origin; as forwards, it would be 9."""
+    drives = steady_drive(jackal(), v, omega)
+    assert fitted_tracking(jackal()).pivot.ahead(v, omega) == pytest.approx(-drives.sideways / drives.omega, abs=0.02)

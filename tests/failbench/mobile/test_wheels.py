@@ -1,0 +1,103 @@
+import mujoco
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from failbench.mobile.coasting import BaseFailure, coasted, drawn
+from failbench.mobile.wheeled import wheeled
+from graceful_plan.exceptions import UnknownNameError, UnsupportedError
+from graceful_plan.mobile.coast.constants import WHEELS, CoastSettings
+from graceful_plan.scene.mobile.known_bases import known_base
+from hall import hall
+from jackals import jackal
+
+
+def test_the_model_weighs_and_measures_what_is_published():
+    model = jackal().model
+    assert float(model.body_subtreemass[model.body("jackal/base").id]) == pytest.approx(16.523 + 4 * 0.477)
+    left, right = (model.body(f"jackal/front_{side}").pos for side in ("left", "right"))
+    assert left[1] - right[1] == pytest.approx(known_base("jackal").track)
+    with pytest.raises(UnknownNameError, match="jackal"):
+        known_base("tricycle")
+
+
+@pytest.mark.parametrize("omega", [1.0, 2.0])
+def test_turning_in_place_slips_as_much_as_the_maker_says(omega):
+    wheels = wheeled(jackal())
+    data = wheels.placed(np.zeros(3), 0.0, 0.0)
+    data.ctrl[:] = wheels.wheel_rates(0.0, omega)
+    for _ in range(2000):
+        mujoco.mj_step(wheels.model, data)
+    assert wheels.base.slip * omega / data.qvel[wheels.dof + 5] == pytest.approx(1.5, abs=0.15)
+    assert abs(data.qpos[wheels.qpos + 2]) < 2e-3  # wheels do not sink
+
+
+FRONT = 0.229 - 0.035
+"""Of a Jackal's wheels, ahead of where it turns about [m]."""
+
+
+def reach(failure, v):
+    """How far a base gets: the first of a row of children that it touches tells, to 10 cm."""
+    far, at = 0.0, 0.1
+    while at < 4.0:
+        hits = coasted(wheeled(jackal((at + 0.2 + FRONT, 0.0))), np.zeros(3), np.array([v, 0.0, 0.0]), failure)
+        if not hits:
+            return far
+        far, at = at, at + 0.1
+    return far
+
+
+@pytest.mark.parametrize(
+    ("failure", "v", "expected"),
+    [
+        (BaseFailure("released", 0.8, 0.4, 0.0), 1.0, 1.0 / 0.4 - 0.8 / 0.16 * np.log1p(0.5)),
+        pytest.param(BaseFailure("released", 0.8, 0.4, 0.0), 2.0, 5.0 - 5.0 * np.log1p(1.0), marks=pytest.mark.long),
+        (BaseFailure("locked", 5.4, 0.0, 0.0), 2.0, 4.0 / 10.8),
+        (BaseFailure("driven", 1.5, 0.0, 0.25), 1.0, 0.25 + 1.0 / 3.0),
+    ],
+)
+def test_a_failing_base_goes_as_far_as_the_closed_forms_say(failure, v, expected):
+    assert reach(failure, v) == pytest.approx(expected, abs=0.11)
+
+
+def test_hits_are_told_once_with_speed_and_time():
+    scene = jackal((1.0, 0.0), (5.0, 3.0))
+    (hit,) = coasted(wheeled(scene), np.zeros(3), np.array([1.5, 0.0, 0.0]), BaseFailure("driven", 1.0, 0.0, 2.0))
+    assert hit.entity == 0
+    assert hit.speed == pytest.approx(1.5, abs=0.05) and hit.time == pytest.approx((1.0 - 0.2 - 0.229) / 1.5, abs=0.05)
+
+
+def test_who_is_grazed_is_hit_with_the_speed_along_the_normal():
+    scene = jackal((1.0, 0.35))  # the side of the base passes 14 cm nearer to its axis than its middle
+    (hit,) = coasted(wheeled(scene), np.zeros(3), np.array([1.5, 0.0, 0.0]), BaseFailure("driven", 1.0, 0.0, 2.0))
+    assert 0.2 < hit.speed < 1.4
+
+
+def test_failures_are_drawn_as_often_as_the_settings_say():
+    settings, rng = CoastSettings.shipped(), np.random.default_rng(0)
+    words = [drawn(settings, rng).wheels for _ in range(2000)]
+    total = sum(way.weight for way in settings.ways.values())
+    for word in WHEELS:
+        often = sum(way.weight for way in settings.ways.values() if way.wheels == word) / total
+        assert words.count(word) / 2000 == pytest.approx(often, abs=0.04)
+
+
+def test_an_arm_is_held_and_stairs_are_no_wall():
+    scene = gp.load_scene("kitchen")
+    wheels, q = wheeled(scene), scene.keyframes["at_stove"]
+    data = wheels.placed(q, 0.0, 0.0)
+    mujoco.mj_step(wheels.model, data, nstep=500)
+    np.testing.assert_allclose(wheels.pose(data), q[:3], atol=5e-3)
+    held = [float(data.joint(name).qpos[0]) for name in scene.joints[3:]]
+    np.testing.assert_allclose(held, q[3:], atol=0.02)
+    model = wheeled(gp.load_scene("apartment")).model
+    assert model.geom("keep_out_stairs").contype == model.geom("keep_out_stairs").conaffinity == 0
+
+
+def test_what_has_no_wheels_is_refused():
+    with pytest.raises(UnsupportedError, match="wheels"):
+        wheeled(hall())
+    with pytest.raises(UnsupportedError, match="DiffDrive"):
+        wheeled(hall(None))
+    with pytest.raises(UnsupportedError, match="carried"):
+        wheeled(gp.load_scene("apartment").tasks["serve_tea"].scene)

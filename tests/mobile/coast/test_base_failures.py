@@ -1,0 +1,182 @@
+"""Closed forms against integration in time, and the four-wheel model against them and MuJoCo."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failbench.mobile.coasting import BaseFailure, coasting
+from failbench.mobile.following import within_reach
+from failbench.mobile.wheeled import wheeled
+from graceful_plan.mobile.coast.closed_forms import (
+    coasting_distance,
+    overshoot_of_delay,
+    pivot_radius,
+    runaway_distance,
+    sideways_of_bias,
+    sideways_of_noise,
+    sliding_distance,
+    slope_acceleration,
+    slope_distance,
+    spin_rate,
+    straightening_angle,
+)
+from graceful_plan.mobile.coast.constants import CoastSettings
+from graceful_plan.mobile.coast.four_wheel import Case, integrated, one_sided_ways
+from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, OneSideSteering, gone_on
+from graceful_plan.mobile.coast.tables import coast_tables
+from graceful_plan.mobile.control.diff_drive_controller import Tracking
+from graceful_plan.mobile.control.drive_state import DriveState
+from graceful_plan.scene.mobile.known_bases import known_base
+from hall import hall
+from jackals import jackal
+
+BODY = coast_tables(hall()).body
+
+
+@pytest.mark.parametrize(("v", "a", "k"), [(2.0, 0.5, 0.4), (1.0, 1.2, 0.0), (0.3, 0.4, 2.0)])
+def test_rolling_is_what_integration_says(v, a, k):
+    dt, speed, far = 1e-4, v, 0.0
+    while speed > 0.0:
+        far += speed * dt
+        speed -= (a + k * speed) * dt
+    assert coasting_distance(v, a, k) == pytest.approx(far, rel=2e-3)
+
+
+def test_distances_of_other_ways():
+    assert sliding_distance(2.0, 0.6) == pytest.approx(4.0 / (2 * 0.6 * 9.81))
+    assert sliding_distance(1.0, 0.6, load=0.5) == pytest.approx(2 * sliding_distance(1.0, 0.6))
+    assert runaway_distance(1.0, 0.25, 2.0) == pytest.approx(0.5)
+    np.testing.assert_allclose(overshoot_of_delay(2.0, 0.1, 0.5), [0.2, 0.01])
+    assert sideways_of_bias(2.0, 0.1) == pytest.approx(0.2)
+    rng, step = np.random.default_rng(0), 0.01
+    bends = 0.05 * rng.normal(size=(4000, 200)) / np.sqrt(step)
+    aside = (np.cumsum(bends * step, axis=1) * step).sum(axis=1)
+    assert aside.std() == pytest.approx(sideways_of_noise(2.0, 0.05), rel=0.05)
+
+
+def test_slopes_move_what_friction_does_not_hold():
+    assert slope_acceleration(0.02, 0.5, 18.0, 60.0) == 0.0
+    assert slope_acceleration(0.3, 0.5, 18.0, 60.0) == pytest.approx(9.81 * np.sin(0.3) * 0.3 - 0.5)
+    assert slope_acceleration(-0.3, 0.5, 18.0, 60.0) < 0.0
+    assert slope_distance(1.0, 2.0, 0.0, 0.5, 1.0) == pytest.approx(coasting_distance(1.0, 0.5))
+    rate = float(slope_acceleration(0.2, 0.5, 0.3, 1.0))
+    assert slope_distance(1.0, 2.0, 0.2, 0.5, 0.3) == pytest.approx(2.0 + 2.0 * rate)
+
+
+def test_a_skid_steer_turns_on_by_a_moderate_angle():
+    base = known_base("jackal")
+    assert np.rad2deg(straightening_angle(2.0, base, 18.4, 0.7)) == pytest.approx(27.0, abs=12.0)
+
+
+def case(held, *, delay=10.0, left=True, friction=0.6):
+    return Case(left, held, np.array(friction), np.array(0.8), np.array(0.4), delay=np.array(delay), brakes=1.5)
+
+
+def test_one_side_that_is_held_makes_a_skid_steer_spin_as_its_slip_says():
+    places = integrated(BODY, np.array(1.0), np.array(0.0), case(True, delay=3.0))
+    rate = np.gradient(places[:, 2], places[:, 4])[140]  # of steps of 0.02 s: long before the other side stops
+    assert rate == pytest.approx(spin_rate(1.0, BODY.base), rel=0.1)
+
+
+def test_two_wheels_pivot_about_the_one_that_is_held():
+    body = replace(BODY, base=replace(BODY.base, slip=1.0))
+    places = integrated(body, np.array(0.5), np.array(0.0), case(True, delay=3.0))
+    x, y = places[100:140, 0], places[100:140, 1]
+    turned = places[100:140, 2]
+    radius = np.hypot(np.diff(x), np.diff(y)).sum() / (turned[-1] - turned[0])
+    assert radius == pytest.approx(pivot_radius(body.base), rel=0.1)
+
+
+def test_left_and_right_are_mirror_images_and_what_stands_stays():
+    straight = BODY.__class__(base=BODY.base, mass=18.0, gyration=0.17, centre=(0.0, 0.0))
+    left, right = (integrated(straight, np.array(1.0), np.array(0.3 * s), case(True, left=s > 0)) for s in (1, -1))
+    np.testing.assert_allclose(left * [1, -1, -1, 1, 1], right, atol=1e-9)
+    assert np.abs(integrated(straight, np.array(0.0), np.array(0.0), case(False))[:, :4]).max() < 1e-12
+
+
+def test_a_jackals_wheels_are_behind_where_it_turns_about_and_its_mass_ahead_of_them():
+    body = coast_tables(jackal()).body
+    assert body.middle == pytest.approx((-0.035, 0.0)) and body.middle[0] < body.centre[0] < 0.0
+
+
+@pytest.mark.parametrize("v, omega", [(2.0, 0.0), (1.0, 1.0)])
+def test_a_controller_that_goes_on_swings_it_about_its_way_as_in_mujoco(v, omega):
+    scene = jackal()
+    wheels, body = wheeled(scene), coast_tables(scene).body
+    failure = BaseFailure("side_locked", 5.9, 0.0, 2.0, left=True, steered=True)
+    states = coasting(wheels, np.zeros(3), np.array([v, 0.0, omega]), failure, 2.0)
+    poses = np.array([wheels.pose(data) for data, _ in states])[::10]
+    locked = Case(True, True, np.array(5.9 / 9.81), np.array(0.8), np.array(0.4), np.array(2.0), 1.5, np.array(True))
+    (found,) = integrated(body, np.array([v]), np.array([omega]), locked)[:, : len(poses)]
+    np.testing.assert_allclose(found[:, :2], poses[:, :2], atol=0.12)
+    # It does not simply pivot until it has turned round: it is steered back.
+    (alone,) = integrated(body, np.array([v]), np.array([omega]), locked._replace(steered=np.array(False)))
+    assert found[:, 2].max() < 2.8 and found[-1, 2] < found[:, 2].max() - 0.1 and alone[:, 2].max() > 4.0
+
+
+@given(st.floats(-2.0, 2.0), st.floats(0.0, 4.0))
+def test_a_motion_that_goes_on_gets_as_fast_as_it_may_be(v, time):
+    base = BODY.base
+    (far,), (speed,) = gone_on(base, np.array([v]), time)
+    later = np.linspace(0.0, time, 4001)
+    fast = np.minimum(abs(v) + base.a_max * later, max(base.v_max, abs(v)))
+    assert far == pytest.approx(np.sign(v) * np.trapezoid(fast, later), abs=1e-5)
+    assert speed == pytest.approx(np.sign(v) * fast[-1], abs=1e-9)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_it_goes_where_mujoco_has_it(held):
+    scene = jackal()
+    wheels = wheeled(scene)
+    failure = BaseFailure("side_locked" if held else "side_dead", 5.4 if held else 0.8, 0.4, 0.25, left=True)
+    q, qd = np.zeros(3), np.array([1.5, 0.0, 0.5])
+    poses = np.array([wheels.pose(data) for data, _ in coasting(wheels, q, qd, failure, 3.0)])
+    body = coast_tables(scene).body
+    found = integrated(body, np.array(1.5), np.array(0.5), case(held, delay=0.25, friction=5.4 / 9.81 if held else 0.6))
+    np.testing.assert_allclose(found[-1, :2], poses[-1, :2], atol=0.15)
+
+
+def test_tables_share_out_the_probability_and_are_made_once():
+    ways = one_sided_ways(BODY, CoastSettings.shipped())
+    settings = CoastSettings.shipped()
+    weights = {name: way.weight for name, way in settings.ways.items()}
+    each = (1.0 - settings.harmless) / (sum(weights.values()) + settings.astray.weight)
+    share = each * (weights["side_locked"] + weights["side_dead"])
+    assert ways.share.sum() == pytest.approx(share)
+    others = 1.0 - settings.harmless - share - each * settings.astray.weight
+    assert settings.stops()[:, 0].sum() == pytest.approx(others)
+    lasts = settings.beside(BODY.base)[:, 0].sum()
+    assert lasts == pytest.approx(each * settings.astray.weight * settings.astray.lasts)
+    assert len(settings.only("runaway").beside(BODY.base)) == 0
+    assert settings.only("runaway").stops()[:, 0].sum() == pytest.approx(1.0)
+    assert one_sided_ways(BODY, settings) is ways
+    assert len(one_sided_ways(BODY, settings.only("runaway")).share) == 0
+
+
+def test_what_steers_on_says_what_the_tracking_controller_and_its_motors_do():
+    base, rng = BODY.base, np.random.default_rng(0)
+    for _ in range(20):
+        v, omega = rng.uniform(0.0, 2.0), rng.uniform(-2.0, 2.0)
+        steers, follows, summed, told = OneSideSteering(base, np.array([v]), np.array([omega])), Tracking(), 0.0, None
+        for tick in range(3):
+            (x, y, turned, rate), rims = rng.normal(0.0, 0.3, 4), rng.uniform(-2.0, 2.0, 2)
+            t = tick * TICK
+            way = omega * t
+            # The way goes on with this rate of turning, and as fast as the base may be.
+            later, whole = np.linspace(0.0, t, 1001), np.minimum(v + base.a_max * np.linspace(0.0, t, 1001), base.v_max)
+            chord = np.trapezoid(whole, later) * np.sinc(0.5 * way / np.pi)
+            wanted = DriveState(chord * np.cos(0.5 * way), chord * np.sin(0.5 * way), way, whole[-1], omega)
+            state = DriveState(x, y, turned, v, rate)
+            command = follows.command(state, wanted)
+            summed = follows.summed(summed, command, state, TICK)
+            before = (np.array([-1.0, 1.0]) * base.lever * omega + v) / base.radius if told is None else told
+            held = follows.held(command, state, summed)
+            held = within_reach(held, before, rims / base.radius, base, MOTORS * base.a_max * TICK)
+            told = (held.v + np.array([-1.0, 1.0]) * base.lever * held.omega) / base.radius
+            told = np.clip(told, -FASTER * base.rim_max / base.radius, FASTER * base.rim_max / base.radius)
+            pose, two = tuple(np.array([p]) for p in (x, y, turned)), tuple(np.array([rim]) for rim in rims)
+            found = steers.tell(t, pose, np.array([rate]), two)
+            np.testing.assert_allclose(np.concatenate(found), base.radius * told, atol=1e-9)

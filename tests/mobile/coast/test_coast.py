@@ -1,0 +1,359 @@
+from dataclasses import replace
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from coast_twin import hits
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import erfc
+
+import graceful_plan as gp
+from graceful_plan.costs.cost import moving_batch
+from graceful_plan.costs.models.failing_base import FailingBase
+from graceful_plan.exceptions import SettingError
+from graceful_plan.mobile.coast.coast import Coast
+from graceful_plan.mobile.coast.constants import Astray, CoastSettings, Way
+from graceful_plan.mobile.coast.tables import coast_tables
+from hall import BASE, hall
+
+SCENE = hall()
+SHIPPED = CoastSettings.shipped()
+
+
+def only(**way):
+    given = {"weight": 1.0, "deceleration": (1.0,), "drag": 0.0, "delay": (0.0,)} | way
+    ways = replace(SHIPPED, ways={"only": Way(**given)}, position_spread=1e-3, drift=0.0)
+    return ways.only("only")
+
+
+def hit(x, v, *, y=0.8, yaw=0.0, omega=0.0, scene=SCENE, settings=SHIPPED):
+    """P that the base, driving at x, hits the person, who stands at (2, 0.8) with a radius of 0.25 m."""
+    q = np.array([[x, y, yaw]])
+    qd = np.array([[v * np.cos(yaw), v * np.sin(yaw), omega]])
+    return Coast(settings).probability(moving_batch(scene, q, qd))[0, 0, 0]
+
+
+def states(n=400, seed=0):
+    rng = np.random.default_rng(seed)
+    q = np.column_stack([rng.uniform(-4, 4, n), rng.uniform(-1.5, 1.5, n), rng.uniform(-3, 3, n)])
+    v, omega = rng.uniform(-2, 2, n), rng.uniform(-2, 2, n)
+    return q, np.column_stack([v * np.cos(q[:, 2]), v * np.sin(q[:, 2]), omega])
+
+
+def test_the_core_says_the_same():
+    q, qd = states()
+    cost = gp.ImpactCost(model=Coast())
+    kernel = Coast().kernel(SCENE, cost.severity(SCENE), (1.0, 1.0))
+    batch = moving_batch(SCENE, q, qd)
+    P = hits(batch, coast_tables(SCENE), SHIPPED, SHIPPED.straightens)
+    np.testing.assert_allclose(Coast().probability(batch)[:, 0], P, atol=1e-9)
+    expected = P @ cost.severity(SCENE)[0]
+    assert (expected > 0.1).sum() > 20
+    np.testing.assert_allclose(cost.state(batch), expected, atol=1e-7)
+    np.testing.assert_allclose(kernel.moving_states(q, qd), expected, atol=1e-7)
+    value, by_q, _ = kernel.state_slopes(q, qd)
+    np.testing.assert_allclose(value, expected, atol=1e-7)
+    assert np.isfinite(by_q).all()
+
+
+def test_the_outline_is_that_of_the_geoms_and_shapes_are_what_stands_at_its_height():
+    tables = coast_tables(SCENE)
+    chassis, *wheels = tables.outline
+    np.testing.assert_allclose(chassis, [0, 0, 1, 0, 0.21, 0.155, 0], atol=1e-9)
+    assert sorted(row[:2].round(4).tolist() for row in wheels) == [
+        [x, y] for x in (-0.131, 0.131) for y in (-0.1878, 0.1878)
+    ]
+    assert len(tables.entity) == 4 and (tables.entity >= 0).sum() == 1  # walls, pillar, person; no floor
+
+
+def test_a_round_base_is_round_and_hides_its_casters():
+    fetch = coast_tables(gp.load_scene("kitchen")).outline
+    assert fetch[0].tolist() == pytest.approx([0, 0, 1, 0, 0, 0, 0.288]) and len(fetch) == 2  # and the torso's corners
+
+
+@given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-3, 3))
+def test_a_hit_is_where_mujoco_has_the_geoms_touch(x, y, yaw):
+    """A base that hardly moves, and a box that lies anyhow: P is a half where they are as far apart as the spread."""
+    box = '<body name="box" pos="0 0 .1" euler="0 0 .4"><geom name="box" type="box" size=".3 .1 .1"/></body>'
+    scene = boxed(box)
+    q = np.array([x, y, yaw])
+    data, fromto = scene.data_at(q), np.zeros(6)
+    body = scene.model.body("cart/base").id
+    mine = [g for g in range(scene.model.ngeom) if scene.model.geom_bodyid[g] == body]
+    near = min(mujoco.mj_geomDistance(scene.model, data, g, scene.model.geom("box").id, 1.0, fromto) for g in mine)
+    settings = replace(only(deceleration=(1e3,)), reference_speed=1e-5, position_spread=0.02)
+    qd = 0.01 * np.array([[np.cos(yaw), np.sin(yaw), 0.0]])
+    P = Coast(settings).probability(moving_batch(scene, q[None], qd))[0, 0, 0]
+    if near > 0.0:
+        assert P == pytest.approx(0.5 * erfc(near / 0.02 / np.sqrt(2.0)), abs=0.02)
+    else:
+        assert P >= 0.49
+
+
+@cache
+def boxed(box):
+    """The hall with a box that is an entity, and nothing else that is met."""
+    return hall(walls="", extra=box, entities={"box": "adult"})
+
+
+@pytest.mark.parametrize("v", [0.5, 1.0, 2.0])
+def test_it_goes_as_far_as_the_closed_form_says(v):
+    settings = only(deceleration=(1.0,), delay=(0.2,))
+    far = 0.2 * v + v**2 / 2.0
+    front = 0.229  # of the foremost disc, wheels included
+    gap = 2.0 - 0.25 - front
+    assert hit(gap - 0.85 * far, v, settings=settings) > 0.0
+    assert hit(gap - 1.05 * far, v, settings=settings) < 1e-12
+
+
+def test_drag_shortens_the_way():
+    without, much = only(deceleration=(0.5,)), only(deceleration=(0.5,), drag=1.0)
+    v, a, k = 2.0, 0.5, 1.0
+    far = v / k - a / k**2 * np.log1p(k * v / a)
+    x = 2.0 - 0.25 - 0.229 - 1.2 * far
+    assert hit(x, v, settings=much) < 1e-12 < hit(x, v, settings=without)
+
+
+def test_harm_grows_with_the_square_of_the_speed_up_to_that_of_the_table():
+    settings = only(deceleration=(0.002,))
+    slow, twice, fast = (hit(1.2, v, settings=settings) for v in (0.2, 0.4, 2.0))
+    assert slow == pytest.approx(0.04, rel=0.25) and twice == pytest.approx(4 * 0.04, rel=0.25)
+    assert fast == pytest.approx(1.0, abs=0.01)
+
+
+SIDE = '<body name="side" pos="0 1 .5"><geom type="box" size="6 .05 .5"/></body>'
+
+
+@pytest.mark.parametrize("angle", [0.3, 0.6, 1.0, np.pi / 2])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_energy_counts_along_the_normal(angle, backwards):
+    """Who drives against a long side at an angle hits it with the sine of the angle times the speed."""
+    scene = hall(walls="", extra=SIDE, entities={"side": "adult"})
+    settings, v = only(deceleration=(1e-4,), delay=(5.0,)), 0.8
+    turned, v = (angle + np.pi, -v) if backwards else (angle, v)
+    P = hit(-2.0, v, y=0.0, yaw=turned, scene=scene, settings=settings)
+    assert P == pytest.approx((v * np.sin(angle)) ** 2, rel=0.02)
+
+
+def test_who_is_grazed_does_not_stop_it():
+    behind = '<body name="behind" pos="2.6 0 .5"><geom type="cylinder" size=".25 .5"/></body>'
+    names = {"person": "adult", "behind": "adult"}
+    scene, settings = hall(walls="", extra=behind, entities=names), only(deceleration=(0.1,), delay=(2.0,))
+
+    def second(y):
+        q, qd = np.array([[0.0, y, 0.0]]), np.array([[1.0, 0.0, 0.0]])
+        return Coast(settings).probability(moving_batch(scene, q, qd))[0, 0, 1]
+
+    assert second(0.35) > 0.5  # the person's rim overlaps the base's side by 6 cm
+    assert hit(0.0, 1.0, y=0.7, scene=scene, settings=settings) > 0.9 and second(0.7) == 0.0
+
+
+@pytest.mark.parametrize("y", [0.2, 0.8])
+def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
+    """Half of the energy, where the base drives by and where it comes straight on."""
+    settings = replace(only(deceleration=(1e-4,), delay=(5.0,)), position_spread=3.0)
+    touched = hit(0.0, 0.5, y=y, settings=replace(settings, reference_speed=1e-6))
+    assert hit(0.0, 0.5, y=y, settings=settings) / touched == pytest.approx(0.5 * 0.5**2, rel=0.05)
+
+
+def astray():
+    """All failures lead a base astray, at rates that hardly turn it."""
+    lost = Astray(weight=1.0, misread=0.001 * BASE.track * BASE.slip, lasts=16.0, pace=1.0, spread=0.2)
+    return replace(SHIPPED, harmless=0.95, ways={}, astray=lost, position_spread=1e-3, reference_speed=1e-3)
+
+
+def passing(settings, gap, v, scene=None, dt=0.005):
+    """Sum over time of P along a straight way past the person, who stands to the left [s]."""
+    scene = hall(walls="") if scene is None else scene
+    t = np.arange(-2.0, 2.0, dt * abs(v)) / abs(v)
+    q = np.column_stack(
+        [2.0 + abs(v) * t, np.full(len(t), 0.8 - 0.25 - 0.2078 - gap), np.where(v < 0.0, np.pi, 0.0) + 0.0 * t]
+    )
+    qd = np.column_stack([np.full(len(t), abs(v)), np.zeros((len(t), 2))])
+    P = Coast(settings).probability(moving_batch(scene, q, qd))[:, 0, 0]
+    return float(P.sum() * dt)
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.1, 0.2])
+@pytest.mark.parametrize("v", [0.05, -0.05, 0.2])
+def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
+    """Who has been astray for 2, 6, 10 or 14 s at 2 m/s is 1 to 39 cm aside, to either side."""
+    way = 2.0 * np.array([2.0, 6.0, 10.0, 14.0])
+    aside = 0.001 * way**2 / 2.0
+    met = 0.5 * erfc((gap - aside) / np.hypot(1e-3, 0.2 * aside) / np.sqrt(2.0))
+    expected = 0.05 * 16.0 * met.mean() / 2.0
+    assert passing(astray(), gap, v) == pytest.approx(expected, rel=0.1)
+
+
+def test_at_one_moment_what_leads_astray_bends_off():
+    seen = SHIPPED.of_the_moment()
+    total = sum(way.weight for way in SHIPPED.ways.values()) + SHIPPED.astray.weight
+    assert sum(way.weight for way in seen.ways.values()) == pytest.approx(total) and seen.astray.weight == 0.0
+    assert {name for name, way in seen.ways.items() if way != SHIPPED.ways[name]} == {"odometry"}
+    assert only().of_the_moment() == only()
+
+
+def test_walls_keep_those_astray_from_whom_they_are_not_to_meet():
+    wall = '<body name="wall" pos="2 0.45 .5"><geom type="box" size="4 .06 .5"/></body>'
+    assert passing(astray(), 0.2, 0.05, hall(walls="", extra=wall)) < 0.1 * passing(astray(), 0.2, 0.05)
+
+
+def test_astray_harm_grows_with_the_square_of_the_speed_and_more_with_nearness():
+    settings = replace(astray(), reference_speed=1.0)
+    slow, fast = (passing(settings, 0.1, v) for v in (0.1, 0.4))
+    assert fast == pytest.approx(16.0 * slow, rel=0.05)
+    near, far = (passing(astray(), gap, 0.1) for gap in (0.1, 0.7))
+    assert far < 0.1 * near
+
+
+@given(st.floats(-4, 4), st.floats(-1.4, 1.4), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
+def test_probabilities_are_probabilities_and_standing_is_safe(x, y, yaw, v, omega):
+    assert 0.0 <= hit(x, v, y=y, yaw=yaw, omega=omega) <= 1.0 + 1e-12  # a sum of shares
+    assert hit(x, 0.0, y=y, yaw=yaw, omega=omega) == 0.0
+
+
+def test_reversing_is_driving_the_other_way():
+    ahead = hit(0.0, 1.5)
+    assert ahead > 0.05 and hit(0.0, 1.5, yaw=np.pi) < 1e-12
+    assert hit(0.0, -1.5, yaw=np.pi) == pytest.approx(ahead, rel=1e-6)
+
+
+def test_arcs_lead_where_they_lead():
+    settings = only(deceleration=(0.5,))
+    # From (1, -0.2), heading to +y on an arc of 1 m to the right, it comes to the person at (2, 0.8).
+    assert hit(1.0, 1.5, y=-0.2, yaw=np.pi / 2, omega=-1.5, settings=settings) > 0.3
+    assert hit(1.0, 1.5, y=-0.2, yaw=np.pi / 2, omega=1.5, settings=settings) < 1e-12
+
+
+def test_a_skid_steer_goes_straight_on_once_its_wheels_are_let_go():
+    settings = only(deceleration=(0.5,), wheels="released")
+    on_the_arc = {"y": -0.2, "yaw": np.pi / 2, "omega": -1.5, "settings": settings}
+    assert hit(1.0, 1.5, **on_the_arc) < 1e-6
+    assert hit(1.0, 1.5, **on_the_arc, scene=hall(replace(BASE, slip=1.0))) > 0.3
+    assert hit(1.7, 1.5, y=-0.6, yaw=np.pi / 2, omega=0.3, settings=settings) > 0.05
+
+
+def test_walls_stop_it():
+    shield = '<body name="shield" pos="1 .8 .5"><geom type="box" size=".05 .6 .5"/></body>'
+    assert hit(0.0, 2.0) > 0.1
+    assert hit(0.0, 2.0, scene=hall(extra=shield)) < 1e-4
+
+
+def test_by_default_all_failures_of_a_base_without_an_arm_are_its_own():
+    fetch = gp.load_scene("kitchen")
+    assert SHIPPED.of_base(fetch) == SHIPPED.share and SHIPPED.of_cargo(fetch) == 1.0 - SHIPPED.share
+    assert SHIPPED.of_base(SCENE) == 1.0 and SHIPPED.of_cargo(SCENE) == SHIPPED.thrown
+    q, qd = states()
+    batch = moving_batch(SCENE, q, qd)
+    coast = gp.ImpactCost(model=Coast()).state(batch)
+    np.testing.assert_allclose(gp.ImpactCost().state(batch), coast, atol=1e-12)
+    sources = gp.ImpactCost().sources(batch)
+    assert set(sources) == {"drop", "spill", "stop", "coast"} or "coast" in sources
+    kernel = gp.Objective(w=1.0).bind(SCENE).kernel
+    edge = kernel.edges(q[:50], q[:50] + 0.1 * qd[:50])
+    assert (edge[:, 1] >= 0.0).all() and edge[:, 1].max() > 0.0
+
+
+class Doubtful(FailingBase):
+    """A user's own: as the shipped one, and half of that."""
+
+    coast, share = Coast(), 0.5
+
+    def of_base(self, scene):
+        return 0.5
+
+    def of_cargo(self, scene):
+        return 0.5
+
+    def worth(self, speed):
+        return self.coast.worth(speed)
+
+    def probability(self, batch):
+        return self.coast.probability(batch)
+
+    def met(self, batch):
+        return self.coast.met(batch)
+
+    def kernel(self, scene, severity, paces):
+        return self.coast.kernel(scene, severity, paces)
+
+    def gradients(self, batch, severity):
+        return self.coast.gradients(batch, severity)
+
+
+def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_descents():
+    q, qd = states()
+    batch = moving_batch(SCENE, q, qd)
+    shipped, own = (gp.ImpactCost(model=gp.Footprint(base=base)) for base in (None, Doubtful()))
+    assert shipped.state(batch).max() > 0.0
+    np.testing.assert_allclose(own.state(batch), 0.5 * shipped.state(batch), atol=1e-12)
+    np.testing.assert_allclose(own.gradient(batch), 0.5 * shipped.gradient(batch), atol=1e-9)
+    one, other = (gp.Objective(impact=cost, w=1.0).bind(SCENE).edges(q[:50], q[:50] + 0.1) for cost in (shipped, own))
+    np.testing.assert_allclose(other[:, 1], 0.5 * one[:, 1], atol=1e-12)
+
+
+def test_settings_alone_are_no_model_of_how_bases_fail():
+    model = gp.Footprint()
+    object.__setattr__(model, "base", SHIPPED)  # past the checks of types, which users do not have
+    with pytest.raises(SettingError, match=r"base = .*, expected a FailingBase, such as Coast\(settings\)"):
+        model.__post_init__()
+
+
+def test_a_robot_that_stands_still_has_no_base_to_fear():
+    scene = hall(None)
+    batch = moving_batch(scene, *states())
+    assert not Coast().probability(batch).any()
+    assert gp.ImpactCost().counted(scene) == ("carried", "contents")
+    assert not gp.ImpactCost(model=Coast()).state(batch).any()
+
+
+def test_gradients_are_those_of_differences():
+    q, qd = states(60, seed=3)
+    severity = gp.ImpactCost(model=Coast()).severity(SCENE)
+    by_q, by_qd = Coast().gradients(moving_batch(SCENE, q, qd), severity)
+    kernel = Coast().kernel(SCENE, severity, (1.0, 1.0))
+
+    def value(q, qd):
+        return kernel.state_slopes(q, qd)[0]
+
+    for j in range(3):
+        e = 1e-6 * np.eye(3)[j]
+        differences = (value(q + e, qd) - value(q - e, qd)) / 2e-6, (value(q, qd + e) - value(q, qd - e)) / 2e-6
+        assert max(np.abs(of).max() for of in differences) > 0.1
+        np.testing.assert_allclose(by_q[:, j], differences[0], rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(by_qd[:, j], differences[1], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"share": 1.5},
+        {"harmless": 1.0},
+        {"reference_speed": 0.0},
+        {"position_spread": np.nan},
+        {"drift": -1.0},
+        {"ways": {}, "astray": replace(SHIPPED.astray, weight=0.0)},
+    ],
+)
+def test_settings_are_checked(change):
+    with pytest.raises(SettingError):
+        replace(SHIPPED, **change)
+    for lost in ({"weight": -1.0}, {"misread": np.nan}, {"lasts": np.inf}, {"pace": 1.1}, {"spread": -0.1}):
+        with pytest.raises(SettingError, match=f"astray.{next(iter(lost))}"):
+            replace(SHIPPED.astray, **lost)
+    for way in ({"weight": -1.0}, {"deceleration": ()}, {"delay": (-1.0,)}, {"drag": np.inf}, {"steered": True}):
+        with pytest.raises(SettingError):
+            only(**way)
+
+
+@pytest.mark.long
+def test_slow_near_people():
+    assert BASE.v_max == 2.0
+    asked = ((0.0, 4000), (0.3, 4000))
+    fast, careful = (gp.plan("west", [4.0, 0.8, 0.0], SCENE, w=w, iterations=n) for w, n in asked)
+    objective = gp.Objective(w=1.0)
+    harm = [gp.evaluate(result.trajectory, SCENE, objective).impact for result in (fast, careful)]
+    assert harm[1] < 0.25 * harm[0]  # 0.229 measured
+    assert careful.trajectory.duration < 1.3 * fast.trajectory.duration  # 1.257 measured
