@@ -27,5 +27,5 @@ def base_limits(scene: Scene) -> Restraint | None:
     """
     if scene.base is None:
         return None
-    limits: DriveLimits = mobile_room("motions.drive_curve").drive_limits
+    limits: DriveLimits = mobile_room("motions.drive_limits").drive_limits
     return partial(limits, scene.base)

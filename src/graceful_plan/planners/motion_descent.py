@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, Self, final
+from typing import Protocol, Self, final, runtime_checkable
 
 import numpy as np
 
@@ -93,6 +93,7 @@ class DescentSettings:
     refinements: int | None = None
 
 
+@runtime_checkable
 class SmoothCurve(Curve, Protocol):
     """A curve that descents move by its control points."""
 
@@ -115,6 +116,7 @@ class SmoothCurve(Curve, Protocol):
         ...
 
 
+@runtime_checkable
 class CurveKind(Protocol):
     """What kind of curve a descent moves."""
 

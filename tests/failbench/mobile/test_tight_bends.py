@@ -6,7 +6,9 @@ import pytest
 from failbench.mobile.slipping import fitted_tracking, steady_drive
 from failbench.rollouts.execution import execute
 from failbench.simulated.world import build_world
-from graceful_plan.mobile.motions.drive_curve import Drive, Roll, drive_limits
+from graceful_plan.mobile.motions.drive import Drive
+from graceful_plan.mobile.motions.drive_limits import drive_limits
+from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.timing.retiming import timed
 from jackals import jackal
 
@@ -17,8 +19,8 @@ HOOK = [[0, 0], [0.2, 0], [0.4, 0], [0.6, 0], [0.75, 0.1], [0.75, 0.4], [0.6, 0.
 def test_a_skid_steer_drives_a_hook_there_and_back():
     """Held at the angle to its way that its pivot asks for, its heading was off by 0.35 rad, and the motion refused."""
     scene, controls = jackal(), np.array(HOOK)
-    roll = Roll(controls, np.array([*controls[0], 0.0]), np.array([*controls[-1], 0.0]), True)
-    motion = timed(Drive((roll,)), scene.limits, scene.joints, restraint=lambda grid: drive_limits(scene.base, grid))
+    curve = RollingSpline(np.column_stack([controls, np.zeros(len(controls))]), True, 0.0)
+    motion = timed(Drive((curve,)), scene.limits, scene.joints, restraint=lambda grid: drive_limits(scene.base, grid))
     error = execute(motion, build_world(scene)).tracking_error
     assert error[2] < 0.27 and error[:2].max() < 0.1
 

@@ -14,6 +14,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.mobile.motions.carry_postures import carry_postures, with_posture
 from graceful_plan.mobile.motions.drive import Drive, joined
@@ -76,11 +77,8 @@ class DriveSource:
         self._request, self._ends, self._problem, self._rng, self._base = request, ends, problem, rng, base
         self._short = replace(request, objective=_without_impact(request), preference=None)
         self._lattice = PausedSearch(request.planner, problem, self._short.objective, rng.spawn(1)[0])
-        self._descents, self._shortening = (
-            replace(found, price=DRIVING_TIME_PRICE, spacing=_SPACING)
-            for of in (request, self._short)
-            if (found := motion_descents(of, problem, DescentSettings())) is not None
-        )
+        self._shortening = self._descents_of(self._short)
+        self._descents = self._descents_of(request) or self._shortening
         self._drives: list[tuple[Drive, Path, int]] = []
         self._ways: list[tuple[Route, int]] | None = None
         self._results: list[DescentResult] = []
@@ -92,17 +90,25 @@ class DriveSource:
         self.path_cost = np.inf
         """Least cost of a path of a search, as the search estimates it."""
 
-    restarts = True
-    """Whether each round searches from scratch; else there is one search."""
+    def _descents_of(self, request: Request) -> MotionDescents | None:
+        found = motion_descents(request, self._problem, DescentSettings())
+        return None if found is None else replace(found, price=DRIVING_TIME_PRICE, spacing=_SPACING)
+
+    @property
+    def restarts(self) -> bool:
+        """Whether there are rounds, each longer than the one before."""
+        return True
 
     @property
     def effort(self) -> int:
         """Number of descents that have ended."""
-        return self._descents.effort.descents + self._shortening.effort.descents
+        both = {id(of): of for of in (self._descents, self._shortening) if of is not None}
+        return sum(of.effort.descents for of in both.values())
 
     def search_first(self, budget: Budget) -> Search:
         """Search until there is a drive or a path; return the search."""
-        for route, arrival in self._along_ways(first=True)[:_TRIED]:
+        stays = (self._problem.goals == self._problem.start).all(axis=1).any()
+        for route, arrival in () if stays else self._along_ways(first=True)[:_TRIED]:
             drive = self._coarse(route, arrival, budget)
             if drive is not None:
                 q = drive.grid(1).q
@@ -145,6 +151,9 @@ class DriveSource:
         self._composed += [one for one in fresh if not _is_single(one[0])]
         self._rough += [self._start(route[0], arrival) for route, arrival in fresh if _is_single(route)]
         self._rough += self._posed()
+        if self._descents is None:
+            yield from self._stopping(best)
+            return
         self._enter(budget)
         starts, self._untried = self._untried[:_STARTS], self._untried[_STARTS:]
         for result in descend_from([start for _, start in starts], self._descents, budget, self._rng, self._results):
@@ -161,8 +170,16 @@ class DriveSource:
                 best = motion.ranking
                 yield motion
 
+    def _stopping(self, best: float) -> Iterator[Motion]:
+        """Yield a motion along the latest path itself, for costs that nothing descends along."""
+        for path in self._lattice.found.paths[-1:]:
+            motion = self._along(*self._ends.joined(path))
+            if motion.ranking < best:
+                yield motion
+
     def _enter(self, budget: Budget) -> None:
         """Let rough starts become short and smooth, and keep them in the order of J, the best first."""
+        assert self._descents is not None
         while self._rough and not budget.over:
             start = self._rough.pop(0)
             short = start if start.curve is not None else self._shortened(start, budget)
@@ -172,6 +189,7 @@ class DriveSource:
         self._untried.sort(key=lambda one: one[0])
 
     def _shortened(self, start: Start, budget: Budget) -> Start | None:
+        assert self._shortening is not None
         descent = self._shortening.descended(start, COARSE, budget)
         if descent is None:
             return None
@@ -199,7 +217,7 @@ class DriveSource:
 
     def _along_ways(self, *, first: bool = False) -> list[tuple[Route, int]]:
         """Return routes along ways over the floor, those that are tried first in front; or along the shortest alone."""
-        if not isinstance(self._request.planner, DriveLattice):
+        if self._shortening is None or not isinstance(self._request.planner, DriveLattice):
             return []
         if self._ways is not None:
             return self._ways
@@ -214,6 +232,7 @@ class DriveSource:
 
     def _descended(self, route: Route, arrival: int, budget: Budget) -> Motion | None:
         """Return a motion along a route whose legs descend one after the other."""
+        assert self._descents is not None
         chosen: list[RollingSpline | ArmMove] = []
         legs = sum(isinstance(part, Leg) for part in route)
         for part in route:
@@ -230,6 +249,8 @@ class DriveSource:
 
     def _coarse(self, route: Route, arrival: int, budget: Budget) -> Drive | None:
         """Return a drive along a route whose legs became short and smooth; None if one of them is not free."""
+        if self._shortening is None:
+            return None
         chosen: list[RollingSpline | ArmMove] = []
         for part in route:
             if not isinstance(part, Leg):
@@ -308,6 +329,6 @@ def _is_single(route: Route) -> bool:
     return len(route) == 1 and isinstance(route[0], Leg)
 
 
-def _without_impact(request: Request) -> object:
+def _without_impact(request: Request) -> SceneObjective:
     of = request.objective
     return of.objective.with_weight(0.0).bind(of.scene, of.paces)

@@ -57,7 +57,7 @@ def routes(path: Path) -> Iterator[Route]:
 
 
 def along_ways(
-    over: Sequence[Float[Array, "point 2"]], start: Float[Array, " nq"], goal: Float[Array, " nq"], reverse: bool
+    over: Sequence[Float[Array, "_ 2"]], start: Float[Array, " nq"], goal: Float[Array, " nq"], reverse: bool
 ) -> Iterator[Route]:
     """Yield routes along ways over the floor: forward, then backward, each with turns at the ends or without.
 

@@ -7,7 +7,7 @@ collision with the robot: descents from it are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -32,6 +32,8 @@ _APART = 0.4
 """Distance by which ways differ somewhere [m]."""
 _LOOKED_AT = 40
 """Points of a way that are compared."""
+_HARDLY = 1e-3
+"""Length of a way that is none [m]."""
 _SECONDS = 1.0
 """Of one search, at most [s]."""
 
@@ -44,6 +46,8 @@ def ways(scene: Scene, start: Float[Array, " nq"], goal: Float[Array, " nq"]) ->
         start: Where it is, and the posture of its arm.
         goal: Where it goes.
     """
+    if np.hypot(*(goal - start)[:2]) < _HARDLY:
+        return
     discs, top = footprint(scene, start)
     inside, outside = radii(discs)
     ends = np.stack([start[:2], goal[:2]])
@@ -74,13 +78,13 @@ def _found(grid: FloorGrid, ends: Float[Array, "2 2"]) -> Float[Array, "point 2"
     return np.concatenate([ends[:1], xy[1:-1], ends[1:]]) if len(xy) else None
 
 
-def _differs(way: Float[Array, "point 2"], others: list[Float[Array, "point 2"]]) -> bool:
+def _differs(way: Float[Array, "point 2"], others: Sequence[Float[Array, "_ 2"]]) -> bool:
     here = evenly(way, _LOOKED_AT)
     apart = [np.linalg.norm(here[:, None] - evenly(other, 4 * _LOOKED_AT), axis=2).min(axis=1) for other in others]
     return all(float(one.max()) > _APART for one in apart)
 
 
-def _dear(floor: FloorMap, found: list[Float[Array, "point 2"]]) -> Float[Array, "row column"]:
+def _dear(floor: FloorMap, found: Sequence[Float[Array, "_ 2"]]) -> Float[Array, "row column"]:
     """Return what cells near ways cost besides."""
     near = np.zeros(floor.shape, dtype=np.uint8)
     for way in found:

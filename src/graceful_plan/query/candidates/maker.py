@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.candidates.search import Search
 
 
+@runtime_checkable
 class MotionMaker(Protocol):
     """Makes motions, each timed and with its cost, none of them verified."""
 
