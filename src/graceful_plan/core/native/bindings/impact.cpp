@@ -119,8 +119,7 @@ void bind_impact(nb::module_& m) {
           },
           "core"_a, nb::kw_only(), "entity"_a, "shape"_a, "n_entity"_a, "outline"_a, "stops"_a, "constants"_a,
           "share"_a, "speeds"_a, "rates"_a, "places"_a, "astray"_a, nb::keep_alive<1, 2>())
-      .def("probability", &CoastModel::probability, "q"_a, "qd"_a)
-      .def("met", &CoastModel::met, "q"_a, "qd"_a, nb::kw_only(), "shape"_a, "velocity"_a, "spread"_a);
+      .def("probability", &CoastModel::probability, "q"_a, "qd"_a);
   nb::class_<CoastImpact, Impact>(m, "CoastImpact")
       .def(nb::init<const CoastModel&, Reals, Reals, double, double>(), "model"_a, "severity"_a, "speed"_a, "slow"_a,
            "fast"_a, nb::keep_alive<1, 2>());

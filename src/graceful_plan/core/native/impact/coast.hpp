@@ -34,45 +34,27 @@ class CoastModel {
     }
     return array;
   }
-  // P that somebody is met who is there when the base fails, and goes on as now: one for each state.
-  auto met(Reals q, Reals qd, Reals shape, Reals velocity, Reals spread) const {
-    double* out;
-    auto array = make<double>({core_.rows(q)}, out);
-    const States states = core_.states(q, qd);
-    const std::vector<FloorShape> who = walkers(states.n, shape, velocity, spread);
-    nb::gil_scoped_release release;
-    const size_t nq = size_t(core_.tables().n_joint);
-    Coasting::Work work{coasting_, n_entity_ + 1};
-    std::vector<FloorShape> all = shape_;
-    for (size_t i = 0; i < states.n; ++i) {
-      all.push_back(who[i]);
-      const double* qi = states.q + i * nq;
-      const double v = speed(qi, states.qd + i * nq);
-      const Coasting::State at{qi[0], qi[1], qi[2], v, states.qd[i * nq + 2]};
-      out[i] = coasting_.reaches(at, who[i]) && coasting_.hits(at, all, nullptr, work) ? work.hit[n_entity_] : 0.0;
-      all.pop_back();
-    }
-    return array;
+  // P that somebody is met who is there when the base fails, and goes on as now.
+  struct Encounter {
+    Coasting::Work work;
+    std::vector<FloorShape> shape;
+  };
+  Encounter encounter() const { return {{coasting_, n_entity_ + 1}, shape_}; }
+  double met(const Coasting::State& at, const FloorShape& who, Encounter& with) const {
+    if (!coasting_.reaches(at, who)) return 0;
+    with.shape.push_back(who);
+    const bool hit = coasting_.hits(at, with.shape, nullptr, with.work);
+    with.shape.pop_back();
+    return hit ? with.work.hit[n_entity_] : 0.0;
+  }
+  Coasting::State state(const double* q, const double* qd) const {
+    return {q[0], q[1], q[2], qd[0] * std::cos(q[2]) + qd[1] * std::sin(q[2]), qd[2]};
   }
   bool hits(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
-    return coasting_.hits({q[0], q[1], q[2], speed(q, qd), qd[2]}, shape_, severity, work);
+    return coasting_.hits(state(q, qd), shape_, severity, work);
   }
 
  private:
-  static double speed(const double* q, const double* qd) { return qd[0] * std::cos(q[2]) + qd[1] * std::sin(q[2]); }
-  std::vector<FloorShape> walkers(size_t n, const Reals& shape, const Reals& velocity, const Reals& spread) const {
-    require_numbers(shape, 7 * n, "shapes that move", 2 * kMaxExtent);
-    require_numbers(velocity, 2 * n, "velocities of shapes", kMaxPosition);
-    require_numbers(spread, n, "spreads of shapes", kMaxExtent);
-    std::vector<FloorShape> out;
-    for (size_t k = 0; k < n; ++k) {
-      const double *s = shape.data() + 7 * k, *v = velocity.data() + 2 * k;
-      require(spread.data()[k] >= 0, "spread of a shape");
-      out.push_back({int(n_entity_), s[0], s[1], s[2], s[3], s[4], s[5], s[6], v[0], v[1], spread.data()[k]});
-    }
-    return out;
-  }
-
   const Core& core_;
   const Coasting coasting_;
   const std::vector<FloorShape> shape_;

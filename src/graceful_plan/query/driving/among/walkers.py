@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.core import _native
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.judge.passing_by import is_moving
-from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.planners.driving.roughly import roughly
 from graceful_plan.query.driving.among.balls import Balls
 from graceful_plan.timing.trajectory import Trajectory
@@ -26,10 +26,6 @@ Array = np.ndarray
 
 KEPT = 0.15
 """Clearance to people that is planned with [m]; the judge asks for more than none."""
-_NUDGE = 1e-4
-"""For differences [m, rad, m/s, rad/s, s]."""
-_HARDLY = 1e-6
-"""Impact below which nobody is hit."""
 _LOOKS = 200
 """At a motion."""
 
@@ -74,25 +70,10 @@ class Walkers:
     def slopes(
         self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], t: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"], Float[Array, " n"]]:
-        """Return `impact`, and its derivatives by place and heading of the base, by its velocities, and by time.
-
-        By differences, where somebody may be hit at all.
-        """
-        value = self.impact(q, qd, t)
-        by_q, by_qd, by_t = np.zeros_like(q), np.zeros_like(q), np.zeros(len(q))
-        some = np.flatnonzero(value > _HARDLY)
-        if not len(some):
-            return value, by_q, by_qd, by_t
-        n, changes = q.shape[1], 2 * BASE + 1
-        more = np.zeros((changes, len(some), 2 * n + 1)) + np.concatenate([q, qd, t[:, None]], axis=1)[some]
-        column = [*range(BASE), *range(n, n + BASE), 2 * n]
-        for k, changed in enumerate(column):
-            more[k, :, changed] += _NUDGE
-        flat = more.reshape(-1, 2 * n + 1)
-        found = self.impact(flat[:, :n], flat[:, n : 2 * n], flat[:, -1]).reshape(changes, -1)
-        slope = (found - value[some]) / _NUDGE
-        by_q[some, :BASE], by_qd[some, :BASE], by_t[some] = slope[:BASE].T, slope[BASE : 2 * BASE].T, slope[-1]
-        return value, by_q, by_qd, by_t
+        """Return `impact`, and its derivatives by configuration, by its velocities, and by time."""
+        if self._moving is None:
+            return np.zeros(len(q)), np.zeros_like(q), np.zeros_like(q), np.zeros(len(q))
+        return self._moving.slopes(*(np.ascontiguousarray(given) for given in (q, qd, t)))
 
     def gap(self, q: Float[Array, "n nq"], t: Float[Array, " n"]) -> Float[Array, " n"]:
         """Return how far the robot is from the nearest of them, as predicted [m]; see `Balls.gap`."""
@@ -104,6 +85,11 @@ class Walkers:
         t = motion.t[0] + motion.duration * np.linspace(0.0, 1.0, _LOOKS)
         state = motion.at(t)
         return bool((is_moving(state.qd) & (self.gap(state.q, t) < 0.5 * KEPT)).any())
+
+    @cached_property
+    def _moving(self) -> _native.MovingImpact | None:
+        counts = self.objective.w > 0.0 and self._rough is not None
+        return self._rough.moving_impact(self.objective.scene) if counts else None
 
     @cached_property
     def _balls(self) -> Balls:
