@@ -232,7 +232,7 @@ def test_gaps_are_mujocos():
 
 
 def test_gaps_beyond_what_is_wanted_are_infinite_and_others_exact():
-    scene = arm_scene(*(raised(entity, [0.1, 0.0, 0.5]) for entity in (_ROUND, _BOX)))
+    scene = arm_scene(*(raised(entity, [0.8, 0.3, 0.5]) for entity in (_ROUND, _BOX)))
     q, _, t = states(scene, 300, seed=7)
     whole, by_q, by_t = among(scene).gaps(q, t, np.inf)
     near, near_q, near_t = among(scene).gaps(q, t, 0.15)
@@ -261,7 +261,7 @@ def test_slopes_of_gaps_are_differences():
 
 def test_a_plan_gives_way_to_who_walks():
     task = gp.load_scene("tabletop").tasks["right_to_left"]
-    goal = task.scene.data_at(task.goal).site(task.scene.tool).xpos
+    goal = task.scene.data_at(task.goal[0]).site(task.scene.tool).xpos
     start = task.scene.data_at(task.start).site(task.scene.tool).xpos
     middle = 0.5 * (start + goal)
     ann = gp.MovingEntity(

@@ -43,7 +43,7 @@ class CoastModel {
   double met(const Coasting::State& at, const FloorShape& who, Encounter& with) const {
     if (!coasting_.reaches(at, who)) return 0;
     with.shape.push_back(who);
-    const bool hit = coasting_.hits(at, with.shape, nullptr, with.work);
+    const bool hit = coasting_.hits(at, with.shape, nullptr, with.work, int(n_entity_));
     with.shape.pop_back();
     return hit ? with.work.hit[n_entity_] : 0.0;
   }

@@ -10,13 +10,16 @@
 
 namespace gp {
 
+// std::hypot is several times slower; nothing here is so large that squares overflow.
+inline double root_of_squares(double a, double b) { return std::sqrt(a * a + b * b); }
+
 // Rectangles from above that may be rounded and move: what is met.
 struct FloorShape {
   int entity;  // -1: an obstacle
   double x, y, ux, uy, a, b, round, vx, vy;
   double spread = 0;  // standard deviation of its place
 
-  double around() const { return std::hypot(a, b) + round; }  // radius of a circle around it
+  double around() const { return root_of_squares(a, b) + round; }  // radius of a circle around it
   // Of a point at a time; inside of a rectangle minus the way to its nearest side.
   double distance(double px, double py, double time) const {
     const double dx = px - x - vx * time, dy = py - y - vy * time;
@@ -51,8 +54,8 @@ class Footprint2d {
       const double* s = outline.data() + k;
       require(s[4] >= 0 && s[5] >= 0 && s[6] >= 0, "size of a part of a base");
       part_.push_back({-1, s[0], s[1], s[2], s[3], s[4], s[5], s[6], 0, 0});
-      within_.push_back(std::hypot(s[4], s[5]) + s[6]);
-      reach_ = std::max(reach_, std::hypot(s[0], s[1]) + within_.back());
+      within_.push_back(root_of_squares(s[4], s[5]) + s[6]);
+      reach_ = std::max(reach_, root_of_squares(s[0], s[1]) + within_.back());
     }
   }
   double reach() const { return reach_; }
@@ -72,7 +75,7 @@ class Footprint2d {
     const double around = shape.around();
     double d = std::numeric_limits<double>::infinity();
     for (size_t k = 0; k < part_.size(); ++k) {
-      const double apart = std::hypot(seen.x - part_[k].x, seen.y - part_[k].y);
+      const double apart = root_of_squares(seen.x - part_[k].x, seen.y - part_[k].y);
       if (apart - within_[k] - around < d) d = std::min(d, between(part_[k], seen));
     }
     return d;
@@ -143,6 +146,7 @@ class Coasting {
     std::vector<double> energy;          // by place and stop, over that at the speed that severities are for
     std::vector<double> share;           // probability of each stop
     std::vector<size_t> whom, what;      // shapes that are near enough: of entities, and obstacles
+    size_t asked = 0;                    // how many of whom, which come first, are asked for
     std::vector<Place> place;
     std::vector<Spun> spun;          // of the tables, at the speed and rate of turning of the state before
     std::vector<double> spun_reach;  // how far off its places each table's are
@@ -180,6 +184,8 @@ class Coasting {
 
   const Footprint2d& footprint() const { return footprint_; }
 
+  static constexpr int kAll = -1;
+
   // Whether somebody may be met at all: at no time a base goes farther than at its first speed.
   bool reaches(const State& at, const FloorShape& who) const {
     const double speed = std::fabs(at.v);
@@ -189,7 +195,7 @@ class Coasting {
       far = std::max(far, speed * stop.delay + speed * speed / (2 * stop.a));
       longest = std::max(longest, stop.delay + speed / stop.a);
     }
-    const double step = longest / kLooks, between = std::hypot(who.vx, who.vy) * step;
+    const double step = longest / kLooks, between = root_of_squares(who.vx, who.vy) * step;
     for (int k = 0; k < kLooks; ++k) {
       const double gone = std::min(far, speed * step * (k + 1));
       if (who.distance(at.x, at.y, step * k) < around(who, far) + between + gone) return true;
@@ -197,18 +203,20 @@ class Coasting {
     return false;
   }
   double around(const FloorShape& who, double far) const {
-    return footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far, who.spread);
+    return footprint_.reach() + kFarOff * std::sqrt(spread_ * spread_ + drift_ * far * drift_ * far + who.spread * who.spread);
   }
   // How far somebody is at least while a base comes to rest that goes so far, less what both reach and blur.
   double nearest(const State& at, const FloorShape& who, double longest, double far) const {
-    const double v = std::hypot(who.vx, who.vy), step = longest / kLooks;
+    const double v = root_of_squares(who.vx, who.vy), step = longest / kLooks;
     double d = who.distance(at.x, at.y, 0);
     for (int k = 1; v > 0 && k < kLooks; ++k) d = std::min(d, who.distance(at.x, at.y, step * k));
     return d - v * step - around(who, std::max(far, farthest_));
   }
 
-  // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all.
-  bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work) const {
+  // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all. If one
+  // entity alone is asked for, the others are there to stop the base before it, and P of them is not found.
+  bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work,
+            int only = kAll) const {
     std::fill(work.hit.begin(), work.hit.end(), 0.0);
     const double speed = std::fabs(at.v);
     if (speed <= kStill) return false;
@@ -222,17 +230,22 @@ class Coasting {
       longest = std::max(longest, stop.delay + speed / stop.a);
     }
     const double most =
-        std::max({far, farthest_, aside_}) + footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far);
+        std::max({far, farthest_, aside_}) + footprint_.reach() + kFarOff * root_of_squares(spread_, drift_ * far);
     work.whom.clear(), work.what.clear();
     for (size_t k = 0; k < shape.size(); ++k) {
       const bool counts = shape[k].entity < 0 || !severity || severity[shape[k].entity] > 0;
-      const double moves = std::hypot(shape[k].vx, shape[k].vy) * std::max(longest, lasts_) + kFarOff * shape[k].spread;
+      const double moves = root_of_squares(shape[k].vx, shape[k].vy) * std::max(longest, lasts_) + kFarOff * shape[k].spread;
       if (counts && shape[k].distance(at.x, at.y, 0) < most + moves)
         (shape[k].entity < 0 ? work.what : work.whom).push_back(k);
     }
-    if (work.whom.empty()) return false;
+    // Those who are asked for come first.
+    const auto asked = std::stable_partition(work.whom.begin(), work.whom.end(),
+                                             [&](size_t k) { return only == kAll || shape[k].entity == only; });
+    work.asked = size_t(asked - work.whom.begin());
+    if (work.asked == 0) return false;
     double gap = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
-    for (const size_t k : work.whom) gap = std::min(gap, nearest(at, shape[k], std::max(longest, lasts_), far));
+    for (size_t j = 0; j < work.asked; ++j)
+      gap = std::min(gap, nearest(at, shape[work.whom[j]], std::max(longest, lasts_), far));
     const double sign = at.v < 0 ? -1 : 1, bend = at.omega / at.v * sign;
     const double straightens = turn_ * at.omega * at.omega;
     // Released wheels go along the others' arc if nothing turns so far.
@@ -283,7 +296,7 @@ class Coasting {
     return footprint_.distance(shape, place.at[0], place.at[1], place.at[2], place.at[3], place.time);
   }
   static double blur(const FloorShape& shape, const Place& place) {
-    return shape.spread > 0 ? std::hypot(place.spread, shape.spread) : place.spread;
+    return shape.spread > 0 ? root_of_squares(place.spread, shape.spread) : place.spread;
   }
   // How likely it is touched.
   static double touch(double apart, const FloorShape& shape, const Place& place) {
@@ -312,15 +325,20 @@ class Coasting {
     work.most.assign(work.hit.size() * stops, 0.0);
     size_t last = 0;
     work.apart.resize(work.place.size() * n), work.touched.resize(work.place.size() * n);
-    for (size_t k = 0; k < work.place.size(); ++k) {
-      const Place& place = work.place[k];
-      for (size_t j = 0; j < n; ++j) {
-        const FloorShape& who = shape[work.whom[j]];
-        const double d = work.apart[k * n + j] = apart(who, place);
-        const double touches = work.touched[k * n + j] = touch(d, who, place);
-        if (touches > kHardly) last = k + 1;
+    const auto look = [&](size_t from, size_t to, size_t places) {
+      for (size_t k = 0; k < places; ++k) {
+        const Place& place = work.place[k];
+        for (size_t j = from; j < to; ++j) {
+          const FloorShape& who = shape[work.whom[j]];
+          const double d = work.apart[k * n + j] = apart(who, place);
+          const double touches = work.touched[k * n + j] = touch(d, who, place);
+          if (j < work.asked && touches > kHardly) last = k + 1;
+        }
       }
-    }
+    };
+    look(0, work.asked, work.place.size());
+    if (last == 0) return;
+    look(work.asked, n, last);
     double stopped = 0;
     work.met.assign(work.hit.size(), 0.0);
     work.stops.resize(n);
@@ -349,7 +367,6 @@ class Coasting {
         met = std::max(met, work.stops[j]);
       }
     }
-    if (last == 0) return;
     for (size_t e = 0; e < work.hit.size(); ++e)
       for (size_t i = 0; i < stops; ++i) work.hit[e] += work.share[i] * work.most[e * stops + i];
   }
@@ -384,7 +401,7 @@ class Coasting {
       const double gone = done - before;
       const double slower = moving > 0 ? std::sqrt(left_of / moving) : 0;
       time += gone / (way.speed * std::max(slower, kSlowest)), before = done;
-      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done), gone});
+      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, root_of_squares(spread_, drift_ * done), gone});
     }
     meet(shape, work);
   }
@@ -430,9 +447,9 @@ class Coasting {
             for (size_t n = 0; n < kPlace; ++n) p[n] += weight * row[n];
           }
         }
-        const double far = std::hypot(p[0], p[1]), gone = k == 0 ? 0.0 : p[3] * (p[4] - work.spun.back().time);
+        const double far = root_of_squares(p[0], p[1]), gone = k == 0 ? 0.0 : p[3] * (p[4] - work.spun.back().time);
         work.spun_reach[f] = std::max(work.spun_reach[f], far);
-        work.spun.push_back({p[0], p[1], std::cos(p[2]), std::sin(p[2]), p[4], std::hypot(spread_, drift_ * far), gone,
+        work.spun.push_back({p[0], p[1], std::cos(p[2]), std::sin(p[2]), p[4], root_of_squares(spread_, drift_ * far), gone,
                              p[3] * p[3] / (unit_ * unit_)});
       }
     }
@@ -454,7 +471,8 @@ class Coasting {
                        kNext};
       work.met.assign(work.hit.size(), 0.0);
       bool any = false;
-      for (const size_t k : work.whom) {
+      for (size_t j = 0; j < work.asked; ++j) {
+        const size_t k = work.whom[j];
         const double then = apart(shape[k], next), before = std::isinf(then) ? then : distance(shape[k], now);
         const double more = touch(then, shape[k], next) - touch(before, shape[k], now);
         if (more <= kHardly) continue;
@@ -509,7 +527,7 @@ class Coasting {
     require(samples_ > 1, "places of a base");
     place_.assign(of.places.data(), of.places.data() + of.places.size());
     for (size_t k = 0; k < place_.size(); k += kPlace) {
-      farthest_ = std::max(farthest_, std::hypot(place_[k], place_[k + 1]));
+      farthest_ = std::max(farthest_, root_of_squares(place_[k], place_[k + 1]));
       lasts_ = std::max(lasts_, place_[k + 4]);
     }
   }
