@@ -134,6 +134,7 @@ def fitting(parameter: str, method: str, made: Any, arguments: dict[str, Any]) -
     }
     shapes: dict[str, tuple[int, ...]] = {
         **dict.fromkeys(("q", "qd", "q0", "q1"), (9, nq)),
+        "t": (9,),
         "severity": weights.get(method.split(".")[0], (1,)),
         "weight": ((2 * nq + 2) * arguments.get("n_row", 1),),
         "controls": (int(controls) - 2, nq) if isinstance(controls, int) else (8, nq),
@@ -168,6 +169,7 @@ def fitting(parameter: str, method: str, made: Any, arguments: dict[str, Any]) -
         "s": rng.random((4, 6)),
         "goals": np.array([0], dtype=np.int32),
         "rough": True,
+        "wanted": 0.2,
     }
     if method.startswith("GraphSearch"):
         edges = len(arguments["tail"])
@@ -191,7 +193,7 @@ def width(made: Any, arguments: dict[str, Any]) -> int:
 WIDTHS: dict[int, int] = {}
 """Joints of what was built, by id; all of that stays in `KEPT`."""
 KEPT: list[Any] = []
-ABSTRACT = ("Space", "Impact", "Measure", "TimedCurve")
+ABSTRACT = ("Space", "Impact", "Measure", "TimedCurve", "MovingSource")
 
 
 def record(isa: str) -> list[Call]:
@@ -268,12 +270,18 @@ def situations() -> None:
         gp.plan(task.start, task.goal, task.scene, objective=gp.Objective(impact=0.5 * block), iterations=20)
     gp.plan(task.start, task.goal, task.scene, objective=gp.Objective(impact=Low()), iterations=20)
     gp.plan(task.start, task.goal, task.scene, constraints=[gp.ToolSpeed(0.5)], iterations=20)
+    person = gp.MovingEntity(
+        "ann", "adult", size=[0.2, 0.8], t=[0.0, 4.0], position=[[1.0, -1.0, 0.8], [1.0, 1.0, 0.8]]
+    )
+    fear = gp.ImpactCost(gp.Footprint(faults="service_robot"), components=("body", "carried"))
+    among = gp.Objective(impact=fear)
+    gp.plan(task.start, task.goal, task.scene.with_moving(person), objective=among, iterations=20)
     plan_outside_of_scenes(task)
     time_outside_of_plans(task)
     ends = np.array([0, 1, 2], dtype=np.int32), np.array([1, 2, 3], dtype=np.int32)
     _native.GraphSearch(4, *ends).cheapest(np.ones(3), 0, ends[1])
     drive = next(iter(gp.load_scene("hallway").tasks.values()))
-    gp.plan(drive.start, drive.goal, drive.scene.without_moving(), iterations=60)  # among people NumPy takes long
+    gp.plan(drive.start, drive.goal, drive.scene, iterations=60)
     walker = Others(shape=np.full((1, 4, 7), 0.5), velocity=np.zeros((1, 4), dtype=np.int32))
     open_floor = np.full((HEADINGS, 6, 9), STANDS | LEAVES, dtype=np.uint8)
     lattice = TimedLattice(open=open_floor, width=1.0, tick=0.5, ticks=40, outline=np.array([[0.1, 0.0, 0.3]]))

@@ -236,7 +236,45 @@ class CoastModel:
         astray: Reals,
     ) -> None: ...
     def probability(self, q: Reals, qd: Reals) -> Reals: ...
-    def met(self, q: Reals, qd: Reals, *, shape: Reals, velocity: Reals, spread: Reals) -> Reals: ...
+
+@final
+class MovingTable:
+    def __init__(
+        self,
+        *,
+        round: Integers,
+        half: Reals,
+        blur: Reals,
+        knot_start: Integers,
+        knot: Reals,
+        time_start: Integers,
+        time: Reals,
+    ) -> None: ...
+
+class MovingSource:
+    def probability(self, q: Reals, qd: Reals, t: Reals | None) -> Reals: ...
+
+@final
+class MovingDrop(MovingSource):
+    def __init__(
+        self, table: MovingTable, model: DropModel, *, places: Reals, cell: float, protrusion: float
+    ) -> None: ...
+
+@final
+class MovingArm(MovingSource):
+    def __init__(self, table: MovingTable, core: Core) -> None: ...
+
+@final
+class MovingCoast(MovingSource):
+    def __init__(self, table: MovingTable, model: CoastModel, *, bottom: float, top: float) -> None: ...
+
+@final
+class MovingImpact:
+    def __init__(self, core: Core, table: MovingTable) -> None: ...
+    def add(self, source: MovingSource, severity: Reals) -> None: ...
+    def impact(self, q: Reals, qd: Reals, t: Reals | None) -> Reals: ...
+    def slopes(self, q: Reals, qd: Reals, t: Reals) -> tuple[Reals, Reals, Reals, Reals]: ...
+    def gaps(self, q: Reals, t: Reals, wanted: float) -> tuple[Reals, Reals, Reals]: ...
 
 @final
 class CoastImpact(Impact):
@@ -332,6 +370,9 @@ class SceneSpace(Space):
         holds: Callable[[Reals], NDArray[np.bool_]] | None = None,
         clearance: Callable[[Reals], tuple[Reals, Reals]] | None = None,
         projects: bool = True,
+        still: Impact | None = None,
+        moving: MovingImpact | None = None,
+        keeps_off: bool = False,
     ) -> None: ...
 
 @final

@@ -44,7 +44,8 @@ def _integers(values: Array) -> Array:
     return np.ascontiguousarray(values, dtype=np.int32)
 
 
-def _reals(values: Array) -> Array:
+def reals(values: ArrayLike) -> Array:
+    """Return numbers as the core takes them."""
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
@@ -77,34 +78,34 @@ class Kernels:
                 parent=_integers(robot.parent),
                 joint=_integers(robot.joint),
                 slide=_integers(robot.slide),
-                X_PL=_reals(robot.X_PL),
+                X_PL=reals(robot.X_PL),
                 n_joint=self.nq,
                 sphere_link=_integers(robot.sphere_link),
-                sphere=_reals(robot.sphere),
-                bound=_reals(robot.bound),
+                sphere=reals(robot.sphere),
+                bound=reals(robot.bound),
                 self_pair=_integers(robot.self_pair),
-                self_slack=_reals(robot.self_slack),
+                self_slack=reals(robot.self_slack),
                 obstacle_kind=_integers(world.kind),
-                obstacle_pose=_reals(world.pose),
-                obstacle_size=_reals(world.size),
-                obstacle_bound=_reals(world.bound),
+                obstacle_pose=reals(world.pose),
+                obstacle_size=reals(world.size),
+                obstacle_bound=reals(world.bound),
                 ignores=np.ascontiguousarray(world.ignores, dtype=np.uint64),
                 hull_start=_integers(world.hull_start),
-                triangles=_reals(world.triangles),
+                triangles=reals(world.triangles),
                 part_component=_integers(hazards.part_component),
                 part_link=_integers(hazards.part_link),
-                part_box=_reals(hazards.part_box),
+                part_box=reals(hazards.part_box),
                 target_entity=_integers(hazards.target_entity),
-                target_box=_reals(hazards.target_box),
+                target_box=reals(hazards.target_box),
                 n_component=hazards.severity.shape[0],
                 n_entity=hazards.severity.shape[1],
                 tool_link=robot.tool_link,
-                tool_position=_reals(robot.X_LT[:3, 3]),
-                keep=_reals(bounds.keep),
+                tool_position=reals(robot.X_LT[:3, 3]),
+                keep=reals(bounds.keep),
                 cone_link=_integers(bounds.cone_link),
-                cone=_reals(bounds.cone),
+                cone=reals(bounds.cone),
                 room_link=_integers(bounds.room_link),
-                room=_reals(bounds.room),
+                room=reals(bounds.room),
                 isa=isa,
             )
         except ValueError as error:
@@ -156,11 +157,11 @@ class Kernels:
         robot = self.robot
         return self.core.reach(
             seed=self.rows("seeds", seeds)[0],
-            X_WG=_reals(X_WG[:, :3]),
+            X_WG=reals(X_WG[:, :3]),
             free_yaw=_integers(free_yaw),
-            X_LT=_reals(robot.X_LT),
-            lower=_reals(robot.lower),
-            upper=_reals(robot.upper),
+            X_LT=reals(robot.X_LT),
+            lower=reals(robot.lower),
+            upper=reals(robot.upper),
             held=kept,
             iterations=iterations,
             patience=patience,
@@ -187,7 +188,7 @@ class Kernels:
         """
         flat, batch = self.rows("q", q)
         _check_margin(margin)
-        lower, upper = _reals(self.robot.lower), _reals(self.robot.upper)
+        lower, upper = reals(self.robot.lower), reals(self.robot.upper)
         return self.core.projected(flat, lower, upper, margin + PROJECTED).reshape(*batch, self.nq)
 
     def clearance(self, q: ArrayLike) -> Float[Array, "*batch"]:
@@ -213,7 +214,7 @@ class Kernels:
         """Return the impact by Algorithm 1 with these severities."""
         if np.shape(severity) != self.hazards.severity.shape:
             raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
-        return ImpactKernel(self, _native.OverlapImpact(self.core, _reals(finite_array("severity", severity))))
+        return ImpactKernel(self, _native.OverlapImpact(self.core, reals(finite_array("severity", severity))))
 
     def impact(self, q: ArrayLike, severity: Float[Array, "component entity"]) -> Float[Array, "*batch"]:
         """Expected severity by Algorithm 1 given a failure at q: sum of P S."""
@@ -228,7 +229,7 @@ class Kernels:
     def rows(self, name: str, q: ArrayLike) -> tuple[Float[Array, "n nq"], tuple[int, ...]]:
         """Return configurations (or velocities) row by row, as the core takes them, and their batch axes."""
         array = self._positions(name, q)
-        return _reals(array.reshape(-1, self.nq)), array.shape[:-1]
+        return reals(array.reshape(-1, self.nq)), array.shape[:-1]
 
     def edge_rows(self, q0: ArrayLike, q1: ArrayLike, step: float) -> tuple[Array, Array, tuple[int, ...]]:
         """Return the ends of edges row by row, and their batch axes."""
@@ -242,7 +243,7 @@ class Kernels:
         longest = float(np.max(np.linalg.norm(second - first, axis=-1), initial=0.0))
         if longest > step * MAX_SAMPLES:
             raise SettingError("step", step, f"at least {longest / MAX_SAMPLES:.3g} for an edge of {longest:.3g} rad")
-        return _reals(first.reshape(-1, self.nq)), _reals(second.reshape(-1, self.nq)), first.shape[:-1]
+        return reals(first.reshape(-1, self.nq)), reals(second.reshape(-1, self.nq)), first.shape[:-1]
 
     def _positions(self, name: str, q: ArrayLike) -> Float[Array, "..."]:
         array = finite_array(name, q, last=self.nq)
@@ -272,7 +273,7 @@ class ImpactKernel:
 
     def timed(self, speed: Float[Array, " nq"]) -> ImpactKernel:
         """Return the same model with edges that count by their time, the joints at these speeds [rad/s or m/s]."""
-        return ImpactKernel(self.kernels, _native.TimedImpact(self.native, _reals(speed)))
+        return ImpactKernel(self.kernels, _native.TimedImpact(self.native, reals(speed)))
 
     def states(self, q: ArrayLike) -> Float[Array, "*batch"]:
         """Expected severity given a failure at q, at rest."""

@@ -11,6 +11,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.core import _native
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.consequence import Damage
 from graceful_plan.costs.cost import Cost, StateBatch
@@ -184,7 +185,7 @@ class ImpactCost(Cost):
         if not scene.moving:
             return np.zeros(len(batch))
         P = np.asarray(sum(moving_model(self.interaction).sources(batch, self.counted(scene)).values()))
-        return np.einsum("nce,ce->n", P, self.hazard_severity(scene)[:, len(scene.entities) : len(scene.hazards)])
+        return np.einsum("nce,ce->n", P, self._moving_severity(scene))
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
         """Derivative of the expected severity with respect to q at constant velocity, None if the model has none."""
@@ -214,15 +215,27 @@ class ImpactCost(Cost):
 
         Of entities that move it is only close: see `MovingModel.kernels`.
         """
-        model = self.interaction
-        if not isinstance(model, NativeModel):
-            return None
-        still = model.kernel(scene, self.severity(scene), paces, self.own(scene))
+        still = self.still_kernel(scene, paces)
         if still is None or not scene.moving:
             return still
-        severity = self.hazard_severity(scene)[:, len(scene.entities) : len(scene.hazards)]
-        moving = moving_model(model).kernels(scene, severity, paces)
+        moving = moving_model(self.interaction).kernels(scene, self._moving_severity(scene), paces)
         return None if moving is None else reduce(add, moving, still)
+
+    def still_kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
+        """Return the native kernel of what stands still and of the carried object itself, None if there is none."""
+        model = self.interaction
+        return (
+            model.kernel(scene, self.severity(scene), paces, self.own(scene))
+            if isinstance(model, NativeModel)
+            else None
+        )
+
+    def moving_impact(self, scene: Scene) -> _native.MovingImpact:
+        """Return the part of moving entities at times, in the core."""
+        return moving_model(self.interaction).impact(scene, self._moving_severity(scene))
+
+    def _moving_severity(self, scene: Scene) -> Float[Array, "component moving"]:
+        return self.hazard_severity(scene)[:, len(scene.entities) : len(scene.hazards)]
 
     def is_published(self) -> bool:
         """Whether this is the published model, Algorithm 1, which a verdict can recompute on its own."""

@@ -18,6 +18,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, ImpactKernel
 from graceful_plan.costs.blocks.native_cost import native_kernel
@@ -121,6 +122,15 @@ class ChargedStates:
 
 
 @final
+@dataclass(frozen=True, eq=False)
+class AmongMoving:
+    """Native impact of states at times: of all that stands still, and of entities that move."""
+
+    still: ImpactKernel
+    moving: _native.MovingImpact
+
+
+@final
 class SceneObjective:
     """An objective in a scene: what planners see (`BoundObjective`), and the breakdown of whole paths."""
 
@@ -153,6 +163,15 @@ class SceneObjective:
         if kernel is None or exposure == "length":
             return kernel
         return kernel.timed(self.pace * self.scene.limits.velocity)
+
+    @cached_property
+    def among_moving(self) -> AmongMoving | None:
+        """What motions are charged at their times where entities move; None if nothing moves or Python computes it."""
+        impact = self.objective.impact
+        if not (self.scene.moving and isinstance(impact, ImpactCost) and self.objective.exposure != "waypoints"):
+            return None
+        still = impact.still_kernel(self.scene, self.paces)
+        return None if still is None else AmongMoving(still, impact.moving_impact(self.scene))
 
     def states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None = None) -> Float[Array, " n"]:
         """Impact given a failure at each state, at rest without joint velocities [rad/s or m/s]."""
@@ -248,13 +267,14 @@ class SceneObjective:
     def descended(self) -> SceneObjective | None:
         """Return the objective in a form along which whole motions can descend; None if there is none.
 
-        It is itself, and length alone where no impact counts. Where something moves, only native impacts over time are
-        close enough without the times of a motion.
+        It is itself, and length alone where no impact counts. Where something moves, only native impacts know the times
+        of a motion, or are close enough without them.
         """
         if self.w == 0.0 and self.motion_is_length:
             return Objective(impact=ImpactCost(model="aabb"), w=0.0).bind(self.scene, self.paces)
         native = self.kernel is not None and self.objective.exposure == "time"
-        return self if native or not self.scene.moving else None
+        timed = self.among_moving is not None and self.scene.base is None
+        return self if native or timed or not self.scene.moving else None
 
     def widened(self, metres: float) -> SceneObjective | None:
         """Return the objective with hits smeared by so much more, None if its impact has no such form.

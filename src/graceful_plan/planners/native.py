@@ -29,13 +29,13 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
     """Make the space that the core plans in.
 
     In a scene, collision is native whatever the cost is, and Python is asked for costs alone, by batches; else it is
-    called back for every edge.
+    called back for every edge. Descents of motions know where moving entities are at which time.
     """
     lower, upper = (np.ascontiguousarray(limit, dtype=np.float64) for limit in (problem.lower, problem.upper))
     scene_objective = objective if isinstance(objective, SceneObjective) else None
     kernel = None if scene_objective is None else scene_objective.kernel
     if isinstance(problem, SceneProblem) and scene_objective is not None:
-        custom = problem.custom
+        custom, among = problem.custom, scene_objective.among_moving
         return _native.SceneSpace(
             core=problem.kernels.core,
             impact=_own_cost(scene_objective, problem.kernels.core) if kernel is None else kernel.native,
@@ -48,6 +48,9 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
             margin=problem.margin,
             holds=None if custom is None else lambda q: custom.custom_holds(q, problem.margin),
             clearance=None if custom is None else custom.custom_clearance,
+            still=None if among is None else among.still.native,
+            moving=None if among is None else among.moving,
+            keeps_off=scene_objective.scene.base is not None,
         )
     return _native.CallbackSpace(
         edges_free=lambda q0, q1: _answer(problem, "edges_free", problem.edges_free(q0, q1), (len(q0),), np.bool_),

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
+from moving_twin import OffPrediction, moving_spheres, touched
 from test_drop import BOX, gantry
 
 import graceful_plan as gp
@@ -14,11 +15,10 @@ from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
-from graceful_plan.costs.models.moving.arm import moving_spheres
-from graceful_plan.costs.models.moving.drops import moving_probability
 from graceful_plan.costs.models.moving.model import MovingModel
-from graceful_plan.costs.models.moving.whereabouts import PLACES, OffPrediction, cell_of, normal_places, touched
+from graceful_plan.costs.models.moving.whereabouts import PLACES, cell_of, normal_places
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.elements import COMPONENTS
 
 _STANDING = (0.03, 0.15)
 """Largest mean and single difference from the model of what stands still: here the object is followed down the side of
@@ -45,6 +45,10 @@ def walker(x=0.3, y=0.0, *, size="box", speed=0.0, heading=0.0, passes=0.0, turn
     return gp.MovingEntity("walker", "pet", size=_SIZES[size], t=times, position=position, yaw=yaw, **more)
 
 
+def moving_probability(batch, components=COMPONENTS, places=PLACES):
+    return sum(MovingModel(places=places).sources(batch, components).values())
+
+
 def probability(scene, entity, q, qd=None, time=None, component="carried"):
     q = np.atleast_2d(np.asarray(q, float))
     qd = np.zeros_like(q) if qd is None else np.atleast_2d(np.asarray(qd, float))
@@ -52,7 +56,7 @@ def probability(scene, entity, q, qd=None, time=None, component="carried"):
     direction = np.divide(qd, speed[:, None], out=np.zeros_like(qd), where=speed[:, None] > 0.0)
     times = None if time is None else np.broadcast_to(np.asarray(time, float), (len(q),))
     batch = StateBatch(scene.with_moving(entity), q, direction, speed, times)
-    P = moving_probability(batch, DropSettings.shipped())
+    P = moving_probability(batch)
     return P[:, list(scene.components).index(component), 0]
 
 
@@ -189,23 +193,18 @@ def test_so_many_places_cannot_stand_for_anybody(places):
 
 def test_few_places_are_close_to_many(scene):
     batch = _near_a_walker(scene, 400)
-    many, few = (
-        moving_probability(batch, DropSettings.shipped(), ("carried",), places).sum(axis=(1, 2))
-        for places in (PLACES, 12)
-    )
+    many, few = (moving_probability(batch, ("carried",), places).sum(axis=(1, 2)) for places in (PLACES, 12))
     assert many.sum() > 10.0 and few.sum() == pytest.approx(many.sum(), rel=0.1)
     assert np.corrcoef(few, many)[0, 1] > 0.85
 
 
 def test_states_that_are_asked_for_at_many_times_are_the_same_as_one_by_one(scene):
     batch = _near_a_walker(scene, 40, same=8)
-    whole = moving_probability(batch, DropSettings.shipped(), ("carried",))
+    whole = moving_probability(batch, ("carried",))
     assert whole.max() > 0.1
     for i in range(len(batch)):
         one = batch[i : i + 1]
-        np.testing.assert_allclose(
-            moving_probability(one, DropSettings.shipped(), ("carried",))[0], whole[i], atol=1e-12
-        )
+        np.testing.assert_allclose(moving_probability(one, ("carried",))[0], whole[i], atol=1e-12)
 
 
 def _near_a_walker(scene, n, same=1):
@@ -291,7 +290,7 @@ def test_components_that_are_not_asked_for_are_zero():
     place = task.scene.data_at(task.start).site(task.scene.tool).xpos * [1, 1, 0] + [0, 0, 0.8]
     near = task.scene.with_moving(gp.MovingEntity("p", "adult", size=[0.2, 0.05], t=[0.0], position=[place]))
     batch = StateBatch(near, task.start[None])
-    P = moving_probability(batch, DropSettings.shipped(), ("contents",))[0, :, 0]
+    P = moving_probability(batch, ("contents",))[0, :, 0]
     asked = np.array([name == "contents" for name in near.components])
     assert P[asked] > 0.5
     assert not P[~asked].any()
@@ -361,7 +360,7 @@ def test_moving_entities_are_hit_by_the_shipped_drop_model_whatever_the_model(sc
     batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
     components = ("body", "carried", "contents")
     own, aabb = (gp.ImpactCost(model, components, consequence) for model in (Nothing(), "aabb"))
-    n, shipped = len(scene.entities), moving_probability(batch, DropSettings.shipped())
+    n, shipped = len(scene.entities), moving_probability(batch)
     assert shipped.max() > 0.9
     for cost in (own, aabb):
         np.testing.assert_allclose(cost.probability(batch)[..., n:], shipped)

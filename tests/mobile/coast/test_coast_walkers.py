@@ -10,7 +10,7 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.thinned import thinned
-from graceful_plan.mobile.coast.walkers import seen_from_above, walkers_met
+from graceful_plan.mobile.coast.walkers import moving_coast, seen_from_above
 from hall import hall
 
 SHIPPED = CoastSettings.shipped()
@@ -24,7 +24,7 @@ def walker(position, t=None, **given):
 
 
 def met(entity, q, qd, t, scene=SCENE, settings=SHIPPED):
-    return walkers_met(moving_batch(scene.with_moving(entity), q, qd, np.full(len(q), float(t))), settings)[:, 0]
+    return moving_coast(scene.with_moving(entity), settings).probability(q, qd, np.full(len(q), float(t)))[:, 0]
 
 
 def states(n, around, seed=0):

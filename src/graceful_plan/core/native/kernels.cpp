@@ -44,6 +44,9 @@ constexpr double kTiny = 1e-300;
 #include "impact/body_distance.hpp"
 #include "impact/body.hpp"
 #include "impact/body_gradient.hpp"
+#include "impact/moving/path.hpp"
+#include "impact/moving/hit.hpp"
+#include "impact/moving/hit_gradient.hpp"
 
 // The drop model in single precision, with shorter tails.
 namespace rough {
@@ -77,6 +80,8 @@ static inline void for_each_block(const Tables& tables, const States& states, Vi
     visit(first, left < size_t(kAbreast<V>) ? int(left) : kAbreast<V>, X_W);
   }
 }
+
+#include "impact/moving/near.hpp"
 
 static void link_poses(const Tables& tables, const States& states, double* X_WL) {
   for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
@@ -385,6 +390,11 @@ extern const Kernels GP_JOIN(kernels_, GP_ISA) = {
     .body_impact = GP_ISA::body_impact,
     .body_gradient = GP_ISA::body_gradient,
     .body_dynamics = GP_ISA::body_dynamics,
+    .moving_drop = GP_ISA::moving::drop_probability,
+    .moving_drop_gradient = GP_ISA::moving::drop_gradient,
+    .moving_arm = GP_ISA::moving::arm_probability,
+    .moving_arm_gradient = GP_ISA::moving::arm_gradient,
+    .moving_gaps = GP_ISA::moving::gaps,
     .elementary = GP_ISA::elementary,
 };
 

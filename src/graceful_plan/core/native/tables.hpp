@@ -3,6 +3,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "impact/moving/tables.hpp"
+
 namespace gp {
 
 constexpr int kMaxLinks = 48;
@@ -315,6 +317,19 @@ struct Kernels {
   void (*body_impact)(const Tables&, const BodyTables&, const BodyHarm&, const States&, double* impact);
   void (*body_gradient)(const Tables&, const BodyTables&, const BodyHarm&, const States&, const Slopes&);
   void (*body_dynamics)(const Tables&, const BodyTables&, const States&, double* mass_matrix, double* gravity);
+  // What a dropped object and a collapsing arm do to entities that move: P [n, n_entity] at times or, if t is null,
+  // along their paths; of those without severity it is 0, if severities are given. Gradients of sums of P S, at times.
+  void (*moving_drop)(const Tables&, const DropTables&, const MovingPaths&, const MovingPlaces&, const double* severity,
+                      const States&, const double* t, double* probability);
+  void (*moving_drop_gradient)(const Tables&, const DropTables&, const MovingPaths&, const MovingPlaces&,
+                               const double* severity, const States&, const double* t, const MovingSlopes&);
+  void (*moving_arm)(const Tables&, const MovingPaths&, const double* severity, const States&, const double* t,
+                     double* probability);
+  void (*moving_arm_gradient)(const Tables&, const MovingPaths&, const double* severity, const States&, const double* t,
+                              const MovingSlopes&);
+  // The gap to the nearest entity that moves, infinite where it is not below `wanted`; d_q and d_t null or derivatives.
+  void (*moving_gaps)(const Tables&, const MovingPaths&, const States&, const double* t, double wanted, double* gap,
+                      double* d_q, double* d_t);
   void (*elementary)(const double* x, size_t n, double* exponential, double* logarithm);
 };
 

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.core import _native
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.scene.mobile.room import mobile_room
@@ -40,8 +41,8 @@ class FailingBase(ABC):
         """Return P(the base hits entity | it fails), times what the hit is worth; zero but for the body."""
 
     @abstractmethod
-    def met(self, batch: StateBatch) -> Float[Array, "n moving"]:
-        """Return the same for entities that move; without times, the mean over each predicted path."""
+    def meeting(self, scene: Scene) -> _native.MovingSource:
+        """Return the same in the core, for entities that move."""
 
     @abstractmethod
     def kernel(

@@ -43,15 +43,15 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.core.kernels import ImpactKernel
+from graceful_plan.core.kernels import ImpactKernel, reals
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.failing_base import FailingBase
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.mobile.coast.constants import CoastSettings
-from graceful_plan.mobile.coast.native import coast_model, reals
+from graceful_plan.mobile.coast.native import coast_model
 from graceful_plan.mobile.coast.thinned import thinned
-from graceful_plan.mobile.coast.walkers import walkers_met
+from graceful_plan.mobile.coast.walkers import moving_coast
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -99,9 +99,9 @@ class Coast(NativeModel, FailingBase):
         """Return the share of its energy at a speed [m/s] in what severities are for."""
         return min(1.0, (speed / self.settings.reference_speed) ** 2)
 
-    def met(self, batch: StateBatch) -> Float[Array, "n moving"]:
-        """Return P that entities that move are met, times what the energy is worth."""
-        return walkers_met(batch, self.settings)
+    def meeting(self, scene: Scene) -> _native.MovingCoast:
+        """Return P that entities that move are met, times what the energy is worth: see `moving_coast`."""
+        return moving_coast(scene, self.settings)
 
     def moving(self) -> MovingModel:
         """Return the model for entities that move: a failing base meets them where they then are."""

@@ -7,6 +7,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import reals
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.four_wheel import one_sided_ways
 from graceful_plan.mobile.coast.tables import coast_tables
@@ -53,7 +54,3 @@ def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Float[Ar
         "astray": reals(settings.beside(scene.base)),
     }
 
-
-def reals(values: object) -> Float[Array, "..."]:
-    """Return numbers as the core takes them."""
-    return np.ascontiguousarray(values, dtype=np.float64)

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
-from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.moving.drops import mean_over_times, path_times
-from graceful_plan.costs.models.moving.outlines import outlines
+from graceful_plan.array_types import Float
+from graceful_plan.core import _native
 from graceful_plan.mobile.coast.constants import CoastSettings
-from graceful_plan.mobile.coast.native import coast_model, reals
+from graceful_plan.mobile.coast.native import coast_model
 from graceful_plan.mobile.coast.tables import coast_tables
+from graceful_plan.costs.models.moving.drops import moving_table
+from graceful_plan.costs.models.moving.outlines import outlines
 from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -24,44 +25,11 @@ _SOON = 1e-3
 """Time over which a velocity is looked at [s]."""
 
 
-def walkers_met(batch: StateBatch, settings: CoastSettings) -> Float[Array, "n moving"]:
-    """Return P that a base that fails in each state meets each moving entity, times what the energy is worth."""
-    scene = batch.scene
-    P = np.zeros((len(batch), len(scene.moving)))
-    if scene.base is None or not P.size:
-        return P
-    for column, entity in enumerate(scene.moving.values()):
-        times = path_times(entity) if batch.time is None else batch.time[:, None]
-        times = np.broadcast_to(times, (len(batch), times.shape[-1]))
-
-        def met(who: MovingEntity, state: Int[Array, " pair"], t: Float[Array, " pair"]) -> Float[Array, " pair"]:
-            return walker_met(scene, settings, who, (batch.q[state], batch.qd[state], t))
-
-        P[:, column] = mean_over_times(met, entity, times)
-    return P
-
-
-def walker_met(
-    scene: Scene,
-    settings: CoastSettings,
-    entity: MovingEntity,
-    states: tuple[Float[Array, "n nq"], Float[Array, "n nq"], Float[Array, " n"]],
-) -> Float[Array, " n"]:
-    """Return P that one moving entity is met.
-
-    Args:
-        scene: With a base that drives.
-        settings: How it fails.
-        entity: Who.
-        states: Configurations, their velocities, and times on the clock of the prediction [s].
-    """
-    q, qd, t = states
-    shape, velocity, spread = seen_from_above(entity, t)
-    native = coast_model(scene, settings)
-    found = native.met(reals(q), reals(qd), shape=reals(shape), velocity=reals(velocity), spread=reals(spread))
+@per_scene(most=4)
+def moving_coast(scene: Scene, settings: CoastSettings) -> _native.MovingCoast:
+    """Return P that a failing base meets each moving entity, times what its energy is worth."""
     bottom, top = coast_tables(scene).height
-    z, half = entity.at(t).position[:, 2], entity.half_size[2]
-    return np.where((z - half < top) & (z + half > bottom), found, 0.0)
+    return _native.MovingCoast(moving_table(scene), coast_model(scene, settings), bottom=bottom, top=top)
 
 
 def seen_from_above(

@@ -8,8 +8,9 @@ namespace gp {
 
 void bind_core(nb::module_&);
 void bind_impact(nb::module_&);  // after bind_core
+void bind_moving(nb::module_&);  // after bind_impact
 void bind_timing(nb::module_&);  // after bind_core
-void bind_search(nb::module_&);  // after bind_impact and bind_timing
-void bind_mobile(nb::module_&);  // after bind_impact; not there in a build without mobile/
+void bind_search(nb::module_&);  // after bind_moving and bind_timing
+void bind_mobile(nb::module_&);  // after bind_moving; not there in a build without mobile/
 
 }  // namespace gp

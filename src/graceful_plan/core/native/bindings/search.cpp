@@ -6,6 +6,7 @@
 
 #include "bindings/bindings.hpp"
 #include "impact/impact.hpp"
+#include "impact/moving/moving_impact.hpp"
 #include "mobile/rolling_curve.hpp"
 #include "search/anytime.hpp"
 #include "search/connect.hpp"
@@ -36,21 +37,33 @@ struct CustomConstraints {
 
 template <class T, size_t Dims> using Answer = nb::ndarray<const T, nb::ndim<Dims>, nb::c_contig, nb::device::cpu>;
 
+// What motions are charged for their states where entities move: these at their times, and all that stands still.
+struct AmongMoving {
+  const Impact* still;
+  const MovingImpact* moving;  // null where nothing moves
+  bool keeps_off;              // whether the sound robot keeps a distance from them, as bases that drive do
+};
+
 // Collision and cost from the kernels, and from Python what else has to hold.
 class SceneSpace final : public Space {
  public:
-  SceneSpace(const Core& core, const Impact& impact, const SpaceSettings& settings, CustomConstraints custom)
+  SceneSpace(const Core& core, const Impact& impact, const SpaceSettings& settings, CustomConstraints custom,
+             const AmongMoving& among)
       : Space(settings.low, settings.high, settings.weight),
         core_(core),
         impact_(impact),
         settings_(settings),
-        custom_(std::move(custom)) {
+        custom_(std::move(custom)),
+        among_(among) {
     margin = settings.margin;
     require(dim == core.tables().n_joint && impact.core().tables().n_joint == dim, "limits of another robot");
     for (double step : {settings.check_step, settings.fine_step, settings.cost_step})
       require(in_range(step, kLeastStep) && extent() <= step * kMaxSamples, "step of an edge");
     require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
     require(custom_.holds.is_none() == custom_.clearance.is_none(), "holds and clearance come together");
+    require(!among.moving == !among.still, "what moves and what stands still come together");
+    for (const Core* other : {among.moving ? &among.moving->core() : &core, among.still ? &among.still->core() : &core})
+      require(other->tables().n_joint == dim, "limits of another robot");
   }
   bool edge_free(const double* a, const double* b) override { return free_at(a, b, settings_.check_step); }
   bool edge_certain(const double* a, const double* b) override { return free_at(a, b, settings_.fine_step); }
@@ -79,7 +92,14 @@ class SceneSpace final : public Space {
   double exposure(const double* a, const double* b) const override { return impact_.exposure(a, b); }
   bool has_state_slopes() const override { return true; }
   void state_slopes(const MovingStates& of, const StateSlopes& out) override {
-    impact_.state_slopes({of.q, of.qd, size_t(of.n)}, of.rough, {out.impact, out.by_q, out.by_qd});
+    const Impact& impact = has_moving() ? *among_.still : impact_;
+    impact.state_slopes({of.q, of.qd, size_t(of.n)}, of.rough, {out.impact, out.by_q, out.by_qd});
+  }
+  bool has_moving() const override { return among_.moving != nullptr; }
+  void moving_slopes(const TimedStates& of, const TimedSlopes& out) override { among_.moving->slopes(of, out); }
+  void gaps(const TimedProbes& of, const GapSlopes& out) override {
+    if (among_.keeps_off) return among_.moving->gaps(of, out);
+    std::fill_n(out.gap, of.n, std::numeric_limits<double>::infinity());
   }
   Measure measure() const override { return impact_.measure(); }
   bool motion_is_length() const override { return impact_.motion_is_length(); }
@@ -171,6 +191,7 @@ class SceneSpace final : public Space {
   const Impact& impact_;
   SpaceSettings settings_;
   CustomConstraints custom_;
+  AmongMoving among_;
 };
 
 // Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2], state_costs(q) -> [n].
@@ -464,14 +485,15 @@ void bind_search(nb::module_& m) {
           "__init__",
           [](SceneSpace* self, const Core& core, const Impact& impact, Reals lower, Reals upper, double w,
              double check_step, double fine_step, double cost_step, double margin, nb::object holds,
-             nb::object clearance, bool projects) {
+             nb::object clearance, bool projects, const Impact* still, const MovingImpact* moving, bool keeps_off) {
             new (self) SceneSpace(core, impact,
                                   {point(lower), point(upper), w, check_step, fine_step, cost_step, margin, projects},
-                                  {std::move(holds), std::move(clearance)});
+                                  {std::move(holds), std::move(clearance)}, {still, moving, keeps_off});
           },
           nb::kw_only(), "core"_a, "impact"_a, "lower"_a, "upper"_a, "w"_a, "check_step"_a, "fine_step"_a,
           "cost_step"_a, "margin"_a, "holds"_a = nb::none(), "clearance"_a = nb::none(), "projects"_a = true,
-          nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
+          "still"_a.none() = nb::none(), "moving"_a.none() = nb::none(), "keeps_off"_a = false, nb::keep_alive<1, 2>(),
+          nb::keep_alive<1, 3>(), nb::keep_alive<1, 14>(), nb::keep_alive<1, 15>());
   nb::class_<CallbackSpace, Space>(m, "CallbackSpace")
       .def(
           "__init__",

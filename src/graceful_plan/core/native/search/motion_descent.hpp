@@ -347,6 +347,9 @@ class MotionDescent {
     const size_t samples = curve_->samples();
     space_.state_slopes({at_.q.data(), qd_.data(), int(samples), settings_.rough},
                         {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
+    if (space_.has_moving())
+      space_.moving_slopes({at_.q.data(), qd_.data(), time_.data(), int(samples)},
+                           {impact_.data(), impact_by_q_.data(), impact_by_qd_.data(), by_time_.data()});
     const Measure measure = space_.measure();
     if (measure == Measure::kLength) stretch(impact_, space_.w, 0.0);
     double sum = 0;

@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
-from graceful_plan.core.kernels import ImpactKernel
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.core import _native
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import ImpactKernel, reals
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.failing_base import FailingBase, failing_base
-from graceful_plan.costs.models.moving.drops import moving_probability
+from graceful_plan.costs.models.moving.drops import moving_arm, moving_drop, moving_table
 from graceful_plan.costs.models.moving.kernel import moving_kernels
 from graceful_plan.costs.models.moving.whereabouts import PLACES, check_places
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """A way to fail: its name and probability, the components that it strikes with, and whom it hits."""
+
+    name: str
+    weight: float
+    strikes: Bool[Array, " component"]
+    native: _native.MovingSource
 
 
 @final
@@ -59,16 +72,35 @@ class MovingModel:
             batch: States; without times, P is the mean over each entity's predicted path.
             components: Which to compute; the others are 0.
         """
-        counted = [name for name in components if (self.collapse if name == "body" else self.drop) > 0.0]
-        P = moving_probability(batch, self.settings, counted, self.places)
-        falls = np.array([name != "body" for name in batch.scene.components])[:, None]
-        base, coast = self._of_base(batch.scene)
-        aboard = 1.0 - coast
-        found = {"drop": aboard * self.drop * P * falls, "collapse": aboard * self.collapse * P * ~falls}
-        if base is not None and coast > 0.0 and "body" in components:
-            met = coast * base.met(batch)
-            found["coast"] = np.where(falls, 0.0, met[:, None])
+        scene = batch.scene
+        q, qd = reals(batch.q), reals(batch.qd)
+        time = None if batch.time is None else reals(batch.time)
+        shape = len(batch), len(scene.components), len(scene.moving)
+        found = {name: np.zeros(shape) for name in ("drop", "collapse")}
+        for way in self._ways(scene, components):
+            P = way.weight * way.native.probability(q, qd, time)
+            found[way.name] = np.where(way.strikes[:, None], P[:, None], 0.0)
         return found
+
+    def impact(self, scene: Scene, severity: Float[Array, "component moving"]) -> _native.MovingImpact:
+        """Return sums of P S at times with their derivatives, and gaps between the robot and moving entities."""
+        impact = _native.MovingImpact(compile_scene(scene).kernels.core, moving_table(scene))
+        for way in self._ways(scene, COMPONENTS):
+            impact.add(way.native, reals(way.weight * severity[way.strikes].sum(axis=0)))
+        return impact
+
+    def _ways(self, scene: Scene, components: Collection[str]) -> Iterator[_Way]:
+        """Yield what may go wrong for some components."""
+        base, coast = self._of_base(scene)
+        aboard = 1.0 - coast
+        falls = np.array([name != "body" and name in components for name in scene.components])
+        body = np.array([name == "body" and name in components for name in scene.components])
+        if self.drop > 0.0 and scene.carried is not None and falls.any():
+            yield _Way("drop", aboard * self.drop, falls, moving_drop(scene, self.settings, self.places))
+        if self.collapse > 0.0 and body.any():
+            yield _Way("collapse", aboard * self.collapse, body, moving_arm(scene))
+        if base is not None and coast > 0.0 and body.any():
+            yield _Way("coast", coast, body, base.meeting(scene))
 
     def kernels(
         self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]

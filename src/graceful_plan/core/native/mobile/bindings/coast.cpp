@@ -1,5 +1,5 @@
 // What a base that fails harms.
-#include "mobile/coast/coast.hpp"
+#include "mobile/coast/moving_coast.hpp"
 
 #include "mobile/bindings/mobile.hpp"
 
@@ -18,8 +18,10 @@ void bind_coast(nb::module_& m) {
           },
           "core"_a, nb::kw_only(), "entity"_a, "shape"_a, "n_entity"_a, "outline"_a, "stops"_a, "constants"_a,
           "share"_a, "speeds"_a, "rates"_a, "places"_a, "astray"_a, nb::keep_alive<1, 2>())
-      .def("probability", &CoastModel::probability, "q"_a, "qd"_a)
-      .def("met", &CoastModel::met, "q"_a, "qd"_a, nb::kw_only(), "shape"_a, "velocity"_a, "spread"_a);
+      .def("probability", &CoastModel::probability, "q"_a, "qd"_a);
+  nb::class_<MovingCoast, MovingSource>(m, "MovingCoast")
+      .def(nb::init<const MovingTable&, const CoastModel&, double, double>(), "table"_a, "model"_a, nb::kw_only(),
+           "bottom"_a, "top"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
   nb::class_<CoastImpact, Impact>(m, "CoastImpact")
       .def(nb::init<const CoastModel&, const CoastModel&, Reals, Reals, double, double>(), "model"_a, "rough"_a,
            "severity"_a, "speed"_a, "slow"_a, "fast"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());

@@ -34,50 +34,44 @@ class CoastModel {
     }
     return array;
   }
-  // P that somebody is met who is there when the base fails, and goes on as now: one for each state.
-  auto met(Reals q, Reals qd, Reals shape, Reals velocity, Reals spread) const {
-    double* out;
-    auto array = make<double>({core_.rows(q)}, out);
-    const States states = core_.states(q, qd);
-    const std::vector<FloorShape> who = walkers(states.n, shape, velocity, spread);
-    nb::gil_scoped_release release;
-    const size_t nq = size_t(core_.tables().n_joint);
-    Coasting::Work work{coasting_, n_entity_ + 1};
-    std::vector<FloorShape> all = shape_;
-    for (size_t i = 0; i < states.n; ++i) {
-      all.push_back(who[i]);
-      const double* qi = states.q + i * nq;
-      const double v = speed(qi, states.qd + i * nq);
-      const Coasting::State at{qi[0], qi[1], qi[2], v, states.qd[i * nq + 2]};
-      out[i] = coasting_.reaches(at, who[i]) && coasting_.hits(at, all, nullptr, work) ? work.hit[n_entity_] : 0.0;
-      all.pop_back();
-    }
-    return array;
+  // P that somebody is met who is there when the base fails, and goes on as now.
+  struct Encounter {
+    Coasting::Work work;
+    std::vector<FloorShape> shape;
+  };
+  Encounter encounter() const { return {{coasting_, n_entity_ + 1}, shape_}; }
+  double met(const double* q, const double* qd, const FloorShape& who, Encounter& with) const {
+    return meets(state(q, qd), who, with) ? with.work.hit[n_entity_] : 0.0;
+  }
+  // The same with derivatives by x, y, heading, speed along it, rate of turning, and time.
+  Dual met_slopes(const double* q, const double* qd, const FloorShape& who, Encounter& with) const {
+    Coasting::Moving<Dual> at = slopes(q, qd);
+    at.time = Dual::variable(0.0, 5);
+    return meets(at, who, with) ? with.work.hit_slopes[n_entity_] : Dual(0.0);
   }
   bool hits(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
-    return coasting_.hits(Coasting::State{q[0], q[1], q[2], speed(q, qd), qd[2]}, shape_, severity, work);
+    return coasting_.hits(state(q, qd), shape_, severity, work);
   }
   // The same with derivatives by x, y, heading, speed along it and rate of turning.
   bool hits_slopes(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
-    const Coasting::Moving<Dual> at{Dual::variable(q[0], 0), Dual::variable(q[1], 1), Dual::variable(q[2], 2),
-                                    Dual::variable(speed(q, qd), 3), Dual::variable(qd[2], 4)};
-    return coasting_.hits(at, shape_, severity, work);
+    return coasting_.hits(slopes(q, qd), shape_, severity, work);
   }
 
  private:
-  static double speed(const double* q, const double* qd) { return qd[0] * std::cos(q[2]) + qd[1] * std::sin(q[2]); }
-  std::vector<FloorShape> walkers(size_t n, const Reals& shape, const Reals& velocity, const Reals& spread) const {
-    require_numbers(shape, 7 * n, "shapes that move", 2 * kMaxExtent);
-    require_numbers(velocity, 2 * n, "velocities of shapes", kMaxPosition);
-    require_numbers(spread, n, "spreads of shapes", kMaxExtent);
-    std::vector<FloorShape> out;
-    for (size_t k = 0; k < n; ++k) {
-      const double *s = shape.data() + 7 * k, *v = velocity.data() + 2 * k;
-      require(spread.data()[k] >= 0, "spread of a shape");
-      out.push_back({int(n_entity_), s[0], s[1], s[2], s[3], s[4], s[5], s[6], v[0], v[1], spread.data()[k]});
-    }
-    return out;
+  static Coasting::State state(const double* q, const double* qd) { return {q[0], q[1], q[2], speed(q, qd), qd[2]}; }
+  static Coasting::Moving<Dual> slopes(const double* q, const double* qd) {
+    return {Dual::variable(q[0], 0), Dual::variable(q[1], 1), Dual::variable(q[2], 2),
+            Dual::variable(speed(q, qd), 3), Dual::variable(qd[2], 4)};
   }
+  template <class T> bool meets(const Coasting::Moving<T>& at, const FloorShape& who, Encounter& with) const {
+    const Coasting::State value{value_of(at.x), value_of(at.y), value_of(at.yaw), value_of(at.v), value_of(at.omega)};
+    if (!coasting_.reaches(value, who)) return false;
+    with.shape.push_back(who);
+    const bool hit = coasting_.hits(at, with.shape, nullptr, with.work, int(n_entity_));
+    with.shape.pop_back();
+    return hit;
+  }
+  static double speed(const double* q, const double* qd) { return qd[0] * std::cos(q[2]) + qd[1] * std::sin(q[2]); }
 
   const Core& core_;
   const Coasting coasting_;

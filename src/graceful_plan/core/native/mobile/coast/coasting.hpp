@@ -160,6 +160,8 @@ class Coasting {
     std::vector<double> energy;          // by place and stop, over that at the speed that severities are for
     std::vector<double> share;           // probability of each stop
     std::vector<size_t> whom, what;      // shapes that are near enough: of entities, and obstacles
+    int only = -1;                       // the one entity that is asked for, if it is one
+    size_t asked = 0;                    // how many of whom, which come first, are asked for
     std::vector<Place<double>> place;
     std::vector<double> gone, clear;  // how far the base went to each place; for each shape up to where nothing is near
     std::vector<Spun<double>> spun;   // of the tables, at the speed and rate of turning of the state before
@@ -239,13 +241,19 @@ class Coasting {
     return d - v * step - around(who, std::max(far, farthest_));
   }
 
-  // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all.
-  bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work) const {
-    work.slopes = false;
+  static constexpr int kAll = -1;
+
+  // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all. If one
+  // entity alone is asked for, the others are there to stop the base before it, and P of them is not found.
+  bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work,
+            int only = kAll) const {
+    work.slopes = false, work.only = only;
     return follow_all(at, nullptr, shape, severity, work);
   }
   // The same with derivatives, in work.hit_slopes.
-  bool hits(const Moving<Dual>& at, const std::vector<FloorShape>& shape, const double* severity, Work& work) const {
+  bool hits(const Moving<Dual>& at, const std::vector<FloorShape>& shape, const double* severity, Work& work,
+            int only = kAll) const {
+    work.only = only;
     work.slopes = true;
     work.hit_slopes.assign(work.hit.size(), Dual(0.0));
     const State value{at.x.value(), at.y.value(), at.yaw.value(), at.v.value(), at.omega.value(), at.time.value()};
@@ -345,9 +353,15 @@ class Coasting {
       if (counts && shape[k].distance(at.x, at.y, 0.0) < most + moves)
         (shape[k].entity < 0 ? work.what : work.whom).push_back(k);
     }
-    if (work.whom.empty()) return false;
+    // Those who are asked for come first.
+    const auto asked = std::stable_partition(work.whom.begin(), work.whom.end(), [&](size_t k) {
+      return work.only == kAll || shape[k].entity == work.only;
+    });
+    work.asked = size_t(asked - work.whom.begin());
+    if (work.asked == 0) return false;
     double gap = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
-    for (const size_t k : work.whom) gap = std::min(gap, nearest(at.x, at.y, shape[k], std::max(longest, lasts_), far));
+    for (size_t j = 0; j < work.asked; ++j)
+      gap = std::min(gap, nearest(at.x, at.y, shape[work.whom[j]], std::max(longest, lasts_), far));
     // Released wheels go along the others' arc if nothing turns so far.
     const bool alike = std::fabs(at.omega / at.v) * far <= turn_ * at.omega * at.omega;
     for (size_t f = 0; f < family_.size(); ++f) {
@@ -402,15 +416,16 @@ class Coasting {
       work.gone[k] = work.gone[k - 1] + length_of(b[0] - a[0], b[1] - a[1]);
     }
     for (size_t j = 0; j < n; ++j) {
+      if (j == work.asked && last == 0) return;
       const FloorShape& who = shape[work.whom[j]];
       const double moves = who.speed();
       double clear = 0;
-      for (size_t k = 0; k < places; ++k) {
+      for (size_t k = 0; k < (j < work.asked ? places : last); ++k) {
         const Place<double>& place = work.place[k];
         if (!may_touch(who, place, work.gone[k], moves, clear)) continue;
         const double d = work.apart[k * n + j] = distance(who, place);
         const double touches = work.touched[k * n + j] = touch(d, who, place);
-        if (touches > kHardly) last = std::max(last, k + 1);
+        if (j < work.asked && touches > kHardly) last = std::max(last, k + 1);
       }
     }
     if (last == 0) return;
@@ -445,6 +460,7 @@ class Coasting {
         }
         const double along = head_on(shape[work.whom[j]], k, j, work), reaches = (1 - before) * touches;
         work.stops[j] = touches * along;
+        if (j >= work.asked) continue;
         const double* energy = &work.energy[k * stops];
         double* most = &work.most[own * stops];
         for (size_t i = 0; i < stops; ++i) {
@@ -649,7 +665,8 @@ class Coasting {
                           T(kNext)};
       std::fill(met.begin(), met.end(), T(0.0));
       bool any = false;
-      for (const size_t k : work.whom) {
+      for (size_t j = 0; j < work.asked; ++j) {
+        const size_t k = work.whom[j];
         const T then = apart(shape[k], next);
         if (is_far(then)) continue;
         const T before = distance(shape[k], now), more = touch(then, shape[k], next) - touch(before, shape[k], now);

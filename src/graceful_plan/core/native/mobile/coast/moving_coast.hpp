@@ -1,0 +1,81 @@
+// Whom of those who move a base meets that fails while it drives: who goes on at the velocity of that moment.
+#pragma once
+#include "impact/moving/moving_impact.hpp"
+#include "mobile/coast/coast.hpp"
+
+namespace gp {
+
+class MovingCoast final : public MovingSource {
+ public:
+  // bottom, top: heights between which the base meets anything.
+  MovingCoast(const MovingTable& table, const CoastModel& model, double bottom, double top)
+      : MovingSource(model.core(), table), model_(model), bottom_(bottom), top_(top) {
+    require(in_range(bottom, -kMaxExtent, top) && top <= kMaxExtent, "heights of a base");
+  }
+  void probability(const States& states, const double* t, const double* severity, double* out) const override {
+    const size_t nq = size_t(core_.tables().n_joint);
+    CoastModel::Encounter encounter = model_.encounter();
+    for (size_t i = 0; i < states.n; ++i) {
+      const double *q = states.q + i * nq, *qd = states.qd + i * nq;
+      for (size_t e = 0; e < table_.size(); ++e, ++out) {
+        *out = 0;
+        if (severity && severity[e] == 0) continue;
+        const MovingEntity& entity = table_.paths().entity[e];
+        if (t) {
+          *out = met(q, qd, entity, t[i], encounter);
+          continue;
+        }
+        for (int k = 0; k < entity.n_time; ++k) *out += met(q, qd, entity, entity.time[k], encounter) / entity.n_time;
+      }
+    }
+  }
+  void slopes(const States& states, const double* t, const double* severity, const MovingSlopes& out) const override {
+    const size_t nq = size_t(core_.tables().n_joint);
+    CoastModel::Encounter encounter = model_.encounter();
+    for (size_t i = 0; i < states.n; ++i) {
+      const double *q = states.q + i * nq, *qd = states.qd + i * nq;
+      double *d_q = out.d_q + i * nq, *d_qd = out.d_qd + i * nq;
+      for (size_t e = 0; e < table_.size(); ++e) {
+        FloorShape who;
+        if (severity[e] == 0 || !seen(table_.paths().entity[e], t[i], who)) continue;
+        const Dual P = severity[e] * model_.met_slopes(q, qd, who, encounter);
+        out.value[i] += P.value(), out.d_t[i] += P.slope(5);
+        const double by_speed = P.slope(3), c = std::cos(q[2]), s = std::sin(q[2]);
+        for (int k = 0; k < 3; ++k) d_q[k] += P.slope(k);
+        d_q[2] += by_speed * (c * qd[1] - s * qd[0]);
+        d_qd[0] += by_speed * c, d_qd[1] += by_speed * s, d_qd[2] += P.slope(4);
+      }
+    }
+  }
+
+ private:
+  static constexpr double kSoon = 1e-3;  // over which a velocity is looked at [s]
+
+  double met(const double* q, const double* qd, const MovingEntity& e, double t,
+             CoastModel::Encounter& encounter) const {
+    FloorShape who;
+    return seen(e, t, who) ? model_.met(q, qd, who, encounter) : 0.0;
+  }
+  // Whether an entity is at the height of the base at a time, and what it is from above.
+  bool seen(const MovingEntity& e, double t, FloorShape& who) const {
+    const MovingTable::Place here = table_.at(e, t), soon = table_.at(e, t + kSoon);
+    if (here.z - e.half[2] >= top_ || here.z + e.half[2] <= bottom_) return false;
+    who = {int(model_.n_entity()),
+           here.x,
+           here.y,
+           std::cos(here.yaw),
+           std::sin(here.yaw),
+           e.round ? 0.0 : e.half[0],
+           e.round ? 0.0 : e.half[1],
+           e.round ? e.half[0] : 0.0,
+           (soon.x - here.x) / kSoon,
+           (soon.y - here.y) / kSoon,
+           here.spread};
+    return true;
+  }
+
+  const CoastModel& model_;
+  const double bottom_, top_;
+};
+
+}  // namespace gp

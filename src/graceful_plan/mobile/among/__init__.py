@@ -1,1 +1,0 @@
-"""Bases among those who move: where and when to go."""
