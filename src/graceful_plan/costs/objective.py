@@ -273,7 +273,7 @@ class SceneObjective:
         if self.w == 0.0 and self.motion_is_length:
             return Objective(impact=ImpactCost(model="aabb"), w=0.0).bind(self.scene, self.paces)
         native = self.kernel is not None and self.objective.exposure == "time"
-        timed = self.among_moving is not None and self.scene.base is None
+        timed = self.among_moving is not None
         return self if native or timed or not self.scene.moving else None
 
     def widened(self, metres: float) -> SceneObjective | None:

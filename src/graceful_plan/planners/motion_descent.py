@@ -268,14 +268,18 @@ class MotionDescents:
         return DescentResult(curve, descent.value, start) if self.is_free(curve, start) else None
 
     def finished(self, start: Start, stage: Stage, budget: Budget) -> DescentResult | None:
-        """Descend, with a heavier penalty while the curve is too close to obstacles; None if it stays so."""
+        """Descend, with a heavier penalty while the curve is too close to obstacles; None if it stays so.
+
+        Where it leads into an entity that moves, it descends with a heavier penalty, too, but is a result if it stays so.
+        """
         descent = self.descended(start, stage, budget)
         if descent is None:
             return None
         for hardening in range(_HARDENINGS + 1):
             curve = start.kind.curve(descent.controls)
             enough = self.has_clearance is None or hardening >= _FOR_CLEARANCE or self.has_clearance(curve, start)
-            if enough and self.is_free(curve, start):
+            passes = hardening == _HARDENINGS or descent.gap > 0.0
+            if enough and passes and self.is_free(curve, start):
                 return DescentResult(curve, descent.value, start)
             if hardening < _HARDENINGS:
                 descent.harden()

@@ -62,8 +62,8 @@ class BestVerified:
 
     @property
     def ranking(self) -> float:
-        """Its ranking; infinite without one."""
-        return np.inf if self._best is None else self._best.motion.ranking
+        """Its ranking; infinite without one, or with one that the judge warns of."""
+        return np.inf if self._best is None or self._best.verdict.warnings else self._best.motion.ranking
 
     @property
     def ended(self) -> bool:
@@ -111,6 +111,10 @@ class BestVerified:
         if not found.verdict.passed:
             self._refused = self._refused or found
             return
+        if self._best is not None and found.verdict.warnings:  # no better than one without a warning
+            best = self._best
+            if not best.verdict.warnings or motion.ranking >= best.motion.ranking:
+                return
         self._best = found
         if first:
             self._stats |= {"first_motion_time": self._budget.elapsed, "first_motion_cost": motion.cost.total}
@@ -129,8 +133,10 @@ class BestVerified:
             return replace(self._failed(), stats=stats)
         if motion.estimate is not None:
             stats["estimated_total"] = motion.estimate
+        checks = self._best.verdict.checks
         return PlanResult(
             status=PlanStatus.SOLVED,
+            detail="; ".join(f"{name}: {checks[name].detail}" for name in self._best.verdict.warnings),
             path=motion.path,
             trajectory=motion.trajectory,
             cost=motion.cost,

@@ -273,8 +273,8 @@ class Doubtful(FailingBase):
     def probability(self, batch):
         return self.coast.probability(batch)
 
-    def met(self, batch):
-        return self.coast.met(batch)
+    def meeting(self, scene):
+        return self.coast.meeting(scene)
 
     def kernel(self, scene, severity, paces):
         return self.coast.kernel(scene, severity, paces)

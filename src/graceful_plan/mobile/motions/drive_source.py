@@ -15,6 +15,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.mobile.motions.carry_postures import carry_postures, with_posture
 from graceful_plan.mobile.motions.drive import Drive, joined
@@ -24,6 +25,7 @@ from graceful_plan.mobile.motions.ways import ways
 from graceful_plan.path import Path
 from graceful_plan.planners.descent_rounds import descend_from
 from graceful_plan.mobile.planners.drive_lattice import DriveLattice
+from graceful_plan.mobile.planners.floor_in_time import FloorInTime
 from graceful_plan.planners.motion_descent import COARSE, DRIVING_TIME_PRICE, DescentResult, DescentSettings, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -35,6 +37,7 @@ from graceful_plan.query.request import Request
 from graceful_plan.result import TracePoint
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.topp import Restraint
+from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
@@ -46,16 +49,24 @@ _WORTH_TIMING = 1.1
 """Ratio of a route's J to that of the best up to which it is timed."""
 _GOALS, _SHORTEST = 3, 2
 """Goals that ways lead to, and ways for a first motion."""
-_TRIED = 6
-"""Routes along these that are tried for it."""
+_TRIED, _COMPARED = 8, 3
+"""Routes along these that are tried for it at most, and of how many that are free it is the best."""
 _LATEST = 2
 """Paths of a search that a round begins with at most."""
 _STARTS = 3
 """Curves that a round begins with, besides those that it refines."""
+_PACES = ((0.6, 0.0, 1.0), (0.35, 0.0, 1.0), (0.25, 0.0, 0.3), (0.25, 0.2, 0.5), (0.25, 0.4, 0.7))
+"""Shares of the speed at which curves begin among those who move, and from where to where along them."""
+_PACES_KEPT = 2
+"""Of these, for each curve."""
 _LOOK = replace(COARSE, evaluations=0)
 """Tells J of a curve as it is."""
 _POSED = 64
 """Points of a curve along which the arm has other postures."""
+_INTO = 1e6
+"""Added to the ranking of motions that drive into somebody."""
+_STANDING = 0.01
+"""Speed of all joints below which a robot does not drive into anybody, but is walked into [m/s or rad/s]."""
 _FREE = 1e9
 """Squared path speed where nothing is to be slower."""
 
@@ -76,7 +87,7 @@ class DriveSource:
         assert base is not None
         self._request, self._ends, self._problem, self._rng, self._base = request, ends, problem, rng, base
         self._short = replace(request, objective=_without_impact(request), preference=None)
-        self._lattice = PausedSearch(request.planner, problem, self._short.objective, rng.spawn(1)[0])
+        self._lattice = _search_as_if_nobody_moved(self._short, problem, rng.spawn(1)[0])
         self._shortening = self._descents_of(self._short)
         self._descents = self._descents_of(request) or self._shortening
         self._drives: list[tuple[Drive, Path, int]] = []
@@ -108,14 +119,18 @@ class DriveSource:
     def search_first(self, budget: Budget) -> Search:
         """Search until there is a drive or a path; return the search."""
         stays = (self._problem.goals == self._problem.start).all(axis=1).any()
+        found: list[tuple[float, Drive, int]] = []
         for route, arrival in () if stays else self._along_ways(first=True)[:_TRIED]:
             drive = self._coarse(route, arrival, budget)
-            if drive is not None:
-                q = drive.grid(1).q
-                self._drives.append((drive, Path(q), arrival))
-                length = Path(q).length
-                point = TracePoint(time=budget.elapsed, total=length, motion=length, impact=0.0)
-                return Search(paths=[Path(q)], trace=[point])
+            found += [(*drive, arrival)] if drive is not None else []
+            if len(found) == _COMPARED or (found and budget.over):
+                break
+        if found:
+            value, drive, arrival = min(found, key=lambda one: one[0])
+            path = Path(drive.grid(1).q)
+            self._drives.append((drive, path, arrival))
+            point = TracePoint(time=budget.elapsed, total=value, motion=path.length, impact=0.0)
+            return Search(paths=[path], trace=[point])
         self._lattice.advance(budget, to_first=True)
         return self._lattice.found
 
@@ -135,7 +150,7 @@ class DriveSource:
             whole, arrival = self._ends.joined(path)
             for route in routes(whole) if whole.length > 0.0 else ():
                 drive = self._coarse(route, arrival, budget)
-                motion = None if drive is None else self._timed(drive, whole, arrival)
+                motion = None if drive is None else self._timed(drive[1], whole, arrival)
                 if motion is not None:
                     yield motion
             yield self._along(whole, arrival)
@@ -183,10 +198,18 @@ class DriveSource:
         while self._rough and not budget.over:
             start = self._rough.pop(0)
             short = start if start.curve is not None else self._shortened(start, budget)
-            descent = None if short is None else self._descents.descended(short, _LOOK, budget)
-            if descent is not None:
-                self._untried.append((descent.value, short))
+            if short is None:
+                continue
+            descent = self._descents.descended(short, _LOOK, budget)
+            if descent is None:
+                continue
+            looked = [(descent.value, short)]
+            for slower in _paced(short) if descent.gap < 0.0 else ():  # somebody may be let pass
+                descent = self._descents.descended(slower, _LOOK, budget)
+                looked += [(descent.value, slower)] if descent is not None else []
+            self._untried += sorted(looked, key=lambda one: one[0])[:_PACES_KEPT]
         self._untried.sort(key=lambda one: one[0])
+
 
     def _shortened(self, start: Start, budget: Budget) -> Start | None:
         assert self._shortening is not None
@@ -210,7 +233,7 @@ class DriveSource:
             return []
         motion, result = self._latest
         self._latest = None
-        arms = carry_postures(motion.trajectory, self._problem, objective, self._rng)
+        arms = carry_postures(motion.trajectory, self._problem, as_if_still(objective), self._rng)
         assert isinstance(result.curve, RollingSpline)
         curves = [replace(result.curve, controls=with_posture(result.curve.controls, arm)) for arm in arms]
         return [replace(result.start, path=Path(curve.even(_POSED)), curve=curve) for curve in curves]
@@ -247,11 +270,12 @@ class DriveSource:
             chosen.append(min(results, key=lambda one: one.value).curve)
         return self._motion(chosen, arrival)
 
-    def _coarse(self, route: Route, arrival: int, budget: Budget) -> Drive | None:
-        """Return a drive along a route whose legs became short and smooth; None if one of them is not free."""
+    def _coarse(self, route: Route, arrival: int, budget: Budget) -> tuple[float, Drive] | None:
+        """Return a drive along a route whose legs became short and smooth, and its cost; None if one is not free."""
         if self._shortening is None:
             return None
         chosen: list[RollingSpline | ArmMove] = []
+        value = 0.0
         for part in route:
             if not isinstance(part, Leg):
                 chosen.append(part)
@@ -260,7 +284,8 @@ class DriveSource:
             if found is None:
                 return None
             chosen.append(found.curve)
-        return self._joined(chosen, arrival)
+            value += found.value
+        return value, self._joined(chosen, arrival)
 
     def _start(self, leg: Leg, arrival: int) -> Start:
         kind = RollingCurves(
@@ -296,7 +321,17 @@ class DriveSource:
                 trajectory = request.constraints.timed(drive, speed=request.speed, slower=restraint)
         except RetimingError:
             return None
-        return costed(whole, trajectory, arrival, request)
+        motion = costed(whole, trajectory, arrival, request)
+        return replace(motion, ranking=motion.ranking + _INTO * self._drives_into_somebody(motion.trajectory))
+
+    def _drives_into_somebody(self, motion: Trajectory) -> bool:
+        """Tell whether the sound robot touches an entity that moves, by the fast checker."""
+        among = self._request.objective.among_moving
+        if among is None:
+            return False
+        moves = np.abs(motion.qd).max(axis=1) > _STANDING
+        gap, _, _ = among.moving.gaps(motion.q[moves], motion.t[moves], 0.0)
+        return bool((gap < 0.0).any())
 
 
 def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]) -> Restraint | None:
@@ -323,6 +358,31 @@ def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]
         return np.stack([begin, end], axis=1)
 
     return limits
+
+
+def as_if_still(of: SceneObjective) -> SceneObjective:
+    """Return the objective as if nobody moved."""
+    return of.objective.bind(as_if_nobody_moved(of.scene), of.paces) if of.scene.moving else of
+
+
+def _search_as_if_nobody_moved(request: Request, problem: SceneProblem, rng: np.random.Generator) -> PausedSearch:
+    """Return a search for paths: it knows no times, at which somebody might be in the way."""
+    of = request.objective
+    if of.scene.moving and not isinstance(request.planner, FloorInTime):
+        of = as_if_still(of)
+        held = request.constraints.on(of.scene)
+        problem = replace(problem, kernels=held.kernels, constraints=held)
+    return PausedSearch(request.planner, problem, of, rng)
+
+
+def _paced(start: Start) -> Iterator[Start]:
+    """Yield a start at slower paces."""
+    assert isinstance(start.curve, RollingSpline)
+    along = np.linspace(0.0, 1.0, len(start.curve.controls))
+    for slow, begin, end in _PACES:
+        controls = start.curve.controls.copy()
+        controls[:, -1] = np.where((along >= begin) & (along <= end), np.log(slow), 0.0)
+        yield replace(start, curve=replace(start.curve, controls=controls))
 
 
 def _is_single(route: Route) -> bool:

@@ -392,6 +392,10 @@ class MotionDescentRun {
   Out<double> inner() const { return as_array({descent_.inner()}, int(descent_.unknowns())); }
   double value() const { return descent_.value(); }
   double duration() const { return descent_.duration(); }
+  double gap() {
+    const Turn turn(taken_);
+    return descent_.gap();
+  }
   nb::tuple energy(Reals controls) {
     require_numbers(controls, descent_.unknowns(), "inner controls of the descent", kMaxPosition);
     const Turn turn(taken_);
@@ -564,7 +568,8 @@ void bind_search(nb::module_& m) {
       .def_prop_ro("inner", &MotionDescentRun::inner, nb::rv_policy::move)
       .def("energy", &MotionDescentRun::energy, "controls"_a)
       .def_prop_ro("value", &MotionDescentRun::value)
-      .def_prop_ro("duration", &MotionDescentRun::duration);
+      .def_prop_ro("duration", &MotionDescentRun::duration)
+      .def_prop_ro("gap", &MotionDescentRun::gap);
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(
           "__init__",

@@ -98,6 +98,15 @@ class MotionDescent {
   // J, and what is charged for being too close.
   double value() const { return now_.total; }
   double duration() const { return now_.duration; }
+  // The least gap to an entity that moves, while the robot moves; infinite where none is within kPassing.
+  double gap() {
+    double least = std::numeric_limits<double>::infinity();
+    if (!space_.has_moving()) return least;
+    Point gradient;
+    evaluate(x_, gradient);
+    for (size_t k = 1; k + 1 < gap_.size(); ++k) least = std::min(least, gap_[k]);
+    return least;
+  }
   // Press harder against what is in the way.
   void harden() {
     push_ *= 4.0;
