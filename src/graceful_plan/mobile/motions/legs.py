@@ -12,6 +12,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.path import Path
+from graceful_plan.mobile.motions.drive import with_heading
 from graceful_plan.mobile.motions.stages import DriveStage, Move, stages
 
 Array = np.ndarray
@@ -108,12 +109,12 @@ def _parts(parts: list[DriveStage]) -> Iterator[Leg | ArmMove]:
         if stage.kind is Move.ARM:
             yield stage.q[[0, -1]]
             continue
-        q = stage.q if before is None else np.concatenate([before[None], stage.q[1:]])
+        q = stage.q if before is None else np.concatenate([with_heading(stage.q[0], before[2])[None], stage.q[1:]])
         leg = Leg(q, stage.kind is Move.FORWARD, turns_before=before is not None)
         before = None
     if leg is not None:
         yield leg
-    elif before is not None:  # it turns in place and goes nowhere
+    elif before is not None and all(stage.kind is Move.TURN for stage in parts):  # it goes nowhere
         yield np.stack([before, parts[-1].q[-1]])
 
 
