@@ -18,8 +18,14 @@ Array = np.ndarray
 Numbers = tuple[float, ...]
 
 
-def bounded_kernels(scene: Scene, rules: Iterable[Rule]) -> Kernels:
-    """Return the scene's kernels with those rules that the core checks."""
+def bounded_kernels(scene: Scene, rules: Iterable[Rule], room: float = 0.0) -> Kernels:
+    """Return the scene's kernels with those rules that the core checks.
+
+    Args:
+        scene: The scene.
+        rules: What has to hold.
+        room: Distance to keep from all obstacles, on top of any margin [m]. Unlike a margin it tightens no rule.
+    """
     robot = compile_scene(scene).robot
     cones: list[Numbers] = []
     rooms: list[Numbers] = []
@@ -33,19 +39,23 @@ def bounded_kernels(scene: Scene, rules: Iterable[Rule]) -> Kernels:
             rooms.append((*robot.X_LT[:3, 3].tolist(), *pose, *rule.lower, *rule.upper))
         elif isinstance(rule, DistanceRule):
             keep.append((rule.entity, rule.metres))
-    if not (cones or rooms or keep):
+    if not (cones or rooms or keep or room):
         return compile_scene(scene).kernels
-    return _kernels(scene, tuple(cones), tuple(rooms), tuple(keep))
+    return _kernels(scene, tuple(cones), tuple(rooms), tuple(keep), room)
 
 
 @per_scene(most=8)
 def _kernels(
-    scene: Scene, cones: tuple[Numbers, ...], rooms: tuple[Numbers, ...], keep: tuple[tuple[str, float], ...]
+    scene: Scene,
+    cones: tuple[Numbers, ...],
+    rooms: tuple[Numbers, ...],
+    keep: tuple[tuple[str, float], ...],
+    room: float,
 ) -> Kernels:
     """Make kernels with bounds; that takes milliseconds, so the last ones are kept."""
     compiled = compile_scene(scene)
     robot, world = compiled.robot, compiled.world
-    kept = np.zeros(len(world.geom))
+    kept = np.full(len(world.geom), room)
     for entity, metres in keep:
         mine = np.isin(world.geom, list(scene.entities[entity].geoms))
         kept[mine] = np.maximum(kept[mine], metres)

@@ -70,7 +70,8 @@ class SceneConstraints:
         """Whether something that is carried has to stay level."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in resting_in(scene, c)]
-        self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])
+        self._bounds = [*(rule for _, rule in rules), *resting]
+        self.kernels: Kernels = bounded_kernels(scene, self._bounds)
         """The scene's kernels, which also check what the core can."""
 
     def objections(self, q: Float[Array, " nq"]) -> list[str]:
@@ -89,6 +90,10 @@ class SceneConstraints:
         """Return how far configurations are from touching or breaking anything, in terms of clearance [m]."""
         clearance = self.kernels.clearance(q)
         return np.minimum(clearance, self.custom_clearance(q)[0]) if self.custom else clearance
+
+    def with_room(self, room: float) -> Kernels:
+        """Return `kernels` that keep a distance from all obstacles besides [m]; the rules are as they are."""
+        return bounded_kernels(self.scene, self._bounds, room)
 
     def on(self, scene: Scene) -> SceneConstraints:
         """Return the same constraints in another scene."""
