@@ -203,12 +203,27 @@ def _unasked(scene: Scene) -> tuple[Constraint, ...]:
 
 def _held(scene: Scene) -> tuple[GraspHolds, ...]:
     """Return that the grasp holds, if the model says with what force, and that it does at home."""
-    if scene.carried is None:
+    load = _load_at_home(scene)
+    return () if load is None or load > 0.0 else (GraspHolds(),)
+
+
+@per_layout
+def not_held(scene: Scene) -> tuple[str, ...]:
+    """Say so where a grasp that the model describes does not even hold at home, so that nothing is asked of it."""
+    load = _load_at_home(scene)
+    if load is None or load <= 0.0 or scene.carried is None:
         return ()
+    return (f"{scene.carried.body!r} is not expected to stay in the fingers: {GraspHolds().told(load)}",)
+
+
+def _load_at_home(scene: Scene) -> float | None:
+    """Return the residual of the grasp at home; None if the model does not describe one between two pads."""
+    if scene.carried is None:
+        return None
     try:
         if np.isnan(find_grip(scene).force):
-            return ()
+            return None
     except UnsupportedError:
-        return ()
-    home, grasp = scene.home_qpos[scene.qpos_adr], GraspHolds()
-    return (grasp,) if grasp.residual(StateBatch(scene, home[None]))[0] <= 0.0 else ()
+        return None
+    home = scene.home_qpos[scene.qpos_adr]
+    return float(GraspHolds().residual(StateBatch(scene, home[None]))[0])

@@ -161,7 +161,7 @@ def _visible(tables: DropTables) -> Float[Array, " target"]:
 def _near(
     centre: Float[Array, "target 2"], half: Float[Array, "target 2"], top: Float[Array, " target"]
 ) -> tuple[Int[Array, " pair"], Int[Array, " pair"]]:
-    """Return pairs of a target and one that is much higher, near enough to cover a part of it, in order of the first."""
+    """Return pairs of a target and one that is much higher and may cover a part of it, in order of the first."""
     reach, pairs = np.linalg.norm(half, axis=1), [np.zeros((0, 2), dtype=int)]
     for begin in range(0, len(top), _ROWS):
         rows = slice(begin, begin + _ROWS)
