@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
-from graceful_plan.constraints.bounds import bounded_kernels
+from graceful_plan.constraints.bounds import bounded_kernels, bounds_of
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
 from graceful_plan.constraints.felt import FeltCone, FeltConstraint, felt_in, resting_in
@@ -70,7 +70,7 @@ class SceneConstraints:
         """Whether something that is carried has to stay level."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in resting_in(scene, c)]
-        self._bounds = [*(rule for _, rule in rules), *resting]
+        self._bounds = bounds_of(scene, [*(rule for _, rule in rules), *resting])
         self.kernels: Kernels = bounded_kernels(scene, self._bounds)
         """The scene's kernels, which also check what the core can."""
 

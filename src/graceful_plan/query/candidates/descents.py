@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -58,12 +59,15 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
     margin = max(problem.margin, 0.0 if request.constraints.level else min(STRAY_CLEARANCE, there_is))
     room = max(0.0, min(stray(scene), there_is) - margin)
     keeping = replace(problem, margin=margin, kernels=request.constraints.with_room(room))
-    nearly = replace(problem, margin=_NEARLY * margin, kernels=request.constraints.with_room(_NEARLY * room))
+
+    def nearly() -> SceneProblem:
+        return replace(problem, margin=_NEARLY * margin, kernels=request.constraints.with_room(_NEARLY * room))
+
     return MotionDescents(
         space=native_space(keeping, objective),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
-        is_free=_keeps(replace(problem, margin=0.5 * problem.margin)),
+        is_free=_keeps(lambda: replace(problem, margin=0.5 * problem.margin)),
         has_clearance=_keeps(nearly) if margin + room > problem.margin else None,
         felt=request.constraints.charged,
         careful=request.constraints.level,
@@ -98,12 +102,12 @@ def start_along(whole: Path, arrival: int, ends: Endpoints) -> Start:
     return Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival]), arrival=arrival)
 
 
-def _keeps(problem: SceneProblem) -> Callable[[Spline, Start], bool]:
-    """Return whether curves keep what a problem asks for, but for tight ends."""
-    free = problem.states_free
+def _keeps(problem: Callable[[], SceneProblem]) -> Callable[[Spline, Start], bool]:
+    """Return whether curves keep what a problem asks for, but for tight ends; it is made once it is needed."""
+    made = cache(problem)
 
     def is_free(curve: Spline, start: Start) -> bool:
-        q = curve.samples
+        q, free = curve.samples, made().states_free
         if start.tight_start == start.tight_end == 0.0:
             return bool(free(q).all())
         done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
