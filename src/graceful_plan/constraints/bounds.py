@@ -22,7 +22,7 @@ Numbers = tuple[float, ...]
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Bounds:
+class RuleBounds:
     """Those of some rules that the core checks, as rows of `BoundArrays`, and distances to keep by entity [m]."""
 
     cones: tuple[Numbers, ...]
@@ -30,7 +30,7 @@ class Bounds:
     keep: tuple[tuple[str, float], ...]
 
 
-def bounds_of(scene: Scene, rules: Iterable[Rule]) -> Bounds:
+def bounds_of(scene: Scene, rules: Iterable[Rule]) -> RuleBounds:
     """Return those of some rules that the core checks."""
     robot = compile_scene(scene).robot
     cones: list[Numbers] = []
@@ -45,10 +45,10 @@ def bounds_of(scene: Scene, rules: Iterable[Rule]) -> Bounds:
             rooms.append((*robot.X_LT[:3, 3].tolist(), *pose, *rule.lower, *rule.upper))
         elif isinstance(rule, DistanceRule):
             keep.append((rule.entity, rule.metres))
-    return Bounds(cones=tuple(cones), rooms=tuple(rooms), keep=tuple(keep))
+    return RuleBounds(cones=tuple(cones), rooms=tuple(rooms), keep=tuple(keep))
 
 
-def bounded_kernels(scene: Scene, bounds: Bounds, room: float = 0.0) -> Kernels:
+def bounded_kernels(scene: Scene, bounds: RuleBounds, room: float = 0.0) -> Kernels:
     """Return the scene's kernels with bounds.
 
     Args:
@@ -62,7 +62,7 @@ def bounded_kernels(scene: Scene, bounds: Bounds, room: float = 0.0) -> Kernels:
 
 
 @per_scene(most=8)
-def _kernels(scene: Scene, bounds: Bounds, room: float) -> Kernels:
+def _kernels(scene: Scene, bounds: RuleBounds, room: float) -> Kernels:
     """Make kernels with bounds; that takes milliseconds, so the last ones are kept."""
     compiled = compile_scene(scene)
     robot, world = compiled.robot, compiled.world
