@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from itertools import pairwise
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 import graceful_plan as gp
 from failbench import ExecutionRefused, SimSettings, build_world, execute
+from failbench.simulated.states import STATE
 from graceful_plan.constraints.felt import FeltCone
 from graceful_plan.constraints.grasp import load_facets
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
@@ -185,6 +187,14 @@ def test_a_grasp_goes_without_saying_only_where_it_holds_at_home():
         assert default_constraints(_pressing(force)) == asked
 
 
+def test_a_grasp_that_does_not_hold_at_home_is_told():
+    task = task_of("serve_stew")
+    weak = gp.plan(task.start, task.goal, _pressing(20.0), stop="first")
+    assert "the fingers" in weak.detail and "pan" in weak.detail and "at rest the load is" in weak.detail
+    assert "not expected" not in gp.plan(task.start, task.goal, _pressing(70.0), stop="first").detail
+    assert "not expected" not in gp.plan(task.start, task.goal, _pressing(20.0), constraints=[], stop="first").detail
+
+
 def _pressing(force):
     """Return the scene of the heavy pan with a hand that presses with another force [N]."""
     scene = task_of("serve_stew").scene
@@ -228,6 +238,55 @@ def test_fingers_lose_what_is_carried_too_fast_and_keep_it_inside_the_limit():
     with pytest.raises(ExecutionRefused, match="slipped"):
         execute(swift, world)
     assert execute(careful, world).slip < 0.016
+
+
+PULLED = {
+    "serve_cake": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.19, -0.2, 0.96)),  # by a thin handle, 10 cm above its mass
+    "pass_bottle": ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)),  # by its neck, 15 cm above its mass
+    "put_book_away": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),  # by an edge, 6 cm above its mass
+    "serve_stew": ((0.0, 0.0, -1.0),),  # by a handle, 17 cm beside its mass
+}
+"""Directions in the frame of the carried body in which it is pulled at its centre of mass."""
+
+
+@pytest.mark.parametrize("name", PULLED)
+def test_mujocos_fingers_give_way_at_the_load_that_is_foreseen(name):
+    """The pull grows within 1.5 s to 1.4 of what the pads carry: to .85 nothing turns, at the end it has slipped."""
+    task = task_of(name)
+    scene, world = task.scene, build_world(task.scene, SimSettings(grasp="fingers", sleep=False))
+    held = execute(gp.Path(np.stack([task.start, task.start + 1e-3])), world)
+    facets, room = load_facets(gp.GraspHolds().grip(scene))
+    for direction in np.array(PULLED[name]):
+        direction /= np.linalg.norm(direction)
+        load, turned, moved = _pulled(world, held, scene, direction, lambda felt: (facets @ felt / room).max())
+        held_still = load <= 0.85
+        assert held_still.any() and turned[held_still].max() < 1.0 and moved[held_still].max() < 1e-3
+        assert turned[load < 1.4].max() > 3.0 or moved[load < 1.4].max() > 3e-3
+
+
+def _pulled(world, held, scene, direction, load_of):
+    """Return loads, and how far what is held has turned [deg] and its point in the grasp moved [m] at each of them."""
+    model, body, site = world.model, world.carried_body, world.model.site(scene.tool).id
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, held.states[-1], STATE)
+    data.ctrl[:] = held.command[-1]
+    mujoco.mj_forward(model, data)
+    grip, mass = find_grip(scene), model.body_subtreemass[body]
+    rest, slope, X0, found = data.xmat[body].reshape(3, 3).T @ [0.0, 0.0, 9.81], 1.0, None, []
+    while load_of(rest + slope * direction) < 1.4:
+        slope *= 1.01
+    for step in range(round(1.5 / model.opt.timestep)):
+        R_WB, R_WT = data.xmat[body].reshape(3, 3), data.site_xmat[site].reshape(3, 3)
+        R = R_WT.T @ R_WB
+        p = R_WT.T @ (data.xpos[body] + R_WB @ (grip.p_BC - grip.p_GC) - data.site_xpos[site])
+        X0 = X0 or (R.copy(), p.copy())
+        pull = slope * step * model.opt.timestep / 1.5
+        angle = np.degrees(np.arccos(np.clip(0.5 * (np.trace(X0[0].T @ R) - 1.0), -1.0, 1.0)))
+        found.append((load_of(rest + pull * direction), angle, np.linalg.norm(p - X0[1])))
+        force = -mass * pull * (R_WB @ direction)
+        data.xfrc_applied[body] = [*force, *np.cross(data.subtree_com[body] - data.xipos[body], force)]
+        mujoco.mj_step(model, data)
+    return np.array(found).T
 
 
 def test_model_says_how_it_holds():

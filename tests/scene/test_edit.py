@@ -5,9 +5,13 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.models.drop.tables import drop_tables
+from graceful_plan.costs.models.spill.tables import spill_tables
 from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
 from graceful_plan.judge.exact import Judge, state_contacts
 from graceful_plan.scene.edit import Solid
@@ -30,7 +34,11 @@ def _solids() -> list[Solid]:
 
 def _same_tables(first: Scene, second: Scene) -> None:
     a, b = compile_scene(first), compile_scene(second)
-    for tables, others in ((a.robot, b.robot), (a.world, b.world), (a.hazards, b.hazards)):
+    _same_fields((a.robot, b.robot), (a.world, b.world), (a.hazards, b.hazards))
+
+
+def _same_fields(*pairs: tuple[object, object]) -> None:
+    for tables, others in pairs:
         for name in type(tables).__dataclass_fields__:
             np.testing.assert_allclose(getattr(tables, name), getattr(others, name), atol=1e-9, err_msg=name)
 
@@ -69,6 +77,49 @@ def test_what_is_moved_stands_where_a_new_one_would(scene: Scene) -> None:
     q = rng.uniform(*scene.limits.position.T, (300, len(scene.joints)))
     touches = [sorted(t[:3] for t in Judge(s).touches(q)) for s in (moved, scene.edit(add=anew))]
     assert touches[0] == touches[1] and touches[0]
+
+
+_CRATE = [0.06, 0.04, 0.03]
+_desk = gp.load_scene("desk").tasks["bring_coffee"].scene
+_first = _desk.add_box("crate", _CRATE, [0.3, -0.5, 0.9], entity="robust")
+
+
+@settings(max_examples=15)
+@given(
+    st.tuples(st.floats(-0.2, 0.8), st.floats(-0.8, 0.8), st.floats(0.4, 1.2)),
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda quat: np.linalg.norm(quat) > 0.1),
+)
+def test_wherever_something_is_moved_all_is_as_if_it_had_been_put_there(place, quat) -> None:
+    """Tables of kernels, drops and spills, and the motion that comes of them: nothing old is left in them.
+
+    The crate stands on things, over them, in them, beneath them and in the base of the robot.
+    """
+    pose, R = np.eye(4), np.zeros(9)
+    mujoco.mju_quat2Mat(R, np.array(quat) / np.linalg.norm(quat))
+    pose[:3, :3], pose[:3, 3] = R.reshape(3, 3), place
+    scenes = _first.edit(move={"crate": pose}), _desk.add_box("crate", _CRATE, pose, entity="robust")
+    _same_tables(*scenes)
+    drops, spills = ([tables(scene) for scene in scenes] for tables in (drop_tables, spill_tables))
+    _same_fields(tuple(drops), tuple(spills))
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    results = [gp.plan(task.start, task.goal, scene, stop="first", iterations=300) for scene in scenes]
+    assert results[0].status is results[1].status
+    if results[0].status is gp.PlanStatus.SOLVED:
+        assert results[0].cost.total == pytest.approx(results[1].cost.total, rel=1e-9)
+        assert results[0].trajectory.duration == pytest.approx(results[1].trajectory.duration, rel=1e-9)
+
+
+def test_scenes_that_differ_by_poses_are_judged_in_turns() -> None:
+    """They share MuJoCo's data: who asks about one is not told of the other."""
+    name = "block"
+    first = _desk.add_box(name, [0.03] * 3, [0.0, 3.0, 1.0])
+    q = _desk.keyframes["ready"]
+    into = first.edit(move={name: first.data_at(q).site(first.tool).xpos})
+    for scene in (first, into, first, into):
+        assert any(name in contact.second for contact in state_contacts(q, scene)) == (scene is into)
+        assert compile_scene(scene).kernels.free(q) == (scene is first)
+        moved_places = compile_scene(scene.edit(move={name: [0.0, 2.0, 1.0]})).world.pose
+        assert not np.array_equal(moved_places, compile_scene(scene).world.pose)
 
 
 def test_moving_makes_nothing_of_the_robot_again(scene: Scene) -> None:

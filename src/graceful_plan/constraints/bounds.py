@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -18,8 +20,18 @@ Array = np.ndarray
 Numbers = tuple[float, ...]
 
 
-def bounded_kernels(scene: Scene, rules: Iterable[Rule]) -> Kernels:
-    """Return the scene's kernels with those rules that the core checks."""
+@final
+@dataclass(frozen=True, kw_only=True)
+class RuleBounds:
+    """Those of some rules that the core checks, as rows of `BoundArrays`, and distances to keep by entity [m]."""
+
+    cones: tuple[Numbers, ...]
+    rooms: tuple[Numbers, ...]
+    keep: tuple[tuple[str, float], ...]
+
+
+def bounds_of(scene: Scene, rules: Iterable[Rule]) -> RuleBounds:
+    """Return those of some rules that the core checks."""
     robot = compile_scene(scene).robot
     cones: list[Numbers] = []
     rooms: list[Numbers] = []
@@ -33,30 +45,40 @@ def bounded_kernels(scene: Scene, rules: Iterable[Rule]) -> Kernels:
             rooms.append((*robot.X_LT[:3, 3].tolist(), *pose, *rule.lower, *rule.upper))
         elif isinstance(rule, DistanceRule):
             keep.append((rule.entity, rule.metres))
-    if not (cones or rooms or keep):
+    return RuleBounds(cones=tuple(cones), rooms=tuple(rooms), keep=tuple(keep))
+
+
+def bounded_kernels(scene: Scene, bounds: RuleBounds, room: float = 0.0) -> Kernels:
+    """Return the scene's kernels with bounds.
+
+    Args:
+        scene: The scene.
+        bounds: What has to hold.
+        room: Distance to keep from all obstacles, on top of any margin [m]. Unlike a margin it tightens no bound.
+    """
+    if not (bounds.cones or bounds.rooms or bounds.keep or room):
         return compile_scene(scene).kernels
-    return _kernels(scene, tuple(cones), tuple(rooms), tuple(keep))
+    return _kernels(scene, bounds, room)
 
 
 @per_scene(most=8)
-def _kernels(
-    scene: Scene, cones: tuple[Numbers, ...], rooms: tuple[Numbers, ...], keep: tuple[tuple[str, float], ...]
-) -> Kernels:
+def _kernels(scene: Scene, bounds: RuleBounds, room: float) -> Kernels:
     """Make kernels with bounds; that takes milliseconds, so the last ones are kept."""
     compiled = compile_scene(scene)
     robot, world = compiled.robot, compiled.world
-    kept = np.zeros(len(world.geom))
-    for entity, metres in keep:
+    kept = np.full(len(world.geom), room)
+    for entity, metres in bounds.keep:
         mine = np.isin(world.geom, list(scene.entities[entity].geoms))
         kept[mine] = np.maximum(kept[mine], metres)
-    bounds = BoundArrays(
+    cones, rooms = bounds.cones, bounds.rooms
+    arrays = BoundArrays(
         cone_link=np.full(len(cones), robot.tool_link),
         cone=np.array(cones).reshape(-1, 7),
         room_link=np.full(len(rooms), robot.tool_link),
         room=np.array(rooms).reshape(-1, 21),
         keep=kept,
     )
-    return Kernels(robot, world, compiled.hazards, bounds=bounds)
+    return Kernels(robot, world, compiled.hazards, bounds=arrays)
 
 
 def frame_in_link(scene: Scene, robot: RobotArrays, frame: str) -> Float[Array, "4 4"]:

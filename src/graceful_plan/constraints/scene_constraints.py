@@ -10,7 +10,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.constraints.base_limits import base_limits
-from graceful_plan.constraints.bounds import bounded_kernels
+from graceful_plan.constraints.bounds import bounded_kernels, bounds_of
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
 from graceful_plan.constraints.felt import FeltCone, FeltConstraint, felt_in, resting_in
@@ -70,7 +70,8 @@ class SceneConstraints:
         """Whether something that is carried has to stay level."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in resting_in(scene, c)]
-        self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])
+        self._bounds = bounds_of(scene, [*(rule for _, rule in rules), *resting])
+        self.kernels: Kernels = bounded_kernels(scene, self._bounds)
         """The scene's kernels, which also check what the core can."""
 
     def objections(self, q: Float[Array, " nq"]) -> list[str]:
@@ -89,6 +90,10 @@ class SceneConstraints:
         """Return how far configurations are from touching or breaking anything, in terms of clearance [m]."""
         clearance = self.kernels.clearance(q)
         return np.minimum(clearance, self.custom_clearance(q)[0]) if self.custom else clearance
+
+    def with_room(self, room: float) -> Kernels:
+        """Return `kernels` that keep a distance from all obstacles besides [m]; the rules are as they are."""
+        return bounded_kernels(self.scene, self._bounds, room)
 
     def on(self, scene: Scene) -> SceneConstraints:
         """Return the same constraints in another scene."""
@@ -197,12 +202,27 @@ def _unasked(scene: Scene) -> tuple[Constraint, ...]:
 
 def _held(scene: Scene) -> tuple[GraspHolds, ...]:
     """Return that the grasp holds, if the model says with what force, and that it does at home."""
-    if scene.carried is None:
+    load = _load_at_home(scene)
+    return () if load is None or load > 0.0 else (GraspHolds(),)
+
+
+@per_layout
+def not_held(scene: Scene) -> tuple[str, ...]:
+    """Say so where a grasp that the model describes does not even hold at home, so that nothing is asked of it."""
+    load = _load_at_home(scene)
+    if load is None or load <= 0.0 or scene.carried is None:
         return ()
+    return (f"{scene.carried.body!r} is not expected to stay in the fingers: {GraspHolds().told(load)}",)
+
+
+def _load_at_home(scene: Scene) -> float | None:
+    """Return the residual of the grasp at home; None if the model does not describe one between two pads."""
+    if scene.carried is None:
+        return None
     try:
         if np.isnan(find_grip(scene).force):
-            return ()
+            return None
     except UnsupportedError:
-        return ()
-    home, grasp = scene.home_qpos[scene.qpos_adr], GraspHolds()
-    return (grasp,) if grasp.residual(StateBatch(scene, home[None]))[0] <= 0.0 else ()
+        return None
+    home = scene.home_qpos[scene.qpos_adr]
+    return float(GraspHolds().residual(StateBatch(scene, home[None]))[0])

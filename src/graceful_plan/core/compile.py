@@ -26,6 +26,7 @@ from graceful_plan.core.slack import self_slack
 from graceful_plan.core.sphere_cover import MAX_PROTRUSION
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.per_scene import per_layout, per_scene
+from graceful_plan.scene.placement import PlacementPool
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.screening import within_memory
 
@@ -69,16 +70,15 @@ def compile_scene(scene: Scene) -> CompiledScene:
 
 
 def _compiled(scene: Scene) -> CompiledScene:
-    data, parts = _reference_data(scene), _robot_parts(scene)
-    frames, groups = parts.frames, parts.groups
-    overlapping = _overlapping(scene.model, data)
-    pairs = _self_pairs(groups, len(frames.parent), overlapping)
-    world = _world_arrays(scene, data, groups)
-    hazards = _hazard_arrays(scene, data, frames)
-    robot = replace(parts.arrays, self_pair=pairs, self_slack=np.zeros(len(pairs)))
-    _check_capacity(scene.model, groups, robot, hazards)
-    touchable = [_touchable(groups, pair - len(frames.parent)) for pair in pairs]
-    robot = replace(robot, self_slack=self_slack(scene, robot, touchable, hazards))
+    data, parts = reference_data(scene), _robot_parts(scene)
+    hazards = replace(parts.hazards, target_box=_world_boxes(scene.model, data, parts.targets))
+    blocked = _blocked(scene, data, parts)
+    robot = replace(
+        parts.arrays,
+        self_pair=np.concatenate([parts.arrays.self_pair, blocked]),
+        self_slack=np.concatenate([parts.arrays.self_slack, np.zeros(len(blocked))]),
+    )
+    world = _world_arrays(scene, data, parts.obstacles)
     return CompiledScene(robot=robot, world=world, hazards=hazards, kernels=Kernels(robot, world, hazards))
 
 
@@ -86,18 +86,34 @@ def _compiled(scene: Scene) -> CompiledScene:
 class _RobotParts:
     """What of a scene's tables does not depend on where things around the robot stand."""
 
-    frames: _Frames
     groups: list[_Group]
     arrays: RobotArrays
-    """Without pairs of links."""
+    """Without links of the base that touch what stands around."""
+    hazards: HazardArrays
+    """Without boxes of entities."""
+    targets: list[int]
+    """The geoms of these."""
+    obstacles: _Obstacles
 
 
 @per_layout
 def _robot_parts(scene: Scene) -> _RobotParts:
-    data = _reference_data(scene)
+    data = reference_data(scene)
     frames = _frames(scene, data)
     groups = _groups(scene, frames)
-    return _RobotParts(frames=frames, groups=groups, arrays=_robot_arrays(scene, data, frames, groups))
+    hazards = _hazard_arrays(scene, data, frames)
+    arrays = _robot_arrays(scene, data, frames, groups)
+    pairs = _self_pairs(groups, len(frames.parent), _overlapping(scene.model, data))
+    arrays = replace(arrays, self_pair=pairs, self_slack=np.zeros(len(pairs)))
+    _check_capacity(scene.model, groups, arrays, hazards)
+    touchable = [_touchable(groups, pair - len(frames.parent)) for pair in pairs]
+    return _RobotParts(
+        groups=groups,
+        arrays=replace(arrays, self_slack=self_slack(scene, arrays, touchable, hazards)),
+        hazards=hazards,
+        targets=[geom for entity in scene.entities.values() for geom in entity.geoms],
+        obstacles=_obstacles(scene, groups),
+    )
 
 
 def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, hazards: HazardArrays) -> None:
@@ -131,9 +147,18 @@ class _Frames:
     of_body: list[int]
 
 
-def _reference_data(scene: Scene) -> mujoco.MjData:
-    """The scene with all planned joints at their reference position, where joint rotations are the identity."""
-    return scene.data_at(scene.model.qpos0[scene.qpos_adr])
+def reference_data(scene: Scene) -> mujoco.MjData:
+    """Return the scene with all planned joints at their reference position, where joint rotations are the identity.
+
+    Whoever asks next in the same thread, about this scene or one of the same layout, moves the data.
+    """
+    return _placements(scene).of(scene).place(scene.model.qpos0[scene.qpos_adr])
+
+
+@per_layout
+def _placements(scene: Scene) -> PlacementPool:
+    del scene
+    return PlacementPool()
 
 
 def _pose(rotation: Array, position: Array) -> Float[Array, "4 4"]:
@@ -183,12 +208,12 @@ def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:
 
 def body_frames(scene: Scene) -> tuple[int, ...]:
     """Return the frame that each body rides on: 0 for what does not move, k + 1 for planned joint k."""
-    return tuple(_frames(scene, _reference_data(scene)).of_body)
+    return tuple(_frames(scene, reference_data(scene)).of_body)
 
 
 def link_geoms(scene: Scene) -> tuple[tuple[int, ...], ...]:
     """Return the geoms that the spheres of each link cover; none for frames."""
-    frames = _frames(scene, _reference_data(scene))
+    frames = _frames(scene, reference_data(scene))
     return (*((),) * len(frames.parent), *(group.geoms for group in _groups(scene, frames)))
 
 
@@ -323,14 +348,22 @@ def _self_pairs(groups: list[_Group], n_frame: int, overlapping: frozenset[tuple
         if groups[a].partners & set(groups[b].geoms)
         and (groups[a].frame != groups[b].frame or _overlap(groups[a], groups[b].geoms, overlapping))
     ]
-    # Kernels do not test the base against obstacles; paired with itself, a link is never free.
-    moving = {geom for group in groups for geom in group.geoms}
-    pairs += [
-        (n_frame + a, n_frame + a)
-        for a, group in enumerate(groups)
-        if group.frame == 0 and _overlap(group, group.partners - moving, overlapping)
-    ]
     return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def _blocked(scene: Scene, data: mujoco.MjData, parts: _RobotParts) -> Int[Array, "pair 2"]:
+    """Return links of the base that touch what stands around, each as a pair with itself: such a link is never free.
+
+    Kernels do not test the base against obstacles.
+    """
+    near = parts.obstacles.near_base(scene.model, data)
+    overlapping = _overlapping(scene.model, data) if near else frozenset()
+    links = [
+        len(scene.joints) + 1 + a
+        for a, group in enumerate(parts.groups)
+        if group.frame == 0 and _overlap(group, parts.obstacles.geom.tolist(), overlapping)
+    ]
+    return np.repeat(np.array(links, dtype=int)[:, None], 2, axis=1)
 
 
 def _touchable(groups: list[_Group], pair: Int[Array, " 2"]) -> list[tuple[int, int]]:
@@ -346,16 +379,38 @@ def _overlap(group: _Group, others: Iterable[int], overlapping: frozenset[tuple[
 # --- obstacles ------------------------------------------------------------------------------------------------------
 
 
-def _world_arrays(scene: Scene, data: mujoco.MjData, groups: list[_Group]) -> WorldArrays:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Obstacles:
+    """Geoms around the robot, with what does not depend on where they stand.
+
+    | field   | meaning                                                        | unit | shape        |
+    |---------|----------------------------------------------------------------|------|--------------|
+    | geom    | ids, ascending                                                 |      | obstacle     |
+    | kind    | as in `WorldArrays`                                            |      | obstacle     |
+    | ignores | as in `WorldArrays`                                            |      | obstacle     |
+    | hulls   | corners of triangles of meshes' hulls, in the geom's frame     | m    |              |
+    | base    | geoms of the base                                              |      | geom         |
+    """
+
+    geom: Int[Array, " obstacle"]
+    kind: Int[Array, " obstacle"]
+    ignores: Int[Array, " obstacle"]
+    hulls: tuple[Float[Array, "_ 3 3"], ...]
+    base: Int[Array, " geom"]
+
+    def near_base(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+        """Tell whether the bounding sphere of one of them meets that of a geom of the base; planes have none."""
+        radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)
+        away = np.linalg.norm(data.geom_xpos[self.geom][:, None] - data.geom_xpos[self.base], axis=2)
+        return bool(np.any(away <= radius[self.geom][:, None] + radius[self.base]))
+
+
+def _obstacles(scene: Scene, groups: list[_Group]) -> _Obstacles:
     model = scene.model
     moving = {geom for group in groups for geom in group.geoms}
-    unordered = sorted({g for group in groups for g in group.partners} - moving)
-    # Nearest to the base first: these are met most often.
-    away = np.linalg.norm(data.geom_xpos[unordered] - data.xpos[min(scene.robot_bodies)], axis=1)
-    away -= np.asarray(model.geom_rbound)[unordered]
-    geoms = [unordered[k] for k in np.argsort(away, kind="stable")]
+    geoms = sorted({g for group in groups for g in group.partners} - moving)
     n_frame = len(scene.joints) + 1
-    kind, ignores, hull_start, triangles = [], [], [0], [np.zeros((0, 3, 3))]
+    kind, ignores, hulls = [], [], []
     for geom in geoms:
         name = GEOM_KINDS.get(_GEOM(int(model.geom_type[geom])))
         if name is None:
@@ -365,25 +420,40 @@ def _world_arrays(scene: Scene, data: mujoco.MjData, groups: list[_Group]) -> Wo
         ignores.append(
             sum(1 << (n_frame + k) for k, group in enumerate(groups[: 62 - n_frame]) if geom not in group.partners)
         )
-        if name == "mesh":
-            local = hull_triangles(model, int(model.geom_dataid[geom]))
-            triangles.append(local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
-        hull_start.append(hull_start[-1] + (len(triangles[-1]) if name == "mesh" else 0))
-    pose = np.concatenate([data.geom_xmat[geoms], data.geom_xpos[geoms]], axis=1) if geoms else np.zeros((0, 12))
-    radius = (
-        np.where(model.geom_type[geoms] == _GEOM.mjGEOM_PLANE, -1.0, model.geom_rbound[geoms] + 1e-6)
-        if geoms
-        else np.zeros(0)
-    )
-    return WorldArrays(
-        kind=np.array(kind, dtype=int),
-        pose=pose,
-        size=model.geom_size[geoms].reshape(-1, 3).copy(),
-        bound=np.column_stack([pose[:, 9:], radius]),
-        ignores=np.array(ignores, dtype=int),
-        hull_start=np.array(hull_start, dtype=int),
-        triangles=np.concatenate(triangles),
+        mesh = name == "mesh"
+        hulls.append(hull_triangles(model, int(model.geom_dataid[geom])) if mesh else np.zeros((0, 3, 3)))
+    return _Obstacles(
         geom=np.array(geoms, dtype=int),
+        kind=np.array(kind, dtype=int),
+        ignores=np.array(ignores, dtype=int),
+        hulls=tuple(hulls),
+        base=np.array([geom for group in groups if group.frame == 0 for geom in group.geoms], dtype=int),
+    )
+
+
+def _world_arrays(scene: Scene, data: mujoco.MjData, obstacles: _Obstacles) -> WorldArrays:
+    model = scene.model
+    # Nearest to the base first: these are met most often.
+    away = np.linalg.norm(data.geom_xpos[obstacles.geom] - data.xpos[min(scene.robot_bodies)], axis=1)
+    order = np.argsort(away - model.geom_rbound[obstacles.geom], kind="stable")
+    geoms = obstacles.geom[order]
+    hulls = [
+        obstacles.hulls[k] @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        for k, geom in zip(order.tolist(), geoms.tolist(), strict=True)
+        if len(obstacles.hulls[k])
+    ]
+    size = [len(obstacles.hulls[k]) for k in order.tolist()]
+    pose = np.concatenate([data.geom_xmat[geoms], data.geom_xpos[geoms]], axis=1)
+    radius = np.where(model.geom_type[geoms] == int(_GEOM.mjGEOM_PLANE), -1.0, model.geom_rbound[geoms] + 1e-6)
+    return WorldArrays(
+        kind=obstacles.kind[order],
+        pose=pose,
+        size=model.geom_size[geoms].reshape(-1, 3),
+        bound=np.column_stack([pose[:, 9:], radius]),
+        ignores=obstacles.ignores[order],
+        hull_start=np.concatenate([[0], np.cumsum(size, dtype=int)]),
+        triangles=np.concatenate([np.zeros((0, 3, 3)), *hulls]),
+        geom=geoms,
     )
 
 
@@ -399,24 +469,22 @@ def _hazard_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> Hazard
         X = np.linalg.inv(frames.X_W[frame]) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
         centre = X[:3, :3] @ model.geom_aabb[geom, :3] + X[:3, 3]
         boxes.append(np.concatenate([X[:3, :3].ravel(), centre, model.geom_aabb[geom, 3:]]))
-    targets = [(e, geom) for e, entity in enumerate(scene.entities.values()) for geom in entity.geoms]
+    targets = [e for e, entity in enumerate(scene.entities.values()) for _ in entity.geoms]
     severity = [[entity.severity[name] for entity in scene.entities.values()] for name in scene.components]
     return HazardArrays(
         part_component=np.array([r for r, _ in parts], dtype=int),
         part_link=np.array([frames.of_body[model.geom_bodyid[geom]] for _, geom in parts], dtype=int),
         part_box=np.array(boxes).reshape(-1, 15),
-        target_entity=np.array([e for e, _ in targets], dtype=int),
-        target_box=np.array([_world_box(model, data, geom) for _, geom in targets]).reshape(-1, 6),
+        target_entity=np.array(targets, dtype=int),
+        target_box=np.zeros((len(targets), 6)),
         severity=np.array(severity, dtype=float).reshape(len(scene.components), len(scene.entities)),
     )
 
 
-def _world_box(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Float[Array, " 6"]:
-    R, p = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-    if model.geom_type[geom] == _GEOM.mjGEOM_PLANE:
-        half = np.where(model.geom_size[geom] > 0, model.geom_size[geom], PLANE_EXTENT) * [1.0, 1.0, 0.0]
-        centre = p
-    else:
-        half, centre = model.geom_aabb[geom, 3:], R @ model.geom_aabb[geom, :3] + p
-    reach = np.abs(R) @ half
-    return np.concatenate([centre - reach, centre + reach])
+def _world_boxes(model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int]) -> Float[Array, "target 6"]:
+    R, size, aabb = data.geom_xmat[geoms].reshape(-1, 3, 3), model.geom_size[geoms], model.geom_aabb[geoms]
+    plane = (model.geom_type[geoms] == int(_GEOM.mjGEOM_PLANE))[:, None]
+    half = np.where(plane, np.where(size > 0, size, PLANE_EXTENT) * [1.0, 1.0, 0.0], aabb[:, 3:])
+    centre = np.einsum("tij,tj->ti", R, np.where(plane, 0.0, aabb[:, :3])) + data.geom_xpos[geoms]
+    reach = np.einsum("tij,tj->ti", np.abs(R), half)
+    return np.concatenate([centre - reach, centre + reach], axis=1)

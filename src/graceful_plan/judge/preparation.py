@@ -1,15 +1,14 @@
-"""What the judge prepares once per scene: which pairs of geoms to look at, and MuJoCo's data to look with."""
+"""What the judge prepares once per layout of a scene: pairs of geoms to look at, and MuJoCo's data to look with."""
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Bool, Int
-from graceful_plan.scene.per_scene import per_layout, per_scene
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.placement import Placement, PlacementPool
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.screening import within_memory
@@ -37,24 +36,21 @@ class Filters:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """What judges of one scene share."""
+    """What judges of scenes of one layout share."""
 
     filters: Filters
     placements: PlacementPool
     """With these masks."""
 
 
-@per_scene
+@per_layout
 def prepare(scene: Scene) -> Prepared:
-    """Return what judges of a scene share; made once."""
+    """Return what judges of scenes share that differ only by where things around the robot stand; made once."""
     with within_memory(f"judging scene {scene.name!r} with {scene.model.ngeom} geoms"):
         filters = _filters(scene)
-        model = copy.copy(scene.model)
-        model.geom_contype[:], model.geom_conaffinity[:] = filters.contype, filters.conaffinity
-        return Prepared(filters=filters, placements=PlacementPool(model))
+        return Prepared(filters=filters, placements=PlacementPool((filters.contype, filters.conaffinity)))
 
 
-@per_layout
 def _filters(scene: Scene) -> Filters:
     n = scene.model.ngeom
     checked = np.zeros((n, n), dtype=bool)

@@ -29,6 +29,8 @@ _KINDS = {
     "capsule": (_GEOM.mjGEOM_CAPSULE, 2),
 }
 """Types of geoms, and how many sizes they have."""
+POSES = ("body_pos", "body_quat", "qpos0", "qpos_spring")
+"""What of a model `moved` changes."""
 
 
 @final

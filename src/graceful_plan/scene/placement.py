@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+import weakref
 from threading import local
 
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Float, Int
+from graceful_plan.scene.edit import POSES
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -40,6 +43,13 @@ class Placement:
             self._p_TO, self._quat_TO = np.array(scene.carried.X_TO[:3, 3]), np.zeros(4)
             mujoco.mju_mat2Quat(self._quat_TO, scene.carried.X_TO[:3, :3].ravel())
 
+    def go_to(self, scene: Scene) -> None:
+        """Stand in another scene of the same layout from now on; the model has to be one of its own, a copy."""
+        for name in POSES:
+            getattr(self.model, name)[:] = getattr(scene.model, name)
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = scene.home_qpos
+
     def place(self, q: Float[Array, " nq"], X_WO: Float[Array, "4 4"] | None = None) -> mujoco.MjData:
         """Put robot and carried object where a configuration puts them; the next call overwrites the data.
 
@@ -63,18 +73,24 @@ class Placement:
 
 
 class PlacementPool:
-    """One placement a thread, made at its first use: MuJoCo's data for a scene takes longer to make than to use.
+    """One placement a thread for all scenes of one layout: MuJoCo's data takes longer to make than to use.
 
     Args:
-        model: Model of the placements; the scene's own if None.
+        masks: `contype` and `conaffinity` of the placements' model, if they are not the scene's.
     """
 
-    def __init__(self, model: mujoco.MjModel | None = None) -> None:
-        self._model, self._own = model, local()
+    def __init__(self, masks: tuple[Int[Array, " geom"], Int[Array, " geom"]] | None = None) -> None:
+        self._masks, self._own = masks, local()
 
     def of(self, scene: Scene) -> Placement:
-        """Return this thread's placement; whoever asks next in the same thread moves it."""
+        """Return this thread's placement, in a scene; whoever asks next in the same thread moves it."""
         found: Placement | None = getattr(self._own, "placement", None)
         if found is None:
-            found = self._own.placement = Placement(scene, self._model)
+            model = copy.copy(scene.model)
+            if self._masks is not None:
+                model.geom_contype[:], model.geom_conaffinity[:] = self._masks
+            found = self._own.placement = Placement(scene, model)
+        elif self._own.scene() is not scene:
+            found.go_to(scene)
+        self._own.scene = weakref.ref(scene)
         return found

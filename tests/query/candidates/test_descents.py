@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import mujoco
+import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.query.candidates.descents import STRAY_CLEARANCE
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
+from graceful_plan.query.candidates.descents import STRAY_CLEARANCE, stray
+from graceful_plan.scene.placement import Placement
 from sizes import first_quick
 
 
@@ -16,3 +20,38 @@ def test_a_motion_passes_things_with_room_for_what_a_robot_strays(name: str) -> 
     clearance = gp.clearance(task.scene, found.unwrap().sample(0.004).q)
     assert min(clearance[0], clearance[-1]) > 2.0 * STRAY_CLEARANCE  # there is room
     assert clearance.min() >= 0.75 * STRAY_CLEARANCE
+
+
+def _clearance_of_held(scene, q):
+    """Return the least exact distance of what is held from obstacles [m], by configuration."""
+    held, placement = scene.components["carried"].geoms, Placement(scene)
+    pairs = [pair for pair in scene.collision_pairs().tolist() if set(pair) & set(held)]
+    robot = scene.robot_bodies
+    pairs = [pair for pair in pairs if not {int(scene.model.geom_bodyid[g]) for g in pair} & robot]
+    return [
+        min(mujoco.mj_geomDistance(scene.model, data, a, b, 0.1, None) for a, b in pairs)
+        for data in (placement.place(row) for row in q)
+    ]
+
+
+@pytest.mark.parametrize(("scene_name", "name"), [("dining_table", "pass_bottle"), ("kitchen_counter", "move_oil")])
+def test_what_is_held_by_a_long_lever_keeps_more_room(scene_name: str, name: str) -> None:
+    """Vessels that are kept level, too."""
+    task = gp.load_scene(scene_name).tasks[name]
+    assert stray(task.scene) > 2.0 * STRAY_CLEARANCE > STRAY_CLEARANCE == stray(gp.load_scene("tabletop"))
+    found = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=60).unwrap()
+    clear = _clearance_of_held(task.scene, found.sample(0.01).q)
+    assert min(clear[0], clear[-1]) > 2.0 * stray(task.scene)  # there is room
+    assert min(clear) >= stray(task.scene)
+
+
+def test_room_tightens_no_tilt() -> None:
+    scene = gp.load_scene("desk").tasks["bring_coffee"].scene
+    held = SceneConstraints(scene, default_constraints(scene))
+    q = np.random.default_rng(0).uniform(*scene.limits.position.T, (2000, 7))
+    wide, plain, obstacles = held.with_room(0.05), held.kernels, gp.clearance(scene, q)
+    assert held.with_room(0.0) is plain
+    tilted = (plain.clearance(q) < 0.0) & (obstacles > 0.06)
+    np.testing.assert_array_equal(wide.clearance(q[tilted]), plain.clearance(q[tilted]))
+    near = wide.free(q) != plain.free(q)
+    assert near.any() and (obstacles[near] < 0.06).all()

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
+from itertools import product
 
 import numpy as np
 
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import LONG, DescentSettings, MotionDescents, SmoothCurve, Start
@@ -14,16 +17,25 @@ from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
+from graceful_plan.scene.per_scene import per_layout
+from graceful_plan.scene.scene import Scene
 
 STRAY_CLEARANCE = 0.005
-"""Clearance that descents keep where there is room for it [m]: a healthy robot and the object in its fingers stray from
-the path by up to 6 mm (FailBench's Panda at half of its speed, six tasks), and with 3 mm a chart grazed a cabinet. Not
-where a vessel is kept level: its tilt counts as clearance, too, and J of a watering can rose by a third."""
+"""Distance that descents keep from obstacles where there is room for it [m]: a healthy robot and the object in its
+fingers stray from the path by up to 6 mm (FailBench's Panda at half of its speed, six tasks), and with 3 mm a chart
+grazed a cabinet. Where a vessel is kept level it is no margin, which would tighten its tilt, too: J of a watering can
+rose by a third."""
+_HAND_STRAYS = 0.002
+"""How far the hand strays from the path [m]; 1 to 2.5 mm with a tray of 1.3 kg, FailBench's Panda at full speed."""
+_TURNS = 0.035
+"""How far a held object turns in the fingers below what friction carries [rad]: 1 to 2 degrees, same tray. What it
+holds by a handle moves at its rim by as much as that, 4 to 6 mm, and with 5 mm it grazed a lamp in 5 of 16 motions."""
 _NEARLY = 0.8
 """Share of that clearance below which a descent is repeated with a heavier penalty."""
 SHORTENING = DescentSettings(screens=False, bends=0, fine=1, hurries=True)
 """Where the shortest motion is the best one: in each homotopy class a descent from one path ends within a percent of
 it, and each search that begins anew may find another class."""
+_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the spheres do not count [rad]."""
 
@@ -40,21 +52,42 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
     if objective is None:
         return None
     scene, speed = objective.scene, request.speed
-    ends = problem.kernels.clearance(np.vstack([problem.start, problem.goals]))
-    wanted = 0.0 if request.constraints.level else min(STRAY_CLEARANCE, 0.5 * float(ends.min()))
-    keeping = replace(problem, margin=max(problem.margin, wanted))
+    compiled = compile_scene(scene)
+    ends = compiled.kernels.clearance(np.vstack([problem.start, problem.goals]))
+    there_is = 0.5 * float(ends.min())
+    margin = max(problem.margin, 0.0 if request.constraints.level else min(STRAY_CLEARANCE, there_is))
+    room = max(0.0, min(stray(scene), there_is) - margin)
+    keeping = replace(problem, margin=margin, kernels=request.constraints.with_room(room))
+
+    def nearly() -> SceneProblem:
+        return replace(problem, margin=_NEARLY * margin, kernels=request.constraints.with_room(_NEARLY * room))
+
     return MotionDescents(
         space=native_space(keeping, objective),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
-        is_free=_keeps(problem, 0.5 * problem.margin),
-        has_clearance=_keeps(problem, _NEARLY * keeping.margin) if wanted else None,
+        is_free=_keeps(lambda: replace(problem, margin=0.5 * problem.margin)),
+        has_clearance=_keeps(nearly) if margin + room > problem.margin else None,
         felt=request.constraints.charged,
         careful=request.constraints.level,
         projected=problem.projected if request.constraints.level else None,
         counts_points=objective.objective.exposure == "waypoints",
         settings=_affordable(settings, objective),
     )
+
+
+@per_layout
+def stray(scene: Scene) -> float:
+    """Return how far a healthy robot, or what it holds, strays from its path [m]: what is held turns in the fingers."""
+    if scene.carried is None:
+        return STRAY_CLEARANCE
+    compiled = compile_scene(scene)
+    mine = compiled.hazards.part_component == list(scene.components).index("carried")
+    box = compiled.hazards.part_box[mine]
+    R, centre, half = box[:, :9].reshape(-1, 1, 3, 3), box[:, None, 9:12], box[:, None, 12:]
+    corners = (R @ (_SIGNS * half)[..., None])[..., 0] + centre
+    reach = np.linalg.norm(corners - compiled.robot.X_LT[:3, 3], axis=-1).max(initial=0.0)
+    return max(STRAY_CLEARANCE, _HAND_STRAYS + _TURNS * float(reach))
 
 
 def start_of(path: Path, ends: Endpoints) -> Start:
@@ -68,12 +101,12 @@ def start_along(whole: Path, arrival: int, ends: Endpoints) -> Start:
     return Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival]), arrival=arrival)
 
 
-def _keeps(problem: SceneProblem, margin: float) -> Callable[[SmoothCurve, Start], bool]:
-    """Return whether curves keep a margin [m], but for tight ends."""
-    free = replace(problem, margin=margin).states_free
+def _keeps(problem: Callable[[], SceneProblem]) -> Callable[[SmoothCurve, Start], bool]:
+    """Return whether curves keep what a problem asks for, but for tight ends; it is made once it is needed."""
+    made = cache(problem)
 
     def is_free(curve: SmoothCurve, start: Start) -> bool:
-        q = curve.samples
+        q, free = curve.samples, made().states_free
         if start.tight_start == start.tight_end == 0.0:
             return bool(free(q).all())
         done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])

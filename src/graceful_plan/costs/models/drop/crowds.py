@@ -33,13 +33,15 @@ def simplified(
         boxes: Rows as `drop_tables` has them: centre, axis, half sizes, diagonal, carrying half sizes, bottom, top.
         body: That each belongs to.
     """
-    rows, source = [boxes[:0]], [np.zeros(0, dtype=int)]
-    groups = [np.flatnonzero(body == one) for one in np.unique(body)]
-    most = max(_LEAST, _MOST // max(1, sum(len(mine) > CROWD for mine in groups)))
-    for mine in groups:
-        crowd = boxes[mine] if len(mine) <= CROWD else _from_above(boxes[mine], most)
+    bodies, counts = np.unique(body, return_counts=True)
+    crowds = bodies[counts > CROWD].tolist()
+    few = np.flatnonzero(~np.isin(body, crowds))
+    rows, source = [boxes[few]], [few]
+    for one in crowds:
+        mine = np.flatnonzero(body == one)
+        crowd = _from_above(boxes[mine], max(_LEAST, _MOST // len(crowds)))
         rows.append(crowd)
-        source.append(mine if len(mine) <= CROWD else np.full(len(crowd), mine[0]))
+        source.append(np.full(len(crowd), mine[0]))
     order = np.argsort(np.concatenate(source), kind="stable")
     return np.concatenate(rows)[order], np.concatenate(source)[order]
 

@@ -6,7 +6,7 @@ only; everything that can be hit is one, whether somebody minds or not, since ob
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -14,9 +14,10 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.compile import PLANE_EXTENT, compile_scene
+from graceful_plan.core.compile import PLANE_EXTENT, compile_scene, reference_data
 from graceful_plan.costs.models.drop.crowds import simplified
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.model_parts import subtree
+from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -30,7 +31,9 @@ DISC = 0.9
 FLAT, ROUND, BALL = 0, 1, 2
 """Kinds of parts: box, cylinder or capsule, sphere."""
 
-_GEOM = mujoco.mjtGeom
+_PLANE, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("PLANE", "SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE")
+)  # integers: to compare arrays with enums takes fifty times as long
 _PLATE = 0.35  # least over middle half size below which an object lies flat
 _UPRIGHT = 0.9  # cosine above which a round target counts as standing
 _DOME = 0.2  # share of a rounded top that carries
@@ -94,12 +97,7 @@ def drop_tables(scene: Scene) -> DropTables:
     Raises:
         UnsupportedError: If the scene cannot be compiled.
     """
-    assert scene.carried is not None  # the model asks for tables only then
-    model = scene.model
-    data = scene.data_at(model.qpos0[scene.qpos_adr])
-    mujoco.mj_kinematics(model, data)
-    held = [g for g in scene.components["carried"].geoms if _collides(model, g)]
-    return DropTables(**_object(scene, data, held), **_targets(scene, data))
+    return DropTables(**_object(scene), **_targets(scene, reference_data(scene)))
 
 
 def _collides(model: mujoco.MjModel, geom: int) -> bool:
@@ -109,9 +107,12 @@ def _collides(model: mujoco.MjModel, geom: int) -> bool:
 # --- the carried object ---------------------------------------------------------------------------------------------
 
 
-def _object(scene: Scene, data: mujoco.MjData, held: Sequence[int]) -> dict[str, Any]:
-    assert scene.carried is not None
+@per_layout
+def _object(scene: Scene) -> Mapping[str, Any]:
+    assert scene.carried is not None  # the model asks for tables only then
     model, robot = scene.model, compile_scene(scene).robot
+    data = reference_data(scene)
+    held = [g for g in scene.components["carried"].geoms if _collides(model, g)]
     body = model.body(scene.carried.body).id
     X_LO = robot.X_LT @ scene.carried.X_TO
     R_WO, p_WO = data.xmat[body].reshape(3, 3), data.xpos[body]
@@ -143,15 +144,9 @@ def _object(scene: Scene, data: mujoco.MjData, held: Sequence[int]) -> dict[str,
 
 def _centre_of_mass(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> Float[Array, " 3"]:
     """Centre of mass in W of a body with everything that rides on it; the body's origin if it has no mass."""
-    bodies = [body for body in range(model.nbody) if _below(model, body, root)]
+    bodies = sorted(subtree(model, root))
     mass = model.body_mass[bodies]
     return mass @ data.xipos[bodies] / mass.sum() if mass.sum() > 0.0 else data.xpos[root]
-
-
-def _below(model: mujoco.MjModel, body: int, root: int) -> bool:
-    while body > 0 and body != root:
-        body = int(model.body_parentid[body])
-    return body == root
 
 
 def _moved_by(parent: Int[Array, " link"], link: int, joint_link: int) -> bool:
@@ -161,9 +156,9 @@ def _moved_by(parent: Int[Array, " link"], link: int, joint_link: int) -> bool:
 
 
 def _part_kind(geom_type: int) -> int:
-    if geom_type == _GEOM.mjGEOM_SPHERE:
+    if geom_type == _SPHERE:
         return BALL
-    return ROUND if geom_type in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE) else FLAT
+    return ROUND if geom_type in (_CYLINDER, _CAPSULE) else FLAT
 
 
 def _shape_class(kind: int, half: Float[Array, " 3"]) -> str:
@@ -177,32 +172,46 @@ def _shape_class(kind: int, half: Float[Array, " 3"]) -> str:
 # --- what it can land on --------------------------------------------------------------------------------------------
 
 
-def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Surfaces:
+    """Geoms that something can land on: which, whose (-1 for obstacles), on which body, and whether it never moves."""
+
+    geom: Int[Array, " target"]
+    entity: Int[Array, " target"]
+    body: Int[Array, " target"]
+    fixed: Float[Array, " target"]
+
+
+@per_layout
+def _surfaces(scene: Scene) -> _Surfaces:
     assert scene.carried is not None
     model = scene.model
     owner = {geom: k for k, entity in enumerate(scene.entities.values()) for geom in entity.geoms}
-    carried = model.body(scene.carried.body).id
-    geoms = [
-        geom
-        for geom in range(model.ngeom)
-        if _collides(model, geom)
-        and int(model.geom_bodyid[geom]) not in scene.robot_bodies
-        and not _below(model, int(model.geom_bodyid[geom]), carried)
-    ]
-    boxes = np.array([_turned_box(model, data, geom) for geom in geoms]).reshape(-1, 11)
-    fixed = (model.body_weldid[model.geom_bodyid[geoms]] == 0).astype(float)
-    boxes, source = simplified(boxes, model.geom_bodyid[geoms])
+    own = scene.robot_bodies | subtree(model, int(model.body(scene.carried.body).id))
+    geoms = [g for g in range(model.ngeom) if _collides(model, g) and int(model.geom_bodyid[g]) not in own]
+    body = model.geom_bodyid[geoms]
+    return _Surfaces(
+        geom=np.array(geoms, dtype=int),
+        entity=np.array([owner.get(geom, -1) for geom in geoms], dtype=int),
+        body=body,
+        fixed=(model.body_weldid[body] == 0).astype(float),
+    )
+
+
+def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
+    found = _surfaces(scene)
+    boxes, source = simplified(_turned_boxes(scene.model, data, found.geom), found.body)
     order = np.argsort(-boxes[:, 10], kind="stable")
-    boxes = boxes[order]
+    boxes, source = boxes[order], source[order]
     return {
-        "target_entity": np.array([owner.get(geoms[k], -1) for k in source[order].tolist()], dtype=int),
+        "target_entity": found.entity[source],
         "target_centre": boxes[:, 0:2],
         "target_axis": boxes[:, 2:4],
         "target_half": boxes[:, 4:6],
         "target_diagonal": boxes[:, 6],
         "target_carries": boxes[:, 7:9],
         "target_height": boxes[:, 9:11],
-        "target_fixed": fixed[source[order]],
+        "target_fixed": found.fixed[source],
         "level_start": levels(boxes[:, 10]),
     }
 
@@ -210,35 +219,43 @@ def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
 def levels(top: Float[Array, " target"]) -> Int[Array, " level_end"]:
     """Return the first target of each level, and the number of targets; tops are sorted, highest first."""
     start: list[int] = []
-    for k, height in enumerate(top):
-        if not start or height < top[start[-1]] - LEVEL:
+    below = np.inf
+    for k, height in enumerate(top.tolist()):
+        if height < below:
             start.append(k)
+            below = height - LEVEL
     return np.array([*start, len(top)], dtype=int)
 
 
-def _turned_box(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Float[Array, " 11"]:
-    """Return a geom's centre (2), axis (2), half sizes (2), diagonal reach, carrying half sizes (2), bottom and top."""
-    kind, R = int(model.geom_type[geom]), data.geom_xmat[geom].reshape(3, 3)
-    if kind == _GEOM.mjGEOM_PLANE:  # as wide as in Algorithm 1; its slope is not seen
-        half = np.where(model.geom_size[geom] > 0.0, model.geom_size[geom], PLANE_EXTENT) * [1.0, 1.0, 0.0]
-        p = data.geom_xpos[geom]
-    else:
-        half, p = model.geom_aabb[geom, 3:], data.geom_xpos[geom] + R @ model.geom_aabb[geom, :3]
+def _turned_boxes(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Int[Array, " target"]
+) -> Float[Array, "target 11"]:
+    """Return rows of centre (2), axis (2), half sizes (2), diagonal reach, carrying half sizes (2), bottom and top."""
+    kind, R = model.geom_type[geoms], data.geom_xmat[geoms].reshape(-1, 3, 3)
+    size, aabb, each = model.geom_size[geoms], model.geom_aabb[geoms], np.arange(len(geoms))
+    # Planes are as wide as in Algorithm 1; their slope is not seen.
+    plane = kind == _PLANE
+    wide = np.where(size > 0.0, size, PLANE_EXTENT) * [1.0, 1.0, 0.0]
+    half = np.where(plane[:, None], wide, aabb[:, 3:])
+    p = data.geom_xpos[geoms] + np.einsum("tij,tj->ti", R, np.where(plane[:, None], 0.0, aabb[:, :3]))
     # The geom's axis that is nearest to horizontal gives the box its direction.
-    x = R[:2, int(np.argmin(np.abs(R[2])))]
-    x = x / np.linalg.norm(x)
-    y = np.array([-x[1], x[0]])
-    a, b = np.abs(x @ R[:2]) @ half, np.abs(y @ R[:2]) @ half
-    height = np.abs(R[2]) @ half
-    diagonal = (a + b) / np.sqrt(2.0)
-    standing = abs(R[2, 2]) > _UPRIGHT
-    carries = np.array([a, b])
-    if kind == _GEOM.mjGEOM_SPHERE or (standing and kind in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)):
-        a = b = diagonal = half[0]
-        carries = np.full(2, a * (DISC if kind == _GEOM.mjGEOM_CYLINDER else _DOME))
-    elif kind == _GEOM.mjGEOM_ELLIPSOID:
-        carries = _DOME * carries
-    elif kind in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE):  # lying: its ridge carries
-        along = R[:2, 2] / np.linalg.norm(R[:2, 2])
-        carries = carries * ([1.0, _DOME] if abs(along @ x) > np.sqrt(0.5) else [_DOME, 1.0])
-    return np.array([*p[:2], *x, a, b, diagonal, *carries, p[2] - height, p[2] + height])
+    x = R[each, :2, np.abs(R[:, 2]).argmin(axis=1)]
+    x = x / np.linalg.norm(x, axis=1, keepdims=True)
+    axes = np.stack([x, np.stack([-x[:, 1], x[:, 0]], axis=1)], axis=1)
+    ab = np.einsum("taj,tj->ta", np.abs(axes @ R[:, :2]), half)
+    height = np.einsum("tj,tj->t", np.abs(R[:, 2]), half)
+    diagonal = ab.sum(axis=1) / np.sqrt(2.0)
+    round_ = (kind == _CYLINDER) | (kind == _CAPSULE)
+    standing = np.abs(R[:, 2, 2]) > _UPRIGHT
+    disc = (kind == _SPHERE) | (standing & round_)
+    ab = np.where(disc[:, None], half[:, :1], ab)
+    diagonal = np.where(disc, half[:, 0], diagonal)
+    share = np.ones_like(ab)
+    share[disc] = np.where(kind[disc] == _CYLINDER, DISC, _DOME)[:, None]
+    share[kind == _ELLIPSOID] = _DOME
+    lying = round_ & ~standing  # its ridge carries
+    along = np.abs(np.einsum("ti,ti->t", R[:, :2, 2], x)) > np.sqrt(0.5) * np.linalg.norm(R[:, :2, 2], axis=1)
+    share[lying & along, 1] = _DOME
+    share[lying & ~along, 0] = _DOME
+    bottom, top = p[:, 2] - height, p[:, 2] + height
+    return np.column_stack([p[:, :2], x, ab, diagonal, share * ab, bottom, top])

@@ -12,10 +12,10 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.compile import compile_scene, reference_data
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.scene.elements import Dry
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -31,6 +31,8 @@ FLAT = 1e-3
 EDGE = 0.02
 """Tops that are this much [m] higher keep things below them dry."""
 _GRID = 7
+_ROWS = 256
+"""Targets that are compared with all others at once: a matter of memory."""
 
 
 @final
@@ -91,6 +93,7 @@ def spill_tables(scene: Scene) -> SpillTables:
     )
 
 
+@per_layout
 def _container(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, " 3"], float, float]:
     """Return the middle of the contents' top and the axis in L, and the container's radius and depth [m].
 
@@ -99,8 +102,7 @@ def _container(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, " 3"], fl
     """
     assert scene.carried is not None
     model = scene.model
-    data = scene.data_at(model.qpos0[scene.qpos_adr])
-    mujoco.mj_kinematics(model, data)
+    data = reference_data(scene)
     body = model.body(scene.carried.body).id
     geom = max(scene.components["contents"].geoms, key=lambda g: float(np.prod(model.geom_aabb[g, 3:])))
     R_WO, half = data.xmat[body].reshape(3, 3), model.geom_aabb[geom, 3:]
@@ -138,17 +140,36 @@ def _top(
 
 def _visible(tables: DropTables) -> Float[Array, " target"]:
     step = (np.arange(_GRID) + 0.5) / _GRID * 2.0 - 1.0
-    x, y = (grid.ravel() for grid in np.meshgrid(step, step))
+    grid = np.stack([axis.ravel() for axis in np.meshgrid(step, step)], axis=1)
     share = np.ones(len(tables.target_entity))
     turn = np.stack([tables.target_axis, tables.target_axis[:, ::-1] * [-1.0, 1.0]], axis=1)  # rows: x, y axis
-    for k, top in enumerate(tables.target_height[:, 1]):
-        a, b = tables.target_half[k]
-        points = tables.target_centre[k] + np.stack([a * x, b * y], axis=1) @ turn[k]
-        higher = tables.target_height[:, 1] > top + EDGE
-        away = np.einsum("tij,tpj->tpi", turn[higher], points - tables.target_centre[higher][:, None])
-        covers = (np.abs(away) < tables.target_half[higher][:, None]).all(axis=-1)
-        share[k] = 1.0 - covers.any(axis=0).mean()
+    centre, half, top = tables.target_centre, tables.target_half, tables.target_height[:, 1]
+    below, above = _near(centre, half, top)
+    if not len(below):
+        return share
+    points = centre[:, None] + (grid * half[:, None]) @ turn
+    away = points[below] - centre[above, None]
+    covers = np.ones(away.shape[:2], dtype=bool)
+    for axis in (0, 1):  # a sum of two products: a stack of small matrices takes ten times as long
+        x, y = turn[above, axis].T[:, :, None]
+        covers &= np.abs(away[:, :, 0] * x + away[:, :, 1] * y) < half[above, axis, None]
+    covered, first = np.unique(below, return_index=True)
+    share[covered] -= np.logical_or.reduceat(covers, first).mean(axis=1)
     return share
+
+
+def _near(
+    centre: Float[Array, "target 2"], half: Float[Array, "target 2"], top: Float[Array, " target"]
+) -> tuple[Int[Array, " pair"], Int[Array, " pair"]]:
+    """Return pairs of a target and one that is much higher and may cover a part of it, in order of the first."""
+    reach, pairs = np.linalg.norm(half, axis=1), [np.zeros((0, 2), dtype=int)]
+    for begin in range(0, len(top), _ROWS):
+        rows = slice(begin, begin + _ROWS)
+        away = np.square(centre[rows, None] - centre).sum(axis=2)
+        met = (top > top[rows, None] + EDGE) & (away <= np.square(reach[rows, None] + reach))
+        pairs.append(np.argwhere(met) + [begin, 0])
+    below, above = np.concatenate(pairs).T
+    return below, above
 
 
 def _stands(tables: DropTables) -> Int[Array, "target 2"]:
