@@ -230,9 +230,9 @@ class ImpactCost(Cost):
             else None
         )
 
-    def moving_impact(self, scene: Scene) -> _native.MovingImpact:
-        """Return the part of moving entities at times, in the core."""
-        return moving_model(self.interaction).impact(scene, self._moving_severity(scene))
+    def moving_impact(self, scene: Scene, *, rough: bool = False) -> _native.MovingImpact:
+        """Return the part of moving entities at times, in the core; roughly for descents and searches."""
+        return moving_model(self.interaction).impact(scene, self._moving_severity(scene), rough=rough)
 
     def _moving_severity(self, scene: Scene) -> Float[Array, "component moving"]:
         return self.hazard_severity(scene)[:, len(scene.entities) : len(scene.hazards)]

@@ -124,10 +124,11 @@ class ChargedStates:
 @final
 @dataclass(frozen=True, eq=False)
 class AmongMoving:
-    """Native impact of states at times: of all that stands still, and of entities that move."""
+    """Native impact of states at times: of all that stands still, and of entities that move; the latter also roughly."""
 
     still: ImpactKernel
     moving: _native.MovingImpact
+    rough: _native.MovingImpact
 
 
 @final
@@ -171,7 +172,9 @@ class SceneObjective:
         if not (self.scene.moving and isinstance(impact, ImpactCost) and self.objective.exposure != "waypoints"):
             return None
         still = impact.still_kernel(self.scene, self.paces)
-        return None if still is None else AmongMoving(still, impact.moving_impact(self.scene))
+        if still is None:
+            return None
+        return AmongMoving(still, *(impact.moving_impact(self.scene, rough=rough) for rough in (False, True)))
 
     def states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None = None) -> Float[Array, " n"]:
         """Impact given a failure at each state, at rest without joint velocities [rad/s or m/s]."""

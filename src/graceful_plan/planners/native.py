@@ -49,7 +49,7 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
             holds=None if custom is None else lambda q: custom.custom_holds(q, problem.margin),
             clearance=None if custom is None else custom.custom_clearance,
             still=None if among is None else among.still.native,
-            moving=None if among is None else among.moving,
+            moving=None if among is None else among.rough,
             keeps_off=scene_objective.scene.base is not None,
         )
     return _native.CallbackSpace(

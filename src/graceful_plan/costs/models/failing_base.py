@@ -44,6 +44,10 @@ class FailingBase(ABC):
     def meeting(self, scene: Scene) -> _native.MovingSource:
         """Return the same in the core, for entities that move."""
 
+    def roughly(self) -> FailingBase:
+        """Return a model that is close and faster, for descents and searches; by default the same."""
+        return self
+
     @abstractmethod
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]

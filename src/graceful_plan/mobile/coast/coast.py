@@ -103,6 +103,10 @@ class Coast(NativeModel, FailingBase):
         """Return P that entities that move are met, times what the energy is worth: see `moving_coast`."""
         return moving_coast(scene, self.settings)
 
+    def roughly(self) -> Coast:
+        """Return a model of fewer ways to fail: see `thinned`."""
+        return Coast(thinned(self.settings))
+
     def moving(self) -> MovingModel:
         """Return the model for entities that move: a failing base meets them where they then are."""
         return MovingModel(drop=0.0, collapse=0.0, coast=1.0, base=self)

@@ -97,6 +97,7 @@ class DriveSource:
         self._entered = 0
         self._rough: list[Start] = []
         self._untried: list[tuple[float, Start]] = []
+        self._tried: list[tuple[float, Start]] = []
         self._composed: list[tuple[Route, int]] = []
         self.path_cost = np.inf
         """Least cost of a path of a search, as the search estimates it."""
@@ -170,7 +171,10 @@ class DriveSource:
             yield from self._stopping(best)
             return
         self._enter(budget)
+        if not (self._untried or self._results):
+            self._untried, self._tried = self._tried, []  # once more, bent at random
         starts, self._untried = self._untried[:_STARTS], self._untried[_STARTS:]
+        self._tried += starts
         for result in descend_from([start for _, start in starts], self._descents, budget, self._rng, self._results):
             self._results.append(result)
             if result.value > _WORTH_TIMING * min(other.value for other in self._results):

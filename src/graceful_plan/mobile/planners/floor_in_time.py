@@ -18,7 +18,6 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int, UInt8
-from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.costs.still import as_if_nobody_moved
@@ -37,7 +36,6 @@ from graceful_plan.mobile.floor.timed_paths import (
 from graceful_plan.mobile.planners.bases_only import of_a_base
 from graceful_plan.mobile.planners.footprint import floor_around, footprint, near_entities, turns_and_straights
 from graceful_plan.mobile.planners.postures import BASE
-from graceful_plan.mobile.planners.roughly import roughly
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
@@ -288,11 +286,12 @@ class _Beside:
         table = np.zeros((HEADINGS, n, n))
         if self.objective.w == 0.0 or not isinstance(impact, ImpactCost):
             return table
-        rough, alone = roughly(impact), as_if_nobody_moved(self.objective.scene).with_moving(entity)
+        alone = as_if_nobody_moved(self.objective.scene).with_moving(entity)
+        rough = impact.moving_impact(alone, rough=True)
         xy = entity.at(t).position[:2] + np.stack(np.meshgrid(places, places, indexing="ij"), axis=-1).reshape(-1, 2)
         for h in range(HEADINGS):
             self._go_on()
-            found = rough.moving_state(moving_batch(alone, *self._driving(xy, h), np.full(len(xy), t)))
+            found = rough.impact(*self._driving(xy, h), np.full(len(xy), t))
             table[h] = self.objective.w * found.reshape(n, n)
         return table
 

@@ -24,6 +24,10 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 
+_ROUGH_PLACES = 12
+"""Of somebody who moves, where a search drops things on her."""
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class _Way:
@@ -82,25 +86,33 @@ class MovingModel:
             found[way.name] = np.where(way.strikes[:, None], P[:, None], 0.0)
         return found
 
-    def impact(self, scene: Scene, severity: Float[Array, "component moving"]) -> _native.MovingImpact:
-        """Return sums of P S at times with their derivatives, and gaps between the robot and moving entities."""
+    def impact(
+        self, scene: Scene, severity: Float[Array, "component moving"], *, rough: bool = False
+    ) -> _native.MovingImpact:
+        """Return sums of P S at times with their derivatives, and gaps between the robot and moving entities.
+
+        Args:
+            scene: Where.
+            severity: Of each component and moving entity.
+            rough: Whether something close and faster will do, for descents and searches.
+        """
         impact = _native.MovingImpact(compile_scene(scene).kernels.core, moving_table(scene))
-        for way in self._ways(scene, COMPONENTS):
+        for way in self._ways(scene, COMPONENTS, rough=rough):
             impact.add(way.native, reals(way.weight * severity[way.strikes].sum(axis=0)))
         return impact
 
-    def _ways(self, scene: Scene, components: Collection[str]) -> Iterator[_Way]:
+    def _ways(self, scene: Scene, components: Collection[str], *, rough: bool = False) -> Iterator[_Way]:
         """Yield what may go wrong for some components."""
         base, coast = self._of_base(scene)
-        aboard = 1.0 - coast
+        aboard, places = 1.0 - coast, min(_ROUGH_PLACES, self.places) if rough else self.places
         falls = np.array([name != "body" and name in components for name in scene.components])
         body = np.array([name == "body" and name in components for name in scene.components])
         if self.drop > 0.0 and scene.carried is not None and falls.any():
-            yield _Way("drop", aboard * self.drop, falls, moving_drop(scene, self.settings, self.places))
+            yield _Way("drop", aboard * self.drop, falls, moving_drop(scene, self.settings, places))
         if self.collapse > 0.0 and body.any():
             yield _Way("collapse", aboard * self.collapse, body, moving_arm(scene))
         if base is not None and coast > 0.0 and body.any():
-            yield _Way("coast", coast, body, base.meeting(scene))
+            yield _Way("coast", coast, body, (base.roughly() if rough else base).meeting(scene))
 
     def kernels(
         self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]
