@@ -124,7 +124,7 @@ class ChargedStates:
 @final
 @dataclass(frozen=True, eq=False)
 class AmongMoving:
-    """Native impact of states at times: of all that stands still, and of entities that move; the latter also roughly."""
+    """Native impact of states at times: of what stands still, and of entities that move, exactly and roughly."""
 
     still: ImpactKernel
     moving: _native.MovingImpact

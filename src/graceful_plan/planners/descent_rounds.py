@@ -156,7 +156,8 @@ class _Round:
         settings = self.descents.settings
         best = sorted(self.results, key=_value)[:_WORKERS]
         chosen = [best[0] if self.rng.uniform() < 0.5 else best[-1] for _ in range(_WORKERS)]
-        jobs, free = [self._bent(one.curve.even(_RESAMPLED), one.start, _NARROW) for one in chosen], list[DescentResult]()
+        jobs = [self._bent(one.curve.even(_RESAMPLED), one.start, _NARROW) for one in chosen]
+        free = list[DescentResult]()
         for stage, most in zip((COARSE, settings.middle), _PROMISING, strict=True):
             ended = self._descended(jobs, stage, self.budget, free)
             jobs = [start for value, start in sorted(ended, key=lambda job: job[0]) if value < most * best[0].value]
@@ -198,4 +199,3 @@ def _better(ended: Sequence[tuple[float, Start]]) -> list[Start]:
     """Return where the part of descents that goes on has ended, the best first."""
     kept = max(_LEAST, len(ended) // _KEPT)
     return [start for _, start in sorted(ended, key=lambda job: job[0])[:kept]]
-

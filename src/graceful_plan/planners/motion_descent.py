@@ -270,7 +270,7 @@ class MotionDescents:
     def finished(self, start: Start, stage: Stage, budget: Budget) -> DescentResult | None:
         """Descend, with a heavier penalty while the curve is too close to obstacles; None if it stays so.
 
-        Where it leads into an entity that moves, it descends with a heavier penalty, too, but is a result if it stays so.
+        Where it leads into an entity that moves, the penalty becomes heavier, too, but it is a result if it stays so.
         """
         descent = self.descended(start, stage, budget)
         if descent is None:

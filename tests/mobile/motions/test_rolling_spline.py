@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from graceful_plan.mobile.motions.drive import Drive, Move, joined
 from graceful_plan.mobile.motions.drive_limits import drive_limits
-from graceful_plan.mobile.motions.drive_source import slower
+from graceful_plan.mobile.motions.drive_timing import slower
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.timing.retiming import timed
 from hall import BASE, hall

@@ -17,12 +17,12 @@ Array = np.ndarray
 
 _BASE = 3
 """Joints of the base, before those of the arm."""
-_DRAWN = 300
+_DRAWN = 200
 _SCALES = (0.4, 1.2)
-"""Standard deviation of how far joints move, from the first candidate to the last [rad, or share of a shorter range]."""
+"""Standard deviation of how far joints move, from the first candidate to the last [rad, or share of a short range]."""
 _MOVED = 0.5
 """Share of the joints that do."""
-_PLACES = 12
+_PLACES = 6
 """Along the motion."""
 _FREE_SHARE = 0.6
 """Of these, where a posture has to be free: at both ends of a motion there may be less room."""
@@ -72,9 +72,7 @@ def carry_postures(
     return arms[possible[chosen]]
 
 
-def with_posture(
-    controls: Float[Array, "control column"], arm: Float[Array, " arm"]
-) -> Float[Array, "control column"]:
+def with_posture(controls: Float[Array, "control column"], arm: Float[Array, " arm"]) -> Float[Array, "control column"]:
     """Return control points of a `RollingSpline` with the arm in another posture but towards both ends."""
     share = np.linspace(0.0, 1.0, len(controls))[:, None]
     near = np.clip(np.minimum(share, 1.0 - share) / _RAMP, 0.0, 1.0)
@@ -84,9 +82,7 @@ def with_posture(
     return moved
 
 
-def _candidates(
-    ends: Float[Array, "2 arm"], problem: SceneProblem, rng: np.random.Generator
-) -> Float[Array, "n arm"]:
+def _candidates(ends: Float[Array, "2 arm"], problem: SceneProblem, rng: np.random.Generator) -> Float[Array, "n arm"]:
     """Draw postures: some joints elsewhere, and the others moved until what has to be level is."""
     lower, upper = problem.lower[_BASE:], problem.upper[_BASE:]
     shape = _DRAWN, ends.shape[1]

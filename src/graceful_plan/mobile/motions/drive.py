@@ -1,4 +1,4 @@
-"""What a base with an arm travels: smooth curves that it rolls along, and turns in place or moves of the arm between."""
+"""What a base with an arm travels: smooth curves that it rolls along, turns in place and moves of the arm between."""
 
 from __future__ import annotations
 

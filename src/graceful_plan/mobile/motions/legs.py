@@ -1,4 +1,4 @@
-"""From paths of straight stretches and turns in place to legs: what a base rolls in one gear, as descents begin with it.
+"""From paths of straight stretches and turns in place to legs: what a base rolls in one gear, where descents begin.
 
 Turns at either end of a leg are free: a curve may turn instead, partly or as a whole.
 """
@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.path import Path
 from graceful_plan.mobile.motions.drive import with_heading
 from graceful_plan.mobile.motions.stages import DriveStage, Move, stages
+from graceful_plan.path import Path
 
 Array = np.ndarray
 

@@ -7,9 +7,9 @@ from typing import final
 
 import numpy as np
 
+from graceful_plan.mobile.motions.drive_source import DriveSource
 from graceful_plan.mobile.planners import DRIVING
 from graceful_plan.mobile.planners.drive_lattice import DriveLattice
-from graceful_plan.mobile.motions.drive_source import DriveSource
 from graceful_plan.mobile.query.tight import rolling_endpoints
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.scene_problem import SceneProblem

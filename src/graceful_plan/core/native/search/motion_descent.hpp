@@ -95,7 +95,7 @@ class MotionDescent {
     return !settled_;
   }
 
-  // J, and what is charged for being too close.
+  // J, and what is charged for being too close before it is pressed harder.
   double value() const { return now_.total; }
   double duration() const { return now_.duration; }
   // The least gap to an entity that moves, while the robot moves; infinite where none is within kPassing.
@@ -296,7 +296,7 @@ class MotionDescent {
     felt_.back(d_.q);
     curve_->collect(d_, gradient);
     const double charge = curve_->charge(x, settings_.time_price, gradient);
-    return {total + spread + penalty + charge, total + penalty + charge, duration};
+    return {total + spread + penalty + charge, total + penalty / push_ + charge, duration};
   }
 
   // The length of the curve, and by how much its energy exceeds it, which is nothing where samples are even: the length

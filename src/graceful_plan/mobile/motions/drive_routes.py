@@ -1,0 +1,114 @@
+"""Routes of a request: along ways over the floor, and along paths of a search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+from typing import final
+
+import numpy as np
+
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.costs.still import as_if_nobody_moved
+from graceful_plan.mobile.motions.legs import Leg, Route, along_ways, routes
+from graceful_plan.mobile.motions.rolling_spline import RollingCurves
+from graceful_plan.mobile.motions.ways import ways
+from graceful_plan.mobile.planners.drive_lattice import DriveLattice
+from graceful_plan.mobile.planners.floor_in_time import FloorInTime
+from graceful_plan.path import Path
+from graceful_plan.planners.motion_descent import Start
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.candidates.search import PausedSearch, Search
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.query.request import Request
+
+_GOALS, _SHORTEST = 3, 2
+"""Goals that ways lead to, and ways for a first motion."""
+_LATEST = 2
+"""Paths of a search that are new to a round, at most."""
+
+
+@final
+class DriveRoutes:
+    """Finds routes, each with the arrival that it leads to.
+
+    Args:
+        request: What to plan, without regard for impact.
+        ends: Both ends.
+        problem: Where to search.
+        rng: Chance of the planner.
+    """
+
+    def __init__(self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator) -> None:
+        base = request.objective.scene.base
+        assert base is not None
+        self._request, self._ends, self._problem, self._base = request, ends, problem, base
+        self._run = _search_as_if_nobody_moved(request, problem, rng)
+        self._known = 0
+        self._asked_for_ways = False
+
+    @property
+    def searched(self) -> Search:
+        """The search of the planner."""
+        return self._run.found
+
+    def search(self, budget: Budget, *, to_first: bool = False) -> None:
+        """Go on searching until the budget ends, or until there is a path."""
+        self._run.advance(budget, to_first=to_first)
+
+    def shortest(self) -> list[tuple[Route, int]]:
+        """Return routes along the shortest ways to the goal that is wanted most; none where there is nowhere to go."""
+        stays = (self._problem.goals == self._problem.start).all(axis=1).any()
+        return [] if stays else self._along_ways(1, _SHORTEST)
+
+    def new(self) -> list[tuple[Route, int]]:
+        """Return routes that no round has seen yet."""
+        found = [] if self._asked_for_ways else self._along_ways(_GOALS, None)
+        self._asked_for_ways = True
+        paths = self.searched.paths
+        latest, self._known = paths[max(self._known, len(paths) - _LATEST) :], len(paths)
+        return found + [one for path in reversed(latest) for one in self.along(path)]
+
+    def along(self, path: Path) -> list[tuple[Route, int]]:
+        """Return routes along a path of the planner."""
+        whole, arrival = self._ends.joined(path)
+        return [(route, arrival) for route in routes(path)] if whole.length > 0.0 else []
+
+    def start(self, leg: Leg, arrival: int) -> Start:
+        """Return a leg as a start of descents."""
+        kind = RollingCurves(
+            self._base,
+            before=float(leg.q[0, 2]),
+            after=float(leg.q[-1, 2]),
+            forward=leg.forward,
+            turns_before=leg.turns_before,
+            turns_after=leg.turns_after,
+            speed=self._request.speed,
+        )
+        return Start(Path(leg.q), arrival=arrival, kind=kind)
+
+    def _along_ways(self, goals: int, most: int | None) -> list[tuple[Route, int]]:
+        """Return routes along ways over the floor, those that are tried first in front, unless a planner was named."""
+        if not isinstance(self._request.planner, DriveLattice):
+            return []
+        start, found = self._problem.start, list[tuple[Route, int]]()
+        for arrival, goal in enumerate(self._problem.goals[:goals]):
+            over = list(islice(ways(self._request.objective.scene, start, goal), most))
+            found += [(route, arrival) for route in along_ways(over, start, goal, self._base.reverse)]
+        return found
+
+
+def as_if_still(of: SceneObjective) -> SceneObjective:
+    """Return an objective as if nobody moved."""
+    return of.objective.bind(as_if_nobody_moved(of.scene), of.paces) if of.scene.moving else of
+
+
+def _search_as_if_nobody_moved(request: Request, problem: SceneProblem, rng: np.random.Generator) -> PausedSearch:
+    """Return a search for paths: it knows no times, at which somebody might be in the way."""
+    of = request.objective
+    if of.scene.moving and not isinstance(request.planner, FloorInTime):
+        of = as_if_still(of)
+        held = request.constraints.on(of.scene)
+        problem = replace(problem, kernels=held.kernels, constraints=held)
+    return PausedSearch(request.planner, problem, of, rng)

@@ -1,0 +1,86 @@
+"""From drives to timed motions with their cost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.mobile.motions.drive import Drive
+from graceful_plan.path import Path
+from graceful_plan.query.candidates.motions import Motion, costed
+from graceful_plan.query.request import Request
+from graceful_plan.timing.blend import CurveGrid
+from graceful_plan.timing.topp import Restraint
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+_INTO = 1e6
+"""Added to the ranking of motions that drive into somebody."""
+_STANDING = 0.01
+"""Speed of all joints below which a robot does not drive into anybody, but is walked into [m/s or rad/s]."""
+_FREE = 1e9
+"""Squared path speed where nothing is to be slower."""
+
+
+def timed_drive(drive: Drive, arrival: int, request: Request) -> Motion | None:
+    """Time a drive at its shares of the fastest speed; None if no timing keeps the constraints."""
+    try:
+        trajectory = request.constraints.timed(drive, speed=request.speed)
+        restraint = slower(drive, trajectory.t, trajectory.qd)
+        if restraint is not None:
+            trajectory = request.constraints.timed(drive, speed=request.speed, slower=restraint)
+    except RetimingError:
+        return None
+    motion = costed(trajectory.path, trajectory, arrival, request)
+    return replace(motion, ranking=motion.ranking + _INTO * _drives_into_somebody(motion.trajectory, request))
+
+
+def along(whole: Path, arrival: int, request: Request) -> Motion:
+    """Return a motion along a path itself, with a stop at each of its corners.
+
+    Raises:
+        RetimingError: If the path has no timing.
+    """
+    trajectory = request.constraints.retimed(whole, deviation=0.0, speed=request.speed)
+    motion = costed(whole, trajectory, arrival, request)
+    return replace(motion, ranking=motion.ranking + _INTO * _drives_into_somebody(motion.trajectory, request))
+
+
+def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]) -> Restraint | None:
+    """Return limits on the path speed at the shares that a drive has of its fastest motion; None if it has all of it.
+
+    Args:
+        drive: The drive.
+        t: Times of its fastest motion [s], at the points of a grid.
+        qd: Velocities there [rad/s or m/s].
+    """
+    grid = next(g for g in map(drive.grid, (1, 2, 4)) if len(g.q) == len(t))
+    share = drive.share(grid)
+    if share is None:
+        return None
+    slope = np.linalg.norm(np.concatenate([grid.slope[:, 0], grid.slope[-1:, 1]]), axis=1)
+    cap = (share * np.linalg.norm(qd, axis=1) / np.maximum(slope, 1e-12)) ** 2
+    cap = np.where((share < 1.0) & ~grid.stop, cap, _FREE)
+
+    def limits(of: CurveGrid) -> Float[Array, "interval limit 3"]:
+        at = np.interp(of.s, grid.s, cap)
+        steps, zero, one = np.diff(of.s), np.zeros(len(of.s) - 1), np.ones(len(of.s) - 1)
+        begin = np.stack([zero, one, at[:-1]], axis=-1)
+        end = np.stack([2.0 * steps, one, at[1:]], axis=-1)
+        return np.stack([begin, end], axis=1)
+
+    return limits
+
+
+def _drives_into_somebody(motion: Trajectory, request: Request) -> bool:
+    """Tell whether the sound robot touches an entity that moves, by the fast checker."""
+    among = request.objective.among_moving
+    if among is None:
+        return False
+    moves = np.abs(motion.qd).max(axis=1) > _STANDING
+    gap, _, _ = among.moving.gaps(motion.q[moves], motion.t[moves], 0.0)
+    return bool((gap < 0.0).any())
