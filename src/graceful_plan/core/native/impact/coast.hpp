@@ -40,10 +40,10 @@ class CoastModel {
     std::vector<FloorShape> shape;
   };
   Encounter encounter() const { return {{coasting_, n_entity_ + 1}, shape_}; }
-  double met(const Coasting::State& at, const FloorShape& who, Encounter& with) const {
+  double met(const Coasting::State& at, const FloorShape& who, Encounter& with, Coasting::Focus* focus) const {
     if (!coasting_.reaches(at, who)) return 0;
     with.shape.push_back(who);
-    const bool hit = coasting_.hits(at, with.shape, nullptr, with.work, int(n_entity_));
+    const bool hit = coasting_.hits(at, with.shape, nullptr, with.work, int(n_entity_), focus);
     with.shape.pop_back();
     return hit ? with.work.hit[n_entity_] : 0.0;
   }

@@ -126,17 +126,33 @@ struct CoastingArrays {
 
 class Coasting {
   // Places of one way, in the order in which the base comes there; `gone` is how far what is fastest of it went since
-  // the place before.
+  // the place before, `far` how far it is at most from where the base failed.
   struct Place {
-    double at[4], time, spread, gone;
+    double at[4], time, spread, gone, far;
   };
 
  public:
+  // A shape, and how far it is from where the base fails; of one that moves, or may be elsewhere, less than that.
+  struct Near {
+    size_t shape;
+    double away;
+    bool operator<(const Near& other) const { return away < other.away; }
+  };
   // The same of a base that spins, in its own frame.
   struct Spun {
-    double x, y, cos, sin, time, spread, gone, energy;
+    double x, y, cos, sin, time, spread, gone, energy, far;
   };
 
+  // Where along each way one entity was met, as far as that decided P: for states next to the one that it is known of.
+  struct Focus {
+    struct Range {
+      size_t first = 1, last = 0;  // places; none if they are in this order
+      bool blocked = false;        // whether anything may have stopped the base before
+      bool empty() const { return first > last; }
+    };
+    bool known = false;
+    std::vector<Range> of;
+  };
   // What is written to for each state.
   struct Work {
     Work(const Coasting& of, size_t n_entity) : hit(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
@@ -145,11 +161,14 @@ class Coasting {
     std::vector<double> stops;           // by shape that is near enough: how likely the base loses its energy there
     std::vector<double> energy;          // by place and stop, over that at the speed that severities are for
     std::vector<double> share;           // probability of each stop
-    std::vector<size_t> whom, what;      // shapes that are near enough: of entities, and obstacles
-    size_t asked = 0;                    // how many of whom, which come first, are asked for
+    std::vector<Near> whom, what;        // shapes that are near enough: of entities, and obstacles
+    std::vector<size_t> decides;         // place of each stop that is worth most
+    std::vector<double> blocked;         // P that something stopped the base before that
+    Focus* focus = nullptr;
+    size_t asked = 0;  // how many of whom, which come first, are asked for; others by how far they are
     std::vector<Place> place;
-    std::vector<Spun> spun;          // of the tables, at the speed and rate of turning of the state before
-    std::vector<double> spun_reach;  // how far off its places each table's are
+    std::vector<Spun> spun;           // of the tables, at the speed and rate of turning of the state before
+    std::vector<uint8_t> spun_known;  // which of the tables
     double spun_speed = 0, spun_rate = 0;
   };
   struct State {
@@ -203,7 +222,8 @@ class Coasting {
     return false;
   }
   double around(const FloorShape& who, double far) const {
-    return footprint_.reach() + kFarOff * std::sqrt(spread_ * spread_ + drift_ * far * drift_ * far + who.spread * who.spread);
+    return footprint_.reach() +
+           kFarOff * std::sqrt(spread_ * spread_ + drift_ * far * drift_ * far + who.spread * who.spread);
   }
   // How far somebody is at least while a base comes to rest that goes so far, less what both reach and blur.
   double nearest(const State& at, const FloorShape& who, double longest, double far) const {
@@ -215,8 +235,10 @@ class Coasting {
 
   // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all. If one
   // entity alone is asked for, the others are there to stop the base before it, and P of them is not found.
-  bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work,
-            int only = kAll) const {
+  bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work, int only = kAll,
+            Focus* focus = nullptr) const {
+    work.focus = focus;
+    if (focus && !focus->known) focus->of.assign(family_.size() + share_.size(), {});
     std::fill(work.hit.begin(), work.hit.end(), 0.0);
     const double speed = std::fabs(at.v);
     if (speed <= kStill) return false;
@@ -234,18 +256,22 @@ class Coasting {
     work.whom.clear(), work.what.clear();
     for (size_t k = 0; k < shape.size(); ++k) {
       const bool counts = shape[k].entity < 0 || !severity || severity[shape[k].entity] > 0;
-      const double moves = root_of_squares(shape[k].vx, shape[k].vy) * std::max(longest, lasts_) + kFarOff * shape[k].spread;
-      if (counts && shape[k].distance(at.x, at.y, 0) < most + moves)
-        (shape[k].entity < 0 ? work.what : work.whom).push_back(k);
+      const double moves =
+          root_of_squares(shape[k].vx, shape[k].vy) * std::max(longest, lasts_) + kFarOff * shape[k].spread;
+      const double away = shape[k].distance(at.x, at.y, 0);
+      if (counts && away < most + moves)
+        (shape[k].entity < 0 ? work.what : work.whom).push_back({k, moves > 0 ? away - most - moves : away});
     }
     // Those who are asked for come first.
-    const auto asked = std::stable_partition(work.whom.begin(), work.whom.end(),
-                                             [&](size_t k) { return only == kAll || shape[k].entity == only; });
+    const auto asked = std::partition(work.whom.begin(), work.whom.end(), [&](const Near& near) {
+      return only == kAll || shape[near.shape].entity == only;
+    });
     work.asked = size_t(asked - work.whom.begin());
     if (work.asked == 0) return false;
+    std::sort(asked, work.whom.end()), std::sort(work.what.begin(), work.what.end());
     double gap = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
     for (size_t j = 0; j < work.asked; ++j)
-      gap = std::min(gap, nearest(at, shape[work.whom[j]], std::max(longest, lasts_), far));
+      gap = std::min(gap, nearest(at, shape[work.whom[j].shape], std::max(longest, lasts_), far));
     const double sign = at.v < 0 ? -1 : 1, bend = at.omega / at.v * sign;
     const double straightens = turn_ * at.omega * at.omega;
     // Released wheels go along the others' arc if nothing turns so far.
@@ -255,9 +281,9 @@ class Coasting {
       if (alike && family.released && has({false, family.bend})) continue;
       double goes = 0;
       for (const size_t i : alike ? any_[f] : own_[f]) goes = std::max(goes, work.free[i] + work.braked[i]);
-      if (gap > goes) continue;
+      if (gap > goes || passes_over(work, f)) continue;
       const double turns = family.released ? straightens : std::numeric_limits<double>::infinity();
-      follow(at, {sign, bend + family.bend, turns, speed, far, alike ? any_[f] : own_[f]}, shape, work);
+      follow(at, {sign, bend + family.bend, turns, speed, far, alike ? any_[f] : own_[f], f}, shape, work);
     }
     if (!share_.empty()) tabulated(at, gap, shape, work);
     if (!stray_.empty()) astray(at, shape, work);
@@ -275,6 +301,7 @@ class Coasting {
   struct Way {
     double sign, bend, most, speed, far;
     const std::vector<size_t>& stops;
+    size_t trail;
   };
   struct Stop {
     double p, a, k, delay;
@@ -285,6 +312,11 @@ class Coasting {
     double lasts, aside, turned, spread;
   };
   bool has(const Family& family) const { return std::find(family_.begin(), family_.end(), family) != family_.end(); }
+
+  // Whether it is known that nobody is met along a way.
+  static bool passes_over(const Work& work, size_t trail) {
+    return work.focus && work.focus->known && work.focus->of[trail].empty();
+  }
 
   // Distance of a shape from a base at a place, if it is near enough to be touched.
   double apart(const FloorShape& shape, const Place& place) const {
@@ -301,6 +333,18 @@ class Coasting {
   // How likely it is touched.
   static double touch(double apart, const FloorShape& shape, const Place& place) {
     return std::isinf(apart) ? 0.0 : 0.5 * std::erfc(apart / blur(shape, place) * 0.7071067811865476);
+  }
+  // How far what rests may be from where the base fails and still be touched at a place.
+  double reached(const Place& place) const { return place.far + footprint_.reach() + kFarOff * place.spread; }
+  // How likely an obstacle is touched at a place.
+  double stopped_at(const Place& place, const std::vector<FloorShape>& shape, const Work& work) const {
+    const double within = reached(place);
+    double most = 0;
+    for (const Near& near : work.what) {
+      if (near.away >= within) break;
+      most = std::max(most, touch(apart(shape[near.shape], place), shape[near.shape], place));
+    }
+    return most;
   }
   // Share of the energy that is along the normal where shape j of work.whom is touched: the base closes in on it by
   // part of the way alone that it goes. Of who is small beside the blur the normal is as unknown: half of the energy.
@@ -319,56 +363,75 @@ class Coasting {
   }
   // Raise work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth
   // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
-  void meet(const std::vector<FloorShape>& shape, Work& work) const {
+  void meet(const std::vector<FloorShape>& shape, Work& work, size_t trail) const {
     if (work.place.empty()) return;
     const size_t stops = work.share.size(), n = work.whom.size();
-    work.most.assign(work.hit.size() * stops, 0.0);
+    Focus::Range* range = work.focus ? &work.focus->of[trail] : nullptr;
+    const bool known = range && work.focus->known, alone = known && !range->blocked, records = range && !known;
+    const size_t first = alone ? range->first : 0;
+    const size_t end = known ? std::min(work.place.size(), range->last + 1) : work.place.size();
+    constexpr double kNever = std::numeric_limits<double>::infinity();
     size_t last = 0;
     work.apart.resize(work.place.size() * n), work.touched.resize(work.place.size() * n);
-    const auto look = [&](size_t from, size_t to, size_t places) {
-      for (size_t k = 0; k < places; ++k) {
-        const Place& place = work.place[k];
-        for (size_t j = from; j < to; ++j) {
-          const FloorShape& who = shape[work.whom[j]];
-          const double d = work.apart[k * n + j] = apart(who, place);
-          const double touches = work.touched[k * n + j] = touch(d, who, place);
-          if (j < work.asked && touches > kHardly) last = k + 1;
-        }
-      }
+    const auto look = [&](size_t k, size_t j) {
+      const FloorShape& who = shape[work.whom[j].shape];
+      const double d = work.apart[k * n + j] = apart(who, work.place[k]);
+      return work.touched[k * n + j] = touch(d, who, work.place[k]);
     };
-    look(0, work.asked, work.place.size());
+    for (size_t k = first; k < end; ++k)
+      for (size_t j = 0; j < work.asked; ++j)
+        if (look(k, j) > kHardly) last = k + 1;
     if (last == 0) return;
-    look(work.asked, n, last);
+    if (first > 0) std::fill_n(work.apart.begin() + std::ptrdiff_t((first - 1) * n), n, kNever);
+    for (size_t k = first; k < last; ++k) {
+      const double within = alone ? -kNever : reached(work.place[k]);
+      size_t j = work.asked;
+      for (; j < n && work.whom[j].away < within; ++j) look(k, j);
+      for (; j < n; ++j) work.apart[k * n + j] = kNever, work.touched[k * n + j] = 0;
+    }
+    if (records) work.decides.assign(stops, 0), work.blocked.assign(stops, 0.0);
+    work.most.assign(work.hit.size() * stops, 0.0);
     double stopped = 0;
     work.met.assign(work.hit.size(), 0.0);
     work.stops.resize(n);
-    for (size_t k = 0; k < last; ++k) {
-      const Place& place = work.place[k];
-      for (const size_t j : work.what) stopped = std::max(stopped, touch(apart(shape[j], place), shape[j], place));
+    for (size_t k = first; k < last; ++k) {
+      if (!alone) stopped = std::max(stopped, stopped_at(work.place[k], shape, work));
       for (size_t j = 0; j < n; ++j) {
         const double touches = work.touched[k * n + j];
         work.stops[j] = 0;
         if (touches <= kHardly) continue;
-        const size_t own = size_t(shape[work.whom[j]].entity);
+        const size_t own = size_t(shape[work.whom[j].shape].entity);
         double before = stopped;  // whom it met before stops it as well
         for (size_t i = 0; i < n; ++i) {
-          const size_t other = size_t(shape[work.whom[i]].entity);
+          const size_t other = size_t(shape[work.whom[i].shape].entity);
           if (other != own) before = std::max(before, work.met[other]);
         }
-        const double along = head_on(shape[work.whom[j]], k, j, work);
+        const double along = head_on(shape[work.whom[j].shape], k, j, work);
         work.stops[j] = touches * along;
         const double* energy = &work.energy[k * stops];
         double* most = &work.most[own * stops];
-        for (size_t i = 0; i < stops; ++i)
-          most[i] = std::max(most[i], std::min(1.0, energy[i] * along) * ((1 - before) * touches));
+        for (size_t i = 0; i < stops; ++i) {
+          const double harm = std::min(1.0, energy[i] * along) * ((1 - before) * touches);
+          if (harm <= most[i]) continue;
+          most[i] = harm;
+          if (records && j < work.asked) work.decides[i] = k, work.blocked[i] = before;
+        }
       }
       for (size_t j = 0; j < n; ++j) {
-        double& met = work.met[size_t(shape[work.whom[j]].entity)];
+        double& met = work.met[size_t(shape[work.whom[j].shape].entity)];
         met = std::max(met, work.stops[j]);
       }
     }
     for (size_t e = 0; e < work.hit.size(); ++e)
       for (size_t i = 0; i < stops; ++i) work.hit[e] += work.share[i] * work.most[e * stops + i];
+    if (!records) return;
+    const size_t own = size_t(shape[work.whom.front().shape].entity);
+    for (size_t i = 0; i < stops; ++i) {
+      if (!(work.most[own * stops + i] > 0)) continue;
+      const size_t k = work.decides[i];
+      *range = {range->empty() ? k : std::min(range->first, k), std::max(range->last, k),
+                range->blocked || work.blocked[i] > kBlocked};
+    }
   }
 
   // Follow an arc and what comes after it, and raise work.hit.
@@ -378,7 +441,9 @@ class Coasting {
     double time = 0, before = 0;
     work.place.clear(), work.energy.clear(), work.share.clear();
     for (const size_t i : way.stops) work.share.push_back(stop_[i].p);
-    for (int k = 0; k < kSamples && kSpacing * (k - 1) < way.far; ++k) {
+    const bool known = work.focus && work.focus->known;
+    const size_t most = known ? std::max<size_t>(work.focus->of[way.trail].last, 1) + 1 : size_t(kSamples);
+    for (int k = 0; size_t(k) < most && kSpacing * (k - 1) < way.far; ++k) {
       const double done = std::min(way.far, kSpacing * k), curved = std::min(done, arc), straight = done - curved;
       const double turned = way.bend * curved, half = 0.5 * turned;
       const double chord = way.sign * curved * (std::fabs(half) > 1e-9 ? std::sin(half) / half : 1.0);
@@ -401,9 +466,9 @@ class Coasting {
       const double gone = done - before;
       const double slower = moving > 0 ? std::sqrt(left_of / moving) : 0;
       time += gone / (way.speed * std::max(slower, kSlowest)), before = done;
-      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, root_of_squares(spread_, drift_ * done), gone});
+      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, root_of_squares(spread_, drift_ * done), gone, done});
     }
-    meet(shape, work);
+    meet(shape, work, way.trail);
   }
 
   // Places of bases that spin, from tables by speed and rate of turning; what drives backwards is the same turned
@@ -411,48 +476,69 @@ class Coasting {
   void tabulated(const State& q, double gap, const std::vector<FloorShape>& shape, Work& work) const {
     const double speed = std::fabs(q.v), sign = q.v < 0 ? -1 : 1, c = std::cos(q.yaw), s = std::sin(q.yaw);
     // States of a batch often differ by place and time alone.
-    if (work.spun.empty() || work.spun_speed != speed || work.spun_rate != q.omega) spin(speed, q.omega, work);
-    const Spun* row = work.spun.data();
+    if (work.spun_known.empty() || work.spun_speed != speed || work.spun_rate != q.omega) {
+      work.spun_speed = speed, work.spun_rate = q.omega;
+      work.spun_known.assign(share_.size(), 0), work.spun.resize(share_.size() * samples_);
+    }
+    const Cells cells = cells_at(speed, q.omega);
     for (size_t f = 0; f < share_.size(); ++f) {
-      if (gap > work.spun_reach[f]) {
-        row += samples_;
-        continue;
-      }
+      double most = 0;
+      for (size_t i = 0; i < cells.n; ++i) most = std::max(most, reach_of_[cells.at[i] * share_.size() + f]);
+      if (gap > most || passes_over(work, family_.size() + f)) continue;
+      if (!work.spun_known[f]) spin(cells, f, work);
       work.place.clear(), work.energy.clear(), work.share.assign(1, share_[f]);
-      for (size_t k = 0; k < samples_; ++k, ++row) {
-        const double x = sign * row->x, y = sign * row->y;
+      for (size_t k = 0; k < samples_; ++k) {
+        const Spun& row = work.spun[f * samples_ + k];
+        const double x = sign * row.x, y = sign * row.y;
         work.place.push_back(
-            {{q.x + c * x - s * y, q.y + s * x + c * y, c * row->cos - s * row->sin, s * row->cos + c * row->sin},
-             row->time,
-             row->spread,
-             row->gone});
-        work.energy.push_back(row->energy);
+            {{q.x + c * x - s * y, q.y + s * x + c * y, c * row.cos - s * row.sin, s * row.cos + c * row.sin},
+             row.time,
+             row.spread,
+             row.gone,
+             row.far});
+        work.energy.push_back(row.energy);
       }
-      meet(shape, work);
+      meet(shape, work, family_.size() + f);
     }
   }
-  void spin(double speed, double rate, Work& work) const {
+  // Entries of the tables around a speed and a rate of turning, and their weights.
+  struct Cells {
+    size_t n = 0, at[4];
+    double weight[4];
+  };
+  Cells cells_at(double speed, double rate) const {
     const Node v = node(speeds_, speed), w = node(rates_, rate);
-    work.spun_reach.assign(share_.size(), 0.0);
-    work.spun.clear(), work.spun_speed = speed, work.spun_rate = rate;
-    for (size_t f = 0; f < share_.size(); ++f) {
-      for (size_t k = 0; k < samples_; ++k) {
-        double p[kPlace] = {};
-        for (int i = 0; i < 2; ++i) {
-          for (int j = 0; j < 2; ++j) {
-            const double weight = (i ? v.part : 1 - v.part) * (j ? w.part : 1 - w.part);
-            if (weight == 0) continue;
-            const size_t cell = (v.low + size_t(i)) * rates_.size() + w.low + size_t(j);
-            const double* row = &place_[((cell * share_.size() + f) * samples_ + k) * kPlace];
-            for (size_t n = 0; n < kPlace; ++n) p[n] += weight * row[n];
-          }
-        }
-        const double far = root_of_squares(p[0], p[1]), gone = k == 0 ? 0.0 : p[3] * (p[4] - work.spun.back().time);
-        work.spun_reach[f] = std::max(work.spun_reach[f], far);
-        work.spun.push_back({p[0], p[1], std::cos(p[2]), std::sin(p[2]), p[4], root_of_squares(spread_, drift_ * far), gone,
-                             p[3] * p[3] / (unit_ * unit_)});
+    Cells cells;
+    for (size_t i = 0; i < 2; ++i)
+      for (size_t j = 0; j < 2; ++j) {
+        const double weight = (i ? v.part : 1 - v.part) * (j ? w.part : 1 - w.part);
+        if (weight == 0) continue;
+        cells.at[cells.n] = (v.low + i) * rates_.size() + w.low + j, cells.weight[cells.n++] = weight;
       }
+    return cells;
+  }
+  // Interpolates one table.
+  void spin(const Cells& cells, size_t f, Work& work) const {
+    double before = 0;
+    for (size_t k = 0; k < samples_; ++k) {
+      double p[kPlace] = {};
+      for (size_t i = 0; i < cells.n; ++i) {
+        const double* row = &place_[((cells.at[i] * share_.size() + f) * samples_ + k) * kPlace];
+        for (size_t n = 0; n < kPlace; ++n) p[n] += cells.weight[i] * row[n];
+      }
+      const double far = root_of_squares(p[0], p[1]), gone = k == 0 ? 0.0 : p[3] * (p[4] - before);
+      work.spun[f * samples_ + k] = {p[0],
+                                     p[1],
+                                     std::cos(p[2]),
+                                     std::sin(p[2]),
+                                     p[4],
+                                     root_of_squares(spread_, drift_ * far),
+                                     gone,
+                                     p[3] * p[3] / (unit_ * unit_),
+                                     far};
+      before = p[4];
     }
+    work.spun_known[f] = 1;
   }
   // Bases that went astray before they came here, beside the way: who is met in the next moment that is not met yet,
   // for as long as they have been astray. Along a way this adds up to how likely they are met at all.
@@ -461,18 +547,20 @@ class Coasting {
     const double half = 0.5 * q.omega / speed * kNext, step = sign * kNext;
     const double c = std::cos(q.yaw), s = std::sin(q.yaw);
     for (const Stray& stray : stray_) {
-      const double yaw = q.yaw + stray.turned * sign;
-      const Place between{{q.x - 0.5 * stray.aside * s, q.y + 0.5 * stray.aside * c, c, s}, 0, stray.spread, 0};
-      const Place now{{q.x - stray.aside * s, q.y + stray.aside * c, std::cos(yaw), std::sin(yaw)}, 0, stray.spread, 0};
+      const double yaw = q.yaw + stray.turned * sign, aside = std::fabs(stray.aside);
+      const Place between{{q.x - 0.5 * stray.aside * s, q.y + 0.5 * stray.aside * c, c, s}, 0, stray.spread, 0, aside};
+      const Place now{
+          {q.x - stray.aside * s, q.y + stray.aside * c, std::cos(yaw), std::sin(yaw)}, 0, stray.spread, 0, aside};
       const Place next{{now.at[0] + step * std::cos(yaw + half), now.at[1] + step * std::sin(yaw + half),
                         std::cos(yaw + 2 * half), std::sin(yaw + 2 * half)},
                        0,
                        stray.spread,
-                       kNext};
+                       kNext,
+                       aside + kNext};
       work.met.assign(work.hit.size(), 0.0);
       bool any = false;
       for (size_t j = 0; j < work.asked; ++j) {
-        const size_t k = work.whom[j];
+        const size_t k = work.whom[j].shape;
         const double then = apart(shape[k], next), before = std::isinf(then) ? then : distance(shape[k], now);
         const double more = touch(then, shape[k], next) - touch(before, shape[k], now);
         if (more <= kHardly) continue;
@@ -482,9 +570,7 @@ class Coasting {
       }
       if (!any) continue;
       double stopped = 0;
-      for (const size_t k : work.what)
-        for (const Place& place : {between, now})
-          stopped = std::max(stopped, touch(apart(shape[k], place), shape[k], place));
+      for (const Place& place : {between, now}) stopped = std::max(stopped, stopped_at(place, shape, work));
       for (size_t e = 0; e < work.hit.size(); ++e)
         work.hit[e] = std::min(1.0, work.hit[e] + stray.lasts * speed / kNext * (1 - stopped) * work.met[e]);
     }
@@ -526,27 +612,32 @@ class Coasting {
     samples_ = of.places.size() / whole;
     require(samples_ > 1, "places of a base");
     place_.assign(of.places.data(), of.places.data() + of.places.size());
+    reach_of_.assign(place_.size() / (kPlace * samples_), 0.0);
     for (size_t k = 0; k < place_.size(); k += kPlace) {
+      double& reach = reach_of_[k / (kPlace * samples_)];
+      reach = std::max(reach, root_of_squares(place_[k], place_[k + 1]));
       farthest_ = std::max(farthest_, root_of_squares(place_[k], place_[k + 1]));
       lasts_ = std::max(lasts_, place_[k + 4]);
     }
   }
 
   static constexpr size_t kStop = 6, kPlace = 5, kStrayed = 4;
-  static constexpr int kSamples = 64;      // places along the way at which is seen what it meets, at most
-  static constexpr int kLooks = 16;        // times at which is seen whether somebody may be near
-  static constexpr double kSpacing = 0.1;  // between them [m]
-  static constexpr double kNext = 0.05;    // how far the next moment of a base is that is astray [m]
-  static constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
-  static constexpr double kFarOff = 6;     // spreads beyond which nothing is touched
-  static constexpr double kHardly = 1e-9;  // probability of a touch that is none
-  static constexpr double kSlowest = 0.1;  // share of the speed below which time is not stretched further
+  static constexpr int kSamples = 64;       // places along the way at which is seen what it meets, at most
+  static constexpr int kLooks = 16;         // times at which is seen whether somebody may be near
+  static constexpr double kSpacing = 0.1;   // between them [m]
+  static constexpr double kNext = 0.05;     // how far the next moment of a base is that is astray [m]
+  static constexpr double kStill = 1e-6;    // speed below which a base stands [m/s]
+  static constexpr double kFarOff = 6;      // spreads beyond which nothing is touched
+  static constexpr double kHardly = 1e-9;   // probability of a touch that is none
+  static constexpr double kBlocked = 1e-6;  // probability below which nothing has stopped a base before
+  static constexpr double kSlowest = 0.1;   // share of the speed below which time is not stretched further
 
   Footprint2d footprint_;
   std::vector<Stop> stop_;
   std::vector<Family> family_;
   std::vector<std::vector<size_t>> own_, any_;  // stops of each: its own, and those of both kinds of wheels
   std::vector<double> share_, speeds_, rates_, place_;
+  std::vector<double> reach_of_;  // by entry and table: how far off its places are at most
   std::vector<Stray> stray_;
   size_t samples_ = 0;
   double unit_ = 1, spread_ = 1, drift_ = 0, turn_ = 0, farthest_ = 0, lasts_ = 0;

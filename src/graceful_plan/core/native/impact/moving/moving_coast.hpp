@@ -22,17 +22,19 @@ class MovingCoast final : public MovingSource {
         if (severity && severity[e] == 0) continue;
         const MovingEntity& entity = table_.paths().entity[e];
         if (t) {
-          *out = met(at, entity, t[i], encounter);
+          *out = met(at, entity, t[i], encounter, nullptr);
           continue;
         }
-        for (int k = 0; k < entity.n_time; ++k) *out += met(at, entity, entity.time[k], encounter) / entity.n_time;
+        for (int k = 0; k < entity.n_time; ++k)
+          *out += met(at, entity, entity.time[k], encounter, nullptr) / entity.n_time;
       }
     }
   }
-  // By differences, of those who may be hit at all.
+  // By differences, of those who may be hit at all: between places that decide P, which stay the same nearby.
   void slopes(const States& states, const double* t, const double* severity, const MovingSlopes& out) const override {
     const size_t nq = size_t(core_.tables().n_joint);
     CoastModel::Encounter encounter = model_.encounter();
+    Coasting::Focus focus;
     for (size_t i = 0; i < states.n; ++i) {
       const double *q = states.q + i * nq, *qd = states.qd + i * nq;
       double *d_q = out.d_q + i * nq, *d_qd = out.d_qd + i * nq;
@@ -40,16 +42,18 @@ class MovingCoast final : public MovingSource {
       for (size_t e = 0; e < table_.size(); ++e) {
         if (severity[e] == 0) continue;
         const MovingEntity& entity = table_.paths().entity[e];
-        const double P = met(at, entity, t[i], encounter);
+        focus.known = false;
+        const double P = met(at, entity, t[i], encounter, &focus);
+        focus.known = true;
         out.value[i] += severity[e] * P;
         if (!(P > kHardly)) continue;
         const auto slope = [&](double Coasting::State::* of) {
           Coasting::State moved = at;
           moved.*of += kNudge;
-          return severity[e] * (met(moved, entity, t[i], encounter) - P) / kNudge;
+          return severity[e] * (met(moved, entity, t[i], encounter, &focus) - P) / kNudge;
         };
         // Those at the same velocities first: tables are looked up once for all of them.
-        out.d_t[i] += severity[e] * (met(at, entity, t[i] + kNudge, encounter) - P) / kNudge;
+        out.d_t[i] += severity[e] * (met(at, entity, t[i] + kNudge, encounter, &focus) - P) / kNudge;
         d_q[0] += slope(&Coasting::State::x), d_q[1] += slope(&Coasting::State::y);
         d_q[2] += slope(&Coasting::State::yaw);
         const double by_speed = slope(&Coasting::State::v), c = std::cos(q[2]), s = std::sin(q[2]);
@@ -64,7 +68,8 @@ class MovingCoast final : public MovingSource {
   static constexpr double kNudge = 1e-4;   // of a difference [m, rad, m/s, rad/s, s]
   static constexpr double kHardly = 1e-6;  // P below which nobody is hit
 
-  double met(const Coasting::State& at, const MovingEntity& e, double t, CoastModel::Encounter& encounter) const {
+  double met(const Coasting::State& at, const MovingEntity& e, double t, CoastModel::Encounter& encounter,
+             Coasting::Focus* focus) const {
     const MovingTable::Place here = table_.at(e, t), soon = table_.at(e, t + kSoon);
     if (here.z - e.half[2] >= top_ || here.z + e.half[2] <= bottom_) return 0;
     FloorShape who{int(model_.n_entity()),
@@ -82,7 +87,7 @@ class MovingCoast final : public MovingSource {
       who.round = e.half[0];
     else
       who.a = e.half[0], who.b = e.half[1];
-    return model_.met(at, who, encounter);
+    return model_.met(at, who, encounter, focus);
   }
 
   const CoastModel& model_;
