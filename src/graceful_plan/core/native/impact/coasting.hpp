@@ -365,37 +365,26 @@ class Coasting {
   // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
   void meet(const std::vector<FloorShape>& shape, Work& work, size_t trail) const {
     if (work.place.empty()) return;
+    if (work.asked < work.whom.size() || work.focus) return meet_one(shape, work, trail);
     const size_t stops = work.share.size(), n = work.whom.size();
-    Focus::Range* range = work.focus ? &work.focus->of[trail] : nullptr;
-    const bool known = range && work.focus->known, alone = known && !range->blocked, records = range && !known;
-    const size_t first = alone ? range->first : 0;
-    const size_t end = known ? std::min(work.place.size(), range->last + 1) : work.place.size();
-    constexpr double kNever = std::numeric_limits<double>::infinity();
     size_t last = 0;
     work.apart.resize(work.place.size() * n), work.touched.resize(work.place.size() * n);
-    const auto look = [&](size_t k, size_t j) {
-      const FloorShape& who = shape[work.whom[j].shape];
-      const double d = work.apart[k * n + j] = apart(who, work.place[k]);
-      return work.touched[k * n + j] = touch(d, who, work.place[k]);
-    };
-    for (size_t k = first; k < end; ++k)
-      for (size_t j = 0; j < work.asked; ++j)
-        if (look(k, j) > kHardly) last = k + 1;
-    if (last == 0) return;
-    if (first > 0) std::fill_n(work.apart.begin() + std::ptrdiff_t((first - 1) * n), n, kNever);
-    for (size_t k = first; k < last; ++k) {
-      const double within = alone ? -kNever : reached(work.place[k]);
-      size_t j = work.asked;
-      for (; j < n && work.whom[j].away < within; ++j) look(k, j);
-      for (; j < n; ++j) work.apart[k * n + j] = kNever, work.touched[k * n + j] = 0;
+    for (size_t k = 0; k < work.place.size(); ++k) {
+      const Place& place = work.place[k];
+      for (size_t j = 0; j < n; ++j) {
+        const FloorShape& who = shape[work.whom[j].shape];
+        const double d = work.apart[k * n + j] = apart(who, place);
+        const double touches = work.touched[k * n + j] = touch(d, who, place);
+        if (touches > kHardly) last = k + 1;
+      }
     }
-    if (records) work.decides.assign(stops, 0), work.blocked.assign(stops, 0.0);
+    if (last == 0) return;
     work.most.assign(work.hit.size() * stops, 0.0);
     double stopped = 0;
     work.met.assign(work.hit.size(), 0.0);
     work.stops.resize(n);
-    for (size_t k = first; k < last; ++k) {
-      if (!alone) stopped = std::max(stopped, stopped_at(work.place[k], shape, work));
+    for (size_t k = 0; k < last; ++k) {
+      stopped = std::max(stopped, stopped_at(work.place[k], shape, work));
       for (size_t j = 0; j < n; ++j) {
         const double touches = work.touched[k * n + j];
         work.stops[j] = 0;
@@ -410,12 +399,8 @@ class Coasting {
         work.stops[j] = touches * along;
         const double* energy = &work.energy[k * stops];
         double* most = &work.most[own * stops];
-        for (size_t i = 0; i < stops; ++i) {
-          const double harm = std::min(1.0, energy[i] * along) * ((1 - before) * touches);
-          if (harm <= most[i]) continue;
-          most[i] = harm;
-          if (records && j < work.asked) work.decides[i] = k, work.blocked[i] = before;
-        }
+        for (size_t i = 0; i < stops; ++i)
+          most[i] = std::max(most[i], std::min(1.0, energy[i] * along) * ((1 - before) * touches));
       }
       for (size_t j = 0; j < n; ++j) {
         double& met = work.met[size_t(shape[work.whom[j].shape].entity)];
@@ -424,14 +409,60 @@ class Coasting {
     }
     for (size_t e = 0; e < work.hit.size(); ++e)
       for (size_t i = 0; i < stops; ++i) work.hit[e] += work.share[i] * work.most[e * stops + i];
-    if (!records) return;
-    const size_t own = size_t(shape[work.whom.front().shape].entity);
+  }
+  // The same of one entity. Places that are worth no more than others, whoever is touched there, are passed over; the
+  // others are looked at where it is known that the base comes so far.
+  void meet_one(const std::vector<FloorShape>& shape, Work& work, size_t trail) const {
+    const size_t stops = work.share.size(), n = work.whom.size();
+    Focus::Range* range = work.focus ? &work.focus->of[trail] : nullptr;
+    const bool known = range && work.focus->known, alone = known && !range->blocked;
+    const size_t end = known ? std::min(work.place.size(), range->last + 1) : work.place.size();
+    work.apart.assign(end * n, std::numeric_limits<double>::infinity());
+    work.most.assign(stops, 0.0), work.decides.assign(stops, 0), work.blocked.assign(stops, 0.0);
+    size_t obstacles = 0, others = 0;  // places at which they were looked at
+    double stopped = 0, met = 0;
+    for (size_t k = known ? range->first : 0; k < end; ++k) {
+      const double* energy = &work.energy[k * stops];
+      const auto worth = [&](double touched) {
+        for (size_t i = 0; i < stops; ++i)
+          if (std::min(1.0, energy[i]) * touched > work.most[i]) return true;
+        return false;
+      };
+      if (!worth(1.0)) continue;
+      for (size_t j = 0; j < work.asked; ++j) {
+        const FloorShape& who = shape[work.whom[j].shape];
+        const double d = work.apart[k * n + j] = apart(who, work.place[k]), touched = touch(d, who, work.place[k]);
+        if (touched <= kHardly || !worth(touched)) continue;
+        for (; !alone && obstacles <= k; ++obstacles)
+          stopped = std::max(stopped, stopped_at(work.place[obstacles], shape, work));
+        for (; !alone && others < k; ++others) met = std::max(met, others_at(others, shape, work));
+        const double before = std::max(stopped, met), along = head_on(who, k, j, work);
+        for (size_t i = 0; i < stops; ++i) {
+          const double harm = std::min(1.0, energy[i] * along) * ((1 - before) * touched);
+          if (harm > work.most[i]) work.most[i] = harm, work.decides[i] = k, work.blocked[i] = before;
+        }
+      }
+    }
+    double& hit = work.hit[size_t(shape[work.whom.front().shape].entity)];
     for (size_t i = 0; i < stops; ++i) {
-      if (!(work.most[own * stops + i] > 0)) continue;
+      hit += work.share[i] * work.most[i];
+      if (!range || known || !(work.most[i] > 0)) continue;
       const size_t k = work.decides[i];
       *range = {range->empty() ? k : std::min(range->first, k), std::max(range->last, k),
                 range->blocked || work.blocked[i] > kBlocked};
     }
+  }
+  // How likely the base loses its energy at a place to somebody who is not asked for.
+  double others_at(size_t k, const std::vector<FloorShape>& shape, Work& work) const {
+    const size_t n = work.whom.size();
+    const double within = reached(work.place[k]);
+    double most = 0;
+    for (size_t j = work.asked; j < n && work.whom[j].away < within; ++j) {
+      const FloorShape& who = shape[work.whom[j].shape];
+      const double d = work.apart[k * n + j] = apart(who, work.place[k]), touched = touch(d, who, work.place[k]);
+      if (touched > std::max(kHardly, most)) most = std::max(most, touched * head_on(who, k, j, work));
+    }
+    return most;
   }
 
   // Follow an arc and what comes after it, and raise work.hit.
