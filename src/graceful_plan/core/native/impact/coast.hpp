@@ -50,6 +50,25 @@ class CoastModel {
   Coasting::State state(const double* q, const double* qd) const {
     return {q[0], q[1], q[2], qd[0] * std::cos(q[2]) + qd[1] * std::sin(q[2]), qd[2]};
   }
+  // Adds the derivatives of something by the state of the base, whose value there is known, by differences.
+  template <class Value>
+  static void add_slopes(const double* q, const double* qd, const Coasting::State& at, double known, Value value,
+                         double* d_q, double* d_qd) {
+    const auto slope = [&](double Coasting::State::* of) {
+      Coasting::State moved = at;
+      moved.*of += kNudge;
+      return (value(moved) - known) / kNudge;
+    };
+    // Those at the same velocities first: tables are looked up once for all of them.
+    d_q[0] += slope(&Coasting::State::x), d_q[1] += slope(&Coasting::State::y), d_q[2] += slope(&Coasting::State::yaw);
+    const double by_speed = slope(&Coasting::State::v), c = std::cos(q[2]), s = std::sin(q[2]);
+    d_q[2] += by_speed * (c * qd[1] - s * qd[0]);
+    d_qd[0] += by_speed * c, d_qd[1] += by_speed * s, d_qd[2] += slope(&Coasting::State::omega);
+  }
+  static constexpr double kNudge = 1e-4;  // of a difference [m, rad, m/s, rad/s, s]
+  bool hits(const Coasting::State& at, const double* severity, Coasting::Work& work) const {
+    return coasting_.hits(at, shape_, severity, work);
+  }
   bool hits(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
     return coasting_.hits(state(q, qd), shape_, severity, work);
   }
@@ -81,6 +100,23 @@ class CoastImpact final : public Impact {
     }
   }
   bool asks_for_velocity() const override { return true; }
+  void state_slopes(const States& states, bool, const Slopes& out) const override {
+    const size_t nq = size_t(core_.tables().n_joint);
+    Coasting::Work work = model_.work();
+    std::fill_n(out.d_q, states.n * nq, 0.0), std::fill_n(out.d_qd, states.n * nq, 0.0);
+    const auto value = [&](const Coasting::State& at) {
+      double sum = 0;
+      if (model_.hits(at, severity_.data(), work))
+        for (size_t e = 0; e < severity_.size(); ++e) sum += severity_[e] * work.hit[e];
+      return sum;
+    };
+    for (size_t i = 0; i < states.n; ++i) {
+      const double *q = states.q + i * nq, *qd = states.qd + i * nq;
+      const Coasting::State at = model_.state(q, qd);
+      out.value[i] = value(at);
+      CoastModel::add_slopes(q, qd, at, out.value[i], value, out.d_q + i * nq, out.d_qd + i * nq);
+    }
+  }
   void edges(const Edges& edges, double* cost) const override {
     EdgeStates sampled(core_, speed_.data(), pace_, {edges.q0, edges.q1, edges.n, std::max(edges.step, kStep)},
                        Sampling::kMean);

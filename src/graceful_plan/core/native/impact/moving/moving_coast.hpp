@@ -37,7 +37,6 @@ class MovingCoast final : public MovingSource {
     Coasting::Focus focus;
     for (size_t i = 0; i < states.n; ++i) {
       const double *q = states.q + i * nq, *qd = states.qd + i * nq;
-      double *d_q = out.d_q + i * nq, *d_qd = out.d_qd + i * nq;
       const Coasting::State at = model_.state(q, qd);
       for (size_t e = 0; e < table_.size(); ++e) {
         if (severity[e] == 0) continue;
@@ -47,25 +46,17 @@ class MovingCoast final : public MovingSource {
         focus.known = true;
         out.value[i] += severity[e] * P;
         if (!(P > kHardly)) continue;
-        const auto slope = [&](double Coasting::State::* of) {
-          Coasting::State moved = at;
-          moved.*of += kNudge;
-          return severity[e] * (met(moved, entity, t[i], encounter, &focus) - P) / kNudge;
+        const auto value = [&](const Coasting::State& moved, double later = 0) {
+          return severity[e] * met(moved, entity, t[i] + later, encounter, &focus);
         };
-        // Those at the same velocities first: tables are looked up once for all of them.
-        out.d_t[i] += severity[e] * (met(at, entity, t[i] + kNudge, encounter, &focus) - P) / kNudge;
-        d_q[0] += slope(&Coasting::State::x), d_q[1] += slope(&Coasting::State::y);
-        d_q[2] += slope(&Coasting::State::yaw);
-        const double by_speed = slope(&Coasting::State::v), c = std::cos(q[2]), s = std::sin(q[2]);
-        d_q[2] += by_speed * (c * qd[1] - s * qd[0]);
-        d_qd[0] += by_speed * c, d_qd[1] += by_speed * s, d_qd[2] += slope(&Coasting::State::omega);
+        out.d_t[i] += (value(at, CoastModel::kNudge) - severity[e] * P) / CoastModel::kNudge;
+        CoastModel::add_slopes(q, qd, at, severity[e] * P, value, out.d_q + i * nq, out.d_qd + i * nq);
       }
     }
   }
 
  private:
   static constexpr double kSoon = 1e-3;    // over which a velocity is looked at [s]
-  static constexpr double kNudge = 1e-4;   // of a difference [m, rad, m/s, rad/s, s]
   static constexpr double kHardly = 1e-6;  // P below which nobody is hit
 
   double met(const Coasting::State& at, const MovingEntity& e, double t, CoastModel::Encounter& encounter,
