@@ -28,8 +28,8 @@ Array = np.ndarray
 
 @final
 @dataclass(frozen=True, eq=False)
-class _Way:
-    """A way to fail: its name and probability, the components that it strikes with, and whom it hits."""
+class _Failure:
+    """One of the failures: its name and probability, the components that it strikes with, and whom it hits."""
 
     name: str
     weight: float
@@ -78,30 +78,30 @@ class MovingModel:
         time = None if batch.time is None else reals(batch.time)
         shape = len(batch), len(scene.components), len(scene.moving)
         found = {name: np.zeros(shape) for name in ("drop", "collapse")}
-        for way in self._ways(scene, components):
-            P = way.weight * way.native.probability(q, qd, time)
-            found[way.name] = np.where(way.strikes[:, None], P[:, None], 0.0)
+        for failure in self._failures(scene, components):
+            P = failure.weight * failure.native.probability(q, qd, time)
+            found[failure.name] = np.where(failure.strikes[:, None], P[:, None], 0.0)
         return found
 
     def impact(self, scene: Scene, severity: Float[Array, "component moving"]) -> _native.MovingImpact:
         """Return sums of P S at times with their derivatives, and gaps between the robot and moving entities."""
         impact = _native.MovingImpact(compile_scene(scene).kernels.core, moving_table(scene))
-        for way in self._ways(scene, COMPONENTS):
-            impact.add(way.native, reals(way.weight * severity[way.strikes].sum(axis=0)))
+        for failure in self._failures(scene, COMPONENTS):
+            impact.add(failure.native, reals(failure.weight * severity[failure.strikes].sum(axis=0)))
         return impact
 
-    def _ways(self, scene: Scene, components: Collection[str]) -> Iterator[_Way]:
+    def _failures(self, scene: Scene, components: Collection[str]) -> Iterator[_Failure]:
         """Yield what may go wrong for some components."""
         drives = scene.base is not None and self.coast > 0.0
         aboard = 1.0 - self.coast if scene.base is not None else 1.0
         falls = np.array([name != "body" and name in components for name in scene.components])
         body = np.array([name == "body" and name in components for name in scene.components])
         if self.drop > 0.0 and scene.carried is not None and falls.any():
-            yield _Way("drop", aboard * self.drop, falls, moving_drop(scene, self.settings, self.places))
+            yield _Failure("drop", aboard * self.drop, falls, moving_drop(scene, self.settings, self.places))
         if self.collapse > 0.0 and body.any():
-            yield _Way("collapse", aboard * self.collapse, body, moving_arm(scene))
+            yield _Failure("collapse", aboard * self.collapse, body, moving_arm(scene))
         if drives and body.any():
-            yield _Way("coast", self.coast, body, moving_coast(scene, self.base))
+            yield _Failure("coast", self.coast, body, moving_coast(scene, self.base))
 
     def kernels(
         self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]

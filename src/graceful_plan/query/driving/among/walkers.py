@@ -88,8 +88,9 @@ class Walkers:
 
     @cached_property
     def _moving(self) -> _native.MovingImpact | None:
-        counts = self.objective.w > 0.0 and self._rough is not None
-        return self._rough.moving_impact(self.objective.scene) if counts else None
+        if self.objective.w == 0.0 or self._rough is None:
+            return None
+        return self._rough.moving_impact(self.objective.scene)
 
     @cached_property
     def _balls(self) -> Balls:
