@@ -59,8 +59,10 @@ class Footprint2d {
     }
   }
   double reach() const { return reach_; }
-  // Of the base at a place, with a heading of this cosine and sine, to a shape at a time.
-  double distance(const FloorShape& shape, double x, double y, double c, double s, double time) const {
+  // Of the base at a place, with a heading of this cosine and sine, to a shape at a time; infinite or more than `far`
+  // if it is that.
+  double distance(const FloorShape& shape, double x, double y, double c, double s, double time,
+                  double far = std::numeric_limits<double>::infinity()) const {
     const double dx = shape.x + shape.vx * time - x, dy = shape.y + shape.vy * time - y;
     const FloorShape seen{shape.entity,
                           c * dx + s * dy,
@@ -72,12 +74,10 @@ class Footprint2d {
                           shape.round,
                           0,
                           0};
-    const double around = shape.around();
     double d = std::numeric_limits<double>::infinity();
-    for (size_t k = 0; k < part_.size(); ++k) {
-      const double apart = root_of_squares(seen.x - part_[k].x, seen.y - part_[k].y);
-      if (apart - within_[k] - around < d) d = std::min(d, between(part_[k], seen));
-    }
+    for (size_t k = 0; k < part_.size(); ++k)
+      if (seen.distance(part_[k].x, part_[k].y, 0) - within_[k] < std::min(d, far))
+        d = std::min(d, between(part_[k], seen));
     return d;
   }
 
@@ -320,9 +320,9 @@ class Coasting {
 
   // Distance of a shape from a base at a place, if it is near enough to be touched.
   double apart(const FloorShape& shape, const Place& place) const {
-    const double reach = footprint_.reach() + kFarOff * blur(shape, place);
+    const double far = kFarOff * blur(shape, place), reach = footprint_.reach() + far;
     if (shape.distance(place.at[0], place.at[1], place.time) > reach) return std::numeric_limits<double>::infinity();
-    return distance(shape, place);
+    return footprint_.distance(shape, place.at[0], place.at[1], place.at[2], place.at[3], place.time, far);
   }
   double distance(const FloorShape& shape, const Place& place) const {
     return footprint_.distance(shape, place.at[0], place.at[1], place.at[2], place.at[3], place.time);
