@@ -9,10 +9,14 @@ from test_drop import BOX, gantry
 import graceful_plan as gp
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.drop.constants import DropSettings
-from graceful_plan.costs.models.moving.drops import moving_arm
+from graceful_plan.costs.models.drop.kernel import DropKernel
+from graceful_plan.costs.models.drop.tables import drop_tables
+from graceful_plan.costs.models.moving.drops import moving_arm, moving_table
 from graceful_plan.costs.models.moving.model import MovingModel
+from graceful_plan.costs.models.moving.whereabouts import PLACES, cell_of, normal_places
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 from hall import hall
@@ -120,6 +124,30 @@ def test_severities_weigh_entities():
     found = MovingModel().impact(scene, severity)
     np.testing.assert_allclose(found.impact(q, qd, t), np.einsum("nce,ce->n", P, severity), atol=1e-9)
     np.testing.assert_allclose(found.slopes(q, qd, t)[0], found.impact(q, qd, t), atol=1e-9)
+
+
+@pytest.mark.parametrize("isa", instruction_sets())
+def test_instruction_sets_agree(isa):
+    scene = gantry(BOX | _TABLE).with_moving(_ROUND, _BOX, _SURE)
+    compiled, tables = compile_scene(scene), drop_tables(scene)
+    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    model = DropKernel(tables, DropSettings.shipped().box, kernels, scene.limits.velocity, len(scene.entities)).native
+    table = moving_table(scene)
+    places = {"places": np.ascontiguousarray(normal_places()), "cell": cell_of(PLACES)}
+    drop = _native.MovingDrop(table, model, protrusion=compiled.robot.protrusion, **places)
+    impact = _native.MovingImpact(kernels.core, table)
+    for source in (drop, _native.MovingArm(table, kernels.core)):
+        impact.add(source, np.array([1.0, 2.0, 3.0]))
+    q, qd, t = states(scene, 61)
+    weighed = MovingModel().impact(scene, np.tile([[1.0, 2.0, 3.0]], (len(scene.components), 1)))
+    falling = sum(name != "body" for name in scene.components)
+    assert falling == 1 and weighed.impact(q, qd, None).max() > 0.1
+    np.testing.assert_allclose(impact.impact(q, qd, t), weighed.impact(q, qd, t), atol=1e-9)
+    np.testing.assert_allclose(impact.impact(q, qd, None), weighed.impact(q, qd, None), atol=1e-9)
+    for found, known in zip(impact.slopes(q, qd, t), weighed.slopes(q, qd, t), strict=True):
+        np.testing.assert_allclose(found, known, atol=1e-6)
+    for found, known in zip(impact.gaps(q, t, np.inf), weighed.gaps(q, t, np.inf), strict=True):
+        np.testing.assert_allclose(found, known, atol=1e-9)
 
 
 # --- derivatives ------------------------------------------------------------------------------------------------------
