@@ -45,7 +45,8 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
     wanted = 0.0 if request.constraints.level else min(STRAY_CLEARANCE, 0.5 * float(ends.min()))
     keeping = replace(problem, margin=max(problem.margin, wanted))
     return MotionDescents(
-        space=native_space(keeping, objective),
+        # Which departure pays is only known of motions that are timed.
+        space=native_space(keeping, objective, timed=request.max_wait == 0.0 or objective.kernel is None),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=_keeps(problem, 0.5 * problem.margin),
