@@ -25,17 +25,23 @@ _UNTIMED_ITERATIONS = 16
 """The same without a time limit: where a slice ends decides which paths are seen on the way, so no clock may."""
 
 
-def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
+def native_space(problem: Problem, objective: BoundObjective, *, timed: bool = True) -> _native.Space:
     """Make the space that the core plans in.
 
     In a scene, collision is native whatever the cost is, and Python is asked for costs alone, by batches; else it is
-    called back for every edge. Descents of motions know where moving entities are at which time.
+    called back for every edge.
+
+    Args:
+        problem: Where it plans.
+        objective: What it minimises.
+        timed: Whether descents of motions charge moving entities where they are at each time, with a departure at 0;
+            else as searches do.
     """
     lower, upper = (np.ascontiguousarray(limit, dtype=np.float64) for limit in (problem.lower, problem.upper))
     scene_objective = objective if isinstance(objective, SceneObjective) else None
     kernel = None if scene_objective is None else scene_objective.kernel
     if isinstance(problem, SceneProblem) and scene_objective is not None:
-        custom, among = problem.custom, scene_objective.among_moving
+        custom, among = problem.custom, scene_objective.among_moving if timed else None
         return _native.SceneSpace(
             core=problem.kernels.core,
             impact=_own_cost(scene_objective, problem.kernels.core) if kernel is None else kernel.native,

@@ -7,11 +7,18 @@ from moving_twin import moving_probability
 from test_drop import BOX, gantry
 
 import graceful_plan as gp
+from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.drop.constants import DropSettings
-from graceful_plan.costs.models.moving.drops import moving_arm
+from graceful_plan.costs.models.drop.kernel import DropKernel
+from graceful_plan.costs.models.drop.tables import drop_tables
+from graceful_plan.costs.models.moving.drops import moving_arm, moving_table
 from graceful_plan.costs.models.moving.model import MovingModel
+from graceful_plan.costs.models.moving.whereabouts import PLACES, cell_of, normal_places
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.scene_problem import SceneProblem
 from hall import hall
 
 _SAME = 1e-8
@@ -117,6 +124,30 @@ def test_severities_weigh_entities():
     found = MovingModel().impact(scene, severity)
     np.testing.assert_allclose(found.impact(q, qd, t), np.einsum("nce,ce->n", P, severity), atol=1e-9)
     np.testing.assert_allclose(found.slopes(q, qd, t)[0], found.impact(q, qd, t), atol=1e-9)
+
+
+@pytest.mark.parametrize("isa", instruction_sets())
+def test_instruction_sets_agree(isa):
+    scene = gantry(BOX | _TABLE).with_moving(_ROUND, _BOX, _SURE)
+    compiled, tables = compile_scene(scene), drop_tables(scene)
+    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    model = DropKernel(tables, DropSettings.shipped().box, kernels, scene.limits.velocity, len(scene.entities)).native
+    table = moving_table(scene)
+    places = {"places": np.ascontiguousarray(normal_places()), "cell": cell_of(PLACES)}
+    drop = _native.MovingDrop(table, model, protrusion=compiled.robot.protrusion, **places)
+    impact = _native.MovingImpact(kernels.core, table)
+    for source in (drop, _native.MovingArm(table, kernels.core)):
+        impact.add(source, np.array([1.0, 2.0, 3.0]))
+    q, qd, t = states(scene, 61)
+    weighed = MovingModel().impact(scene, np.tile([[1.0, 2.0, 3.0]], (len(scene.components), 1)))
+    falling = sum(name != "body" for name in scene.components)
+    assert falling == 1 and weighed.impact(q, qd, None).max() > 0.1
+    np.testing.assert_allclose(impact.impact(q, qd, t), weighed.impact(q, qd, t), atol=1e-9)
+    np.testing.assert_allclose(impact.impact(q, qd, None), weighed.impact(q, qd, None), atol=1e-9)
+    for found, known in zip(impact.slopes(q, qd, t), weighed.slopes(q, qd, t), strict=True):
+        np.testing.assert_allclose(found, known, atol=1e-6)
+    for found, known in zip(impact.gaps(q, t, np.inf), weighed.gaps(q, t, np.inf), strict=True):
+        np.testing.assert_allclose(found, known, atol=1e-9)
 
 
 # --- derivatives ------------------------------------------------------------------------------------------------------
@@ -261,21 +292,50 @@ def test_slopes_of_gaps_are_differences():
 
 def test_a_plan_gives_way_to_who_walks():
     task = gp.load_scene("tabletop").tasks["right_to_left"]
-    goal = task.scene.data_at(task.goal[0]).site(task.scene.tool).xpos
-    start = task.scene.data_at(task.start).site(task.scene.tool).xpos
-    middle = 0.5 * (start + goal)
+    hands = [task.scene.data_at(q).site(task.scene.tool).xpos.copy() for q in (task.start, task.goal[0])]
+    middle = np.mean(hands, axis=0)
     ann = gp.MovingEntity(
         "ann", "adult", size=[0.15, 0.2], t=[0.0, 6.0], spread=0.05,
-        position=[middle + [0.3, -0.6, -0.3], middle + [0.3, 0.6, -0.3]],
+        position=[middle + [0.1, -0.3, -0.4], middle + [0.1, 0.6, -0.4]],
     )  # fmt: skip
     scene = task.scene.with_moving(ann)
+    careful = gp.Objective(w=3.0)
     given = {"seed": 0, "iterations": 300, "time_limit": 60.0}
-    blind = gp.plan(scene, task.start, task.goal, objective=gp.Objective(w=0.0), **given)
-    aware = gp.plan(scene, task.start, task.goal, objective=gp.Objective(w=3.0), **given)
-    assert blind.status is gp.PlanStatus.SOLVED and aware.status is gp.PlanStatus.SOLVED
-    cost = gp.evaluate(aware.trajectory, scene, gp.Objective(w=3.0))
-    assert cost.total == pytest.approx(aware.cost.total)
-    assert cost.total <= gp.evaluate(blind.trajectory, scene, gp.Objective(w=3.0)).total
+    blind = gp.plan(task.start, task.goal, scene, objective=gp.Objective(w=0.0), **given).unwrap()
+    aware = gp.plan(task.start, task.goal, scene, objective=careful, **given)
+    found, harm = gp.evaluate(aware.unwrap(), scene, careful), gp.evaluate(blind, scene, careful)
+    assert found.total == pytest.approx(aware.cost.total)
+    assert harm.impact_by_entity["ann"] > 0.05
+    assert found.impact_by_entity["ann"] < 0.5 * harm.impact_by_entity["ann"]
+
+
+def test_motions_descend_by_where_entities_are_at_their_times():
+    scene = gantry({}).with_moving(_ROUND)
+    objective = gp.Objective(w=10.0).bind(scene)
+    assert objective.among_moving is not None and objective.descended() is objective
+    problem = SceneProblem(kernels=objective.kernels, start=np.zeros(4), goals=np.ones((1, 4)))
+    along = np.linspace(0.0, 1.0, 12)[:, None]
+    path = np.array([-0.3, -0.3, 0.0, 0.0]) + along * [0.9, 0.8, 0.0, 0.3]
+    path = path + np.sin(np.pi * along) ** 2 * [0.1, -0.2, 0.05, 0.4]  # a straight one is at kinks of its speed
+    limits = {"velocity": np.ones(4), "acceleration": np.ones(4), "time_price": 0.02}
+
+    def energy(begins):
+        descent = _native.MotionDescent(
+            native_space(problem, objective), path=path, controls=8, density=6, begins=begins, **limits
+        )
+        value, slope = descent.energy(descent.inner)
+        return descent, value, slope
+
+    _, late, _ = energy(50.0)  # she has passed
+    descent, now, slope = energy(-0.5)
+    assert now > 1.02 * late
+    flat = descent.inner.ravel()
+    steps = 1e-6 * np.eye(len(flat))
+    ends = [[descent.energy(flat + sign * step)[0] for step in steps] for sign in (1.0, -1.0)]
+    expected, found = (np.array(ends[0]) - ends[1]) / 2e-6, np.ravel(slope)
+    error = np.abs(found - expected) / np.abs(expected).max()
+    assert np.mean(error < 1e-3) > 0.9, np.sort(error)[-6:]
+    assert found @ expected > 0.999 * np.linalg.norm(found) * np.linalg.norm(expected)
 
 
 def test_kernels_of_other_scenes_are_refused():

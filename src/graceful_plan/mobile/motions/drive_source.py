@@ -6,7 +6,7 @@ near one of them is free, the lattice finds a path with turns in place and chang
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import final
@@ -158,25 +158,41 @@ class DriveSource:
                 self._starts.add(self._routes.start(leg, arrival))
             else:
                 self._composed.append((route, arrival))
-        self._pose(budget)
         with budget.share(_PREPARING_SHARE * budget.remaining_seconds) as part:
-            self._starts.prepare(part)
+            for prepared in (self._pose(part), self._starts.prepare(part)):
+                yield from self._timed(one for one in prepared if one.value < self._ranking)
         starts = self._starts.take(_STARTS, again=not self._results)
-        for result in descend_from(starts, self._descents, budget, self._rng, self._results):
-            self._results.append(result)
-            if result.value <= _WORTH_TIMING * min(other.value for other in self._results):
-                arrival = result.start.arrival
-                motion = timed_drive(self._joined([_rolled(result)], arrival), arrival, self._request)
-                if motion is not None:
-                    if self._best_motion is None or motion.ranking < self._best_motion.ranking:
-                        self._best_motion, self._best = motion, replace(result.start, curve=result.curve)
-                    yield motion
+        yield from self._timed(
+            self._worth_timing(descend_from(starts, self._descents, budget, self._rng, self._results))
+        )
         while self._composed and not budget.over:
             motion = self._descended(*self._composed.pop(0), budget)
             if motion is not None:
                 yield motion
 
-    def _pose(self, budget: Budget) -> None:
+    def _worth_timing(self, results: Iterator[DescentResult]) -> Iterator[DescentResult]:
+        """Keep results of descents; yield those that are nearly as good as the best."""
+        for result in results:
+            self._results.append(result)
+            if result.value <= _WORTH_TIMING * min(other.value for other in self._results):
+                yield result
+
+    def _timed(self, results: Iterable[DescentResult]) -> Iterator[Motion]:
+        """Yield motions along curves of one leg."""
+        for result in results:
+            arrival = result.start.arrival
+            motion = timed_drive(self._joined([_rolled(result)], arrival), arrival, self._request)
+            if motion is not None:
+                if motion.ranking < self._ranking:
+                    self._best_motion, self._best = motion, replace(result.start, curve=result.curve)
+                yield motion
+
+    @property
+    def _ranking(self) -> float:
+        """That of the best motion along a curve of one leg."""
+        return np.inf if self._best_motion is None else self._best_motion.ranking
+
+    def _pose(self, budget: Budget) -> Iterator[DescentResult]:
         """Let the arm begin in other postures along the best curve, if there is a new one, or time for another draw."""
         objective, motion = self._request.objective, self._best_motion
         if self._starts is None or motion is None or self._best is None:
@@ -186,7 +202,7 @@ class DriveSource:
             return
         self._posed = motion
         arms = carry_postures(motion.trajectory, self._problem, as_if_still(objective), self._rng)
-        self._starts.pose(self._best, arms)
+        yield from self._starts.pose(self._best, arms)
 
     def _descended(self, route: Route, arrival: int, budget: Budget) -> Motion | None:
         """Return a motion along a route whose legs descend one after the other."""

@@ -15,7 +15,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.mobile.motions.carry_postures import with_posture
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import COARSE, MotionDescents, Start
+from graceful_plan.planners.motion_descent import COARSE, DescentResult, MotionDescents, Start
 from graceful_plan.planners.planner import Budget
 
 Array = np.ndarray
@@ -50,18 +50,21 @@ class DriveStarts:
         """Add a start along a path that is not smooth yet."""
         self._rough.append(rough)
 
-    def pose(self, best: Start, arms: Float[Array, "posture arm"]) -> None:
-        """Let the arm begin in other postures, along the best curve so far and along all that come later."""
+    def pose(self, best: Start, arms: Float[Array, "posture arm"]) -> Iterator[DescentResult]:
+        """Let the arm begin in other postures, along the best curve so far and along all that come later.
+
+        Yields curves that are free, with J as they are.
+        """
         self._arms = list(arms) or self._arms
         for arm in arms:
-            self._look(_posed(best, arm), ())
+            yield from self._look(_posed(best, arm), ())
 
-    def prepare(self, budget: Budget) -> None:
-        """Let rough starts become short and smooth."""
+    def prepare(self, budget: Budget) -> Iterator[DescentResult]:
+        """Let rough starts become short and smooth; yield those that are free, with J as they are."""
         while self._rough and not budget.over:
             short = self._shortened(self._rough.pop(0), budget)
             if short is not None:
-                self._look(short, self._arms)
+                yield from self._look(short, self._arms)
 
     def take(self, most: int, *, again: bool) -> list[Start]:
         """Take those that promise most; if none are left and it is asked for, all once more."""
@@ -71,8 +74,8 @@ class DriveStarts:
         self._tried += taken
         return [start for _, start in taken]
 
-    def _look(self, start: Start, arms: Sequence[Float[Array, " arm"]]) -> None:
-        """Keep the best variants of a start in the order of J."""
+    def _look(self, start: Start, arms: Sequence[Float[Array, " arm"]]) -> Iterator[DescentResult]:
+        """Keep the best variants of a start in the order of J; yield the best if it is free."""
         looked = [found for one in (start, *(_posed(start, arm) for arm in arms)) if (found := self._value(one))]
         if not looked:
             return
@@ -83,6 +86,9 @@ class DriveStarts:
             looked.sort(key=_value)
         self._waiting += [(value, one) for value, one, _ in looked[:_KEPT]]
         self._waiting.sort(key=lambda one: one[0])
+        value, best, _ = looked[0]
+        if best.curve is not None and self._descents.is_free(best.curve, best):
+            yield DescentResult(best.curve, value, best)
 
     def _value(self, start: Start) -> tuple[float, Start, float] | None:
         """Return J of a start as it is, itself, and the gap that it keeps to entities that move."""

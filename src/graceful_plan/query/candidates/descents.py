@@ -63,7 +63,8 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
         return replace(problem, margin=_NEARLY * margin, kernels=request.constraints.with_room(_NEARLY * room))
 
     return MotionDescents(
-        space=native_space(keeping, objective),
+        # Which departure pays is only known of motions that are timed.
+        space=native_space(keeping, objective, timed=request.max_wait == 0.0 or objective.kernel is None),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=_keeps(lambda: replace(problem, margin=0.5 * problem.margin)),

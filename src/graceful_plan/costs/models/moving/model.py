@@ -30,8 +30,8 @@ _ROUGH_PLACES = 12
 
 @final
 @dataclass(frozen=True, eq=False)
-class _Way:
-    """A way to fail: its name and probability, the components that it strikes with, and whom it hits."""
+class _Failure:
+    """One of the failures: its name and probability, the components that it strikes with, and whom it hits."""
 
     name: str
     weight: float
@@ -81,9 +81,9 @@ class MovingModel:
         time = None if batch.time is None else reals(batch.time)
         shape = len(batch), len(scene.components), len(scene.moving)
         found = {name: np.zeros(shape) for name in ("drop", "collapse")}
-        for way in self._ways(scene, components):
-            P = way.weight * way.native.probability(q, qd, time)
-            found[way.name] = np.where(way.strikes[:, None], P[:, None], 0.0)
+        for failure in self._failures(scene, components):
+            P = failure.weight * failure.native.probability(q, qd, time)
+            found[failure.name] = np.where(failure.strikes[:, None], P[:, None], 0.0)
         return found
 
     def impact(
@@ -97,22 +97,22 @@ class MovingModel:
             rough: Whether something close and faster will do, for descents and searches.
         """
         impact = _native.MovingImpact(compile_scene(scene).kernels.core, moving_table(scene))
-        for way in self._ways(scene, COMPONENTS, rough=rough):
-            impact.add(way.native, reals(way.weight * severity[way.strikes].sum(axis=0)))
+        for failure in self._failures(scene, COMPONENTS, rough=rough):
+            impact.add(failure.native, reals(failure.weight * severity[failure.strikes].sum(axis=0)))
         return impact
 
-    def _ways(self, scene: Scene, components: Collection[str], *, rough: bool = False) -> Iterator[_Way]:
+    def _failures(self, scene: Scene, components: Collection[str], *, rough: bool = False) -> Iterator[_Failure]:
         """Yield what may go wrong for some components."""
         base, coast = self._of_base(scene)
         aboard, places = 1.0 - coast, min(_ROUGH_PLACES, self.places) if rough else self.places
         falls = np.array([name != "body" and name in components for name in scene.components])
         body = np.array([name == "body" and name in components for name in scene.components])
         if self.drop > 0.0 and scene.carried is not None and falls.any():
-            yield _Way("drop", aboard * self.drop, falls, moving_drop(scene, self.settings, places))
+            yield _Failure("drop", aboard * self.drop, falls, moving_drop(scene, self.settings, places))
         if self.collapse > 0.0 and body.any():
-            yield _Way("collapse", aboard * self.collapse, body, moving_arm(scene))
+            yield _Failure("collapse", aboard * self.collapse, body, moving_arm(scene))
         if base is not None and coast > 0.0 and body.any():
-            yield _Way("coast", coast, body, (base.roughly() if rough else base).meeting(scene))
+            yield _Failure("coast", coast, body, (base.roughly() if rough else base).meeting(scene))
 
     def kernels(
         self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]
