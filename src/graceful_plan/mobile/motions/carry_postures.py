@@ -17,8 +17,9 @@ Array = np.ndarray
 
 _BASE = 3
 """Joints of the base, before those of the arm."""
-_DRAWN = 200
-_SCALES = (0.4, 1.2)
+_DRAWN, _SHORTLIST = 3000, 80
+"""Candidates, and those that are looked at along the whole motion."""
+_SCALES = (0.4, 1.5)
 """Standard deviation of how far joints move, from the first candidate to the last [rad, or share of a short range]."""
 _MOVED = 0.5
 """Share of the joints that do."""
@@ -44,22 +45,22 @@ def carry_postures(
         rng: For candidates.
     """
     ends = motion.q[[0, -1], _BASE:]
-    arms = _candidates(ends, problem, rng)
     t = motion.t[0] + motion.duration * (np.arange(_PLACES) + 0.5) / _PLACES
     state, seconds = motion.at(t), motion.duration / _PLACES
-    n, shape = len(arms), (len(arms), _PLACES)
-    q, qd = np.tile(state.q, (n, 1)), np.tile(state.qd, (n, 1))
-    q[:, _BASE:], qd[:, _BASE:] = np.repeat(arms, _PLACES, axis=0), 0.0
-    free = problem.states_free(q).reshape(shape)
-    possible = np.flatnonzero(free.mean(axis=1) >= _FREE_SHARE)
-    if not len(possible):
-        return arms[:0]
-    rows = (possible[:, None] * _PLACES + np.arange(_PLACES)).ravel()
-    impact = objective.quick_states(q[rows], qd[rows]).reshape(-1, _PLACES)
     now = objective.quick_states(state.q, state.qd)
+    arms = _candidates(ends, problem, rng)
+    # Those that are good in one place are looked at in all.
+    middle = slice(_PLACES // 2, _PLACES // 2 + 1)
+    there = _with_arms(state.q[middle], arms)
+    free = problem.states_free(there)
+    harm = objective.quick_states(there, _with_arms(state.qd[middle], np.zeros_like(arms)))
+    arms = arms[np.argsort(np.where(free, harm, np.inf))[: min(_SHORTLIST, int(free.sum()))]]
+    q, qd = _with_arms(state.q, arms), _with_arms(state.qd, np.zeros_like(arms))
+    free = problem.states_free(q).reshape(-1, _PLACES)
     # Where a posture is not free the arm has to be as it is now.
-    harm = seconds * np.where(free[possible], impact, now).sum(axis=1)
-    way = np.linalg.norm(arms[possible, None] - ends, axis=2).sum(axis=1) - np.linalg.norm(ends[1] - ends[0])
+    harm = seconds * np.where(free, objective.quick_states(q, qd).reshape(-1, _PLACES), now).sum(axis=1)
+    arms, harm = (of[free.mean(axis=1) >= _FREE_SHARE] for of in (arms, harm))
+    way = np.linalg.norm(arms[:, None] - ends, axis=2).sum(axis=1) - np.linalg.norm(ends[1] - ends[0])
     # The arm moves while the base does: beside a long way its own hardly counts.
     length = max(motion.path.length, 1e-3)
     cost = objective.w * harm + np.hypot(length, way) - length
@@ -67,9 +68,9 @@ def carry_postures(
     for k in np.argsort(cost):
         if cost[k] >= objective.w * seconds * now.sum() or len(chosen) == _KEPT:
             break
-        if all(np.abs(arms[possible[k]] - arms[possible[other]]).max() > _APART for other in chosen):
+        if all(np.abs(arms[k] - arms[other]).max() > _APART for other in chosen):
             chosen.append(int(k))
-    return arms[possible[chosen]]
+    return arms[chosen]
 
 
 def with_posture(controls: Float[Array, "control column"], arm: Float[Array, " arm"]) -> Float[Array, "control column"]:
@@ -80,6 +81,13 @@ def with_posture(controls: Float[Array, "control column"], arm: Float[Array, " a
     moved = controls.copy()
     moved[:, _BASE - 1 : -1] += near * (arm - controls[:, _BASE - 1 : -1])
     return moved
+
+
+def _with_arms(rows: Float[Array, "place nq"], arms: Float[Array, "posture arm"]) -> Float[Array, "n nq"]:
+    """Return each of some rows with each of some arms, one posture after the other."""
+    found = np.tile(rows, (len(arms), 1))
+    found[:, _BASE:] = np.repeat(arms, len(rows), axis=0)
+    return found
 
 
 def _candidates(ends: Float[Array, "2 arm"], problem: SceneProblem, rng: np.random.Generator) -> Float[Array, "n arm"]:
