@@ -392,10 +392,7 @@ class MotionDescentRun {
   Out<double> inner() const { return as_array({descent_.inner()}, int(descent_.unknowns())); }
   double value() const { return descent_.value(); }
   double duration() const { return descent_.duration(); }
-  double gap() {
-    const Turn turn(taken_);
-    return descent_.gap();
-  }
+  double gap() const { return descent_.gap(); }
   nb::tuple energy(Reals controls) {
     require_numbers(controls, descent_.unknowns(), "inner controls of the descent", kMaxPosition);
     const Turn turn(taken_);

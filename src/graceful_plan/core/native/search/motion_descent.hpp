@@ -98,15 +98,8 @@ class MotionDescent {
   // J, and what is charged for being too close before it is pressed harder.
   double value() const { return now_.total; }
   double duration() const { return now_.duration; }
-  // The least gap to an entity that moves, while the robot moves; infinite where none is within kPassing.
-  double gap() {
-    double least = std::numeric_limits<double>::infinity();
-    if (!space_.has_moving()) return least;
-    Point gradient;
-    evaluate(x_, gradient);
-    for (size_t k = 1; k + 1 < gap_.size(); ++k) least = std::min(least, gap_[k]);
-    return least;
-  }
+  // The least gap to an entity that moves; infinite where none is within kPassing.
+  double gap() const { return now_.gap; }
   // Press harder against what is in the way.
   void harden() {
     push_ *= 4.0;
@@ -120,7 +113,7 @@ class MotionDescent {
 
  private:
   struct Evaluation {
-    double energy, total, duration;
+    double energy, total, duration, gap;
   };
   static constexpr double kKeep = 0.001;   // clearance to keep on top of the space's margin [m]
   static constexpr double kLongest = 0.3;  // of a control point in one step [rad]
@@ -296,7 +289,9 @@ class MotionDescent {
     felt_.back(d_.q);
     curve_->collect(d_, gradient);
     const double charge = curve_->charge(x, settings_.time_price, gradient);
-    return {total + spread + penalty + charge, total + penalty / push_ + charge, duration};
+    double gap = std::numeric_limits<double>::infinity();
+    for (size_t k = 1; moves && k + 1 < samples; ++k) gap = std::min(gap, gap_[k]);
+    return {total + spread + penalty + charge, total + penalty / push_ + charge, duration, gap};
   }
 
   // The length of the curve, and by how much its energy exceeds it, which is nothing where samples are even: the length
