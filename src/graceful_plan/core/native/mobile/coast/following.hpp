@@ -1,0 +1,663 @@
+// One state of a base that fails: where it goes, and whom it meets there. Included once per instruction set, inside its
+// own namespace.
+
+constexpr int kLooks = 16;        // times at which is seen whether somebody may be near
+constexpr double kSpacing = 0.1;  // between places along an arc [m]
+constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
+constexpr double kFarOff = CoastTables::kFarOff, kNext = CoastTables::kNext;
+constexpr double kNudge = 1e-6;   // of a speed, for a difference [m/s]
+constexpr double kHardly = 1e-9;  // probability of a touch that is none
+constexpr double kSlowest = 0.1;  // share of the speed below which time is not stretched further
+constexpr double kUnknown = std::numeric_limits<double>::max();
+constexpr double kLeast = 1e-12;  // way within which a base brakes, at least [m]
+
+class Following {
+  template <class T> using State = CoastState<T>;
+  template <class T> using Place = CoastWork::Place<T>;
+  using Near = CoastWork::Near;
+  using Pair = CoastWork::Pair;
+  using Decided = CoastWork::Decided;
+  using Known = CoastWork::Known;
+
+ public:
+  // slopes: the same state with derivatives, if they are wanted.
+  Following(const CoastTables& of, const State<double>& at, const State<Dual>* slopes, CoastWork& work)
+      : of_(of), at_(at), slopes_(slopes), work_(work), speed_(std::fabs(at.v)), sign_(at.v < 0 ? -1 : 1),
+        cos_(std::cos(at.yaw)), sin_(std::sin(at.yaw)) {}
+
+  bool all(const std::vector<FloorShape>& shape, const double* severity, int only) {
+    std::fill(work_.hit.begin(), work_.hit.end(), 0.0);
+    if (slopes_) work_.hit_slopes.assign(work_.hit.size(), Dual(0.0));
+    if (speed_ <= kStill) return false;
+    double longest = 0;
+    for (size_t i = 0; i < of_.stop.size(); ++i) {
+      const CoastTables::Stop& stop = of_.stop[i];
+      work_.free[i] = speed_ * stop.delay, work_.braked[i] = braked(stop, speed_);
+      if (work_.free[i] + work_.braked[i] > far_) far_ = work_.free[i] + work_.braked[i], farthest_ = i;
+      longest = std::max(longest, stop.delay + speed_ / stop.a);
+    }
+    look(shape, severity, only, std::max(longest, of_.lasts));
+    if (work_.asked == 0) return false;
+    // Released wheels go along the others' arc if nothing turns so far.
+    const bool alike = std::fabs(at_.omega / at_.v) * far_ <= of_.turn * at_.omega * at_.omega;
+    for (size_t f = 0; f < of_.family.size(); ++f) {
+      const CoastTables::Family& family = of_.family[f];
+      if (alike && family.released && of_.has({false, family.bend})) continue;
+      along_arc(family, alike ? of_.any[f] : of_.own[f]);
+    }
+    tabulated();
+    if (!of_.stray.empty() && gap_ < of_.aside) {
+      astray(at_, work_.hit);
+      if (slopes_) astray(*slopes_, work_.hit_slopes);
+    }
+    return true;
+  }
+
+ private:
+  // --- what is near -------------------------------------------------------------------------------------------------
+
+  static GP_INLINE double blur_of(double spread, const FloorShape& shape) {
+    return shape.spread > 0 ? length_of(spread, shape.spread) : spread;
+  }
+  // Collects what may be touched, and finds how far it is at least to the first that is asked for, all blur taken off.
+  void look(const std::vector<FloorShape>& shape, const double* severity, int only, double longest) {
+    const double reach = of_.footprint.reach(), far = std::max(far_, of_.farthest);
+    const double most = std::max(far, of_.aside) + reach + kFarOff * length_of(of_.spread, of_.drift * far_);
+    work_.whom.clear(), work_.what.clear(), work_.moving = false, work_.asked = 0;
+    for (const FloorShape& one : shape) {
+      if (one.entity >= 0 && severity && !(severity[one.entity] > 0)) continue;
+      const double moves = one.speed(), d = one.distance(at_.x, at_.y, 0.0);
+      if (d >= most + moves * longest + kFarOff * one.spread) continue;
+      work_.moving |= moves > 0;
+      const Near near{&one, clear(d - reach - kFarOff * blur_of(of_.spread, one))};
+      if (one.entity < 0) {
+        work_.what.push_back(near);
+        continue;
+      }
+      work_.whom.push_back(near);
+      if (only >= 0 && one.entity != only) continue;
+      // Those who are asked for come first.
+      std::swap(work_.whom.back(), work_.whom[work_.asked++]);
+      double least = d;
+      const double step = longest / kLooks;
+      for (int k = 1; moves > 0 && k < kLooks; ++k) least = std::min(least, one.distance(at_.x, at_.y, step * k));
+      const double spread = root(square(of_.spread) + square(of_.drift * far) + square(one.spread));
+      gap_ = std::min(gap_, least - moves * step - reach - kFarOff * spread);
+    }
+  }
+  // How far a base goes at least before it touches what is so far beyond reach and blur: it is blurred more and more.
+  GP_INLINE double clear(double room) const { return room / (1 + kFarOff * of_.drift); }
+  static GP_INLINE double square(double x) { return x * x; }
+
+  // Whether a shape may be touched at a place; if not, `clear` is up to where that holds.
+  GP_INLINE bool may_touch(const FloorShape& shape, double moves, size_t k, double& clear, double& beyond) const {
+    const CoastWork::Places& at = work_.place;
+    beyond = shape.distance(at.x[k], at.y[k], at.time[k]) - of_.footprint.reach();
+    const double room = beyond - kFarOff * blur_of(at.spread[k], shape);
+    if (room <= 0) return true;
+    clear = at.path[k] + moves * at.time[k] + this->clear(room);
+    return false;
+  }
+  double distance(const FloorShape& shape, size_t k) {
+    CoastWork::Places& at = work_.place;
+    if (spun_) heading(k);
+    return of_.footprint.distance(shape, at.x[k], at.y[k], at.cos[k], at.sin[k], at.time[k]);
+  }
+  static Dual distance(const Footprint2d& base, const FloorShape& shape, const Place<Dual>& place) {
+    Dual d;
+    distance(base, shape, place, d);
+    return d;
+  }
+  static __attribute__((noinline)) void distance(const Footprint2d& base, const FloorShape& shape,
+                                                 const Place<Dual>& place, Dual& d) {
+    d = base.distance(shape, place.x, place.y, place.cos, place.sin, place.time);
+  }
+  template <class T> static GP_INLINE T blur(const FloorShape& shape, const T& spread) {
+    return shape.spread > 0 ? length_of(spread, T(shape.spread)) : spread;
+  }
+  // How likely a shape is touched that is so far off.
+  template <class T> static GP_INLINE T touch(const T& apart, const T& blur) {
+    if (value_of(apart) > kFarOff * value_of(blur)) return T(0.0);
+    return 0.5 * complementary_error(T(apart / blur * 0.7071067811865476));
+  }
+  // Share of the energy that is along the normal where the base closes in by part of the way alone that it goes. Of who
+  // is small beside the blur the normal is as unknown: half of the energy.
+  template <class T> static GP_INLINE T normal_share(const T& closing, const FloorShape& shape, const T& blur) {
+    const T along = gp::between(closing, 0.0, 1.0);
+    const double size = shape.around();
+    const T unknown = blur * blur / (blur * blur + size * size);
+    return (1 - unknown) * along * along + 0.5 * unknown;
+  }
+
+  // --- along an arc -------------------------------------------------------------------------------------------------
+
+  // Where a failing base goes: its curvature, the angle by which it turns at most; its speed, and how far.
+  template <class T> struct Way {
+    T bend, most, speed, far;
+  };
+  template <class T> Way<T> way(const State<T>& at, const CoastTables::Family& family, const T& far) const {
+    const T turns = family.released ? of_.turn * at.omega * at.omega : T(kUnknown);
+    return {at.omega / at.v * sign_ + family.bend, turns, size_of(at.v), far};
+  }
+  template <class T> static GP_INLINE T braked(const CoastTables::Stop& stop, const T& speed) {
+    if (stop.k > 0) return speed / stop.k - stop.a / (stop.k * stop.k) * log_of_one_plus(T(stop.k * speed / stop.a));
+    return speed * speed / (2 * stop.a);
+  }
+  // Its derivative by the speed.
+  static double braked_slope(const CoastTables::Stop& stop, double speed) { return speed / (stop.a + stop.k * speed); }
+
+  void along_arc(const CoastTables::Family& family, const std::vector<size_t>& stops) {
+    double goes = 0;
+    for (const size_t i : stops) goes = std::max(goes, work_.free[i] + work_.braked[i]);
+    if (gap_ > goes) return;
+    n_stop_ = stops.size(), spun_ = nullptr;
+    for (size_t s = 0; s < n_stop_; ++s) {
+      const size_t i = stops[s];
+      work_.share[s] = of_.stop[i].p, work_.starts[s] = work_.free[i];
+      work_.by_braked[s] = 1 / std::max(work_.braked[i], kLeast);
+    }
+    const Way<double> way = this->way(at_, family, far_);
+    arc_places(way, goes);
+    if (work_.moving) times(way);
+    meet();
+    if (!slopes_ || work_.decided.empty()) return;
+    const CoastTables::Stop& last = of_.stop[farthest_];
+    const Dual v = size_of(slopes_->v);
+    const double far_slope = last.delay + braked_slope(last, speed_);
+    const Way<Dual> along = this->way(*slopes_, family, v.through(far_, far_slope));
+    if (work_.moving) later(way, stops);
+    arc_slopes(stops, far_slope);
+    pull([&](int k, Place<Dual>& out) { arc_place(along, k, out); },
+         [&](const Decided& one, Dual& out) { out = v.through(one.energy, one.slope); });
+  }
+  template <class T> static GP_INLINE T done(const T& far, int k) { return smaller(far, T(kSpacing * k)); }
+  // What is touched at a place may have been met anywhere since the place before.
+  static GP_INLINE double half_done(double far, int k) {
+    return k == 0 ? 0.0 : 0.5 * (done(far, k) + kSpacing * (k - 1));
+  }
+  // Places along an arc and what comes after it, as far as any of its stops goes, but two at least: they tell which way
+  // it goes. Turning by as much from each to the next takes no sines.
+  void arc_places(const Way<double>& way, double goes) {
+    const double arc = std::fabs(way.bend) > 0 ? way.most / std::fabs(way.bend) : kUnknown;
+    const double step = 0.5 * way.bend * kSpacing, c1 = std::cos(step), s1 = std::sin(step);
+    double c = 1, s = 0, regular_c = 1, regular_s = 0, turned_for = 0;
+    CoastWork::Places& at = work_.place;
+    size_t n = 0;
+    for (int k = 0; k < int(CoastWork::kSamples) && kSpacing * (k - 1) < way.far; ++k, ++n) {
+      if (k > 1 && half_done(way.far, k) >= goes) break;
+      const double all = done(way.far, k), curved = std::min(all, arc), straight = all - curved;
+      const double half = 0.5 * way.bend * curved;
+      if (curved == kSpacing * k) {
+        c = regular_c, s = regular_s;
+        regular_c = c * c1 - s * s1, regular_s = s * c1 + c * s1;
+      } else if (curved != turned_for) {
+        c = std::cos(half), s = std::sin(half);
+      }
+      turned_for = curved;
+      const double chord = sign_ * curved * (std::fabs(half) > 1e-9 ? s / half : 1.0), along = sign_ * straight;
+      const double c2 = c * c - s * s, s2 = 2 * s * c;
+      at.cos[n] = cos_ * c2 - sin_ * s2, at.sin[n] = sin_ * c2 + cos_ * s2;
+      at.x[n] = at_.x + chord * (cos_ * c - sin_ * s) + along * at.cos[n];
+      at.y[n] = at_.y + chord * (sin_ * c + cos_ * s) + along * at.sin[n];
+      at.time[n] = at_.time, at.spread[n] = length_of(of_.spread, of_.drift * all);
+      at.gone[n] = k > 0 ? all - done(way.far, k - 1) : all;
+      at.path[n] = all;
+    }
+    n_place_ = n;
+    std::fill_n(work_.energy_at.begin(), n, 0);
+    whole_ = speed_ * speed_ / (of_.unit * of_.unit), arc_far_ = way.far;
+  }
+  // Share of its energy that a base that comes to rest in one way still has.
+  GP_INLINE double left(double met, size_t s) const {
+    return std::min(1.0, std::max(0.0, 1 - (met - work_.starts[s]) * work_.by_braked[s]));
+  }
+  // When it is there: what still moves has so much of its energy in the mean. For who moves alone.
+  void times(const Way<double>& way) {
+    double time = at_.time;
+    for (size_t k = 0; k < n_place_; ++k) {
+      double moving = 0, left_of = 0;
+      for (size_t s = 0; s < n_stop_; ++s) {
+        const double part = left(half_done(way.far, int(k)), s);
+        moving += part > 0 ? work_.share[s] : 0, left_of += work_.share[s] * part;
+      }
+      const double slower = moving > 0 ? std::sqrt(left_of / moving) : 0.0;
+      work_.place.time[k] = time += work_.place.gone[k] / (way.speed * std::max(slower, kSlowest));
+    }
+  }
+  // When the base would be at the same places if it were slightly faster, for how times depend on the speed.
+  void later(const Way<double>& way, const std::vector<size_t>& stops) {
+    const double faster = way.speed + kNudge;
+    double time = 0;
+    for (size_t k = 0; k < n_place_; ++k) {
+      double moving = 0, left_of = 0;
+      for (size_t s = 0; s < n_stop_; ++s) {
+        const double free = work_.starts[s] * faster / way.speed;
+        const CoastTables::Stop& stop = of_.stop[stops[s]];
+        const double part =
+            gp::between(1 - (half_done(way.far, int(k)) - free) / std::max(braked(stop, faster), kLeast), 0.0, 1.0);
+        if (part > 0) moving += work_.share[s], left_of += work_.share[s] * part;
+      }
+      const double slower = moving > 0 ? std::sqrt(left_of / moving) : 0.0;
+      work_.later[k] = time += work_.place.gone[k] / (faster * std::max(slower, kSlowest));
+    }
+  }
+  const double* energy(size_t k) {
+    double* row = work_.energy.data() + k * n_stop_;
+    if (work_.energy_at[k]) return row;
+    work_.energy_at[k] = 1;
+    const double met = half_done(arc_far_, int(k));
+    for (size_t s = 0; s < n_stop_; ++s) row[s] = left(met, s) * whole_;
+    return row;
+  }
+  // Derivatives of the energies that decide by the speed.
+  void arc_slopes(const std::vector<size_t>& stops, double far_slope) {
+    for (const int e : work_.seen)
+      for (size_t s = 0; s < n_stop_; ++s) {
+        const int by = work_.decided_by[size_t(e) * n_stop_ + s];
+        if (by < 0) continue;
+        Decided& one = work_.decided[size_t(by)];
+        const int k = one.met.place;
+        const double value = energy(size_t(k))[s], p = work_.share[s];
+        if (value * one.along >= 1) {
+          one.whole += p;
+          continue;
+        }
+        one.energy += p * value;
+        const double half = k > 0 && arc_far_ <= kSpacing * k ? 0.5 * far_slope : 0.0;
+        const double met = half_done(arc_far_, k) - work_.starts[s], by_braked = work_.by_braked[s];
+        const double part = 1 - met * by_braked;
+        if (part < 0) continue;
+        const CoastTables::Stop& stop = of_.stop[stops[s]];
+        const double slope = part > 1 ? 0.0
+                                      : (met * by_braked * braked_slope(stop, speed_) - (half - stop.delay)) * by_braked;
+        one.slope += p * (slope * whole_ + 2 * value / speed_);
+      }
+  }
+  void arc_place(const Way<Dual>& way, int k, Place<Dual>& out) const {
+    const State<Dual>& q = *slopes_;
+    const bool bends = std::fabs(value_of(way.bend)) > 0;
+    const Dual arc = bends ? way.most / size_of(way.bend) : Dual(kUnknown);
+    const Dual before = done(way.far, k - 1), all = done(way.far, k);
+    const Dual curved = smaller(all, arc), straight = all - curved;
+    const Dual turned = way.bend * curved, half = 0.5 * turned;
+    // Sines and cosines are those that the places were found with.
+    const double ch = work_.place.cos[size_t(k)], sh = work_.place.sin[size_t(k)], h = half.value();
+    const double c = std::cos(h), s = std::sin(h), cm = cos_ * c - sin_ * s, sm = sin_ * c + cos_ * s;
+    const Dual ratio = std::fabs(h) > 1e-9 ? half.through(s / h, (c - s / h) / h) : Dual(1.0);
+    const Dual chord = sign_ * curved * ratio, heading = q.yaw + turned, middle = q.yaw + half;
+    out.cos = heading.through(ch, -sh), out.sin = heading.through(sh, ch);
+    out.x = q.x + chord * middle.through(cm, -sm) + sign_ * straight * out.cos;
+    out.y = q.y + chord * middle.through(sm, cm) + sign_ * straight * out.sin;
+    out.time = q.time;
+    if (work_.moving) {
+      const double time = work_.place.time[size_t(k)] - at_.time;
+      out.time += size_of(q.v).through(time, (work_.later[size_t(k)] - time) / kNudge);
+    }
+    out.spread = length_of(Dual(of_.spread), Dual(of_.drift * all));
+    out.gone = k > 0 ? all - before : all;
+  }
+
+  // --- what is met along a way --------------------------------------------------------------------------------------
+
+  double head_on(const FloorShape& shape, size_t k, size_t j) {
+    const size_t n = work_.whom.size(), to = std::max<size_t>(k, 1);
+    const double spread = blur_of(work_.place.spread[k], shape);
+    if (n_place_ < 2) return normal_share(0.0, shape, spread);
+    const auto from = [&](size_t i) {
+      const double known = work_.apart[i * n + j];
+      return known < kUnknown ? known : distance(shape, i);
+    };
+    return normal_share((from(to - 1) - from(to)) / std::max(work_.place.gone[to], kHardly), shape, spread);
+  }
+  // Finds how likely those from first on, before end, are touched at the first places. Returns after which nobody is.
+  size_t touches(size_t first, size_t end, size_t places) {
+    const size_t n = work_.whom.size();
+    const CoastWork::Places& at = work_.place;
+    size_t last = 0;
+    for (size_t j = first; j < end; ++j) {
+      const FloorShape& who = *work_.whom[j].shape;
+      const double moves = who.speed();
+      double clear = work_.whom[j].clear, beyond;
+      if (at.path[places - 1] + moves * at.time[places - 1] < clear) continue;
+      for (size_t k = 0; k < places; ++k) {
+        if (at.path[k] + moves * at.time[k] < clear || !may_touch(who, moves, k, clear, beyond)) continue;
+        if (!touched_) {
+          touched_ = true;
+          work_.apart.assign(n_place_ * n, kUnknown), work_.touched.assign(n_place_ * n, 0.0);
+          std::fill_n(work_.touched_at.begin(), n_place_, 0);
+        }
+        const double d = work_.apart[k * n + j] = distance(who, k);
+        const double likely = touch(d, blur_of(at.spread[k], who));
+        if (likely <= kHardly) continue;
+        work_.touched[k * n + j] = likely, work_.touched_at[k] = 1;
+        last = std::max(last, k + 1);
+      }
+    }
+    return last;
+  }
+  // Finds at each of the first places how near an obstacle has been up to there, as a multiple of its blur.
+  void obstacles(size_t last) {
+    const CoastWork::Places& at = work_.place;
+    std::fill_n(work_.least.begin(), last, kFarOff), std::fill_n(work_.least_at.begin(), last, Pair{});
+    for (size_t j = 0; j < work_.what.size(); ++j) {
+      const FloorShape& what = *work_.what[j].shape;
+      const double moves = what.speed();
+      double clear = work_.what[j].clear, beyond;
+      if (at.path[last - 1] + moves * at.time[last - 1] < clear) continue;
+      for (size_t k = 0; k < last; ++k) {
+        if (at.path[k] + moves * at.time[k] < clear || !may_touch(what, moves, k, clear, beyond)) continue;
+        const double blur = blur_of(at.spread[k], what);
+        if (beyond >= work_.least[k] * blur) continue;
+        const double ratio = distance(what, k) / blur;
+        for (size_t m = k; m < last && ratio < work_.least[m]; ++m)
+          work_.least[m] = ratio, work_.least_at[m] = {int(k), int(j)};
+      }
+    }
+  }
+  // Raises work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth
+  // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
+  void meet() {
+    work_.decided.clear(), work_.seen.clear();
+    touched_ = false;
+    if (n_place_ == 0) return;
+    const size_t n = work_.whom.size(), last = touches(0, work_.asked, n_place_);
+    if (last == 0) return;
+    touches(work_.asked, n, last);
+    obstacles(last);
+    std::fill(work_.met.begin(), work_.met.end(), 0.0), std::fill(work_.met_at.begin(), work_.met_at.end(), Pair{});
+    work_.stops.resize(n);
+    double stopped = 0, stopped_by = kFarOff;
+    for (size_t k = 0; k < last; ++k) {
+      if (!work_.touched_at[k]) continue;
+      if (work_.least[k] < stopped_by)
+        stopped_by = work_.least[k], stopped = 0.5 * std::erfc(stopped_by * 0.7071067811865476);
+      if (stopped >= 1 - kHardly) break;
+      for (size_t j = 0; j < n; ++j) {
+        const double touches = work_.touched[k * n + j];
+        work_.stops[j] = 0;
+        if (touches <= kHardly) continue;
+        const FloorShape& who = *work_.whom[j].shape;
+        double before = stopped;  // whom it met before stops it as well
+        Decided decided{{int(k), int(j)}, work_.least_at[k], true, 0.0};
+        for (size_t i = 0; i < n; ++i) {
+          const size_t other = size_t(work_.whom[i].shape->entity);
+          if (int(other) == who.entity || work_.met[other] <= before) continue;
+          before = work_.met[other];
+          decided.before = work_.met_at[other], decided.by_obstacle = false;
+        }
+        decided.along = head_on(who, k, j);
+        work_.stops[j] = touches * decided.along;
+        if (j < work_.asked) raise(decided, size_t(who.entity), k, (1 - before) * touches);
+      }
+      for (size_t j = 0; j < n; ++j) {
+        const size_t own = size_t(work_.whom[j].shape->entity);
+        if (work_.stops[j] <= work_.met[own]) continue;
+        work_.met[own] = work_.stops[j], work_.met_at[own] = {int(k), int(j)};
+      }
+    }
+    for (const int e : work_.seen) {
+      const double* worth = work_.most_worth.data() + size_t(e) * n_stop_;
+      double sum = 0;
+      for (size_t s = 0; s < n_stop_; ++s) sum += work_.share[s] * worth[s];
+      work_.hit[size_t(e)] += sum;
+    }
+  }
+  // Raises what stops are worth against an entity to what a touch makes of them.
+  void raise(const Decided& decided, size_t entity, size_t k, double reaches) {
+    double* most = work_.most_worth.data() + entity * n_stop_;
+    int* by = work_.decided_by.data() + entity * n_stop_;
+    if (std::find(work_.seen.begin(), work_.seen.end(), int(entity)) == work_.seen.end()) {
+      work_.seen.push_back(int(entity));
+      std::fill_n(most, n_stop_, 0.0), std::fill_n(by, n_stop_, -1);
+    }
+    const double* energy = this->energy(k);
+    const int number = int(work_.decided.size());
+    bool more = false;
+    for (size_t s = 0; s < n_stop_; ++s) {
+      const double worth = std::min(1.0, energy[s] * decided.along) * reaches;
+      const bool is_more = worth > most[s];
+      more |= is_more, most[s] = is_more ? worth : most[s], by[s] = is_more ? number : by[s];
+    }
+    if (more && slopes_) work_.decided.push_back(decided);
+  }
+  // Raises work.hit_slopes by the derivatives of what meet() has found: of what decided it alone. Places and energies
+  // with derivatives are asked for as place(k, out) and energy(decided, out).
+  template <class PlaceOf, class Energy> void pull(const PlaceOf& place, const Energy& energy) {
+    work_.known.clear();
+    std::fill_n(work_.dual_known.begin(), n_place_, 0);
+    const auto at = [&](int k) -> const Place<Dual>& {
+      Place<Dual>& out = work_.dual_place[size_t(k)];
+      if (!work_.dual_known[size_t(k)]) work_.dual_known[size_t(k)] = 1, place(k, out);
+      return out;
+    };
+    const auto known = [&](const Pair& pair, bool obstacle) -> size_t {
+      for (size_t i = 0; i < work_.known.size(); ++i)
+        if (work_.known[i].pair == pair && work_.known[i].obstacle == obstacle) return i;
+      const FloorShape& who = *(obstacle ? work_.what : work_.whom)[size_t(pair.shape)].shape;
+      const int to = std::max(pair.place, 1);
+      const Place<Dual>& here = at(pair.place);
+      const Dual apart = distance(of_.footprint, who, here), spread = blur(who, here.spread);
+      Known one{pair, obstacle, touch(apart, spread), Dual(0.0)};
+      if (!obstacle && n_place_ > 1) {
+        const Dual from = pair.place > 0 ? distance(of_.footprint, who, at(to - 1)) : apart;
+        const Dual there = pair.place > 0 ? apart : distance(of_.footprint, who, at(to));
+        one.along = normal_share(Dual((from - there) / larger(at(to).gone, Dual(kHardly))), who, spread);
+      } else if (!obstacle) {
+        one.along = normal_share(Dual(0.0), who, spread);
+      }
+      work_.known.push_back(one);
+      return work_.known.size() - 1;
+    };
+    for (const Decided& decided : work_.decided) {
+      if (decided.whole == 0 && decided.energy == 0 && decided.slope == 0) continue;
+      const size_t met = known(decided.met, false);
+      Dual reaches = work_.known[met].touches;
+      if (decided.before.place >= 0) {
+        const Known& before = work_.known[known(decided.before, decided.by_obstacle)];
+        reaches = reaches * (1 - (decided.by_obstacle ? before.touches : before.touches * before.along));
+      }
+      Dual worth;
+      energy(decided, worth);
+      const size_t entity = size_t(work_.whom[size_t(decided.met.shape)].shape->entity);
+      work_.hit_slopes[entity] += (worth * work_.known[met].along + decided.whole) * reaches;
+    }
+  }
+
+  // --- bases that spin ----------------------------------------------------------------------------------------------
+
+  // Places from tables by speed and rate of turning; what drives backwards is the same turned round.
+  void tabulated() {
+    if (of_.share.empty() || gap_ > of_.farthest) return;
+    const Node<double> v = node(of_.speeds, speed_), w = node(of_.rates, at_.omega);
+    // States of a batch often differ by place and time alone.
+    if (work_.spun_speed != speed_ || work_.spun_rate != at_.omega)
+      for (CoastWork::Spun& one : work_.spun) one.known = false;
+    work_.spun_speed = speed_, work_.spun_rate = at_.omega;
+    CoastWork::Places& at = work_.place;
+    for (size_t f = 0; f < of_.share.size(); ++f) {
+      double within = 0;
+      for (size_t corner = 0; corner < 4; ++corner) within = std::max(within, of_.within[row_of(v, w, corner, f)]);
+      if (gap_ > within) continue;
+      CoastWork::Spun& spun = work_.spun[f];
+      if (!spun.known) spin(v, w, f, spun);
+      const double c = sign_ * cos_, s = sign_ * sin_;
+      n_place_ = of_.samples, n_stop_ = 1, spun_ = &spun;
+      double path = length_of(spun.x[0], spun.y[0]);
+      for (size_t k = 0; k < n_place_; ++k) {
+        at.x[k] = at_.x + c * spun.x[k] - s * spun.y[k], at.y[k] = at_.y + s * spun.x[k] + c * spun.y[k];
+        at.time[k] = at_.time + spun.time[k], at.spread[k] = spun.spread[k], at.gone[k] = spun.gone[k];
+      }
+      for (size_t k = 0; k < n_place_; ++k) {
+        if (k > 0) path += length_of(spun.x[k] - spun.x[k - 1], spun.y[k] - spun.y[k - 1]);
+        at.path[k] = path, work_.energy[k] = square(spun.speed[k] / of_.unit);
+      }
+      std::fill_n(at.cos.begin(), n_place_, kUnknown), std::fill_n(work_.energy_at.begin(), n_place_, 1);
+      work_.share[0] = of_.share[f];
+      meet();
+      if (!slopes_ || work_.decided.empty()) continue;
+      spun_slopes(f);
+    }
+    spun_ = nullptr;
+  }
+  void spun_slopes(size_t f) {
+    for (const int e : work_.seen) {
+      const int by = work_.decided_by[size_t(e)];
+      if (by < 0) continue;
+      Decided& one = work_.decided[size_t(by)];
+      const bool whole = work_.energy[size_t(one.met.place)] * one.along >= 1;
+      (whole ? one.whole : one.energy) += work_.share[0];
+    }
+    const Dual speed = size_of(slopes_->v);
+    const Node<Dual> v = node(of_.speeds, speed), w = node(of_.rates, slopes_->omega);
+    pull([&](int k, Place<Dual>& out) { spun_place(v, w, f, size_t(k), out); },
+         [&](const Decided& one, Dual& out) {
+           if (one.energy == 0) return;
+           const Dual fast = interpolated(v, w, f, 3, size_t(one.met.place));
+           out = one.energy / (of_.unit * of_.unit) * (fast * fast);
+         });
+  }
+  // Cosine and sine of the heading at a place, which few places are asked for.
+  void heading(size_t k) {
+    CoastWork::Places& at = work_.place;
+    if (at.cos[k] < kUnknown) return;
+    if (!(spun_->cos[k] < kUnknown)) spun_->cos[k] = std::cos(spun_->turned[k]), spun_->sin[k] = std::sin(spun_->turned[k]);
+    const double c = spun_->cos[k], s = spun_->sin[k];
+    at.cos[k] = cos_ * c - sin_ * s, at.sin[k] = sin_ * c + cos_ * s;
+  }
+  template <class T> struct Node {
+    size_t low;
+    T part;
+  };
+  template <class T> static Node<T> node(const std::vector<double>& grid, const T& value) {
+    const size_t last = grid.size() - 1;
+    const size_t above = size_t(std::upper_bound(grid.begin(), grid.end(), value_of(value)) - grid.begin());
+    const size_t low = std::min(above > 0 ? above - 1 : 0, last - 1);
+    return {low, gp::between(T((value - grid[low]) / (grid[low + 1] - grid[low])), 0.0, 1.0)};
+  }
+  template <class T> size_t row_of(const Node<T>& v, const Node<T>& w, size_t corner, size_t table) const {
+    const size_t cell = (v.low + corner / 2) * of_.rates.size() + w.low + corner % 2;
+    return cell * of_.share.size() + table;
+  }
+  template <class T> static GP_INLINE T weight(const Node<T>& v, const Node<T>& w, size_t corner) {
+    return (corner / 2 ? v.part : 1 - v.part) * (corner % 2 ? w.part : 1 - w.part);
+  }
+  void spin(const Node<double>& v, const Node<double>& w, size_t f, CoastWork::Spun& out) const {
+    const size_t n = of_.samples;
+    double* to[] = {out.x.data(), out.y.data(), out.turned.data(), out.speed.data(), out.time.data()};
+    const double* from[4];
+    double part[4];
+    for (size_t corner = 0; corner < 4; ++corner) {
+      from[corner] = of_.place.data() + row_of(v, w, corner, f) * CoastTables::kPlace * n;
+      part[corner] = weight(v, w, corner);
+    }
+    for (size_t m = 0; m < CoastTables::kPlace; ++m)
+      for (size_t k = 0; k < n; ++k)
+        to[m][k] = part[0] * from[0][m * n + k] + part[1] * from[1][m * n + k] + part[2] * from[2][m * n + k] +
+                   part[3] * from[3][m * n + k];
+    for (size_t k = 0; k < n; ++k)
+      out.spread[k] = root(square(of_.spread) + square(of_.drift) * (square(out.x[k]) + square(out.y[k])));
+    out.gone[0] = 0;
+    for (size_t k = 1; k < n; ++k) out.gone[k] = out.speed[k] * (out.time[k] - out.time[k - 1]);
+    std::fill(out.cos.begin(), out.cos.end(), kUnknown);
+    out.known = true;
+  }
+  Dual interpolated(const Node<Dual>& v, const Node<Dual>& w, size_t f, size_t column, size_t k) const {
+    const double a = v.part.value(), b = w.part.value();
+    double from[4];
+    for (size_t corner = 0; corner < 4; ++corner)
+      from[corner] = of_.place[(row_of(v, w, corner, f) * CoastTables::kPlace + column) * of_.samples + k];
+    const double low = from[0] + b * (from[1] - from[0]), high = from[2] + b * (from[3] - from[2]);
+    const double by_w = (1 - a) * (from[1] - from[0]) + a * (from[3] - from[2]);
+    Dual y(v.part.a * (high - low) + w.part.a * by_w);
+    y.a[0] = low + a * (high - low);
+    return y;
+  }
+  void spun_place(const Node<Dual>& v, const Node<Dual>& w, size_t f, size_t k, Place<Dual>& out) const {
+    const State<Dual>& q = *slopes_;
+    const auto column = [&](size_t m) { return interpolated(v, w, f, m, k); };
+    const Dual x = column(0), y = column(1), time = column(4), far = length_of(x, y);
+    const Dual c = sign_ * q.yaw.through(cos_, -sin_), s = sign_ * q.yaw.through(sin_, cos_);
+    const Dual heading = q.yaw + column(2);
+    double ch = work_.place.cos[k], sh = work_.place.sin[k];
+    if (!(ch < kUnknown)) ch = std::cos(heading.value()), sh = std::sin(heading.value());
+    out.x = q.x + c * x - s * y, out.y = q.y + s * x + c * y;
+    out.cos = heading.through(ch, -sh), out.sin = heading.through(sh, ch);
+    out.time = q.time + time, out.spread = length_of(Dual(of_.spread), Dual(of_.drift * far));
+    out.gone = k == 0 ? Dual(0.0) : column(3) * (time - interpolated(v, w, f, 4, k - 1));
+  }
+
+  // --- bases astray -------------------------------------------------------------------------------------------------
+
+  template <class T> T apart(const FloorShape& shape, const Place<T>& place) const {
+    if constexpr (std::is_same_v<T, Dual>)
+      return distance(of_.footprint, shape, place);
+    else
+      return of_.footprint.distance(shape, place.x, place.y, place.cos, place.sin, place.time);
+  }
+  template <class T> bool is_near(const FloorShape& shape, const Place<T>& place) const {
+    return shape.distance(value_of(place.x), value_of(place.y), value_of(place.time)) <=
+           of_.footprint.reach() + kFarOff * blur_of(value_of(place.spread), shape);
+  }
+  // Bases that went astray before they came here, beside the way: who is met in the next moment that is not met yet,
+  // for as long as they have been astray. Along a way this adds up to how likely they are met at all.
+  template <class T> void astray(const State<T>& q, std::vector<T>& hit) {
+    const double step = sign_ * kNext;
+    const T speed = size_of(q.v), whole = speed * speed / (of_.unit * of_.unit), half = 0.5 * q.omega / speed * kNext;
+    const double h = value_of(half), ch = std::cos(h), sh = std::sin(h);
+    T c(cos_), s(sin_);
+    if constexpr (std::is_same_v<T, Dual>) c = q.yaw.through(cos_, -sin_), s = q.yaw.through(sin_, cos_);
+    for (const CoastTables::Stray& stray : of_.stray) {
+      if (gap_ > std::fabs(stray.aside) + kNext + kFarOff * stray.spread) continue;
+      const double turned_c = stray.cos, turned_s = sign_ * stray.sin;
+      const T spread(stray.spread), none(0.0);
+      const T x = q.x - stray.aside * s, y = q.y + stray.aside * c;
+      const Place<T> now{x, y, c * turned_c - s * turned_s, s * turned_c + c * turned_s, q.time, spread, none};
+      const Place<T> between{q.x - 0.5 * stray.aside * s, q.y + 0.5 * stray.aside * c, c, s, q.time, spread, none};
+      // Half of what it turns until the next moment, twice.
+      T half_c(ch), half_s(sh);
+      if constexpr (std::is_same_v<T, Dual>) half_c = half.through(ch, -sh), half_s = half.through(sh, ch);
+      const T middle_c = now.cos * half_c - now.sin * half_s, middle_s = now.sin * half_c + now.cos * half_s;
+      const Place<T> next{x + step * middle_c, y + step * middle_s, middle_c * half_c - middle_s * half_s,
+                          middle_s * half_c + middle_c * half_s, q.time, spread, T(kNext)};
+      std::vector<T>& met = met_of(T(0.0));
+      std::fill(met.begin(), met.end(), none);
+      bool any = false;
+      for (size_t j = 0; j < work_.asked; ++j) {
+        const FloorShape& who = *work_.whom[j].shape;
+        if (!is_near(who, next)) continue;
+        const T before = apart(who, now), then = apart(who, next), blurred = blur(who, spread);
+        const T more = touch(then, blurred) - touch(before, blurred);
+        if (value_of(more) <= kHardly) continue;
+        T& most = met[size_t(who.entity)];
+        const T along = normal_share(T((before - then) / kNext), who, blurred);
+        most = larger(most, T(more * smaller(T(1.0), T(along * whole)))), any = true;
+      }
+      if (!any) continue;
+      T stopped(0.0);
+      for (const Near& near : work_.what)
+        for (const Place<T>& place : {between, now}) {
+          if (!is_near(*near.shape, place)) continue;
+          stopped = larger(stopped, touch(apart(*near.shape, place), blur(*near.shape, spread)));
+        }
+      for (size_t e = 0; e < hit.size(); ++e)
+        if (value_of(met[e]) > 0)
+          hit[e] = smaller(T(1.0), T(hit[e] + stray.lasts * speed / kNext * (1 - stopped) * met[e]));
+    }
+  }
+  std::vector<double>& met_of(double) { return work_.met; }
+  std::vector<Dual>& met_of(const Dual&) { return work_.met_slopes; }
+
+  const CoastTables& of_;
+  const State<double>& at_;
+  const State<Dual>* slopes_;
+  CoastWork& work_;
+  const double speed_, sign_, cos_, sin_;
+  double far_ = 0;       // how far a base goes at most
+  size_t farthest_ = 0;  // the stop that does
+  double gap_ = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
+  // Of the way that is followed.
+  size_t n_place_ = 0, n_stop_ = 0;
+  double whole_ = 0, arc_far_ = 0;
+  bool touched_ = false;
+  CoastWork::Spun* spun_ = nullptr;
+};
