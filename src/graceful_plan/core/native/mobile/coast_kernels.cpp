@@ -1,11 +1,17 @@
 // The coast model of one instruction set. This file is compiled several times; GP_ISA names the result.
-#include <type_traits>
+#include <cstring>
 
 #include "mobile/coast/coast_tables.hpp"
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
 
 namespace gp {
 namespace GP_ISA {
 
+#include "lanes.hpp"
+#include "mobile/coast/places_abreast.hpp"
 #include "mobile/coast/following.hpp"
 
 static bool coast_hits(const CoastTables& of, const CoastState<double>& at, const std::vector<FloorShape>& shape,

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <vector>
 
@@ -83,7 +84,7 @@ struct CoastWork {
   struct Places {
     std::vector<double> x, y, cos, sin, time, spread, gone, path;
   };
-  // The same of a base that spins, in its own frame: cosine and sine of what it has turned once they are asked for.
+  // The same of a base that spins, in its own frame.
   struct Spun {
     bool known = false;
     std::vector<double> x, y, turned, speed, time, spread, gone, cos, sin;
@@ -95,20 +96,22 @@ struct CoastWork {
   CoastWork(const CoastTables& of, size_t n_entity)
       : hit(n_entity), met(n_entity), met_at(n_entity), free(of.stop.size()), braked(of.stop.size()),
         met_slopes(n_entity), spun(of.share.size()) {
-    const size_t most = std::max(kSamples, of.samples);
     for (auto* one : {&place.x, &place.y, &place.cos, &place.sin, &place.time, &place.spread, &place.gone, &place.path,
                       &later, &least})
-      one->resize(most);
+      one->resize(kSamples);
     for (Spun& one : spun)
       for (auto* values : {&one.x, &one.y, &one.turned, &one.speed, &one.time, &one.spread, &one.gone, &one.cos,
                            &one.sin})
-        values->resize(of.samples);
-    for (auto* one : {&share, &starts, &by_braked}) one->resize(std::max<size_t>(of.stop.size(), 1));
-    least_at.resize(most), energy_at.resize(most), energy.resize(most * share.size());
-    most_worth.resize(n_entity * share.size()), decided_by.resize(n_entity * share.size());
-    dual_place.resize(most), dual_known.resize(most), touched_at.resize(most);
+        values->resize(kSamples);
+    const size_t stops = padded(std::max<size_t>(of.stop.size(), 1));
+    for (auto* one : {&share, &starts, &by_braked}) one->resize(stops);
+    least_at.resize(kSamples), energy.resize(kSamples * stops);
+    most_worth.resize(n_entity * stops), decided_by.resize(n_entity * stops);
+    dual_place.resize(kSamples), dual_known.resize(kSamples);
   }
-  static constexpr size_t kSamples = 64;  // places along an arc, at most
+  // Rows are as long as the widest vectors of any instruction set want them.
+  static constexpr size_t padded(size_t n) { return (n + 7) / 8 * 8; }
+  static constexpr size_t kSamples = 64;  // places along a way, at most: as many as bits
 
   std::vector<double> hit;       // P by entity
   std::vector<Dual> hit_slopes;  // with derivatives, where they are wanted
@@ -122,15 +125,15 @@ struct CoastWork {
   std::vector<double> share, starts, by_braked;  // of the stops of a way: P, where it slows down, 1 over how far then
   Places place;
   std::vector<double> later;           // times at places at a slightly greater speed
-  std::vector<double> apart, touched;  // by place and shape
-  std::vector<char> touched_at, energy_at;  // by place: whether anything is touched, whether energies are known
+  std::vector<double> apart, touched, along;  // by shape of `whom` and place: see Following::touches
+  std::vector<uint64_t> touched_at;           // by shape of `whom`: places, as bits, at which it is touched
+  uint64_t energy_at = 0;                     // places of which energies are known
   std::vector<double> energy;          // by place and stop, over that at the speed that severities are for
   std::vector<double> least;           // by place: distance of obstacles up to there, as a multiple of its spread
   std::vector<Pair> least_at;
   std::vector<double> most_worth;      // by entity and stop
-  std::vector<int> decided_by;         // what of `decided` it is by
-  std::vector<int> seen;               // entities that are met on this way
-  std::vector<double> stops;           // by shape: how likely the base loses its energy there
+  std::vector<double> decided_by;      // what of `decided` it is by
+  std::vector<int> seen, stopping;     // entities that are met on this way, and those that took energy so far
   std::vector<Decided> decided;
   std::vector<Known> known;
   std::vector<Dual> met_slopes;

@@ -95,7 +95,7 @@ class CheckedTables {
     const size_t rows = made.speeds.size() * made.rates.size() * made.share.size();
     require(of.places.size() > 0 && of.places.size() % (rows * kPlace) == 0, "places of a base");
     const size_t n = made.samples = of.places.size() / (rows * kPlace);
-    require(n > 1, "places of a base");
+    require(n > 1 && n <= CoastWork::kSamples, "places of a base");
     made.place.resize(of.places.size()), made.within.assign(rows, 0.0);
     for (size_t row = 0; row < rows; ++row)
       for (size_t k = 0; k < n; ++k) {

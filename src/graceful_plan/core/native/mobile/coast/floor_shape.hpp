@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <type_traits>
 #include <vector>
 
 #include "dual.hpp"
@@ -41,18 +42,25 @@ class Footprint2d {
     }
   }
   GP_INLINE double reach() const { return reach_; }
-  // Of the base at a place, with a heading of this cosine and sine, to a shape at a time.
+  const std::vector<FloorShape>& parts() const { return part_; }
+  // Of the base at a place, with a heading of this cosine and sine, to a shape at a time; where they overlap, minus the
+  // way that parts them. What decides it is found by values alone.
   template <class T>
   GP_INLINE T distance(const FloorShape& shape, const T& x, const T& y, const T& c, const T& s, const T& time) const {
-    const T dx = shape.x + shape.vx * time - x, dy = shape.y + shape.vy * time - y;
-    const Seen<T> seen{c * dx + s * dy, c * dy - s * dx, c * shape.ux + s * shape.uy, c * shape.uy - s * shape.ux};
+    const Seen<double> seen = see(shape, value_of(x), value_of(y), value_of(c), value_of(s), value_of(time));
     const double around = shape.around();
-    T d(std::numeric_limits<double>::infinity());
+    double least = std::numeric_limits<double>::infinity();
+    size_t nearest = 0;
+    int feature = 0;
     for (size_t k = 0; k < part_.size(); ++k) {
-      const double apart = length_of(value_of(seen.x) - part_[k].x, value_of(seen.y) - part_[k].y);
-      if (apart - within_[k] - around < value_of(d)) d = smaller(d, between(part_[k], shape, seen));
+      if (length_of(seen.x - part_[k].x, seen.y - part_[k].y) - within_[k] - around >= least) continue;
+      const Decided one = decide(part_[k], shape, seen);
+      if (one.distance < least) least = one.distance, nearest = k, feature = one.feature;
     }
-    return d;
+    if constexpr (std::is_same_v<T, double>)
+      return least;
+    else
+      return measure(part_[nearest], shape, see(shape, x, y, c, s, time), feature);
   }
 
  private:
@@ -60,33 +68,65 @@ class Footprint2d {
   template <class T> struct Seen {
     T x, y, ux, uy;
   };
+  // Features that decide a distance: the middle of the shape, if it is a disc, or of the part; the axis along which they
+  // are farthest apart, if they overlap; else a corner of one of them.
+  enum Feature { kShape, kPart, kAxis, kCornerOfShape = kAxis + 4, kCornerOfPart = kCornerOfShape + 4 };
+  struct Decided {
+    double distance;
+    int feature;
+  };
 
-  // Of a part and a shape that rest; where they overlap, minus the way that parts them.
-  template <class T> GP_INLINE static T between(const FloorShape& part, const FloorShape& shape, const Seen<T>& at) {
-    const T dx = at.x - part.x, dy = at.y - part.y;
-    const T x = part.ux * dx + part.uy * dy, y = part.ux * dy - part.uy * dx;  // in the axes of the part
-    if (shape.a == 0 && shape.b == 0) return part.from_middle(x, y) - shape.round;
-    const T back_x = -(at.ux * dx + at.uy * dy), back_y = at.uy * dx - at.ux * dy;  // the part, in those of the shape
-    if (part.a == 0 && part.b == 0) return shape.from_middle(back_x, back_y) - part.round;
-    const T c = part.ux * at.ux + part.uy * at.uy, s = part.ux * at.uy - part.uy * at.ux;
-    const T cc = size_of(c), ss = size_of(s);
-    const T apart = larger(larger(size_of(x) - part.a - cc * shape.a - ss * shape.b,
-                                  size_of(y) - part.b - ss * shape.a - cc * shape.b),
-                           larger(size_of(back_x) - shape.a - cc * part.a - ss * part.b,
-                                  size_of(back_y) - shape.b - ss * part.a - cc * part.b));
-    const double rounds = part.round + shape.round;
-    if (value_of(apart) <= 0) return apart - rounds;
-    return smaller(nearest(part, shape, Seen<T>{x, y, c, s}),
-                   nearest(shape, part, Seen<T>{back_x, back_y, c, T(-s)})) - rounds;
-  }
-  // Distance of the corners of the second from the first without its rounding, in the axes of the first.
   template <class T>
-  GP_INLINE static T nearest(const FloorShape& one, const FloorShape& other, const Seen<T>& at) {
-    T d(std::numeric_limits<double>::infinity());
-    for (const double a : {-other.a, other.a})
-      for (const double b : {-other.b, other.b})
-        d = smaller(d, one.from_middle(T(at.x + a * at.ux - b * at.uy), T(at.y + a * at.uy + b * at.ux)));
-    return d + one.round;
+  GP_INLINE static Seen<T> see(const FloorShape& shape, const T& x, const T& y, const T& c, const T& s, const T& time) {
+    const T dx = shape.x + shape.vx * time - x, dy = shape.y + shape.vy * time - y;
+    return {c * dx + s * dy, c * dy - s * dx, c * shape.ux + s * shape.uy, c * shape.uy - s * shape.ux};
+  }
+  // The middle of the shape in the axes of the part, of the part in those of the shape, and how these are turned.
+  template <class T> struct Turned {
+    GP_INLINE Turned(const FloorShape& part, const Seen<T>& at) {
+      const T dx = at.x - part.x, dy = at.y - part.y;
+      x = part.ux * dx + part.uy * dy, y = part.ux * dy - part.uy * dx;
+      back_x = -(at.ux * dx + at.uy * dy), back_y = at.uy * dx - at.ux * dy;
+      c = part.ux * at.ux + part.uy * at.uy, s = part.ux * at.uy - part.uy * at.ux;
+    }
+    T x, y, back_x, back_y, c, s;
+  };
+  template <class T>
+  GP_INLINE static T measure(const FloorShape& part, const FloorShape& shape, const Seen<T>& at, int feature) {
+    const Turned<T> by(part, at);
+    const double rounds = part.round + shape.round;
+    if (feature == kShape) return part.from_middle(by.x, by.y) - shape.round;
+    if (feature == kPart) return shape.from_middle(by.back_x, by.back_y) - part.round;
+    if (feature < kCornerOfShape) return along_axis(part, shape, by, feature - kAxis) - rounds;
+    const bool own = feature >= kCornerOfPart;
+    const int corner = feature - (own ? kCornerOfPart : kCornerOfShape);
+    const FloorShape &one = own ? shape : part, &other = own ? part : shape;
+    const double a = corner & 1 ? other.a : -other.a, b = corner & 2 ? other.b : -other.b;
+    const T x = own ? by.back_x + a * by.c + b * by.s : by.x + a * by.c - b * by.s;
+    const T y = own ? by.back_y - a * by.s + b * by.c : by.y + a * by.s + b * by.c;
+    return one.from_middle(x, y) + one.round - rounds;
+  }
+  template <class T>
+  GP_INLINE static T along_axis(const FloorShape& part, const FloorShape& shape, const Turned<T>& by, int axis) {
+    const T cc = size_of(by.c), ss = size_of(by.s);
+    if (axis == 0) return size_of(by.x) - part.a - cc * shape.a - ss * shape.b;
+    if (axis == 1) return size_of(by.y) - part.b - ss * shape.a - cc * shape.b;
+    if (axis == 2) return size_of(by.back_x) - shape.a - cc * part.a - ss * part.b;
+    return size_of(by.back_y) - shape.b - ss * part.a - cc * part.b;
+  }
+  GP_INLINE static Decided decide(const FloorShape& part, const FloorShape& shape, const Seen<double>& at) {
+    if (shape.a == 0 && shape.b == 0) return {measure(part, shape, at, kShape), kShape};
+    if (part.a == 0 && part.b == 0) return {measure(part, shape, at, kPart), kPart};
+    const Turned<double> by(part, at);
+    const double rounds = part.round + shape.round;
+    Decided apart{along_axis(part, shape, by, 0), kAxis};
+    for (int axis = 1; axis < 4; ++axis)
+      if (const double d = along_axis(part, shape, by, axis); d > apart.distance) apart = {d, kAxis + axis};
+    if (apart.distance <= 0) return {apart.distance - rounds, apart.feature};
+    Decided nearest{std::numeric_limits<double>::infinity(), 0};
+    for (int corner = kCornerOfShape; corner < kCornerOfPart + 4; ++corner)
+      if (const double d = measure(part, shape, at, corner); d < nearest.distance) nearest = {d, corner};
+    return nearest;
   }
 
   std::vector<FloorShape> part_;

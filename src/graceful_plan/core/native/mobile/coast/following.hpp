@@ -38,6 +38,9 @@ class Following {
     }
     look(shape, severity, only, std::max(longest, of_.lasts));
     if (work_.asked == 0) return false;
+    const size_t n = work_.whom.size(), values = n * (CoastWork::kSamples + 1) + 1;
+    if (work_.apart.size() < values) work_.apart.resize(values), work_.touched.resize(values), work_.along.resize(values);
+    if (work_.touched_at.size() < n) work_.touched_at.resize(n);
     // Released wheels go along the others' arc if nothing turns so far.
     const bool alike = std::fabs(at_.omega / at_.v) * far_ <= of_.turn * at_.omega * at_.omega;
     for (size_t f = 0; f < of_.family.size(); ++f) {
@@ -89,20 +92,6 @@ class Following {
   GP_INLINE double clear(double room) const { return room / (1 + kFarOff * of_.drift); }
   static GP_INLINE double square(double x) { return x * x; }
 
-  // Whether a shape may be touched at a place; if not, `clear` is up to where that holds.
-  GP_INLINE bool may_touch(const FloorShape& shape, double moves, size_t k, double& clear, double& beyond) const {
-    const CoastWork::Places& at = work_.place;
-    beyond = shape.distance(at.x[k], at.y[k], at.time[k]) - of_.footprint.reach();
-    const double room = beyond - kFarOff * blur_of(at.spread[k], shape);
-    if (room <= 0) return true;
-    clear = at.path[k] + moves * at.time[k] + this->clear(room);
-    return false;
-  }
-  double distance(const FloorShape& shape, size_t k) {
-    CoastWork::Places& at = work_.place;
-    if (spun_) heading(k);
-    return of_.footprint.distance(shape, at.x[k], at.y[k], at.cos[k], at.sin[k], at.time[k]);
-  }
   static Dual distance(const Footprint2d& base, const FloorShape& shape, const Place<Dual>& place) {
     Dual d;
     distance(base, shape, place, d);
@@ -150,10 +139,10 @@ class Following {
     double goes = 0;
     for (const size_t i : stops) goes = std::max(goes, work_.free[i] + work_.braked[i]);
     if (gap_ > goes) return;
-    n_stop_ = stops.size(), spun_ = nullptr;
-    for (size_t s = 0; s < n_stop_; ++s) {
-      const size_t i = stops[s];
-      work_.share[s] = of_.stop[i].p, work_.starts[s] = work_.free[i];
+    n_stop_ = stops.size(), row_ = CoastWork::padded(n_stop_);
+    for (size_t s = 0; s < row_; ++s) {
+      const size_t i = stops[std::min(s, n_stop_ - 1)];
+      work_.share[s] = s < n_stop_ ? of_.stop[i].p : 0.0, work_.starts[s] = work_.free[i];
       work_.by_braked[s] = 1 / std::max(work_.braked[i], kLeast);
     }
     const Way<double> way = this->way(at_, family, far_);
@@ -204,7 +193,7 @@ class Following {
       at.path[n] = all;
     }
     n_place_ = n;
-    std::fill_n(work_.energy_at.begin(), n, 0);
+    work_.energy_at = 0;
     whole_ = speed_ * speed_ / (of_.unit * of_.unit), arc_far_ = way.far;
   }
   // Share of its energy that a base that comes to rest in one way still has.
@@ -242,18 +231,21 @@ class Following {
     }
   }
   const double* energy(size_t k) {
-    double* row = work_.energy.data() + k * n_stop_;
-    if (work_.energy_at[k]) return row;
-    work_.energy_at[k] = 1;
+    double* row = work_.energy.data() + k * row_;
+    if (work_.energy_at >> k & 1) return row;
+    work_.energy_at |= uint64_t(1) << k;
     const double met = half_done(arc_far_, int(k));
-    for (size_t s = 0; s < n_stop_; ++s) row[s] = left(met, s) * whole_;
+    for (size_t s = 0; s < row_; s += kAbreastPlaces) {
+      const D part = 1 - (met - load_row(&work_.starts[s])) * load_row(&work_.by_braked[s]);
+      store_row(minimum(relu(part), D{} + 1.0) * whole_, row + s);
+    }
     return row;
   }
   // Derivatives of the energies that decide by the speed.
   void arc_slopes(const std::vector<size_t>& stops, double far_slope) {
     for (const int e : work_.seen)
       for (size_t s = 0; s < n_stop_; ++s) {
-        const int by = work_.decided_by[size_t(e) * n_stop_ + s];
+        const int by = int(work_.decided_by[size_t(e) * row_ + s]);
         if (by < 0) continue;
         Decided& one = work_.decided[size_t(by)];
         const int k = one.met.place;
@@ -299,58 +291,95 @@ class Following {
 
   // --- what is met along a way --------------------------------------------------------------------------------------
 
-  double head_on(const FloorShape& shape, size_t k, size_t j) {
-    const size_t n = work_.whom.size(), to = std::max<size_t>(k, 1);
-    const double spread = blur_of(work_.place.spread[k], shape);
-    if (n_place_ < 2) return normal_share(0.0, shape, spread);
-    const auto from = [&](size_t i) {
-      const double known = work_.apart[i * n + j];
-      return known < kUnknown ? known : distance(shape, i);
-    };
-    return normal_share((from(to - 1) - from(to)) / std::max(work_.place.gone[to], kHardly), shape, spread);
-  }
-  // Finds how likely those from first on, before end, are touched at the first places. Returns after which nobody is.
-  size_t touches(size_t first, size_t end, size_t places) {
-    const size_t n = work_.whom.size();
+  // The places from k on, as many as are abreast.
+  GP_INLINE PlacesAbreast places_from(size_t k) const {
     const CoastWork::Places& at = work_.place;
-    size_t last = 0;
+    return {load_row(&at.x[k]), load_row(&at.y[k]), load_row(&at.cos[k]), load_row(&at.sin[k]), load_row(&at.time[k])};
+  }
+  // Copies the last place until rows are full.
+  void pad() {
+    CoastWork::Places& at = work_.place;
+    for (size_t k = n_place_; k % kAbreastPlaces > 0; ++k)
+      for (auto* one : {&at.x, &at.y, &at.cos, &at.sin, &at.time, &at.spread, &at.gone, &at.path})
+        (*one)[k] = (*one)[n_place_ - 1];
+  }
+  GP_INLINE bool stays_clear(const FloorShape& shape, double clear, size_t places) const {
+    return work_.place.path[places - 1] + shape.speed() * work_.place.time[places - 1] < clear;
+  }
+  // Distances of a shape from the middle of the base, less its reach.
+  GP_INLINE D beyond(const FloorShape& shape, const PlacesAbreast& at) const {
+    const D dx = at.x - shape.x - shape.vx * at.time, dy = at.y - shape.y - shape.vy * at.time;
+    const D along = shape.ux * dx + shape.uy * dy, across = shape.ux * dy - shape.uy * dx;
+    return from_rectangle(shape.a, shape.b, along, across) - (shape.round + of_.footprint.reach());
+  }
+  GP_INLINE D blurs(const FloorShape& shape, size_t k) const {
+    const D spread = load_row(&work_.place.spread[k]);
+    return shape.spread > 0 ? hypotenuse(spread, D{} + shape.spread) : spread;
+  }
+  // Finds how likely those from first on, before end, are touched at the first places, and the share of the energy along
+  // the normal there: by how fast the base closes in, of which of the way that it goes is a part alone. Returns after
+  // which place nobody is touched.
+  size_t touches(size_t first, size_t end, size_t places) {
+    const size_t all = CoastWork::kSamples + 1;
+    uint64_t at_all = 0;
     for (size_t j = first; j < end; ++j) {
       const FloorShape& who = *work_.whom[j].shape;
-      const double moves = who.speed();
-      double clear = work_.whom[j].clear, beyond;
-      if (at.path[places - 1] + moves * at.time[places - 1] < clear) continue;
-      for (size_t k = 0; k < places; ++k) {
-        if (at.path[k] + moves * at.time[k] < clear || !may_touch(who, moves, k, clear, beyond)) continue;
-        if (!touched_) {
-          touched_ = true;
-          work_.apart.assign(n_place_ * n, kUnknown), work_.touched.assign(n_place_ * n, 0.0);
-          std::fill_n(work_.touched_at.begin(), n_place_, 0);
-        }
-        const double d = work_.apart[k * n + j] = distance(who, k);
-        const double likely = touch(d, blur_of(at.spread[k], who));
-        if (likely <= kHardly) continue;
-        work_.touched[k * n + j] = likely, work_.touched_at[k] = 1;
-        last = std::max(last, k + 1);
+      work_.touched_at[j] = 0;
+      if (stays_clear(who, work_.whom[j].clear, places)) continue;
+      double* apart = &work_.apart[j * all + 1];  // before the first place: where it came from
+      uint64_t near = 0, known = 0;
+      const auto measure = [&](size_t k, const PlacesAbreast& at) {
+        if (known >> k & 1) return;
+        known |= uint64_t(1) << k;
+        store_row(apart_abreast(of_.footprint, who, at), apart + k);
+      };
+      for (size_t k = 0; k < places; k += kAbreastPlaces) {
+        const PlacesAbreast at = places_from(k);
+        const int lanes = lanes_below(beyond(who, at), kFarOff * blurs(who, k));
+        if (lanes == 0) continue;
+        near |= uint64_t(lanes) << k;
+        if (k > 0 && lanes & 1) measure(k - kAbreastPlaces, places_from(k - kAbreastPlaces));
+        measure(k, at);
       }
+      if (places < CoastWork::kSamples) near &= (uint64_t(1) << places) - 1;
+      if (near == 0) continue;
+      apart[-1] = n_place_ > 1 ? 2 * apart[0] - apart[1] : apart[0];
+      const double size = who.around();
+      for (size_t k = 0; k < places; k += kAbreastPlaces) {
+        const uint64_t lanes = near >> k & ((uint64_t(1) << kAbreastPlaces) - 1);
+        if (lanes == 0) continue;
+        const D d = load_row(apart + k), blur = blurs(who, k), ratio = d / blur;
+        const D likely = ratio <= kFarOff ? upper_tail(ratio) : D{};
+        D gone = load_row(&work_.place.gone[k]);
+        if (k == 0 && n_place_ > 1) gone[0] = gone[1];
+        const D closing = (load_row(apart + k - 1) - d) / maximum(gone, D{} + kHardly);
+        const D straight = minimum(relu(closing), D{} + 1.0), unknown = blur * blur / (blur * blur + size * size);
+        store_row(likely, &work_.touched[j * all + k]);
+        store_row((1.0 - unknown) * straight * straight + 0.5 * unknown, &work_.along[j * all + k]);
+        work_.touched_at[j] |= (uint64_t(lanes_below(D{} + kHardly, likely)) & lanes) << k;
+      }
+      at_all |= work_.touched_at[j];
     }
-    return last;
+    return at_all ? 64 - size_t(__builtin_clzll(at_all)) : 0;
   }
   // Finds at each of the first places how near an obstacle has been up to there, as a multiple of its blur.
   void obstacles(size_t last) {
-    const CoastWork::Places& at = work_.place;
-    std::fill_n(work_.least.begin(), last, kFarOff), std::fill_n(work_.least_at.begin(), last, Pair{});
+    std::fill_n(work_.least.begin(), (last + kAbreastPlaces - 1) / kAbreastPlaces * kAbreastPlaces, kFarOff);
+    std::fill_n(work_.least_at.begin(), last, Pair{});
     for (size_t j = 0; j < work_.what.size(); ++j) {
       const FloorShape& what = *work_.what[j].shape;
-      const double moves = what.speed();
-      double clear = work_.what[j].clear, beyond;
-      if (at.path[last - 1] + moves * at.time[last - 1] < clear) continue;
-      for (size_t k = 0; k < last; ++k) {
-        if (at.path[k] + moves * at.time[k] < clear || !may_touch(what, moves, k, clear, beyond)) continue;
-        const double blur = blur_of(at.spread[k], what);
-        if (beyond >= work_.least[k] * blur) continue;
-        const double ratio = distance(what, k) / blur;
-        for (size_t m = k; m < last && ratio < work_.least[m]; ++m)
-          work_.least[m] = ratio, work_.least_at[m] = {int(k), int(j)};
+      if (stays_clear(what, work_.what[j].clear, last)) continue;
+      for (size_t k = 0; k < last; k += kAbreastPlaces) {
+        const PlacesAbreast at = places_from(k);
+        const D blur = blurs(what, k);
+        if (!any_below(beyond(what, at), load_row(&work_.least[k]) * blur)) continue;
+        const D ratio = apart_abreast(of_.footprint, what, at) / blur;
+        int nearer = lanes_below(ratio, load_row(&work_.least[k]));
+        for (; nearer; nearer &= nearer - 1) {
+          const size_t lane = size_t(__builtin_ctz(unsigned(nearer)));
+          for (size_t m = k + lane; m < last && ratio[lane] < work_.least[m]; ++m)
+            work_.least[m] = ratio[lane], work_.least_at[m] = {int(k + lane), int(j)};
+        }
       }
     }
   }
@@ -358,45 +387,46 @@ class Following {
   // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
   void meet() {
     work_.decided.clear(), work_.seen.clear();
-    touched_ = false;
     if (n_place_ == 0) return;
-    const size_t n = work_.whom.size(), last = touches(0, work_.asked, n_place_);
+    pad();
+    const size_t n = work_.whom.size(), all = CoastWork::kSamples + 1, last = touches(0, work_.asked, n_place_);
     if (last == 0) return;
     touches(work_.asked, n, last);
     obstacles(last);
     std::fill(work_.met.begin(), work_.met.end(), 0.0), std::fill(work_.met_at.begin(), work_.met_at.end(), Pair{});
-    work_.stops.resize(n);
     double stopped = 0, stopped_by = kFarOff;
     for (size_t k = 0; k < last; ++k) {
-      if (!work_.touched_at[k]) continue;
+      const uint64_t here = uint64_t(1) << k;
+      bool any = false;
+      for (size_t j = 0; j < n; ++j) any |= (work_.touched_at[j] & here) != 0;
+      if (!any) continue;
       if (work_.least[k] < stopped_by)
         stopped_by = work_.least[k], stopped = 0.5 * std::erfc(stopped_by * 0.7071067811865476);
       if (stopped >= 1 - kHardly) break;
       for (size_t j = 0; j < n; ++j) {
-        const double touches = work_.touched[k * n + j];
-        work_.stops[j] = 0;
-        if (touches <= kHardly) continue;
+        if (!(work_.touched_at[j] & here) || j >= work_.asked) continue;
         const FloorShape& who = *work_.whom[j].shape;
         double before = stopped;  // whom it met before stops it as well
-        Decided decided{{int(k), int(j)}, work_.least_at[k], true, 0.0};
-        for (size_t i = 0; i < n; ++i) {
-          const size_t other = size_t(work_.whom[i].shape->entity);
-          if (int(other) == who.entity || work_.met[other] <= before) continue;
-          before = work_.met[other];
-          decided.before = work_.met_at[other], decided.by_obstacle = false;
+        Decided decided{{int(k), int(j)}, work_.least_at[k], true, work_.along[j * all + k]};
+        for (const int other : work_.stopping) {
+          if (other == who.entity || work_.met[size_t(other)] <= before) continue;
+          before = work_.met[size_t(other)];
+          decided.before = work_.met_at[size_t(other)], decided.by_obstacle = false;
         }
-        decided.along = head_on(who, k, j);
-        work_.stops[j] = touches * decided.along;
-        if (j < work_.asked) raise(decided, size_t(who.entity), k, (1 - before) * touches);
+        raise(decided, size_t(who.entity), k, (1 - before) * work_.touched[j * all + k]);
       }
       for (size_t j = 0; j < n; ++j) {
+        if (!(work_.touched_at[j] & here)) continue;
         const size_t own = size_t(work_.whom[j].shape->entity);
-        if (work_.stops[j] <= work_.met[own]) continue;
-        work_.met[own] = work_.stops[j], work_.met_at[own] = {int(k), int(j)};
+        const double stops = work_.touched[j * all + k] * work_.along[j * all + k];
+        if (stops <= work_.met[own]) continue;
+        if (work_.met[own] == 0) work_.stopping.push_back(int(own));
+        work_.met[own] = stops, work_.met_at[own] = {int(k), int(j)};
       }
     }
+    work_.stopping.clear();
     for (const int e : work_.seen) {
-      const double* worth = work_.most_worth.data() + size_t(e) * n_stop_;
+      const double* worth = work_.most_worth.data() + size_t(e) * row_;
       double sum = 0;
       for (size_t s = 0; s < n_stop_; ++s) sum += work_.share[s] * worth[s];
       work_.hit[size_t(e)] += sum;
@@ -404,19 +434,21 @@ class Following {
   }
   // Raises what stops are worth against an entity to what a touch makes of them.
   void raise(const Decided& decided, size_t entity, size_t k, double reaches) {
-    double* most = work_.most_worth.data() + entity * n_stop_;
-    int* by = work_.decided_by.data() + entity * n_stop_;
+    double *most = work_.most_worth.data() + entity * row_, *by = work_.decided_by.data() + entity * row_;
     if (std::find(work_.seen.begin(), work_.seen.end(), int(entity)) == work_.seen.end()) {
       work_.seen.push_back(int(entity));
-      std::fill_n(most, n_stop_, 0.0), std::fill_n(by, n_stop_, -1);
+      std::fill_n(most, row_, 0.0), std::fill_n(by, row_, -1.0);
     }
     const double* energy = this->energy(k);
-    const int number = int(work_.decided.size());
-    bool more = false;
-    for (size_t s = 0; s < n_stop_; ++s) {
-      const double worth = std::min(1.0, energy[s] * decided.along) * reaches;
-      const bool is_more = worth > most[s];
-      more |= is_more, most[s] = is_more ? worth : most[s], by[s] = is_more ? number : by[s];
+    const double number = double(work_.decided.size());
+    int more = 0;
+    for (size_t s = 0; s < row_; s += kAbreastPlaces) {
+      const D worth = minimum(D{} + 1.0, load_row(energy + s) * decided.along) * reaches, known = load_row(most + s);
+      const int lanes = lanes_below(known, worth);
+      if (lanes == 0) continue;
+      more |= lanes;
+      store_row(maximum(known, worth), most + s);
+      store_row(known < worth ? D{} + number : load_row(by + s), by + s);
     }
     if (more && slopes_) work_.decided.push_back(decided);
   }
@@ -481,30 +513,31 @@ class Following {
       CoastWork::Spun& spun = work_.spun[f];
       if (!spun.known) spin(v, w, f, spun);
       const double c = sign_ * cos_, s = sign_ * sin_;
-      n_place_ = of_.samples, n_stop_ = 1, spun_ = &spun;
+      n_place_ = of_.samples, n_stop_ = 1, row_ = CoastWork::padded(1);
       double path = length_of(spun.x[0], spun.y[0]);
       for (size_t k = 0; k < n_place_; ++k) {
         at.x[k] = at_.x + c * spun.x[k] - s * spun.y[k], at.y[k] = at_.y + s * spun.x[k] + c * spun.y[k];
         at.time[k] = at_.time + spun.time[k], at.spread[k] = spun.spread[k], at.gone[k] = spun.gone[k];
       }
       for (size_t k = 0; k < n_place_; ++k) {
+        at.cos[k] = cos_ * spun.cos[k] - sin_ * spun.sin[k], at.sin[k] = sin_ * spun.cos[k] + cos_ * spun.sin[k];
         if (k > 0) path += length_of(spun.x[k] - spun.x[k - 1], spun.y[k] - spun.y[k - 1]);
-        at.path[k] = path, work_.energy[k] = square(spun.speed[k] / of_.unit);
+        at.path[k] = path, work_.energy[k * row_] = square(spun.speed[k] / of_.unit);
       }
-      std::fill_n(at.cos.begin(), n_place_, kUnknown), std::fill_n(work_.energy_at.begin(), n_place_, 1);
+      work_.energy_at = ~uint64_t(0);
+      std::fill_n(work_.share.begin(), row_, 0.0);
       work_.share[0] = of_.share[f];
       meet();
       if (!slopes_ || work_.decided.empty()) continue;
       spun_slopes(f);
     }
-    spun_ = nullptr;
   }
   void spun_slopes(size_t f) {
     for (const int e : work_.seen) {
-      const int by = work_.decided_by[size_t(e)];
+      const int by = int(work_.decided_by[size_t(e) * row_]);
       if (by < 0) continue;
       Decided& one = work_.decided[size_t(by)];
-      const bool whole = work_.energy[size_t(one.met.place)] * one.along >= 1;
+      const bool whole = work_.energy[size_t(one.met.place) * row_] * one.along >= 1;
       (whole ? one.whole : one.energy) += work_.share[0];
     }
     const Dual speed = size_of(slopes_->v);
@@ -515,14 +548,6 @@ class Following {
            const Dual fast = interpolated(v, w, f, 3, size_t(one.met.place));
            out = one.energy / (of_.unit * of_.unit) * (fast * fast);
          });
-  }
-  // Cosine and sine of the heading at a place, which few places are asked for.
-  void heading(size_t k) {
-    CoastWork::Places& at = work_.place;
-    if (at.cos[k] < kUnknown) return;
-    if (!(spun_->cos[k] < kUnknown)) spun_->cos[k] = std::cos(spun_->turned[k]), spun_->sin[k] = std::sin(spun_->turned[k]);
-    const double c = spun_->cos[k], s = spun_->sin[k];
-    at.cos[k] = cos_ * c - sin_ * s, at.sin[k] = sin_ * c + cos_ * s;
   }
   template <class T> struct Node {
     size_t low;
@@ -558,7 +583,11 @@ class Following {
       out.spread[k] = root(square(of_.spread) + square(of_.drift) * (square(out.x[k]) + square(out.y[k])));
     out.gone[0] = 0;
     for (size_t k = 1; k < n; ++k) out.gone[k] = out.speed[k] * (out.time[k] - out.time[k - 1]);
-    std::fill(out.cos.begin(), out.cos.end(), kUnknown);
+    for (size_t k = 0; k < CoastWork::kSamples; k += kAbreastPlaces) {
+      D sine, cosine;
+      sine_cosine(load_row(&out.turned[k]), sine, cosine);
+      store_row(cosine, &out.cos[k]), store_row(sine, &out.sin[k]);
+    }
     out.known = true;
   }
   Dual interpolated(const Node<Dual>& v, const Node<Dual>& w, size_t f, size_t column, size_t k) const {
@@ -578,8 +607,7 @@ class Following {
     const Dual x = column(0), y = column(1), time = column(4), far = length_of(x, y);
     const Dual c = sign_ * q.yaw.through(cos_, -sin_), s = sign_ * q.yaw.through(sin_, cos_);
     const Dual heading = q.yaw + column(2);
-    double ch = work_.place.cos[k], sh = work_.place.sin[k];
-    if (!(ch < kUnknown)) ch = std::cos(heading.value()), sh = std::sin(heading.value());
+    const double ch = work_.place.cos[k], sh = work_.place.sin[k];
     out.x = q.x + c * x - s * y, out.y = q.y + s * x + c * y;
     out.cos = heading.through(ch, -sh), out.sin = heading.through(sh, ch);
     out.time = q.time + time, out.spread = length_of(Dual(of_.spread), Dual(of_.drift * far));
@@ -656,8 +684,6 @@ class Following {
   size_t farthest_ = 0;  // the stop that does
   double gap_ = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
   // Of the way that is followed.
-  size_t n_place_ = 0, n_stop_ = 0;
+  size_t n_place_ = 0, n_stop_ = 0, row_ = 0;  // rows of stops are padded
   double whole_ = 0, arc_far_ = 0;
-  bool touched_ = false;
-  CoastWork::Spun* spun_ = nullptr;
 };
