@@ -87,7 +87,7 @@ struct CoastWork {
   // The same of a base that spins, in its own frame.
   struct Spun {
     bool known = false;
-    std::vector<double> x, y, turned, speed, time, spread, gone, cos, sin;
+    std::vector<double> x, y, turned, speed, time, spread, gone, path, cos, sin;
   };
   template <class T> struct Place {
     T x, y, cos, sin, time, spread, gone;
@@ -100,8 +100,8 @@ struct CoastWork {
                       &later, &least})
       one->resize(kSamples);
     for (Spun& one : spun)
-      for (auto* values : {&one.x, &one.y, &one.turned, &one.speed, &one.time, &one.spread, &one.gone, &one.cos,
-                           &one.sin})
+      for (auto* values : {&one.x, &one.y, &one.turned, &one.speed, &one.time, &one.spread, &one.gone, &one.path,
+                           &one.cos, &one.sin})
         values->resize(kSamples);
     const size_t stops = padded(std::max<size_t>(of.stop.size(), 1));
     for (auto* one : {&share, &starts, &by_braked}) one->resize(stops);

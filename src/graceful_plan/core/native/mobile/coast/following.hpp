@@ -50,8 +50,8 @@ class Following {
     }
     tabulated();
     if (!of_.stray.empty() && gap_ < of_.aside) {
-      astray(at_, work_.hit);
-      if (slopes_) astray(*slopes_, work_.hit_slopes);
+      astray();
+      if (slopes_) astray_slopes();
     }
     return true;
   }
@@ -328,15 +328,23 @@ class Following {
       if (stays_clear(who, work_.whom[j].clear, places)) continue;
       double* apart = &work_.apart[j * all + 1];  // before the first place: where it came from
       uint64_t near = 0, known = 0;
+      // What is farther beyond where it is touched than the base goes from there to the next place closes in head on.
       const auto measure = [&](size_t k, const PlacesAbreast& at) {
         if (known >> k & 1) return;
         known |= uint64_t(1) << k;
-        store_row(apart_abreast(of_.footprint, who, at), apart + k);
+        store_row(apart_abreast(of_.footprint, who, at, D{} + (kFarOff * blur_of(widest_, who) + strides_)), apart + k);
       };
+      double clear = work_.whom[j].clear;
       for (size_t k = 0; k < places; k += kAbreastPlaces) {
+        if (stays_clear(who, clear, std::min(k + kAbreastPlaces, places))) continue;
         const PlacesAbreast at = places_from(k);
-        const int lanes = lanes_below(beyond(who, at), kFarOff * blurs(who, k));
-        if (lanes == 0) continue;
+        const D room = beyond(who, at) - kFarOff * blurs(who, k);
+        const int lanes = lanes_below(room, D{});
+        if (lanes == 0) {
+          const size_t end = k + kAbreastPlaces - 1;
+          clear = work_.place.path[end] + who.speed() * work_.place.time[end] + this->clear(room[kAbreastPlaces - 1]);
+          continue;
+        }
         near |= uint64_t(lanes) << k;
         if (k > 0 && lanes & 1) measure(k - kAbreastPlaces, places_from(k - kAbreastPlaces));
         measure(k, at);
@@ -369,12 +377,20 @@ class Following {
     for (size_t j = 0; j < work_.what.size(); ++j) {
       const FloorShape& what = *work_.what[j].shape;
       if (stays_clear(what, work_.what[j].clear, last)) continue;
+      double clear = work_.what[j].clear;
       for (size_t k = 0; k < last; k += kAbreastPlaces) {
+        if (stays_clear(what, clear, std::min(k + kAbreastPlaces, last))) continue;
         const PlacesAbreast at = places_from(k);
-        const D blur = blurs(what, k);
-        if (!any_below(beyond(what, at), load_row(&work_.least[k]) * blur)) continue;
-        const D ratio = apart_abreast(of_.footprint, what, at) / blur;
-        int nearer = lanes_below(ratio, load_row(&work_.least[k]));
+        const D blur = blurs(what, k), away = beyond(what, at), most = load_row(&work_.least[k]) * blur;
+        if (!any_below(away, most)) {
+          if (any_below(away, kFarOff * blur)) continue;
+          const size_t end = k + kAbreastPlaces - 1, lane = kAbreastPlaces - 1;
+          clear = work_.place.path[end] + what.speed() * work_.place.time[end] +
+                  this->clear(away[lane] - kFarOff * blur[lane]);
+          continue;
+        }
+        const D apart = apart_abreast(of_.footprint, what, at, most), ratio = apart / blur;
+        int nearer = lanes_below(apart, most);
         for (; nearer; nearer &= nearer - 1) {
           const size_t lane = size_t(__builtin_ctz(unsigned(nearer)));
           for (size_t m = k + lane; m < last && ratio[lane] < work_.least[m]; ++m)
@@ -389,6 +405,9 @@ class Following {
     work_.decided.clear(), work_.seen.clear();
     if (n_place_ == 0) return;
     pad();
+    widest_ = strides_ = 0;
+    for (size_t k = 0; k < n_place_; ++k)
+      widest_ = std::max(widest_, work_.place.spread[k]), strides_ = std::max(strides_, work_.place.gone[k]);
     const size_t n = work_.whom.size(), all = CoastWork::kSamples + 1, last = touches(0, work_.asked, n_place_);
     if (last == 0) return;
     touches(work_.asked, n, last);
@@ -514,15 +533,13 @@ class Following {
       if (!spun.known) spin(v, w, f, spun);
       const double c = sign_ * cos_, s = sign_ * sin_;
       n_place_ = of_.samples, n_stop_ = 1, row_ = CoastWork::padded(1);
-      double path = length_of(spun.x[0], spun.y[0]);
       for (size_t k = 0; k < n_place_; ++k) {
         at.x[k] = at_.x + c * spun.x[k] - s * spun.y[k], at.y[k] = at_.y + s * spun.x[k] + c * spun.y[k];
         at.time[k] = at_.time + spun.time[k], at.spread[k] = spun.spread[k], at.gone[k] = spun.gone[k];
       }
       for (size_t k = 0; k < n_place_; ++k) {
         at.cos[k] = cos_ * spun.cos[k] - sin_ * spun.sin[k], at.sin[k] = sin_ * spun.cos[k] + cos_ * spun.sin[k];
-        if (k > 0) path += length_of(spun.x[k] - spun.x[k - 1], spun.y[k] - spun.y[k - 1]);
-        at.path[k] = path, work_.energy[k * row_] = square(spun.speed[k] / of_.unit);
+        at.path[k] = spun.path[k], work_.energy[k * row_] = square(spun.speed[k] / of_.unit);
       }
       work_.energy_at = ~uint64_t(0);
       std::fill_n(work_.share.begin(), row_, 0.0);
@@ -588,6 +605,10 @@ class Following {
       sine_cosine(load_row(&out.turned[k]), sine, cosine);
       store_row(cosine, &out.cos[k]), store_row(sine, &out.sin[k]);
     }
+    double* chord = work_.later.data();
+    for (size_t k = 1; k < n; ++k) chord[k] = length_of(out.x[k] - out.x[k - 1], out.y[k] - out.y[k - 1]);
+    out.path[0] = length_of(out.x[0], out.y[0]);
+    for (size_t k = 1; k < n; ++k) out.path[k] = out.path[k - 1] + chord[k];
     out.known = true;
   }
   Dual interpolated(const Node<Dual>& v, const Node<Dual>& w, size_t f, size_t column, size_t k) const {
@@ -616,65 +637,124 @@ class Following {
 
   // --- bases astray -------------------------------------------------------------------------------------------------
 
-  template <class T> T apart(const FloorShape& shape, const Place<T>& place) const {
-    if constexpr (std::is_same_v<T, Dual>)
-      return distance(of_.footprint, shape, place);
-    else
-      return of_.footprint.distance(shape, place.x, place.y, place.cos, place.sin, place.time);
-  }
-  template <class T> bool is_near(const FloorShape& shape, const Place<T>& place) const {
-    return shape.distance(value_of(place.x), value_of(place.y), value_of(place.time)) <=
-           of_.footprint.reach() + kFarOff * blur_of(value_of(place.spread), shape);
-  }
   // Bases that went astray before they came here, beside the way: who is met in the next moment that is not met yet,
   // for as long as they have been astray. Along a way this adds up to how likely they are met at all.
-  template <class T> void astray(const State<T>& q, std::vector<T>& hit) {
+  void astray() {
+    const double step = sign_ * kNext, half = 0.5 * at_.omega / speed_ * kNext, ch = std::cos(half), sh = std::sin(half);
+    const double whole = speed_ * speed_ / (of_.unit * of_.unit);
+    const size_t n = of_.stray.size();
+    for (size_t first = 0; first < n; first += kAbreastPlaces) {
+      double row[5][kAbreastPlaces];
+      double nearest = std::numeric_limits<double>::infinity();
+      for (size_t i = 0; i < kAbreastPlaces; ++i) {
+        const CoastTables::Stray& one = of_.stray[std::min(first + i, n - 1)];
+        row[0][i] = one.aside, row[1][i] = one.cos, row[2][i] = sign_ * one.sin, row[3][i] = one.spread;
+        row[4][i] = first + i < n ? one.lasts * speed_ / kNext : 0.0;
+        nearest = std::min(nearest, gap_ - std::fabs(one.aside) - kNext - kFarOff * one.spread);
+      }
+      if (nearest > 0) continue;
+      const D aside = load_row(row[0]), turned_c = load_row(row[1]), turned_s = load_row(row[2]);
+      const D spread = load_row(row[3]), time = D{} + at_.time;
+      const D c = cos_ * turned_c - sin_ * turned_s, s = sin_ * turned_c + cos_ * turned_s;
+      const PlacesAbreast now{at_.x - aside * sin_, at_.y + aside * cos_, c, s, time};
+      const PlacesAbreast between{at_.x - 0.5 * aside * sin_, at_.y + 0.5 * aside * cos_, D{} + cos_, D{} + sin_, time};
+      // Half of what it turns until the next moment, twice.
+      const D middle_c = c * ch - s * sh, middle_s = s * ch + c * sh;
+      const PlacesAbreast next{now.x + step * middle_c, now.y + step * middle_s, middle_c * ch - middle_s * sh,
+                               middle_s * ch + middle_c * sh, time};
+      const auto blurred = [&](const FloorShape& shape) {
+        return shape.spread > 0 ? hypotenuse(spread, D{} + shape.spread) : spread;
+      };
+      work_.seen.clear();
+      for (size_t j = 0; j < work_.asked; ++j) {
+        const FloorShape& who = *work_.whom[j].shape;
+        const D blur = blurred(who);
+        if (!any_below(beyond(who, next), kFarOff * blur)) continue;
+        const D cut = kFarOff * blur + 2 * kNext * (1 + of_.footprint.reach());
+        const D then = apart_abreast(of_.footprint, who, next, cut), before = apart_abreast(of_.footprint, who, now, cut);
+        const D more = likely(then / blur) - likely(before / blur);
+        if (!any_below(D{} + kHardly, more)) continue;
+        const D straight = minimum(relu((before - then) / kNext), D{} + 1.0);
+        const double size = who.around();
+        const D unknown = blur * blur / (blur * blur + size * size);
+        const D along = (1.0 - unknown) * straight * straight + 0.5 * unknown;
+        const D worth = more > kHardly ? more * minimum(D{} + 1.0, along * whole) : D{};
+        const size_t e = size_t(who.entity);
+        double* most = work_.most_worth.data() + e * CoastWork::padded(1);
+        if (std::find(work_.seen.begin(), work_.seen.end(), int(e)) == work_.seen.end()) {
+          work_.seen.push_back(int(e));
+          store_row(D{}, most);
+        }
+        store_row(maximum(load_row(most), worth), most);
+      }
+      if (work_.seen.empty()) continue;
+      D stopped{};
+      for (const Near& near : work_.what) {
+        const FloorShape& what = *near.shape;
+        const D blur = blurred(what);
+        for (const PlacesAbreast& place : {between, now})
+          if (any_below(beyond(what, place), kFarOff * blur))
+            stopped = maximum(stopped, likely(apart_abreast(of_.footprint, what, place, 1.01 * kFarOff * blur) / blur));
+      }
+      for (const int e : work_.seen) {
+        const D met = load_row(row[4]) * (1.0 - stopped) * load_row(work_.most_worth.data() + size_t(e) * CoastWork::padded(1));
+        for (size_t i = 0; i < kAbreastPlaces; ++i) work_.hit[size_t(e)] = std::min(1.0, work_.hit[size_t(e)] + met[int(i)]);
+      }
+    }
+  }
+  // How likely a shape is touched that is so many blurs off.
+  static GP_INLINE D likely(D ratio) { return ratio <= kFarOff ? upper_tail(ratio) : D{}; }
+
+  bool is_near(const FloorShape& shape, const Place<Dual>& place) const {
+    return shape.distance(place.x.value(), place.y.value(), place.time.value()) <=
+           of_.footprint.reach() + kFarOff * blur_of(place.spread.value(), shape);
+  }
+  // The same with derivatives.
+  void astray_slopes() {
+    const State<Dual>& q = *slopes_;
     const double step = sign_ * kNext;
-    const T speed = size_of(q.v), whole = speed * speed / (of_.unit * of_.unit), half = 0.5 * q.omega / speed * kNext;
-    const double h = value_of(half), ch = std::cos(h), sh = std::sin(h);
-    T c(cos_), s(sin_);
-    if constexpr (std::is_same_v<T, Dual>) c = q.yaw.through(cos_, -sin_), s = q.yaw.through(sin_, cos_);
+    const Dual speed = size_of(q.v), whole = speed * speed / (of_.unit * of_.unit), half = 0.5 * q.omega / speed * kNext;
+    const double h = half.value(), ch = std::cos(h), sh = std::sin(h);
+    const Dual c = q.yaw.through(cos_, -sin_), s = q.yaw.through(sin_, cos_);
+    // Half of what it turns until the next moment, twice.
+    const Dual half_c = half.through(ch, -sh), half_s = half.through(sh, ch);
     for (const CoastTables::Stray& stray : of_.stray) {
       if (gap_ > std::fabs(stray.aside) + kNext + kFarOff * stray.spread) continue;
       const double turned_c = stray.cos, turned_s = sign_ * stray.sin;
-      const T spread(stray.spread), none(0.0);
-      const T x = q.x - stray.aside * s, y = q.y + stray.aside * c;
-      const Place<T> now{x, y, c * turned_c - s * turned_s, s * turned_c + c * turned_s, q.time, spread, none};
-      const Place<T> between{q.x - 0.5 * stray.aside * s, q.y + 0.5 * stray.aside * c, c, s, q.time, spread, none};
-      // Half of what it turns until the next moment, twice.
-      T half_c(ch), half_s(sh);
-      if constexpr (std::is_same_v<T, Dual>) half_c = half.through(ch, -sh), half_s = half.through(sh, ch);
-      const T middle_c = now.cos * half_c - now.sin * half_s, middle_s = now.sin * half_c + now.cos * half_s;
-      const Place<T> next{x + step * middle_c, y + step * middle_s, middle_c * half_c - middle_s * half_s,
-                          middle_s * half_c + middle_c * half_s, q.time, spread, T(kNext)};
-      std::vector<T>& met = met_of(T(0.0));
-      std::fill(met.begin(), met.end(), none);
-      bool any = false;
+      const Dual spread(stray.spread), none(0.0);
+      const Dual x = q.x - stray.aside * s, y = q.y + stray.aside * c;
+      const Place<Dual> now{x, y, c * turned_c - s * turned_s, s * turned_c + c * turned_s, q.time, spread, none};
+      const Place<Dual> between{q.x - 0.5 * stray.aside * s, q.y + 0.5 * stray.aside * c, c, s, q.time, spread, none};
+      const Dual middle_c = now.cos * half_c - now.sin * half_s, middle_s = now.sin * half_c + now.cos * half_s;
+      const Place<Dual> next{x + step * middle_c, y + step * middle_s, middle_c * half_c - middle_s * half_s,
+                             middle_s * half_c + middle_c * half_s, q.time, spread, Dual(kNext)};
+      work_.seen.clear();
       for (size_t j = 0; j < work_.asked; ++j) {
         const FloorShape& who = *work_.whom[j].shape;
         if (!is_near(who, next)) continue;
-        const T before = apart(who, now), then = apart(who, next), blurred = blur(who, spread);
-        const T more = touch(then, blurred) - touch(before, blurred);
-        if (value_of(more) <= kHardly) continue;
-        T& most = met[size_t(who.entity)];
-        const T along = normal_share(T((before - then) / kNext), who, blurred);
-        most = larger(most, T(more * smaller(T(1.0), T(along * whole)))), any = true;
-      }
-      if (!any) continue;
-      T stopped(0.0);
-      for (const Near& near : work_.what)
-        for (const Place<T>& place : {between, now}) {
-          if (!is_near(*near.shape, place)) continue;
-          stopped = larger(stopped, touch(apart(*near.shape, place), blur(*near.shape, spread)));
+        const Dual before = distance(of_.footprint, who, now), then = distance(of_.footprint, who, next);
+        const Dual blurred = blur(who, spread), more = touch(then, blurred) - touch(before, blurred);
+        if (more.value() <= kHardly) continue;
+        const Dual along = normal_share(Dual((before - then) / kNext), who, blurred);
+        Dual& most = work_.met_slopes[size_t(who.entity)];
+        if (std::find(work_.seen.begin(), work_.seen.end(), who.entity) == work_.seen.end()) {
+          work_.seen.push_back(who.entity);
+          most = Dual(0.0);
         }
-      for (size_t e = 0; e < hit.size(); ++e)
-        if (value_of(met[e]) > 0)
-          hit[e] = smaller(T(1.0), T(hit[e] + stray.lasts * speed / kNext * (1 - stopped) * met[e]));
+        most = larger(most, Dual(more * smaller(Dual(1.0), Dual(along * whole))));
+      }
+      if (work_.seen.empty()) continue;
+      Dual stopped(0.0);
+      for (const Near& near : work_.what)
+        for (const Place<Dual>& place : {between, now})
+          if (is_near(*near.shape, place))
+            stopped = larger(stopped, touch(distance(of_.footprint, *near.shape, place), blur(*near.shape, spread)));
+      for (const int e : work_.seen) {
+        Dual& hit = work_.hit_slopes[size_t(e)];
+        hit = smaller(Dual(1.0), Dual(hit + stray.lasts * speed / kNext * (1 - stopped) * work_.met_slopes[size_t(e)]));
+      }
     }
   }
-  std::vector<double>& met_of(double) { return work_.met; }
-  std::vector<Dual>& met_of(const Dual&) { return work_.met_slopes; }
-
   const CoastTables& of_;
   const State<double>& at_;
   const State<Dual>* slopes_;
@@ -686,4 +766,5 @@ class Following {
   // Of the way that is followed.
   size_t n_place_ = 0, n_stop_ = 0, row_ = 0;  // rows of stops are padded
   double whole_ = 0, arc_far_ = 0;
+  double widest_ = 0, strides_ = 0;  // the greatest spread of a place; how far it is at most from one to the next
 };

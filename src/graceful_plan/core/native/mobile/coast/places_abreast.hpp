@@ -35,13 +35,13 @@ GP_INLINE D beyond_squared(double a, double b, D x, D y) {
   const D ex = relu(absolute(x) - a), ey = relu(absolute(y) - b);
   return ex * ex + ey * ey;
 }
-// What Footprint2d::distance says.
-static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, const PlacesAbreast& at) {
+// What Footprint2d::distance says, exactly below `cut`; elsewhere at least that.
+static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, const PlacesAbreast& at, D cut) {
   const D dx = shape.x + shape.vx * at.time - at.x, dy = shape.y + shape.vy * at.time - at.y;
   const D seen_x = at.cos * dx + at.sin * dy, seen_y = at.cos * dy - at.sin * dx;
   const D ux = at.cos * shape.ux + at.sin * shape.uy, uy = at.cos * shape.uy - at.sin * shape.ux;
   const double around = shape.around();
-  D least = D{} + 1e300;
+  D least = cut;
   for (const FloorShape& part : base.parts()) {
     const D px = seen_x - part.x, py = seen_y - part.y;
     if (!any_below(hypotenuse(px, py) - (part.around() + around), least)) continue;
@@ -61,6 +61,7 @@ static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, 
                                       absolute(y) - part.b - ss * shape.a - cc * shape.b),
                               maximum(absolute(back_x) - shape.a - cc * part.a - ss * part.b,
                                       absolute(back_y) - shape.b - ss * part.a - cc * part.b));
+    if (!any_below(overlap - rounds, least)) continue;
     D squared = D{} + 1e300;
     for (const double a : {-1.0, 1.0})
       for (const double b : {-1.0, 1.0}) {
