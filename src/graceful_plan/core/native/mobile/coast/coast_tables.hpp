@@ -55,10 +55,11 @@ template <class T> struct CoastState {
 
 // What is written to for each state; kept from one to the next, so that nothing is allocated.
 struct CoastWork {
-  // A shape that is near enough to be touched, and how far the base goes at least before, with what the shape moves.
+  // A shape that is near enough to be touched; how far the base goes at least before, with what the shape moves; and how
+  // fast that is.
   struct Near {
     const FloorShape* shape;
-    double clear;
+    double clear, moves;
   };
   // Which place and shape decides something: a place along a way, and a shape of `whom` or `what`.
   struct Pair {
@@ -97,7 +98,7 @@ struct CoastWork {
       : hit(n_entity), met(n_entity), met_at(n_entity), free(of.stop.size()), braked(of.stop.size()),
         met_slopes(n_entity), spun(of.share.size()) {
     for (auto* one : {&place.x, &place.y, &place.cos, &place.sin, &place.time, &place.spread, &place.gone, &place.path,
-                      &later, &least})
+                      &later, &least, &stopped})
       one->resize(kSamples);
     for (Spun& one : spun)
       for (auto* values : {&one.x, &one.y, &one.turned, &one.speed, &one.time, &one.spread, &one.gone, &one.path,
@@ -130,6 +131,7 @@ struct CoastWork {
   uint64_t energy_at = 0;                     // places of which energies are known
   std::vector<double> energy;          // by place and stop, over that at the speed that severities are for
   std::vector<double> least;           // by place: distance of obstacles up to there, as a multiple of its spread
+  std::vector<double> stopped;         // how likely that has stopped the base
   std::vector<Pair> least_at;
   std::vector<double> most_worth;      // by entity and stop
   std::vector<double> decided_by;      // what of `decided` it is by

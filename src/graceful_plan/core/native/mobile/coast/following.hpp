@@ -72,7 +72,7 @@ class Following {
       const double moves = one.speed(), d = one.distance(at_.x, at_.y, 0.0);
       if (d >= most + moves * longest + kFarOff * one.spread) continue;
       work_.moving |= moves > 0;
-      const Near near{&one, clear(d - reach - kFarOff * blur_of(of_.spread, one))};
+      const Near near{&one, clear(d - reach - kFarOff * blur_of(of_.spread, one)), moves};
       if (one.entity < 0) {
         work_.what.push_back(near);
         continue;
@@ -303,8 +303,13 @@ class Following {
       for (auto* one : {&at.x, &at.y, &at.cos, &at.sin, &at.time, &at.spread, &at.gone, &at.path})
         (*one)[k] = (*one)[n_place_ - 1];
   }
-  GP_INLINE bool stays_clear(const FloorShape& shape, double clear, size_t places) const {
-    return work_.place.path[places - 1] + shape.speed() * work_.place.time[places - 1] < clear;
+  GP_INLINE bool stays_clear(double clear, double moves, size_t places) const {
+    return work_.place.path[places - 1] + moves * work_.place.time[places - 1] < clear;
+  }
+  // Up to where a shape is not touched that has so much room at the last of the places that are abreast from k on.
+  GP_INLINE double clear_after(size_t k, double moves, const D& room) const {
+    const size_t lane = kAbreastPlaces - 1;
+    return work_.place.path[k + lane] + moves * work_.place.time[k + lane] + clear(room[lane]);
   }
   // Distances of a shape from the middle of the base, less its reach.
   GP_INLINE D beyond(const FloorShape& shape, const PlacesAbreast& at) const {
@@ -317,15 +322,17 @@ class Following {
     return shape.spread > 0 ? hypotenuse(spread, D{} + shape.spread) : spread;
   }
   // Finds how likely those from first on, before end, are touched at the first places, and the share of the energy along
-  // the normal there: by how fast the base closes in, of which of the way that it goes is a part alone. Returns after
-  // which place nobody is touched.
-  size_t touches(size_t first, size_t end, size_t places) {
+  // the normal there: by how fast the base closes in, of which of the way that it goes is a part alone. Returns, as bits,
+  // places at which anybody is touched.
+  uint64_t touches(size_t first, size_t end, size_t places) {
     const size_t all = CoastWork::kSamples + 1;
     uint64_t at_all = 0;
     for (size_t j = first; j < end; ++j) {
       const FloorShape& who = *work_.whom[j].shape;
+      const double moves = work_.whom[j].moves;
+      double clear = work_.whom[j].clear;
       work_.touched_at[j] = 0;
-      if (stays_clear(who, work_.whom[j].clear, places)) continue;
+      if (stays_clear(clear, moves, places)) continue;
       double* apart = &work_.apart[j * all + 1];  // before the first place: where it came from
       uint64_t near = 0, known = 0;
       // What is farther beyond where it is touched than the base goes from there to the next place closes in head on.
@@ -334,15 +341,13 @@ class Following {
         known |= uint64_t(1) << k;
         store_row(apart_abreast(of_.footprint, who, at, D{} + (kFarOff * blur_of(widest_, who) + strides_)), apart + k);
       };
-      double clear = work_.whom[j].clear;
       for (size_t k = 0; k < places; k += kAbreastPlaces) {
-        if (stays_clear(who, clear, std::min(k + kAbreastPlaces, places))) continue;
+        if (stays_clear(clear, moves, std::min(k + kAbreastPlaces, places))) continue;
         const PlacesAbreast at = places_from(k);
         const D room = beyond(who, at) - kFarOff * blurs(who, k);
         const int lanes = lanes_below(room, D{});
         if (lanes == 0) {
-          const size_t end = k + kAbreastPlaces - 1;
-          clear = work_.place.path[end] + who.speed() * work_.place.time[end] + this->clear(room[kAbreastPlaces - 1]);
+          clear = clear_after(k, moves, room);
           continue;
         }
         near |= uint64_t(lanes) << k;
@@ -368,25 +373,25 @@ class Following {
       }
       at_all |= work_.touched_at[j];
     }
-    return at_all ? 64 - size_t(__builtin_clzll(at_all)) : 0;
+    return at_all;
   }
-  // Finds at each of the first places how near an obstacle has been up to there, as a multiple of its blur.
+  // Finds at each of the first places how near an obstacle has been up to there, as a multiple of its blur, and how
+  // likely one has stopped the base.
   void obstacles(size_t last) {
     std::fill_n(work_.least.begin(), (last + kAbreastPlaces - 1) / kAbreastPlaces * kAbreastPlaces, kFarOff);
     std::fill_n(work_.least_at.begin(), last, Pair{});
     for (size_t j = 0; j < work_.what.size(); ++j) {
       const FloorShape& what = *work_.what[j].shape;
-      if (stays_clear(what, work_.what[j].clear, last)) continue;
+      const double moves = work_.what[j].moves;
       double clear = work_.what[j].clear;
+      if (stays_clear(clear, moves, last)) continue;
       for (size_t k = 0; k < last; k += kAbreastPlaces) {
-        if (stays_clear(what, clear, std::min(k + kAbreastPlaces, last))) continue;
+        if (stays_clear(clear, moves, std::min(k + kAbreastPlaces, last))) continue;
         const PlacesAbreast at = places_from(k);
         const D blur = blurs(what, k), away = beyond(what, at), most = load_row(&work_.least[k]) * blur;
         if (!any_below(away, most)) {
           if (any_below(away, kFarOff * blur)) continue;
-          const size_t end = k + kAbreastPlaces - 1, lane = kAbreastPlaces - 1;
-          clear = work_.place.path[end] + what.speed() * work_.place.time[end] +
-                  this->clear(away[lane] - kFarOff * blur[lane]);
+          clear = clear_after(k, moves, away - kFarOff * blur);
           continue;
         }
         const D apart = apart_abreast(of_.footprint, what, at, most), ratio = apart / blur;
@@ -398,6 +403,10 @@ class Following {
         }
       }
     }
+    for (size_t k = 0; k < last; k += kAbreastPlaces) {
+      const D least = load_row(&work_.least[k]);
+      store_row(least < kFarOff ? upper_tail(least) : D{}, &work_.stopped[k]);
+    }
   }
   // Raises work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth
   // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
@@ -405,22 +414,21 @@ class Following {
     work_.decided.clear(), work_.seen.clear();
     if (n_place_ == 0) return;
     pad();
-    widest_ = strides_ = 0;
-    for (size_t k = 0; k < n_place_; ++k)
-      widest_ = std::max(widest_, work_.place.spread[k]), strides_ = std::max(strides_, work_.place.gone[k]);
-    const size_t n = work_.whom.size(), all = CoastWork::kSamples + 1, last = touches(0, work_.asked, n_place_);
-    if (last == 0) return;
-    touches(work_.asked, n, last);
+    D widest{}, strides{};
+    for (size_t k = 0; k < n_place_; k += kAbreastPlaces)
+      widest = maximum(widest, load_row(&work_.place.spread[k])), strides = maximum(strides, load_row(&work_.place.gone[k]));
+    widest_ = greatest_lane(widest), strides_ = greatest_lane(strides);
+    const size_t n = work_.whom.size(), all = CoastWork::kSamples + 1;
+    uint64_t touched = touches(0, work_.asked, n_place_);
+    if (touched == 0) return;
+    const size_t last = 64 - size_t(__builtin_clzll(touched));
+    touched |= touches(work_.asked, n, last);
     obstacles(last);
     std::fill(work_.met.begin(), work_.met.end(), 0.0), std::fill(work_.met_at.begin(), work_.met_at.end(), Pair{});
-    double stopped = 0, stopped_by = kFarOff;
-    for (size_t k = 0; k < last; ++k) {
+    for (; touched; touched &= touched - 1) {
+      const size_t k = size_t(__builtin_ctzll(touched));
       const uint64_t here = uint64_t(1) << k;
-      bool any = false;
-      for (size_t j = 0; j < n; ++j) any |= (work_.touched_at[j] & here) != 0;
-      if (!any) continue;
-      if (work_.least[k] < stopped_by)
-        stopped_by = work_.least[k], stopped = 0.5 * std::erfc(stopped_by * 0.7071067811865476);
+      const double stopped = work_.stopped[k];
       if (stopped >= 1 - kHardly) break;
       for (size_t j = 0; j < n; ++j) {
         if (!(work_.touched_at[j] & here) || j >= work_.asked) continue;
