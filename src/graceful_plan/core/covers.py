@@ -171,11 +171,16 @@ def _placed(cover: sphere_cover.Cover, X: Float[Array, "4 4"]) -> sphere_cover.C
 
 
 def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Array:
-    gap = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    contains = gap + radii[:, None] <= radii[None] + 1e-9  # [i, j]: j contains i
-    earlier = np.arange(len(radii))
-    twins = contains & contains.T & (earlier[:, None] <= earlier[None])  # of two equal ones the first stays
-    return ~np.any(contains & ~twins & ~np.eye(len(radii), dtype=bool), axis=1)
+    squared = np.zeros((len(radii), len(radii)))
+    for axis in centres.T:
+        squared += np.square(axis[:, None] - axis)
+    room = radii - radii[:, None] + 1e-9
+    contains = (room >= 0.0) & (squared <= np.square(room))  # [i, j]: j contains i
+    inner, outer = np.nonzero(contains)
+    twins = contains[outer, inner] & (inner <= outer)  # of two equal ones the first stays, and each contains itself
+    keep = np.ones(len(radii), dtype=bool)
+    keep[inner[~twins]] = False
+    return keep
 
 
 def _half_sizes(model: mujoco.MjModel, geom: int) -> tuple[float, float, float]:

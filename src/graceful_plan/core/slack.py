@@ -73,14 +73,29 @@ def self_slack(
 
 
 def _key(robot: RobotArrays, pair: Int[Array, " 2"]) -> bytes:
-    """Return what the slack of a pair depends on: its spheres, and how its links move."""
+    """Return what the slack of a pair depends on: its spheres, and how its links move against each other.
+
+    Joints that carry both of them make no difference: how far a base may drive is another matter in each scene.
+    """
     frames = len(robot.lower) + 1
-    parts = [robot.lower, robot.upper, *(x[:frames] for x in (robot.parent, robot.joint, robot.slide, robot.X_PL))]
+    own = np.ones(frames, dtype=bool)
+    own[sorted(_carriers(robot, pair[0]) & _carriers(robot, pair[1]))] = False
+    parts = [robot.lower[own[1:]], robot.upper[own[1:]], robot.X_PL[:frames][own], own]
+    parts += [x[:frames] for x in (robot.parent, robot.joint, robot.slide)]
     parts += [robot.sphere[robot.sphere_link == link] for link in pair] + [robot.parent[pair]]
     key = blake2b(digest_size=16)
     for part in parts:
         key.update(np.ascontiguousarray(part).tobytes())
     return key.digest()
+
+
+def _carriers(robot: RobotArrays, link: int) -> set[int]:
+    """Return the frames that a link moves with, its own among them."""
+    frames, frame = {0}, int(robot.parent[link])
+    while frame > 0:
+        frames.add(frame)
+        frame = int(robot.parent[frame])
+    return frames
 
 
 def _slack(

@@ -6,15 +6,19 @@ may walk into it. Places are those of the prediction; its spread is part of the 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache, reduce
+
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.result import Check
 from graceful_plan.scene.edit import Solid
 from graceful_plan.scene.model_parts import colliding_geoms
-from graceful_plan.scene.per_scene import per_scene
-from graceful_plan.scene.placement import Placement
+from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -27,6 +31,10 @@ _STEP = 0.02
 _MOST = 20_000
 _FAR = 1.0
 """Clearance beyond which it is not measured [m]."""
+_PARTS = 4
+"""Spheres that cover a geom."""
+_ROUNDING = 1e-6
+"""Of distances between shapes [m]: MuJoCo's are iterated."""
 
 
 def is_moving(qd: Float[Array, "n nq"]) -> Bool[Array, " n"]:
@@ -35,30 +43,142 @@ def is_moving(qd: Float[Array, "n nq"]) -> Bool[Array, " n"]:
 
 
 def passing_check(motion: Trajectory, scene: Scene) -> Check:
-    """Check a trajectory at its own times; the worst is the least clearance to somebody who moves [m]."""
+    """Check a trajectory at its own times; the worst is the least clearance to somebody who moves [m].
+
+    Bounds from spheres decide which geoms are measured and when: exact distances are those alone that can be the least,
+    or the first overlap.
+    """
     t = _times(motion, scene)
     state = motion.at(t)
-    moves = is_moving(state.qd)
-    model = _with_walkers(scene)
-    placement, robot = Placement(scene, model), _robot_geoms(scene)
-    worst, first, whom = _FAR, None, ""
-    for name, entity in scene.moving.items():
-        (geom,) = np.flatnonzero(model.geom_bodyid == model.body(name).id)
-        body, there = int(model.body_mocapid[model.body(name).id]), entity.at(t)
-        for k in np.flatnonzero(moves & _near(state.q, there.position, model, robot, int(geom))):
-            placement.data.mocap_pos[body] = there.position[k]
-            half = 0.5 * float(there.yaw[k])
-            placement.data.mocap_quat[body] = [np.cos(half), 0.0, 0.0, np.sin(half)]
-            data = placement.place(state.q[k])
-            distance = min(mujoco.mj_geomDistance(model, data, own, int(geom), worst, None) for own in robot)
-            if distance < 0.0 and first is None:
-                first = float(t[k])
-            if distance < worst:
-                worst, whom = distance, name
-    if first is not None:
-        return Check(worst=worst, first=first, detail=f"drives into {whom!r}: {1e3 * worst:.3g} mm")
-    told = f"{worst:.3g} m to {whom!r}" if whom else f"more than {_FAR:g} m to everybody"
-    return Check(passed=True, worst=worst, detail=told)
+    rows = np.flatnonzero(is_moving(state.qd))
+    ruler = _Ruler(scene)
+    pairs = _near_pairs(scene, t[rows], state.q[rows], ruler)
+    names, worst, whom = tuple(scene.moving), _FAR, ""
+
+    @cache
+    def measure(k: int) -> float:
+        return ruler.distance(int(pairs.geom[k]), pairs.X_WG[k], names[pairs.entity[k]], pairs.X_WE[k])
+
+    for k in np.argsort(pairs.least, kind="stable").tolist():
+        if pairs.least[k] >= worst:
+            break
+        distance = measure(k)
+        if distance < worst:
+            worst, whom = distance, names[pairs.entity[k]]
+    if worst >= 0.0:
+        told = f"{worst:.3g} m to {whom!r}" if whom else f"more than {_FAR:g} m to everybody"
+        return Check(passed=True, worst=worst, detail=told)
+    overlaps = np.flatnonzero(pairs.least < 0.0)
+    by_time = overlaps[np.argsort(pairs.row[overlaps], kind="stable")].tolist()
+    first = next(k for k in by_time if measure(k) < 0.0)
+    detail = f"drives into {whom!r}: {1e3 * worst:.3g} mm"
+    return Check(worst=worst, first=float(t[rows[pairs.row[first]]]), detail=detail)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Moments at which a geom of the robot may be nearer to an entity than `_FAR`, and than all others are."""
+
+    row: Int[Array, " pair"]
+    """Which of the moments."""
+    entity: Int[Array, " pair"]
+    geom: Int[Array, " pair"]
+    """Of the robot."""
+    least: Float[Array, " pair"]
+    """Lower bound of the distance [m]."""
+    X_WG: Float[Array, "pair 4 4"]
+    """Pose of that geom [m]."""
+    X_WE: Float[Array, "pair 4 4"]
+    """Pose of the entity [m]."""
+
+
+def _near_pairs(scene: Scene, t: Float[Array, " n"], q: Float[Array, "n nq"], ruler: _Ruler) -> _Pairs:
+    """Return what may be nearer than what is nearest by bounding spheres, which is measured."""
+    own, known = np.array(_robot_geoms(scene), dtype=int), kinematics(scene)
+    poses = known.poses(q, known.geoms[own])
+    spheres = _covers(scene)
+    rows, geoms, entities, bounds, places = [], [], [], [], []
+    upper = _FAR
+    for number, entity in enumerate(scene.moving.values()):
+        there = entity.at(t)
+        X_WE = _upright(there.position, there.yaw)
+        away = _to_upright(entity, X_WE, poses[..., :3, 3]) - scene.model.geom_rbound[own][:, None]
+        if away.min(initial=upper) < upper:
+            g, k = np.unravel_index(np.argmin(away), away.shape)
+            upper = min(upper, max(0.0, ruler.distance(int(own[g]), poses[g, k], entity.name, X_WE[k])))
+        geom, row = np.nonzero(away - _ROUNDING < max(upper, _ROUNDING))
+        centres = np.einsum("kij,ksj->ksi", poses[geom, row, :3, :3], spheres.centre[geom])
+        centres += poses[geom, row, None, :3, 3]
+        least = (_to_upright(entity, X_WE[row, None], centres) - spheres.radius[geom]).min(axis=1) - _ROUNDING
+        rows.append(row), geoms.append(geom), bounds.append(least)
+        entities.append(np.full(len(row), number)), places.append(X_WE[row])
+    row, geom, least = np.concatenate(rows), np.concatenate(geoms), np.concatenate(bounds)
+    near = np.flatnonzero(least < max(upper, _ROUNDING))
+    return _Pairs(
+        row=row[near],
+        entity=np.concatenate(entities)[near],
+        geom=own[geom[near]],
+        least=least[near],
+        X_WG=poses[geom[near], row[near]],
+        X_WE=np.concatenate(places)[near],
+    )
+
+
+class _Ruler:
+    """MuJoCo's distances from entities that move, of geoms that are told where they are. One per thread."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._model = model = _with_walkers(scene)
+        self._data = mujoco.MjData(model)
+        self._geom = {name: int(model.body_geomadr[model.body(name).id]) for name in scene.moving}
+
+    def distance(self, geom: int, X_WG: Float[Array, "4 4"], entity: str, X_WE: Float[Array, "4 4"]) -> float:
+        """Return a signed distance, as far as it is below `_FAR` [m]."""
+        other = self._geom[entity]
+        for each, X in ((geom, X_WG), (other, X_WE)):
+            self._data.geom_xpos[each], self._data.geom_xmat[each] = X[:3, 3], X[:3, :3].ravel()
+        return mujoco.mj_geomDistance(self._model, self._data, geom, other, _FAR, None)
+
+
+def _upright(position: Float[Array, "n 3"], yaw: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
+    X, c, s = np.tile(np.eye(4), (len(yaw), 1, 1)), np.cos(yaw), np.sin(yaw)
+    X[:, 0, 0], X[:, 0, 1], X[:, 1, 0], X[:, 1, 1], X[:, :3, 3] = c, -s, s, c, position
+    return X
+
+
+def _to_upright(
+    entity: MovingEntity, X_WE: Float[Array, "*n 4 4"], points: Float[Array, "*batch 3"]
+) -> Float[Array, "*batch"]:
+    """Return signed distances of points from an upright cylinder or box [m]."""
+    x, y, z = np.moveaxis(points - X_WE[..., :3, 3], -1, 0)
+    if entity.is_round:
+        beyond = np.hypot(x, y) - entity.size[0], np.abs(z) - entity.size[1]
+    else:
+        c, s = X_WE[..., 0, 0], X_WE[..., 1, 0]
+        beyond = tuple(np.abs(u) - half for u, half in zip((c * x + s * y, c * y - s * x, z), entity.size, strict=True))
+    outside = np.sqrt(sum(np.square(np.maximum(u, 0.0)) for u in beyond))
+    return outside + np.minimum(reduce(np.maximum, beyond), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Covers:
+    """Spheres that cover the geoms of the robot, in the frames of these."""
+
+    centre: Float[Array, "geom sphere 3"]
+    radius: Float[Array, "geom 1"]
+
+
+@per_layout
+def _covers(scene: Scene) -> _Covers:
+    """Cut the boxes around geoms across their longest axis, and put a sphere around each part."""
+    boxes = scene.model.geom_aabb[list(_robot_geoms(scene))]
+    middle, half = boxes[:, :3], boxes[:, 3:]
+    longest = np.eye(3)[np.argmax(half, axis=1)] * half.max(axis=1)[:, None]
+    along = (2.0 * np.arange(_PARTS) + 1.0) / _PARTS - 1.0
+    return _Covers(
+        centre=middle[:, None] + along[:, None] * longest[:, None],
+        radius=np.linalg.norm(half - longest * (1.0 - 1.0 / _PARTS), axis=1)[:, None],
+    )
 
 
 def _times(motion: Trajectory, scene: Scene) -> Float[Array, " n"]:
@@ -67,19 +187,6 @@ def _times(motion: Trajectory, scene: Scene) -> Float[Array, " n"]:
     drives = float(np.linalg.norm(motion.qd[:, :2], axis=1).max(initial=0.0))
     n = int(np.clip(np.ceil(motion.duration * (walks + drives) / _STEP), 1, _MOST))
     return motion.t[0] + motion.duration * np.linspace(0.0, 1.0, n + 1)
-
-
-def _near(
-    q: Float[Array, "n nq"],
-    position: Float[Array, "n 3"],
-    model: mujoco.MjModel,
-    robot: tuple[int, ...],
-    geom: int,
-) -> Array:
-    """Tell when somebody may be nearer than what is measured: no point of the robot is farther from its base."""
-    reach = float(sum(np.linalg.norm(model.body_pos[b]) for b in {int(model.geom_bodyid[g]) for g in robot}))
-    reach += float((model.geom_rbound[list(robot)] + np.linalg.norm(model.geom_pos[list(robot)], axis=1)).max())
-    return np.linalg.norm(q[:, :2] - position[:, :2], axis=1) < reach + float(model.geom_rbound[geom]) + _FAR
 
 
 def _robot_geoms(scene: Scene) -> tuple[int, ...]:

@@ -7,17 +7,20 @@ that turn freely are moved by the floor against the friction of their gears and 
 wheels with casters are four of which the front and rear ones coincide. Everything is per mass of the base, so that
 only its radius of gyration and its centre of mass count.
 
-There are no closed forms: what comes out is tabulated over speeds and rates of turning, as `Coast` reads it.
+There are no closed forms: what comes out is tabulated over speeds and rates of turning, as `Coast` reads it. Tables
+are kept in a folder of the user's: see `kept`.
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from graceful_plan import kept
 from graceful_plan.array_types import Float
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.steering import MOTORS, TICK, OneSideSteering
@@ -25,6 +28,8 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
 
+_METHOD = 1
+"""Changes with whatever changes tables that are kept."""
 SAMPLES = 40
 """Places along each way."""
 _SPEEDS, _RATES = 8, 9
@@ -113,12 +118,16 @@ def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
     ]  # fmt: skip
     left, held, friction, rolling, drag, delay, steered = (np.array(column) for column in zip(*rows, strict=True))
     case = Case(left, held, friction, rolling, drag, delay=delay, brakes=settings.brakes, steered=steered)
-    v, omega = speeds[:, None, None], rates[None, :, None]
-    shape = (len(speeds), len(rates), len(rows))
-    places = integrated(body, np.broadcast_to(v, shape), np.broadcast_to(omega, shape), case)
-    places[..., 3] = _fastest(places, base)
     share = np.repeat([0.5 * p for p, *_ in found], 2)
-    return Ways(share, speeds, rates, resampled(places, _reach(base), SAMPLES))
+    digest = hashlib.sha256(repr((_METHOD, SAMPLES, body, rows, settings.brakes)).encode()).hexdigest()
+    places, shape = kept.read(digest), (len(speeds), len(rates), len(rows))
+    if places is None or places.shape != (*shape, SAMPLES, 5) or not np.isfinite(places).all():
+        v, omega = np.broadcast_to(speeds[:, None, None], shape), np.broadcast_to(rates[None, :, None], shape)
+        ways = integrated(body, v, omega, case)
+        ways[..., 3] = _fastest(ways, base)
+        places = resampled(ways, _reach(base), SAMPLES)
+        kept.write(digest, places)
+    return Ways(share, speeds, rates, places)
 
 
 def integrated(

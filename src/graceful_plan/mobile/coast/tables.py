@@ -21,6 +21,9 @@ _OVER_THE_FLOOR = 0.03
 """What is lower than this over the lowest point of the base is rolled over or under [m]."""
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
 _UPRIGHT = 0.99
+_ROUNDED = 1e-3
+"""To what the masses of a base are placed [m]: arms hang a little differently in each scene, and the tables of a robot
+are worth keeping."""
 _WITHIN = 1e-3
 """What a part of the base sticks out of another one by at most for it to be left out [m]."""
 
@@ -86,7 +89,17 @@ def _body(base: DiffDrive, model: mujoco.MjModel, data: mujoco.MjData, body: int
     middle = data.xpos[[model.body(name).id for name in base.wheels] or [body]][:, :2].mean(axis=0)
     from_origin = np.array([centre, middle]) - data.xpos[body][:2]
     (cx, cy), (mx, my) = from_origin @ data.xmat[body].reshape(3, 3)[:2, :2]
-    return BaseBody(base=base, mass=max(total, 1e-9), gyration=max(gyration, 1e-3), centre=(cx, cy), middle=(mx, my))
+    return BaseBody(
+        base=base,
+        mass=max(total, 1e-9),
+        gyration=max(_rounded(gyration), _ROUNDED),
+        centre=(_rounded(cx), _rounded(cy)),
+        middle=(_rounded(mx), _rounded(my)),
+    )
+
+
+def _rounded(length: float) -> float:
+    return round(float(length) / _ROUNDED) * _ROUNDED
 
 
 def _outline(rows: Float[Array, "geom 7"], pose: Float[Array, " 3"]) -> Float[Array, "part 7"]:

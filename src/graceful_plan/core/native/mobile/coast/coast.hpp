@@ -18,7 +18,7 @@ class CoastModel {
 
   const Core& core() const { return core_; }
   size_t n_entity() const { return n_entity_; }
-  Coasting::Work work() const { return {coasting_, n_entity_}; }
+  Coasting::Work work() const { return coasting_.work(n_entity_); }
 
   // P by entity.
   auto probability(Reals q, Reals qd) const {
@@ -39,13 +39,13 @@ class CoastModel {
     Coasting::Work work;
     std::vector<FloorShape> shape;
   };
-  Encounter encounter() const { return {{coasting_, n_entity_ + 1}, shape_}; }
+  Encounter encounter() const { return {coasting_.work(n_entity_ + 1), shape_}; }
   double met(const double* q, const double* qd, const FloorShape& who, Encounter& with) const {
     return meets(state(q, qd), who, with) ? with.work.hit[n_entity_] : 0.0;
   }
   // The same with derivatives by x, y, heading, speed along it, rate of turning, and time.
   Dual met_slopes(const double* q, const double* qd, const FloorShape& who, Encounter& with) const {
-    Coasting::Moving<Dual> at = slopes(q, qd);
+    CoastState<Dual> at = slopes(q, qd);
     at.time = Dual::variable(0.0, 5);
     return meets(at, who, with) ? with.work.hit_slopes[n_entity_] : Dual(0.0);
   }
@@ -59,11 +59,11 @@ class CoastModel {
 
  private:
   static Coasting::State state(const double* q, const double* qd) { return {q[0], q[1], q[2], speed(q, qd), qd[2]}; }
-  static Coasting::Moving<Dual> slopes(const double* q, const double* qd) {
+  static CoastState<Dual> slopes(const double* q, const double* qd) {
     return {Dual::variable(q[0], 0), Dual::variable(q[1], 1), Dual::variable(q[2], 2),
             Dual::variable(speed(q, qd), 3), Dual::variable(qd[2], 4)};
   }
-  template <class T> bool meets(const Coasting::Moving<T>& at, const FloorShape& who, Encounter& with) const {
+  template <class T> bool meets(const CoastState<T>& at, const FloorShape& who, Encounter& with) const {
     const Coasting::State value{value_of(at.x), value_of(at.y), value_of(at.yaw), value_of(at.v), value_of(at.omega)};
     if (!coasting_.reaches(value, who)) return false;
     with.shape.push_back(who);

@@ -134,7 +134,7 @@ class DynamicWindow {
   // What is near enough to matter, and where the base stands now.
   struct Scene {
     Scene(const DynamicWindow& of, const Coasting::State& at, const Around& around)
-        : all(around), work(of.coasting_, around.severity.size()), v(of.speeds(at)), omega(of.rates(at)) {
+        : all(around), work(of.coasting_.work(around.severity.size())), v(of.speeds(at)), omega(of.rates(at)) {
       impact.fill(-1);
       const double reach = of.coasting_.footprint().reach();
       const double far = (of.limits_.v + of.limits_.a * of.set_.period) * of.set_.horizon + reach + of.set_.near;

@@ -1,0 +1,38 @@
+// The coast model of one instruction set. This file is compiled several times; GP_ISA names the result.
+#include <cstring>
+
+#include "mobile/coast/coast_tables.hpp"
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+namespace gp {
+namespace GP_ISA {
+
+#include "lanes.hpp"
+#include "mobile/coast/places_abreast.hpp"
+#include "mobile/coast/following.hpp"
+
+static bool coast_hits(const CoastTables& of, const CoastState<double>& at, const std::vector<FloorShape>& shape,
+                       const double* severity, CoastWork& work, int only) {
+  return Following(of, at, nullptr, work).all(shape, severity, only);
+}
+
+static bool coast_hits_slopes(const CoastTables& of, const CoastState<Dual>& at, const std::vector<FloorShape>& shape,
+                              const double* severity, CoastWork& work, int only) {
+  const CoastState<double> value{at.x.value(), at.y.value(),     at.yaw.value(),
+                                 at.v.value(), at.omega.value(), at.time.value()};
+  return Following(of, value, &at, work).all(shape, severity, only);
+}
+
+}  // namespace GP_ISA
+
+#define GP_JOIN_(a, b) a##b
+#define GP_JOIN(a, b) GP_JOIN_(a, b)
+extern const CoastKernels GP_JOIN(coast_kernels_, GP_ISA) = {
+    .hits = GP_ISA::coast_hits,
+    .hits_slopes = GP_ISA::coast_hits_slopes,
+};
+
+}  // namespace gp
