@@ -16,8 +16,8 @@ import numpy as np
 from graceful_plan.mobile.motions.carry_postures import carry_postures
 from graceful_plan.mobile.motions.drive import Drive, joined
 from graceful_plan.mobile.motions.drive_routes import DriveRoutes, as_if_still
-from graceful_plan.mobile.motions.drive_starts import DriveStarts
-from graceful_plan.mobile.motions.drive_timing import along, timed_drive
+from graceful_plan.mobile.motions.drive_starts import DriveStarts, smooth
+from graceful_plan.mobile.motions.drive_timing import along, charged, timed_drive
 from graceful_plan.mobile.motions.legs import ArmMove, Leg, Route
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
@@ -26,7 +26,6 @@ from graceful_plan.planners.motion_descent import (
     DRIVING_TIME_PRICE,
     DescentResult,
     DescentSettings,
-    MotionDescents,
     Start,
 )
 from graceful_plan.planners.planner import Budget
@@ -40,8 +39,8 @@ from graceful_plan.result import TracePoint
 
 _SPACING = 0.6
 """Greatest length of a leg for each control point [m]."""
-_SEARCH_SHARE, _PREPARING_SHARE = 0.15, 0.4
-"""Of a round, for searching paths; of the rest, for making starts short and smooth."""
+_SEARCH_SHARE, _PREPARING_SHARE = 0.3, 0.4
+"""Of a round, for starts: of this, for searching paths."""
 _WORTH_TIMING = 1.1
 """Ratio of a curve's J to that of the best up to which it is timed."""
 _TRIED, _COMPARED = 8, 3
@@ -66,23 +65,33 @@ class DriveSource:
     """
 
     def __init__(self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator) -> None:
-        of = request.objective
-        short = replace(request, objective=of.objective.with_weight(0.0).bind(of.scene, of.paces), preference=None)
         self._request, self._ends, self._problem, self._rng = request, ends, problem, rng
-        self._routes = DriveRoutes(short, ends, problem, rng.spawn(1)[0])
-        self._shortening = _descents(short, problem)
-        self._descents = _descents(request, problem) or self._shortening
-        self._starts: DriveStarts | None = None
-        if self._descents is not None and self._shortening is not None:
-            self._starts = DriveStarts(self._descents, self._shortening)
+        found = motion_descents(request, problem, DescentSettings())
+        self._descents = None if found is None else replace(found, price=DRIVING_TIME_PRICE, spacing=_SPACING)
+        self._starts = None if self._descents is None else DriveStarts(self._descents)
+        self._plain: DriveSource | None = None
+        of = request.objective
+        if of.w > 0.0:
+            short = of.objective.with_weight(0.0).bind(of.scene, of.paces)
+            self._plain = DriveSource(
+                replace(request, objective=short, preference=None), ends, problem, rng.spawn(1)[0]
+            )
+        else:
+            self._routes = DriveRoutes(request, ends, problem, rng.spawn(1)[0])
+        self._rough: list[Start] = []
         self._composed: list[tuple[Route, int]] = []
         self._first: tuple[Drive, int] | None = None
         self._results: list[DescentResult] = []
         self._best: Start | None = None
-        self._posed: Motion | None = None
         self._best_motion: Motion | None = None
-        self.path_cost = np.inf
+        self._posed: Motion | None = None
+        self._curves: list[Start] = []
+        self._path_cost = np.inf
+
+    @property
+    def path_cost(self) -> float:
         """Least cost of a path of a search, as the search estimates it."""
+        return self._path_cost if self._plain is None else self._plain.path_cost
 
     @property
     def restarts(self) -> bool:
@@ -92,11 +101,13 @@ class DriveSource:
     @property
     def effort(self) -> int:
         """Number of descents that have ended."""
-        both = {id(of): of for of in (self._descents, self._shortening) if of is not None}
-        return sum(of.effort.descents for of in both.values())
+        own = 0 if self._descents is None else self._descents.effort.descents
+        return own + (0 if self._plain is None else self._plain.effort)
 
     def search_first(self, budget: Budget) -> Search:
         """Search until there is a drive or a path; return the search."""
+        if self._plain is not None:
+            return self._plain.search_first(budget)
         found: list[tuple[float, Drive, Start | None, int]] = []
         for route, arrival in self._routes.shortest()[:_TRIED]:
             drive = self._coarse(route, arrival, budget)
@@ -118,6 +129,12 @@ class DriveSource:
         Raises:
             RetimingError: If that path has no timing.
         """
+        if self._plain is not None:
+            for plain in self._plain.first(budget):
+                motion = charged(plain, self._request)
+                self._best, self._best_motion = self._plain._best, motion
+                yield motion
+            return
         if self._first is not None:
             motion = timed_drive(*self._first, self._request)
             if motion is not None:
@@ -135,11 +152,6 @@ class DriveSource:
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
         """Yield motions of one round, those that are ranked before the best one known."""
-        with budget.share(_SEARCH_SHARE * budget.remaining_seconds) as part:
-            self._routes.search(part)
-        found = self._routes.searched
-        if found.trace:
-            self.path_cost = min(self.path_cost, found.trace[-1].total)
         for motion in self._made(budget):
             if motion.ranking < best:
                 best = motion.ranking
@@ -147,20 +159,13 @@ class DriveSource:
 
     def _made(self, budget: Budget) -> Iterator[Motion]:
         """Yield the motions of a round."""
-        if self._descents is None or self._starts is None:  # nothing descends along these costs
-            for path in self._routes.searched.paths[-1:]:
-                yield along(*self._ends.joined(path), self._request)
+        with budget.share(
+            _PREPARING_SHARE * budget.remaining_seconds, _PREPARING_SHARE * budget.remaining_iterations
+        ) as part:
+            yield from self._prepared(part)
+        if self._descents is None or self._starts is None:
             return
-        fresh = self._routes.new()
-        for route, arrival in fresh:
-            leg = route[0]
-            if len(route) == 1 and isinstance(leg, Leg):
-                self._starts.add(self._routes.start(leg, arrival))
-            else:
-                self._composed.append((route, arrival))
-        with budget.share(_PREPARING_SHARE * budget.remaining_seconds) as part:
-            for prepared in (self._pose(part), self._starts.prepare(part)):
-                yield from self._timed(one for one in prepared if one.value < self._ranking)
+        yield from self._timed(one for one in self._pose(budget) if one.value < self._ranking)
         starts = self._starts.take(_STARTS, again=not self._results)
         yield from self._timed(
             self._worth_timing(descend_from(starts, self._descents, budget, self._rng, self._results))
@@ -170,10 +175,45 @@ class DriveSource:
             if motion is not None:
                 yield motion
 
+    def _prepared(self, budget: Budget) -> Iterator[Motion]:
+        """Add starts; yield the motions that come of them as they are."""
+        if self._plain is not None:
+            for plain in self._plain.round(budget, np.inf):
+                yield charged(plain, self._request)
+            self._rough += self._plain.take_curves()
+        else:
+            with budget.share(_SEARCH_SHARE * budget.remaining_seconds) as part:
+                self._routes.search(part)
+            found = self._routes.searched
+            if found.trace:
+                self._path_cost = min(self._path_cost, found.trace[-1].total)
+            for route, arrival in self._routes.new():
+                leg = route[0]
+                if len(route) == 1 and isinstance(leg, Leg):
+                    self._rough.append(self._routes.start(leg, arrival))
+                else:
+                    self._composed.append((route, arrival))
+        if self._descents is None or self._starts is None:  # nothing descends along these costs
+            for path in [] if self._plain is not None else self._routes.searched.paths[-1:]:
+                yield along(*self._ends.joined(path), self._request)
+            return
+        while self._rough and (self._plain is not None or not budget.over):
+            start = self._rough.pop(0)
+            curve = start if start.curve is not None else smooth(start, self._descents, budget)
+            if curve is not None:
+                self._curves.append(curve)
+                yield from self._timed(one for one in self._starts.add(curve) if one.value < self._ranking)
+
+    def take_curves(self) -> list[Start]:
+        """Take the curves that were found since they were taken last, as starts of descents along another objective."""
+        taken, self._curves = self._curves, []
+        return taken
+
     def _worth_timing(self, results: Iterator[DescentResult]) -> Iterator[DescentResult]:
         """Keep results of descents; yield those that are nearly as good as the best."""
         for result in results:
             self._results.append(result)
+            self._curves.append(replace(result.start, curve=result.curve))
             if result.value <= _WORTH_TIMING * min(other.value for other in self._results):
                 yield result
 
@@ -227,7 +267,7 @@ class DriveSource:
 
         None if one of them is not free.
         """
-        if self._shortening is None:
+        if self._descents is None:
             return None
         chosen: list[RollingSpline | ArmMove] = []
         value, start = 0.0, None
@@ -235,7 +275,7 @@ class DriveSource:
             if not isinstance(part, Leg):
                 chosen.append(part)
                 continue
-            found = self._shortening.first(self._routes.start(part, arrival), budget)
+            found = self._descents.first(self._routes.start(part, arrival), budget)
             if found is None:
                 return None
             chosen.append(_rolled(found))
@@ -246,11 +286,6 @@ class DriveSource:
         """Return parts as a drive from the start to a goal, with the way of the arm there."""
         q = self._ends.arrivals[arrival].q
         return joined(self._ends.departure.q[-1], [*parts, *(np.stack(edge) for edge in pairwise(q))], q[-1])
-
-
-def _descents(request: Request, problem: SceneProblem) -> MotionDescents | None:
-    found = motion_descents(request, problem, DescentSettings())
-    return None if found is None else replace(found, price=DRIVING_TIME_PRICE, spacing=_SPACING)
 
 
 def _rolled(found: DescentResult) -> RollingSpline:

@@ -15,12 +15,12 @@ from graceful_plan.array_types import Float
 from graceful_plan.mobile.motions.carry_postures import with_posture
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import COARSE, DescentResult, MotionDescents, Start
+from graceful_plan.planners.motion_descent import COARSE, MIDDLE, DescentResult, MotionDescents, Start
 from graceful_plan.planners.planner import Budget
 
 Array = np.ndarray
 
-_LOOK = replace(COARSE, evaluations=0)
+_LOOK = replace(MIDDLE, evaluations=0)
 """Tells J of a curve as it is."""
 _PACES = ((0.6, 0.0, 1.0), (0.35, 0.0, 1.0), (0.25, 0.0, 0.3), (0.25, 0.2, 0.5), (0.25, 0.4, 0.7))
 """Shares of the speed at which curves begin that lead into somebody, and from where to where along them."""
@@ -32,23 +32,17 @@ _POINTS = 64
 
 @final
 class DriveStarts:
-    """Starts of descents.
+    """Curves that wait to descend.
 
     Args:
-        descents: What they are for.
-        shortening: Descents along length and time alone.
+        descents: What they wait for.
     """
 
-    def __init__(self, descents: MotionDescents, shortening: MotionDescents) -> None:
-        self._descents, self._shortening = descents, shortening
-        self._rough: list[Start] = []
+    def __init__(self, descents: MotionDescents) -> None:
+        self._descents = descents
         self._waiting: list[tuple[float, Start]] = []
         self._tried: list[tuple[float, Start]] = []
         self._arms: list[Float[Array, " arm"]] = []
-
-    def add(self, rough: Start) -> None:
-        """Add a start along a path that is not smooth yet."""
-        self._rough.append(rough)
 
     def pose(self, best: Start, arms: Float[Array, "posture arm"]) -> Iterator[DescentResult]:
         """Let the arm begin in other postures, along the best curve so far and along all that come later.
@@ -59,12 +53,9 @@ class DriveStarts:
         for arm in arms:
             yield from self._look(_posed(best, arm), ())
 
-    def prepare(self, budget: Budget) -> Iterator[DescentResult]:
-        """Let rough starts become short and smooth; yield those that are free, with J as they are."""
-        while self._rough and not budget.over:
-            short = self._shortened(self._rough.pop(0), budget)
-            if short is not None:
-                yield from self._look(short, self._arms)
+    def add(self, start: Start) -> Iterator[DescentResult]:
+        """Add a curve; yield its best variant if it is free, with J as it is."""
+        yield from self._look(start, self._arms)
 
     def take(self, most: int, *, again: bool) -> list[Start]:
         """Take those that promise most; if none are left and it is asked for, all once more."""
@@ -86,8 +77,8 @@ class DriveStarts:
             looked.sort(key=_value)
         self._waiting += [(value, one) for value, one, _ in looked[:_KEPT]]
         self._waiting.sort(key=lambda one: one[0])
-        value, best, _ = looked[0]
-        if best.curve is not None and self._descents.is_free(best.curve, best):
+        value, best, gap = looked[0]
+        if gap >= 0.0 and best.curve is not None and self._descents.is_free(best.curve, best):
             yield DescentResult(best.curve, value, best)
 
     def _value(self, start: Start) -> tuple[float, Start, float] | None:
@@ -95,12 +86,14 @@ class DriveStarts:
         descent = self._descents.descended(start, _LOOK, Budget())
         return None if descent is None else (descent.value, start, descent.gap)
 
-    def _shortened(self, start: Start, budget: Budget) -> Start | None:
-        descent = self._shortening.descended(start, COARSE, budget)
-        if descent is None:
-            return None
-        curve = start.kind.curve(descent.controls)
-        return replace(start, path=Path(curve.even(_POINTS)), curve=curve)
+
+def smooth(start: Start, descents: MotionDescents, budget: Budget) -> Start | None:
+    """Return a start with a curve instead of a path, coarsely descended; None if there is no time for it."""
+    descent = descents.descended(start, COARSE, budget)
+    if descent is None:
+        return None
+    curve = start.kind.curve(descent.controls)
+    return replace(start, path=Path(curve.even(_POINTS)), curve=curve)
 
 
 def _posed(start: Start, arm: Float[Array, " arm"]) -> Start:

@@ -10,7 +10,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.mobile.motions.drive import Drive
 from graceful_plan.path import Path
-from graceful_plan.query.candidates.motions import Motion, costed
+from graceful_plan.query.candidates.motions import Motion, costed, costed_anew
 from graceful_plan.query.request import Request
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.topp import Restraint
@@ -35,8 +35,12 @@ def timed_drive(drive: Drive, arrival: int, request: Request) -> Motion | None:
             trajectory = request.constraints.timed(drive, speed=request.speed, slower=restraint)
     except RetimingError:
         return None
-    motion = costed(trajectory.path, trajectory, arrival, request)
-    return replace(motion, ranking=motion.ranking + _INTO * _drives_into_somebody(motion.trajectory, request))
+    return _ranked(costed(trajectory.path, trajectory, arrival, request), request)
+
+
+def charged(motion: Motion, request: Request) -> Motion:
+    """Return a motion that was made for another weight with its cost by a request."""
+    return _ranked(costed_anew(motion, request), request)
 
 
 def along(whole: Path, arrival: int, request: Request) -> Motion:
@@ -46,8 +50,7 @@ def along(whole: Path, arrival: int, request: Request) -> Motion:
         RetimingError: If the path has no timing.
     """
     trajectory = request.constraints.retimed(whole, deviation=0.0, speed=request.speed)
-    motion = costed(whole, trajectory, arrival, request)
-    return replace(motion, ranking=motion.ranking + _INTO * _drives_into_somebody(motion.trajectory, request))
+    return _ranked(costed(whole, trajectory, arrival, request), request)
 
 
 def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]) -> Restraint | None:
@@ -74,6 +77,11 @@ def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]
         return np.stack([begin, end], axis=1)
 
     return limits
+
+
+def _ranked(motion: Motion, request: Request) -> Motion:
+    """Rank motions that drive into somebody behind all others."""
+    return replace(motion, ranking=motion.ranking + _INTO * _drives_into_somebody(motion.trajectory, request))
 
 
 def _drives_into_somebody(motion: Trajectory, request: Request) -> bool:

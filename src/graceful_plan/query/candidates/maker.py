@@ -14,8 +14,10 @@ from graceful_plan.query.candidates.search import Search
 class MotionMaker(Protocol):
     """Makes motions, each timed and with its cost, none of them verified."""
 
-    path_cost: float
-    """Least cost of a path of a search, as the search estimates it."""
+    @property
+    def path_cost(self) -> float:
+        """Least cost of a path of a search, as the search estimates it."""
+        ...
 
     @property
     def restarts(self) -> bool:

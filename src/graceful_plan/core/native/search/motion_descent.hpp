@@ -422,7 +422,7 @@ class MotionDescent {
   }
 
   static constexpr double kPassing = 0.15;       // clearance to entities that move [m]; the judge asks for more than none
-  static constexpr double kPassingWeight = 3.0;  // of its square, relative to that of other clearance
+  static constexpr double kPassingWeight = 20.0;  // of its square, relative to that of other clearance
   static constexpr double kSlowest = 1e-9;
 
   Space& space_;
