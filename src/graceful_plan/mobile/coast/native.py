@@ -53,4 +53,3 @@ def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Float[Ar
         **{name: reals(value) for name, value in ways._asdict().items()},
         "astray": reals(settings.beside(scene.base)),
     }
-

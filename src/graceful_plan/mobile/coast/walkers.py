@@ -10,11 +10,11 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.core import _native
+from graceful_plan.costs.models.moving.drops import moving_table
+from graceful_plan.costs.models.moving.outlines import outlines
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.native import coast_model
 from graceful_plan.mobile.coast.tables import coast_tables
-from graceful_plan.costs.models.moving.drops import moving_table
-from graceful_plan.costs.models.moving.outlines import outlines
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
