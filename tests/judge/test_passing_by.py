@@ -1,11 +1,13 @@
 """The judge of those who walk past, against distances in closed form."""
 
+import mujoco
 import numpy as np
 import pytest
-from dense_passing import dense_passing
 
 import graceful_plan as gp
+from graceful_plan.judge import passing_by
 from graceful_plan.judge.passing_by import passing_check
+from graceful_plan.scene.placement import Placement
 from hall import hall
 
 SCENE = hall(extra="").edit(remove=["person", "pillar"])
@@ -61,6 +63,29 @@ def test_verdicts_have_it_for_bases_among_those_who_move_alone():
     trajectory = straight()
     assert "passing_by" not in gp.verify(trajectory, SCENE).checks
     assert "passing_by" in gp.verify(trajectory, at([[2.0, 0.8, 0.85]])).checks
+
+
+def dense_passing(motion, scene):
+    """Measure every geom at every moment: least clearance [m], at most 1, to whom; first time of an overlap [s]."""
+    t = passing_by._times(motion, scene)
+    state = motion.at(t)
+    model = passing_by._with_walkers(scene)
+    placement, robot = Placement(scene, model), passing_by._robot_geoms(scene)
+    worst, whom, first = 1.0, "", np.inf
+    for name, entity in scene.moving.items():
+        geom, mocap = int(model.body_geomadr[model.body(name).id]), int(model.body_mocapid[model.body(name).id])
+        there = entity.at(t)
+        for k in np.flatnonzero(passing_by.is_moving(state.qd)):
+            half = 0.5 * float(there.yaw[k])
+            placement.data.mocap_pos[mocap] = there.position[k]
+            placement.data.mocap_quat[mocap] = [np.cos(half), 0.0, 0.0, np.sin(half)]
+            data = placement.place(state.q[k])
+            distance = min(mujoco.mj_geomDistance(model, data, own, geom, 1.0, None) for own in robot)
+            if distance < 0.0:
+                first = min(first, float(t[k]))
+            if distance < worst:
+                worst, whom = distance, name
+    return worst, whom, first
 
 
 def random_drive(seed, length=4.0):
