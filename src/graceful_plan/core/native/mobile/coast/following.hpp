@@ -616,7 +616,7 @@ class Following {
       out.spread[k] = root(square(of_.spread) + square(of_.drift) * (square(out.x[k]) + square(out.y[k])));
     out.gone[0] = 0;
     for (size_t k = 1; k < n; ++k) out.gone[k] = out.speed[k] * (out.time[k] - out.time[k - 1]);
-    for (size_t k = 0; k < CoastWork::kSamples; k += kAbreastPlaces) {
+    for (size_t k = 0; k < n; k += kAbreastPlaces) {
       D sine, cosine;
       sine_cosine(load_row(&out.turned[k]), sine, cosine);
       store_row(cosine, &out.cos[k]), store_row(sine, &out.sin[k]);

@@ -48,7 +48,8 @@ static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, 
   D least = cut;
   for (const FloorShape& part : base.parts()) {
     const D px = seen_x - part.x, py = seen_y - part.y;
-    if (!any_below(hypotenuse(px, py) - (part.around() + around), least)) continue;
+    const D within = relu(least + (part.around() + around));
+    if (!any_below(px * px + py * py, within * within)) continue;
     const D x = part.ux * px + part.uy * py, y = part.ux * py - part.uy * px;
     const double rounds = part.round + shape.round;
     if (shape.a == 0 && shape.b == 0) {
