@@ -614,17 +614,17 @@ class Following {
                    part[3] * from[3][m * n + k];
     for (size_t k = 0; k < n; ++k)
       out.spread[k] = root(square(of_.spread) + square(of_.drift) * (square(out.x[k]) + square(out.y[k])));
-    out.gone[0] = 0;
-    for (size_t k = 1; k < n; ++k) out.gone[k] = out.speed[k] * (out.time[k] - out.time[k - 1]);
     for (size_t k = 0; k < n; k += kAbreastPlaces) {
       D sine, cosine;
       sine_cosine(load_row(&out.turned[k]), sine, cosine);
       store_row(cosine, &out.cos[k]), store_row(sine, &out.sin[k]);
     }
-    double* chord = work_.later.data();
+    double* chord = out.gone.data();  // until the ways of what is fastest are in there
     for (size_t k = 1; k < n; ++k) chord[k] = length_of(out.x[k] - out.x[k - 1], out.y[k] - out.y[k - 1]);
     out.path[0] = length_of(out.x[0], out.y[0]);
     for (size_t k = 1; k < n; ++k) out.path[k] = out.path[k - 1] + chord[k];
+    out.gone[0] = 0;
+    for (size_t k = 1; k < n; ++k) out.gone[k] = out.speed[k] * (out.time[k] - out.time[k - 1]);
     out.known = true;
   }
   Dual interpolated(const Node<Dual>& v, const Node<Dual>& w, size_t f, size_t column, size_t k) const {
