@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.core import slack
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import Judge
 
@@ -90,3 +93,12 @@ def test_bundled_robots_need_none() -> None:
     for name in ("desk", "tabletop"):
         task = next(iter(gp.load_scene(name).tasks.values()))
         assert not compile_scene(task.scene).robot.self_slack.any()
+
+
+def test_how_far_a_base_may_drive_makes_no_difference() -> None:
+    """What one robot needs is found once, whatever scenes it drives in; its own joints do make a difference."""
+    robot = compile_scene(gp.load_scene("hallway")).robot
+    pair = next(pair for pair in robot.self_pair if slack._carriers(robot, int(pair[0])) > {0, 1, 2, 3})
+    wider = np.where(np.arange(len(robot.upper)) < 3, 100.0, robot.upper)
+    assert slack._key(replace(robot, upper=wider), pair) == slack._key(robot, pair)
+    assert slack._key(replace(robot, upper=robot.upper + 0.1), pair) != slack._key(robot, pair)

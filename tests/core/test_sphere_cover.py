@@ -178,3 +178,15 @@ def test_enclosing_sphere_encloses(n, seed):
     assert np.all(np.linalg.norm(centres - bound[:3], axis=1) + radii <= bound[3] + 1e-9)
     if n == 1:
         assert bound[3] == pytest.approx(radii[0])
+
+
+@pytest.mark.parametrize("semi_axes", [(0.1, 0.2, 0.3), (0.1, 0.1, 0.1), (0.02, 0.5, 0.5), (0.1, 0.1, 0.4)])
+def test_depths_in_an_ellipsoid_are_those_of_the_nearest_of_many_points(semi_axes) -> None:
+    rng, axes = np.random.default_rng(0), np.array(semi_axes)
+    unit = rng.normal(size=(200_000, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    points = np.concatenate([unit[:20] * axes * rng.uniform(0.0, 1.0, (20, 1)), np.zeros((1, 3)), np.eye(3) * axes])
+    depth = sphere_cover._ellipsoid_depth(points, axes)
+    nearest = np.array([np.linalg.norm(unit * axes - point, axis=1).min() for point in points])
+    assert (depth <= nearest + 1e-8).all() and np.abs(depth - nearest).max() < 0.005
+    np.testing.assert_allclose(depth[-3:], 0.0, atol=1e-8)

@@ -1,10 +1,13 @@
 """The judge of those who walk past, against distances in closed form."""
 
+import mujoco
 import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.judge import passing_by
 from graceful_plan.judge.passing_by import passing_check
+from graceful_plan.scene.placement import Placement
 from hall import hall
 
 SCENE = hall(extra="").edit(remove=["person", "pillar"])
@@ -60,3 +63,67 @@ def test_verdicts_have_it_for_bases_among_those_who_move_alone():
     trajectory = straight()
     assert "passing_by" not in gp.verify(trajectory, SCENE).checks
     assert "passing_by" in gp.verify(trajectory, at([[2.0, 0.8, 0.85]])).checks
+
+
+def dense_passing(motion, scene):
+    """Measure every geom at every moment: least clearance [m], at most 1, to whom; first time of an overlap [s]."""
+    t = passing_by._times(motion, scene)
+    state = motion.at(t)
+    model = passing_by._with_walkers(scene)
+    placement, robot = Placement(scene, model), passing_by._robot_geoms(scene)
+    worst, whom, first = 1.0, "", np.inf
+    for name, entity in scene.moving.items():
+        geom, mocap = int(model.body_geomadr[model.body(name).id]), int(model.body_mocapid[model.body(name).id])
+        there = entity.at(t)
+        for k in np.flatnonzero(passing_by.is_moving(state.qd)):
+            half = 0.5 * float(there.yaw[k])
+            placement.data.mocap_pos[mocap] = there.position[k]
+            placement.data.mocap_quat[mocap] = [np.cos(half), 0.0, 0.0, np.sin(half)]
+            data = placement.place(state.q[k])
+            distance = min(mujoco.mj_geomDistance(model, data, own, geom, 1.0, None) for own in robot)
+            if distance < 0.0:
+                first = min(first, float(t[k]))
+            if distance < worst:
+                worst, whom = distance, name
+    return worst, whom, first
+
+
+def random_drive(seed, length=4.0):
+    """An arm's base on a winding way, with all joints moving."""
+    scene = gp.load_scene("hallway").without_moving()
+    rng, t, nq = np.random.default_rng(seed), np.linspace(0.0, 6.0, 121), len(scene.joints)
+    middle, half = scene.limits.position.mean(axis=1), np.minimum(0.5 * np.ptp(scene.limits.position, axis=1), 1.0)
+    size, rate, phase = rng.uniform(0.1, 0.6, nq) * half, rng.uniform(0.3, 0.8, nq), rng.uniform(0, 6, nq)
+    size[:2], middle[:2] = (0.5 * length, 0.3), scene.limits.position[:2].mean(axis=1)
+    wave = rate * t[:, None] + phase
+    q, qd, qdd = middle + size * np.sin(wave), size * rate * np.cos(wave), -size * rate**2 * np.sin(wave)
+    return scene, gp.Trajectory(t, q, qd, qdd, scene.joints)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("gap", [0.0, 0.35, 0.5, 0.7, 1.5])
+def test_bounds_change_nothing(seed, gap):
+    """As with every geom at every moment: through somebody, grazing, near, far."""
+    scene, motion = random_drive(seed)
+    rng = np.random.default_rng(seed)
+    on_the_way = motion.q[60, :2] + gap * np.array([np.cos(seed), np.sin(seed)])
+    walks = on_the_way + rng.uniform(-0.5, 0.5, 2)
+    many = (
+        gp.MovingEntity("ann", "adult", size=[0.25, 0.85], t=[0.0], position=[[*on_the_way, 0.85]]),
+        gp.MovingEntity("cart", "adult", size=[0.3, 0.2, 0.4], t=[0.0, 6.0], yaw=[0.0, 2.0],
+                        position=[[*walks, 0.4], [*(walks + 1.0), 0.4]]),
+    )  # fmt: skip
+    scene = scene.with_moving(*many)
+    check = passing_check(motion, scene)
+    worst, whom, first = dense_passing(motion, scene)
+    assert check.worst == pytest.approx(worst, abs=1e-5)
+    assert check.passed == (worst >= 0.0)
+    if 0.0 <= worst < 1.0:  # two that it is deep in may be as deep as each other
+        assert repr(whom) in check.detail
+    assert check.first == (None if first == np.inf else pytest.approx(first))
+
+
+@pytest.mark.parametrize(("grazes", "passed"), [(-2e-4, False), (2e-4, True)])
+def test_who_is_grazed_is_told_from_who_is_not(grazes, passed):
+    beside = 0.25 + 0.1878 + 0.02 + grazes
+    assert passing_check(straight(), at([[2.0, beside, 0.85]])).passed == passed

@@ -79,7 +79,8 @@ def _key(robot: RobotArrays, pair: Int[Array, " 2"]) -> bytes:
     """
     frames = len(robot.lower) + 1
     own = np.ones(frames, dtype=bool)
-    own[sorted(_carriers(robot, pair[0]) & _carriers(robot, pair[1]))] = False
+    first, second = (_carriers(robot, link) for link in pair.tolist())
+    own[sorted(first & second)] = False
     parts = [robot.lower[own[1:]], robot.upper[own[1:]], robot.X_PL[:frames][own], own]
     parts += [x[:frames] for x in (robot.parent, robot.joint, robot.slide)]
     parts += [robot.sphere[robot.sphere_link == link] for link in pair] + [robot.parent[pair]]

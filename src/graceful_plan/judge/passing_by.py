@@ -76,7 +76,7 @@ def passing_check(motion: Trajectory, scene: Scene) -> Check:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pairs:
+class _NearPairs:
     """Moments at which a geom of the robot may be nearer to an entity than `_FAR`, and than all others are."""
 
     row: Int[Array, " pair"]
@@ -92,13 +92,12 @@ class _Pairs:
     """Pose of the entity [m]."""
 
 
-def _near_pairs(scene: Scene, t: Float[Array, " n"], q: Float[Array, "n nq"], ruler: _Ruler) -> _Pairs:
+def _near_pairs(scene: Scene, t: Float[Array, " n"], q: Float[Array, "n nq"], ruler: _Ruler) -> _NearPairs:
     """Return what may be nearer than what is nearest by bounding spheres, which is measured."""
     own, known = np.array(_robot_geoms(scene), dtype=int), kinematics(scene)
     poses = known.poses(q, known.geoms[own])
     spheres = _covers(scene)
-    rows, geoms, entities, bounds, places = [], [], [], [], []
-    upper = _FAR
+    found, upper = [], _FAR
     for number, entity in enumerate(scene.moving.values()):
         there = entity.at(t)
         X_WE = _upright(there.position, there.yaw)
@@ -110,17 +109,16 @@ def _near_pairs(scene: Scene, t: Float[Array, " n"], q: Float[Array, "n nq"], ru
         centres = np.einsum("kij,ksj->ksi", poses[geom, row, :3, :3], spheres.centre[geom])
         centres += poses[geom, row, None, :3, 3]
         least = (_to_upright(entity, X_WE[row, None], centres) - spheres.radius[geom]).min(axis=1) - _ROUNDING
-        rows.append(row), geoms.append(geom), bounds.append(least)
-        entities.append(np.full(len(row), number)), places.append(X_WE[row])
-    row, geom, least = np.concatenate(rows), np.concatenate(geoms), np.concatenate(bounds)
+        found.append((row, geom, np.full(len(row), number), least, X_WE[row]))
+    row, geom, entities, least, places = (np.concatenate(column) for column in zip(*found, strict=True))
     near = np.flatnonzero(least < max(upper, _ROUNDING))
-    return _Pairs(
+    return _NearPairs(
         row=row[near],
-        entity=np.concatenate(entities)[near],
+        entity=entities[near],
         geom=own[geom[near]],
         least=least[near],
         X_WG=poses[geom[near], row[near]],
-        X_WE=np.concatenate(places)[near],
+        X_WE=places[near],
     )
 
 

@@ -10,11 +10,16 @@ from hypothesis import strategies as st
 from scipy.special import erfc
 
 import graceful_plan as gp
+from graceful_plan.core import _native
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import Kernels, instruction_sets, reals
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.failing_base import FailingBase
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import Astray, CoastSettings, Way
+from graceful_plan.mobile.coast.four_wheel import one_sided_ways
+from graceful_plan.mobile.coast.native import SKIDS, coasting_arrays
 from graceful_plan.mobile.coast.tables import coast_tables
 from hall import BASE, hall
 
@@ -56,6 +61,65 @@ def test_the_core_says_the_same():
     value, by_q, _ = kernel.state_slopes(q, qd)
     np.testing.assert_allclose(value, expected, atol=1e-7)
     assert np.isfinite(by_q).all()
+
+
+def states_in(scene, seed, n=150):
+    rng = np.random.default_rng(seed)
+    q, qd = np.zeros((2, n, len(scene.joints)))
+    q[:, :2] = rng.uniform(*scene.limits.position[:2].T, (n, 2))
+    q[:, 2], v = rng.uniform(-3, 3, n), rng.uniform(-1.0, 1.0, n) * scene.base.v_max
+    qd[:, 0], qd[:, 1], qd[:, 2] = v * np.cos(q[:, 2]), v * np.sin(q[:, 2]), rng.uniform(-1, 1, n)
+    return q, qd
+
+
+CROWDED = [gp.load_scene("warehouse_aisle"), gp.load_scene("hallway").without_moving()]
+
+
+@pytest.mark.parametrize("isa", instruction_sets())
+@pytest.mark.parametrize("scene", CROWDED)
+def test_instruction_sets_agree(scene, isa):
+    """Also with several parts of a base, several entities, and shapes that hide behind each other."""
+    q, qd = states_in(scene, 1)
+    compiled, tables = compile_scene(scene), coast_tables(scene)
+
+    def impact(isa):
+        core = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa).core
+        model = _native.CoastModel(
+            core, entity=tables.entity, shape=reals(tables.shape), n_entity=len(scene.entities),
+            **coasting_arrays(scene, SHIPPED),
+        )  # fmt: skip
+        severity, speed = np.ones(len(scene.entities)), reals(scene.limits.velocity)
+        kernel = _native.CoastImpact(model, model, severity=severity, speed=speed, slow=1.0, fast=1.0)
+        return model.probability(reals(q), reals(qd)), kernel.state_slopes(reals(q), reals(qd), False)
+
+    (P, slopes), (expected, expected_slopes) = impact(isa), impact("auto")
+    assert (expected > 0.01).sum() > 3
+    np.testing.assert_allclose(P, expected, atol=1e-11)
+    np.testing.assert_allclose(slopes[0], P.sum(axis=1), atol=1e-10)
+    for own, other in zip(slopes, expected_slopes, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("scene", CROWDED)
+def test_the_core_says_the_same_where_many_are_near(scene):
+    q, qd = states_in(scene, 2)
+    batch = moving_batch(scene, q, qd)
+    P = hits(batch, coast_tables(scene), SHIPPED, SHIPPED.straightens if scene.base.slip > SKIDS else 1e6)
+    assert ((P > 1e-4).sum(axis=1) > 1).any()
+    body = list(scene.components).index("body")
+    np.testing.assert_allclose(Coast().probability(batch)[:, body], P, atol=1e-9)
+
+
+def test_tables_that_are_kept_are_read_again_and_broken_ones_are_made_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    body = coast_tables(SCENE).body
+    first = one_sided_ways.__wrapped__(body, SHIPPED)
+    (file,) = (tmp_path / "graceful_plan").iterdir()
+    np.testing.assert_array_equal(one_sided_ways.__wrapped__(body, SHIPPED).places, first.places)
+    with np.load(file) as found:
+        np.testing.assert_array_equal(found["values"], first.places)
+    np.savez(file, values=np.full_like(first.places, np.nan))
+    np.testing.assert_array_equal(one_sided_ways.__wrapped__(body, SHIPPED).places, first.places)
 
 
 def test_the_outline_is_that_of_the_geoms_and_shapes_are_what_stands_at_its_height():

@@ -30,8 +30,8 @@ WindowSettings settings_of(const Reals& values, int n_v, int n_omega) {
   return {x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], n_v, n_omega};
 }
 
-nb::tuple choose_command(const DynamicWindow& window, Reals state, Reals path, Integers entity, Reals shape, Reals velocity,
-                 Reals severity, bool every) {
+nb::tuple choose_command(const DynamicWindow& window, Reals state, Reals path, Integers entity, Reals shape,
+                         Reals velocity, Reals severity, bool every) {
   require_numbers(state, 5, "state of a base", kMaxExtent);
   require(severity.size() <= kMostEntities, "number of entities");
   require_numbers(severity, "severity");
@@ -61,8 +61,8 @@ void bind_control(nb::module_& m) {
           },
           nb::kw_only(), "outline"_a, "stops"_a, "constants"_a, "share"_a, "speeds"_a, "rates"_a, "places"_a,
           "astray"_a, "limits"_a, "settings"_a, "n_v"_a, "n_omega"_a)
-      .def("choose", &choose_command, nb::kw_only(), "state"_a, "path"_a, "entity"_a, "shape"_a, "velocity"_a, "severity"_a,
-           "every"_a = false);
+      .def("choose", &choose_command, nb::kw_only(), "state"_a, "path"_a, "entity"_a, "shape"_a, "velocity"_a,
+           "severity"_a, "every"_a = false);
 }
 
 }  // namespace gp

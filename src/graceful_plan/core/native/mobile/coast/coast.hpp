@@ -9,7 +9,7 @@ class CoastModel {
  public:
   CoastModel(const Core& core, const CoastingArrays& of, const Integers& entity, const Reals& shape, int n_entity)
       : core_(core),
-        coasting_(of),
+        coasting_(of, core.isa()),
         shape_(floor_shapes(entity, shape, nullptr, n_entity)),
         n_entity_(size_t(n_entity)) {
     require(core.tables().n_joint >= 3, "joints of a base");
@@ -60,8 +60,8 @@ class CoastModel {
  private:
   static Coasting::State state(const double* q, const double* qd) { return {q[0], q[1], q[2], speed(q, qd), qd[2]}; }
   static CoastState<Dual> slopes(const double* q, const double* qd) {
-    return {Dual::variable(q[0], 0), Dual::variable(q[1], 1), Dual::variable(q[2], 2),
-            Dual::variable(speed(q, qd), 3), Dual::variable(qd[2], 4)};
+    return {Dual::variable(q[0], 0), Dual::variable(q[1], 1), Dual::variable(q[2], 2), Dual::variable(speed(q, qd), 3),
+            Dual::variable(qd[2], 4)};
   }
   template <class T> bool meets(const CoastState<T>& at, const FloorShape& who, Encounter& with) const {
     const Coasting::State value{value_of(at.x), value_of(at.y), value_of(at.yaw), value_of(at.v), value_of(at.omega)};

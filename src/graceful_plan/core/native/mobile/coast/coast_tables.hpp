@@ -39,7 +39,7 @@ struct CoastTables {
   std::vector<Family> family;
   std::vector<std::vector<size_t>> own, any;  // stops of each: its own, and those of both kinds of wheels
   std::vector<double> share, speeds, rates;
-  std::vector<double> place;  // (speed, rate, table, 5, sample)
+  std::vector<double> place;   // (speed, rate, table, 5, sample)
   std::vector<double> within;  // (speed, rate, table): how far off its places are
   std::vector<Stray> stray;
   size_t samples = 0;
@@ -55,8 +55,8 @@ template <class T> struct CoastState {
 
 // What is written to for each state; kept from one to the next, so that nothing is allocated.
 struct CoastWork {
-  // A shape that is near enough to be touched; how far the base goes at least before, with what the shape moves; and how
-  // fast that is.
+  // A shape that is near enough to be touched; how far the base goes at least before, with what the shape moves; and
+  // how fast that is.
   struct Near {
     const FloorShape* shape;
     double clear, moves;
@@ -95,14 +95,19 @@ struct CoastWork {
   };
 
   CoastWork(const CoastTables& of, size_t n_entity)
-      : hit(n_entity), met(n_entity), met_at(n_entity), free(of.stop.size()), braked(of.stop.size()),
-        met_slopes(n_entity), spun(of.share.size()) {
+      : hit(n_entity),
+        met(n_entity),
+        met_at(n_entity),
+        free(of.stop.size()),
+        braked(of.stop.size()),
+        met_slopes(n_entity),
+        spun(of.share.size()) {
     for (auto* one : {&place.x, &place.y, &place.cos, &place.sin, &place.time, &place.spread, &place.gone, &place.path,
                       &later, &least, &stopped})
       one->resize(kSamples);
     for (Spun& one : spun)
-      for (auto* values : {&one.x, &one.y, &one.turned, &one.speed, &one.time, &one.spread, &one.gone, &one.path,
-                           &one.cos, &one.sin})
+      for (auto* values :
+           {&one.x, &one.y, &one.turned, &one.speed, &one.time, &one.spread, &one.gone, &one.path, &one.cos, &one.sin})
         values->resize(kSamples);
     const size_t stops = padded(std::max<size_t>(of.stop.size(), 1));
     for (auto* one : {&share, &starts, &by_braked}) one->resize(stops);
@@ -117,25 +122,25 @@ struct CoastWork {
   std::vector<double> hit;       // P by entity
   std::vector<Dual> hit_slopes;  // with derivatives, where they are wanted
 
-  std::vector<Near> whom, what;           // entities, and obstacles
-  size_t asked = 0;                       // how many of whom, which come first, are asked for
-  bool moving = false;                    // whether any of them moves
-  std::vector<double> met;                // by entity: how likely it has taken the base's energy on this way
-  std::vector<Pair> met_at;               // where
-  std::vector<double> free, braked;       // by stop: how far at full speed, and while the base slows down
+  std::vector<Near> whom, what;                  // entities, and obstacles
+  size_t asked = 0;                              // how many of whom, which come first, are asked for
+  bool moving = false;                           // whether any of them moves
+  std::vector<double> met;                       // by entity: how likely it has taken the base's energy on this way
+  std::vector<Pair> met_at;                      // where
+  std::vector<double> free, braked;              // by stop: how far at full speed, and while the base slows down
   std::vector<double> share, starts, by_braked;  // of the stops of a way: P, where it slows down, 1 over how far then
   Places place;
-  std::vector<double> later;           // times at places at a slightly greater speed
+  std::vector<double> later;                  // times at places at a slightly greater speed
   std::vector<double> apart, touched, along;  // by shape of `whom` and place: see Following::touches
   std::vector<uint64_t> touched_at;           // by shape of `whom`: places, as bits, at which it is touched
   uint64_t energy_at = 0;                     // places of which energies are known
-  std::vector<double> energy;          // by place and stop, over that at the speed that severities are for
-  std::vector<double> least;           // by place: distance of obstacles up to there, as a multiple of its spread
-  std::vector<double> stopped;         // how likely that has stopped the base
+  std::vector<double> energy;                 // by place and stop, over that at the speed that severities are for
+  std::vector<double> least;    // by place: distance of obstacles up to there, as a multiple of its spread
+  std::vector<double> stopped;  // how likely that has stopped the base
   std::vector<Pair> least_at;
-  std::vector<double> most_worth;      // by entity and stop
-  std::vector<double> decided_by;      // what of `decided` it is by
-  std::vector<int> seen, stopping;     // entities that are met on this way, and those that took energy so far
+  std::vector<double> most_worth;   // by entity and stop
+  std::vector<double> decided_by;   // what of `decided` it is by
+  std::vector<int> seen, stopping;  // entities that are met on this way, and those that took energy so far
   std::vector<Decided> decided;
   std::vector<Known> known;
   std::vector<Dual> met_slopes;
@@ -146,8 +151,8 @@ struct CoastWork {
 };
 
 // One instruction set's kernels: P by entity of one state, in work.hit; with severities, of those that have one. False
-// if it is zero for all. If one entity alone is asked for (`only` is not below 0), the others are there to stop the base
-// before it, and P of them is not found.
+// if it is zero for all. If one entity alone is asked for (`only` is not below 0), the others are there to stop the
+// base before it, and P of them is not found.
 struct CoastKernels {
   bool (*hits)(const CoastTables&, const CoastState<double>&, const std::vector<FloorShape>&, const double* severity,
                CoastWork&, int only);

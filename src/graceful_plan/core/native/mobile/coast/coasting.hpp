@@ -117,13 +117,13 @@ class CheckedTables {
   }
 };
 
-// The kernels of the best instruction set that this machine can run.
-inline const CoastKernels& coast_kernels() {
+// The kernels of an instruction set that this machine can run.
+inline const CoastKernels& coast_kernels(const std::string& isa) {
 #if defined(__x86_64__) && !defined(GP_QUICK)
-  const std::string isa = choose("auto").name;
   if (isa == "x86-64-v4") return coast_kernels_v4;
   if (isa == "x86-64-v3") return coast_kernels_v3;
 #endif
+  (void)isa;
   return coast_kernels_baseline;
 }
 
@@ -132,7 +132,8 @@ class Coasting {
   using Work = CoastWork;
   using State = CoastState<double>;
 
-  explicit Coasting(const CoastingArrays& of) : of_(CheckedTables(of).made), kernels_(coast_kernels()) {}
+  Coasting(const CoastingArrays& of, const std::string& isa)
+      : of_(CheckedTables(of).made), kernels_(coast_kernels(isa)) {}
 
   const Footprint2d& footprint() const { return of_.footprint; }
   Work work(size_t n_entity) const { return {of_, n_entity}; }
@@ -147,7 +148,8 @@ class Coasting {
       longest = std::max(longest, stop.delay + speed / stop.a);
     }
     const double step = longest / kLooks, between = who.speed() * step;
-    const double around = of_.footprint.reach() + CoastTables::kFarOff * std::hypot(of_.spread, of_.drift * far, who.spread);
+    const double around =
+        of_.footprint.reach() + CoastTables::kFarOff * std::hypot(of_.spread, of_.drift * far, who.spread);
     for (int k = 0; k < kLooks; ++k) {
       const double gone = std::min(far, speed * step * (k + 1));
       if (who.distance(at.x, at.y, step * k) < around + between + gone) return true;
@@ -165,8 +167,8 @@ class Coasting {
   }
 
  private:
-  static constexpr int kLooks = 16;        // times at which is seen whether somebody may be near
-  static constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
+  static constexpr int kLooks = 16;       // times at which is seen whether somebody may be near
+  static constexpr double kStill = 1e-6;  // speed below which a base stands [m/s]
 
   const CoastTables of_;
   const CoastKernels& kernels_;

@@ -1,5 +1,5 @@
-// What a base is from above, and what it meets: rectangles that may be rounded and move. Distances are of doubles and of
-// duals; everything is inlined, so that each instruction set has its own.
+// What a base is from above, and what it meets: rectangles that may be rounded and move. Distances are of doubles and
+// of duals; everything is inlined, so that each instruction set has its own.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -68,8 +68,8 @@ class Footprint2d {
   template <class T> struct Seen {
     T x, y, ux, uy;
   };
-  // Features that decide a distance: the middle of the shape, if it is a disc, or of the part; the axis along which they
-  // are farthest apart, if they overlap; else a corner of one of them.
+  // Features that decide a distance: the middle of the shape, if it is a disc, or of the part; the axis along which
+  // they are farthest apart, if they overlap; else a corner of one of them.
   enum Feature { kShape, kPart, kAxis, kCornerOfShape = kAxis + 4, kCornerOfPart = kCornerOfShape + 4 };
   struct Decided {
     double distance;

@@ -22,8 +22,14 @@ class Following {
  public:
   // slopes: the same state with derivatives, if they are wanted.
   Following(const CoastTables& of, const State<double>& at, const State<Dual>* slopes, CoastWork& work)
-      : of_(of), at_(at), slopes_(slopes), work_(work), speed_(std::fabs(at.v)), sign_(at.v < 0 ? -1 : 1),
-        cos_(std::cos(at.yaw)), sin_(std::sin(at.yaw)) {}
+      : of_(of),
+        at_(at),
+        slopes_(slopes),
+        work_(work),
+        speed_(std::fabs(at.v)),
+        sign_(at.v < 0 ? -1 : 1),
+        cos_(std::cos(at.yaw)),
+        sin_(std::sin(at.yaw)) {}
 
   bool all(const std::vector<FloorShape>& shape, const double* severity, int only) {
     std::fill(work_.hit.begin(), work_.hit.end(), 0.0);
@@ -39,7 +45,8 @@ class Following {
     look(shape, severity, only, std::max(longest, of_.lasts));
     if (work_.asked == 0) return false;
     const size_t n = work_.whom.size(), values = n * (CoastWork::kSamples + 1) + 1;
-    if (work_.apart.size() < values) work_.apart.resize(values), work_.touched.resize(values), work_.along.resize(values);
+    if (work_.apart.size() < values)
+      work_.apart.resize(values), work_.touched.resize(values), work_.along.resize(values);
     if (work_.touched_at.size() < n) work_.touched_at.resize(n);
     // Released wheels go along the others' arc if nothing turns so far.
     const bool alike = std::fabs(at_.omega / at_.v) * far_ <= of_.turn * at_.omega * at_.omega;
@@ -260,8 +267,8 @@ class Following {
         const double part = 1 - met * by_braked;
         if (part < 0) continue;
         const CoastTables::Stop& stop = of_.stop[stops[s]];
-        const double slope = part > 1 ? 0.0
-                                      : (met * by_braked * braked_slope(stop, speed_) - (half - stop.delay)) * by_braked;
+        const double slope =
+            part > 1 ? 0.0 : (met * by_braked * braked_slope(stop, speed_) - (half - stop.delay)) * by_braked;
         one.slope += p * (slope * whole_ + 2 * value / speed_);
       }
   }
@@ -321,9 +328,9 @@ class Following {
     const D spread = load_row(&work_.place.spread[k]);
     return shape.spread > 0 ? hypotenuse(spread, D{} + shape.spread) : spread;
   }
-  // Finds how likely those from first on, before end, are touched at the first places, and the share of the energy along
-  // the normal there: by how fast the base closes in, of which of the way that it goes is a part alone. Returns, as bits,
-  // places at which anybody is touched.
+  // Finds how likely those from first on, before end, are touched at the first places, and the share of the energy
+  // along the normal there: by how fast the base closes in, of which of the way that it goes is a part alone. Returns,
+  // as bits, places at which anybody is touched.
   uint64_t touches(size_t first, size_t end, size_t places) {
     const size_t all = CoastWork::kSamples + 1;
     uint64_t at_all = 0;
@@ -416,7 +423,8 @@ class Following {
     pad();
     D widest{}, strides{};
     for (size_t k = 0; k < n_place_; k += kAbreastPlaces)
-      widest = maximum(widest, load_row(&work_.place.spread[k])), strides = maximum(strides, load_row(&work_.place.gone[k]));
+      widest = maximum(widest, load_row(&work_.place.spread[k])),
+      strides = maximum(strides, load_row(&work_.place.gone[k]));
     widest_ = greatest_lane(widest), strides_ = greatest_lane(strides);
     const size_t n = work_.whom.size(), all = CoastWork::kSamples + 1;
     uint64_t touched = touches(0, work_.asked, n_place_);
@@ -606,17 +614,17 @@ class Following {
                    part[3] * from[3][m * n + k];
     for (size_t k = 0; k < n; ++k)
       out.spread[k] = root(square(of_.spread) + square(of_.drift) * (square(out.x[k]) + square(out.y[k])));
-    out.gone[0] = 0;
-    for (size_t k = 1; k < n; ++k) out.gone[k] = out.speed[k] * (out.time[k] - out.time[k - 1]);
-    for (size_t k = 0; k < CoastWork::kSamples; k += kAbreastPlaces) {
+    for (size_t k = 0; k < n; k += kAbreastPlaces) {
       D sine, cosine;
       sine_cosine(load_row(&out.turned[k]), sine, cosine);
       store_row(cosine, &out.cos[k]), store_row(sine, &out.sin[k]);
     }
-    double* chord = work_.later.data();
+    double* chord = out.gone.data();  // until the ways of what is fastest are in there
     for (size_t k = 1; k < n; ++k) chord[k] = length_of(out.x[k] - out.x[k - 1], out.y[k] - out.y[k - 1]);
     out.path[0] = length_of(out.x[0], out.y[0]);
     for (size_t k = 1; k < n; ++k) out.path[k] = out.path[k - 1] + chord[k];
+    out.gone[0] = 0;
+    for (size_t k = 1; k < n; ++k) out.gone[k] = out.speed[k] * (out.time[k] - out.time[k - 1]);
     out.known = true;
   }
   Dual interpolated(const Node<Dual>& v, const Node<Dual>& w, size_t f, size_t column, size_t k) const {
@@ -648,7 +656,8 @@ class Following {
   // Bases that went astray before they came here, beside the way: who is met in the next moment that is not met yet,
   // for as long as they have been astray. Along a way this adds up to how likely they are met at all.
   void astray() {
-    const double step = sign_ * kNext, half = 0.5 * at_.omega / speed_ * kNext, ch = std::cos(half), sh = std::sin(half);
+    const double step = sign_ * kNext, half = 0.5 * at_.omega / speed_ * kNext, ch = std::cos(half),
+                 sh = std::sin(half);
     const double whole = speed_ * speed_ / (of_.unit * of_.unit);
     const size_t n = of_.stray.size();
     for (size_t first = 0; first < n; first += kAbreastPlaces) {
@@ -679,7 +688,8 @@ class Following {
         const D blur = blurred(who);
         if (!any_below(beyond(who, next), kFarOff * blur)) continue;
         const D cut = kFarOff * blur + 2 * kNext * (1 + of_.footprint.reach());
-        const D then = apart_abreast(of_.footprint, who, next, cut), before = apart_abreast(of_.footprint, who, now, cut);
+        const D then = apart_abreast(of_.footprint, who, next, cut),
+                before = apart_abreast(of_.footprint, who, now, cut);
         const D more = likely(then / blur) - likely(before / blur);
         if (!any_below(D{} + kHardly, more)) continue;
         const D straight = minimum(relu((before - then) / kNext), D{} + 1.0);
@@ -705,8 +715,10 @@ class Following {
             stopped = maximum(stopped, likely(apart_abreast(of_.footprint, what, place, 1.01 * kFarOff * blur) / blur));
       }
       for (const int e : work_.seen) {
-        const D met = load_row(row[4]) * (1.0 - stopped) * load_row(work_.most_worth.data() + size_t(e) * CoastWork::padded(1));
-        for (size_t i = 0; i < kAbreastPlaces; ++i) work_.hit[size_t(e)] = std::min(1.0, work_.hit[size_t(e)] + met[int(i)]);
+        const D met =
+            load_row(row[4]) * (1.0 - stopped) * load_row(work_.most_worth.data() + size_t(e) * CoastWork::padded(1));
+        for (size_t i = 0; i < kAbreastPlaces; ++i)
+          work_.hit[size_t(e)] = std::min(1.0, work_.hit[size_t(e)] + met[int(i)]);
       }
     }
   }
@@ -721,7 +733,8 @@ class Following {
   void astray_slopes() {
     const State<Dual>& q = *slopes_;
     const double step = sign_ * kNext;
-    const Dual speed = size_of(q.v), whole = speed * speed / (of_.unit * of_.unit), half = 0.5 * q.omega / speed * kNext;
+    const Dual speed = size_of(q.v), whole = speed * speed / (of_.unit * of_.unit),
+               half = 0.5 * q.omega / speed * kNext;
     const double h = half.value(), ch = std::cos(h), sh = std::sin(h);
     const Dual c = q.yaw.through(cos_, -sin_), s = q.yaw.through(sin_, cos_);
     // Half of what it turns until the next moment, twice.
@@ -734,8 +747,13 @@ class Following {
       const Place<Dual> now{x, y, c * turned_c - s * turned_s, s * turned_c + c * turned_s, q.time, spread, none};
       const Place<Dual> between{q.x - 0.5 * stray.aside * s, q.y + 0.5 * stray.aside * c, c, s, q.time, spread, none};
       const Dual middle_c = now.cos * half_c - now.sin * half_s, middle_s = now.sin * half_c + now.cos * half_s;
-      const Place<Dual> next{x + step * middle_c, y + step * middle_s, middle_c * half_c - middle_s * half_s,
-                             middle_s * half_c + middle_c * half_s, q.time, spread, Dual(kNext)};
+      const Place<Dual> next{x + step * middle_c,
+                             y + step * middle_s,
+                             middle_c * half_c - middle_s * half_s,
+                             middle_s * half_c + middle_c * half_s,
+                             q.time,
+                             spread,
+                             Dual(kNext)};
       work_.seen.clear();
       for (size_t j = 0; j < work_.asked; ++j) {
         const FloorShape& who = *work_.whom[j].shape;
@@ -768,8 +786,8 @@ class Following {
   const State<Dual>* slopes_;
   CoastWork& work_;
   const double speed_, sign_, cos_, sin_;
-  double far_ = 0;       // how far a base goes at most
-  size_t farthest_ = 0;  // the stop that does
+  double far_ = 0;                                        // how far a base goes at most
+  size_t farthest_ = 0;                                   // the stop that does
   double gap_ = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
   // Of the way that is followed.
   size_t n_place_ = 0, n_stop_ = 0, row_ = 0;  // rows of stops are padded

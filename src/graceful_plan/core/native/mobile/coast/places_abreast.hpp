@@ -1,4 +1,5 @@
-// Distances and touches of several places of a way at once. Included once per instruction set, inside its own namespace.
+// Distances and touches of several places of a way at once. Included once per instruction set, inside its own
+// namespace.
 
 constexpr size_t kAbreastPlaces = size_t(kLanes<double>);
 
@@ -16,8 +17,11 @@ GP_INLINE D hypotenuse(D x, D y) { return root_of(x * x + y * y); }
 // fitted at Chebyshev nodes.
 GP_INLINE D upper_tail(D x) {
   const D size = minimum(absolute(x), D{} + 8.0), t = 1.0 / (1.0 + 0.25 * size);
-  const D tail = exponential(-0.5 * size * size) *
-                 horner(t, 3.760778425686284e-05, 0.09895096501783057, 0.10720110199643004, 0.05067068316457683, 0.24596325203425018, -0.38495766714857715, 0.923851382636801, -1.228132720438457, 1.2713776041343292, -0.8688176058626289, 0.3566747688487137, -0.08058237505294924, 0.007763002885206167);
+  const D tail = exponential(-0.5 * size * size) * horner(t, 3.760778425686284e-05, 0.09895096501783057,
+                                                          0.10720110199643004, 0.05067068316457683, 0.24596325203425018,
+                                                          -0.38495766714857715, 0.923851382636801, -1.228132720438457,
+                                                          1.2713776041343292, -0.8688176058626289, 0.3566747688487137,
+                                                          -0.08058237505294924, 0.007763002885206167);
   return x < 0 ? 1.0 - tail : tail;
 }
 
@@ -44,7 +48,8 @@ static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, 
   D least = cut;
   for (const FloorShape& part : base.parts()) {
     const D px = seen_x - part.x, py = seen_y - part.y;
-    if (!any_below(hypotenuse(px, py) - (part.around() + around), least)) continue;
+    const D within = relu(least + (part.around() + around));
+    if (!any_below(px * px + py * py, within * within)) continue;
     const D x = part.ux * px + part.uy * py, y = part.ux * py - part.uy * px;
     const double rounds = part.round + shape.round;
     if (shape.a == 0 && shape.b == 0) {
@@ -57,17 +62,18 @@ static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, 
       continue;
     }
     const D c = part.ux * ux + part.uy * uy, s = part.ux * uy - part.uy * ux, cc = absolute(c), ss = absolute(s);
-    const D overlap = maximum(maximum(absolute(x) - part.a - cc * shape.a - ss * shape.b,
-                                      absolute(y) - part.b - ss * shape.a - cc * shape.b),
-                              maximum(absolute(back_x) - shape.a - cc * part.a - ss * part.b,
-                                      absolute(back_y) - shape.b - ss * part.a - cc * part.b));
+    const D overlap = maximum(
+        maximum(absolute(x) - part.a - cc * shape.a - ss * shape.b, absolute(y) - part.b - ss * shape.a - cc * shape.b),
+        maximum(absolute(back_x) - shape.a - cc * part.a - ss * part.b,
+                absolute(back_y) - shape.b - ss * part.a - cc * part.b));
     if (!any_below(overlap - rounds, least)) continue;
     D squared = D{} + 1e300;
     for (const double a : {-1.0, 1.0})
       for (const double b : {-1.0, 1.0}) {
         const double sa = a * shape.a, sb = b * shape.b, pa = a * part.a, pb = b * part.b;
         squared = minimum(squared, beyond_squared(part.a, part.b, x + sa * c - sb * s, y + sa * s + sb * c));
-        squared = minimum(squared, beyond_squared(shape.a, shape.b, back_x + pa * c + pb * s, back_y - pa * s + pb * c));
+        squared =
+            minimum(squared, beyond_squared(shape.a, shape.b, back_x + pa * c + pb * s, back_y - pa * s + pb * c));
       }
     least = minimum(least, (overlap <= 0 ? overlap : root_of(squared)) - rounds);
   }

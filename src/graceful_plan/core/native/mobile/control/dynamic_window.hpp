@@ -69,7 +69,7 @@ class FloorPath {
 class DynamicWindow {
  public:
   DynamicWindow(const CoastingArrays& of, const DriveLimits& limits, const WindowSettings& settings)
-      : coasting_(of), limits_(limits), set_(settings) {}
+      : coasting_(of, gp::choose("auto").name), limits_(limits), set_(settings) {}
 
   struct Choice {
     double v = 0, omega = 0, score = 0, clearance = 0, impact = 0;

@@ -12,7 +12,7 @@
 #include <queue>
 #include <vector>
 
-#include "mobile/coast/coasting.hpp"
+#include "mobile/coast/floor_shape.hpp"
 
 namespace gp::lattice {
 
