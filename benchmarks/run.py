@@ -65,6 +65,7 @@ SUBJECTS = (
     "moving_entities",
     "walking_past",
     "driving",
+    "driven_tasks",
     "mobile_prevention",
     "other_floors",
     "whole_body",
@@ -95,6 +96,7 @@ ON_REQUEST = frozenset(
         "lattice",
         "floor_maps",
         "policies",
+        "driven_tasks",
         "mobile_prevention",
         "other_floors",
     }

@@ -94,7 +94,7 @@ def rounds(budget: Budget, seconds: float = _FIRST_ROUND_SECONDS, *, restarts: b
     iterations = _FIRST_ROUND_ITERATIONS
     while not budget.exhausted:
         timed = restarts and budget.timed and budget.remaining_seconds > 2.0 * seconds
-        counted = restarts and budget.remaining_iterations > 2 * iterations
+        counted = restarts and not budget.timed and budget.remaining_iterations > 2 * iterations
         with budget.share(seconds if timed else np.inf, iterations if counted else np.inf) as part:
             yield part
         if not restarts or (not budget.timed and part.spent == 0):

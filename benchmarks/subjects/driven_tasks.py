@@ -1,0 +1,167 @@
+"""Tasks of robots that drive: the first verified motion, limits of time, duration at w = 0, and what w changes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+import graceful_plan as gp
+from benchmarks import report, suite
+
+Array = np.ndarray
+
+TITLE = "Robots that drive: bundled tasks, first motions, durations and what w changes"
+LIMITS = (0.5, 1.0, 2.0, 5.0)
+"""Limits of time that are to be kept [s]."""
+LONG = 5.0
+"""Limit of the calls whose motions are compared [s]."""
+SEEDS = 3
+MEASURED = f"""\
+Every task of the mobile scenes ({", ".join(gp.mobile_scenes())}), with what is carried and who walks; scenes are
+compiled and warm, one call at a time, {SEEDS} seeds. "First" is `plan(stop="first")` at the default weight. The lower
+bound of a duration is that of the straight line between both ends at top speed, with accelerations and the turns that
+the headings at both ends ask for; walls and people make it longer. Impact is that of the default model; "others" is
+without the loss of what is carried itself. Motions at w = 0 and at the default weight are of calls of {LONG:g} s.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What came of one task; medians over seeds."""
+
+    name: str
+    first: float
+    """Time to the first verified motion [s]."""
+    late: tuple[float, ...]
+    """By how much each call of each limit ended late [s]."""
+    unsolved: int
+    bound: float
+    """Of the duration [s]."""
+    duration: tuple[float, float]
+    """At w = 0, and at the default weight [s]."""
+    impact: tuple[float, float]
+    others: tuple[float, float]
+    worse: float
+    """By how much J at the default weight is above that of the motion for w = 0, as a share."""
+
+
+def run(options: suite.Options) -> str:
+    """Measure all tasks."""
+    names = [f"{scene}/{task}" for scene in gp.mobile_scenes() for task in gp.load_scene(scene).tasks]
+    names = list(suite.chosen(names[:2] if options.quick else names, options.tasks))
+    found = [_examined(name, options) for name in names]
+    return "\n".join([MEASURED, report.targets(_targets(found)), report.table(HEADER, [_row(one) for one in found])])
+
+
+HEADER = ("task", "first [ms]", "bound [s]", "w = 0 [s]", "default [s]", "impact, w = 0", "default", "x less",
+          "others, x less")  # fmt: skip
+
+
+def _examined(name: str, options: suite.Options) -> Task:
+    scene_name, task_name = name.split("/")
+    task = gp.load_scene(scene_name).tasks[task_name]
+    scene, seeds = task.scene, range(options.pick(SEEDS, quick=1))
+    gp.plan(task.start, task.goal, scene, stop="first", time_limit=30.0)
+    first, late, unsolved = [], [], 0
+    for seed in seeds:
+        began = time.perf_counter()
+        result = gp.plan(task.start, task.goal, scene, stop="first", time_limit=10.0, seed=seed)
+        first.append(time.perf_counter() - began)
+        unsolved += result.trajectory is None
+        for limit in options.pick(LIMITS, quick=LIMITS[:1]):
+            began = time.perf_counter()
+            result = gp.plan(task.start, task.goal, scene, time_limit=limit, seed=seed)
+            late.append(time.perf_counter() - began - limit)
+            unsolved += result.trajectory is None
+    motions = {w: [_motion(task, w, seed, options) for seed in seeds] for w in (0.0, None)}
+    objective = gp.Objective()
+    charged = {w: [gp.evaluate(one, scene, objective) for one in of] for w, of in motions.items()}
+    plain, ours = (float(np.median([cost.total for cost in charged[w]])) for w in (0.0, None))
+    return Task(
+        name=name,
+        first=float(np.median(first)),
+        late=tuple(late),
+        unsolved=unsolved,
+        bound=_bound(motions[0.0][0], scene),
+        duration=_medians({w: [one.duration for one in of] for w, of in motions.items()}),
+        impact=_medians({w: [cost.impact for cost in of] for w, of in charged.items()}),
+        others=_medians({w: [_of_others(cost, scene) for cost in of] for w, of in charged.items()}),
+        worse=ours / plain - 1.0,
+    )
+
+
+def _motion(task: gp.Task, w: float | None, seed: int, options: suite.Options) -> gp.Trajectory:
+    seconds = options.seconds or options.pick(LONG, quick=1.0)
+    return gp.plan(task.start, task.goal, task.scene, w=w, time_limit=seconds, seed=seed).unwrap()
+
+
+def _medians(of: dict[float | None, list[float]]) -> tuple[float, float]:
+    return float(np.median(of[0.0])), float(np.median(of[None]))
+
+
+def _of_others(cost: gp.CostBreakdown, scene: gp.Scene) -> float:
+    own = scene.carried.body if scene.carried is not None else None
+    return sum(value for name, value in cost.impact_by_entity.items() if name != own)
+
+
+def _bound(motion: gp.Trajectory, scene: gp.Scene) -> float:
+    """Return a duration that no motion between the same ends is below [s]."""
+    base = scene.base
+    assert base is not None
+    (x0, y0, yaw0), (x1, y1, yaw1) = motion.q[0, :3], motion.q[-1, :3]
+    length = float(np.hypot(x1 - x0, y1 - y0))
+    reach = base.v_max**2 / base.a_max
+    drives = length / base.v_max + base.v_max / base.a_max if length > reach else 2.0 * np.sqrt(length / base.a_max)
+    turn = abs(float(np.remainder(yaw1 - yaw0 + np.pi, 2.0 * np.pi) - np.pi))
+    arm = np.abs(motion.q[-1, 3:] - motion.q[0, 3:]) / scene.limits.velocity[3:]
+    return max(drives, turn / base.omega_max, float(arm.max(initial=0.0)))
+
+
+def _row(one: Task) -> list[str]:
+    ratios = [of[0] / max(of[1], 1e-9) for of in (one.impact, one.others)]
+    return [
+        one.name,
+        f"{1e3 * one.first:.0f}",
+        f"{one.bound:.1f}",
+        f"{one.duration[0]:.1f}",
+        f"{one.duration[1]:.1f}",
+        f"{one.impact[0]:.2f}",
+        f"{one.impact[1]:.2f}",
+        f"{ratios[0]:.2f}",
+        f"{ratios[1]:.2f}",
+    ]
+
+
+def _targets(found: list[Task]) -> Iterator[report.Target]:
+    first = np.array([one.first for one in found])
+    median, most = float(np.median(first)), float(np.quantile(first, 0.95))
+    yield report.Target(
+        what="first verified motion at the default weight, median and 95 % of tasks",
+        wanted="<= 0.5 s, <= 1 s",
+        measured=f"{median:.2f} s, {most:.2f} s",
+        met=median <= 0.5 and most <= 1.0,
+    )
+    late = float(np.quantile(np.concatenate([one.late for one in found]), 0.99))
+    yield report.Target(
+        what="calls that end after their limit, 99 %", wanted="<= 50 ms", measured=f"{1e3 * late:.0f} ms",
+        met=late <= 0.05,
+    )  # fmt: skip
+    yield report.none_of("calls without a motion", sum(one.unsolved for one in found), "none")
+    longer = np.array([one.duration[0] / one.bound - 1.0 for one in found])
+    yield report.Target(
+        what="duration at w = 0 above the lower bound, median", wanted="<= 20 %",
+        measured=f"{100 * np.median(longer):.0f} %, at most {100 * longer.max():.0f} %",
+        met=bool(np.median(longer) <= 0.2),
+    )  # fmt: skip
+    less = np.median([one.impact[0] / max(one.impact[1], 1e-9) for one in found])
+    slower = np.median([one.duration[1] / one.duration[0] for one in found])
+    yield report.Target(
+        what="predicted impact at the default weight against w = 0, median", wanted="2 x less, <= 15 % longer",
+        measured=f"{less:.2f} x less, {100 * (slower - 1.0):+.0f} %", met=bool(less >= 2.0 and slower <= 1.15),
+    )  # fmt: skip
+    yield report.none_of(
+        "tasks whose J is above that of the motion for w = 0", sum(one.worse > 1e-9 for one in found), "none"
+    )
