@@ -92,9 +92,8 @@ def plan(
         stop: When to end: "first" with the first verified motion, "converged" once 32 descents in a row have improved
             the best motion by less than 0.1 %, "time_limit" with the time limit and the iterations. The last is the
             default of calls that have a limit of their own; others end once they have converged, at most after 1 s.
-            Robots that drive do not converge: they use the time limit, or end with the first motion.
         refine: Whether paths become smooth motions that descend along the objective. Without, the motion is along the
-            planner's own path, its corners cut as far as that is free. For arms.
+            planner's own path, its corners cut as far as that is free; robots that drive stop at its corners.
         seed: Of all random numbers.
         speed: In (0, 1]: fraction of the velocity limits to use.
         risk: What of the distribution of impact counts: "expectation", "cvar" (the mean of the worst tenth; another

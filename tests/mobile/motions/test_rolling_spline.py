@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.mobile.motions.drive import Drive, Move, joined
+from graceful_plan.mobile.motions.drive import Drive, StraightMove, joined
 from graceful_plan.mobile.motions.drive_limits import drive_limits
 from graceful_plan.mobile.motions.drive_timing import slower
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
@@ -117,4 +117,7 @@ def test_moves_that_lead_nowhere_are_left_out():
     curve = rolling()
     ends = curve.samples[[0, -1]]
     assert [type(part) for part in joined(ends[0], [curve], ends[1]).parts] == [RollingSpline]
-    assert [type(part) for part in joined(ends[0] + [0, 0, 0.5], [curve], ends[1]).parts] == [Move, RollingSpline]
+    assert [type(part) for part in joined(ends[0] + [0, 0, 0.5], [curve], ends[1]).parts] == [
+        StraightMove,
+        RollingSpline,
+    ]

@@ -5,7 +5,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.mobile.motions.carry_postures import carry_postures, with_posture
-from graceful_plan.mobile.motions.legs import Leg, along_ways, routes
+from graceful_plan.mobile.motions.legs import RollingLeg, along_ways, routes
 from graceful_plan.mobile.motions.ways import ways
 from graceful_plan.planners.scene_problem import SceneProblem
 from hall import hall
@@ -33,7 +33,7 @@ def test_there_is_no_way_through_walls_nor_to_where_it_is():
 def test_the_gear_that_needs_no_turns_comes_first(yaw, forward):
     start, goal = (np.array([*end[:2], yaw]) for end in (WEST, EAST))
     (first,) = next(along_ways([np.stack([WEST[:2], EAST[:2]])], start, goal, reverse=True))
-    assert isinstance(first, Leg) and first.forward is forward
+    assert isinstance(first, RollingLeg) and first.forward is forward
     assert not (first.turns_before or first.turns_after)
 
 

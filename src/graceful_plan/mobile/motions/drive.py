@@ -22,7 +22,7 @@ _FULL = 0.98
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
+class StraightMove:
     """A turn in place, or a move of the arm: straight in joint space.
 
     Args:
@@ -53,7 +53,7 @@ class Drive:
         parts: At least one; each begins where the one before ends.
     """
 
-    parts: tuple[RollingSpline | Move, ...]
+    parts: tuple[RollingSpline | StraightMove, ...]
 
     def grid(self, density: int) -> CurveGrid:
         """Sample it for timing; see `Curve`."""
@@ -91,7 +91,7 @@ def joined(
         curves: Curves, and moves of the arm as their two configurations, of which the headings do not count.
         end: Last configuration, at any whole turn of the heading.
     """
-    parts: list[RollingSpline | Move] = []
+    parts: list[RollingSpline | StraightMove] = []
     heading = start[2]
     for curve in curves:
         if isinstance(curve, RollingSpline):
@@ -101,7 +101,7 @@ def joined(
             parts.append(rolled)
             heading = rolled.samples[-1, 2]
         elif np.abs(curve[1] - curve[0])[[0, 1, *range(3, curve.shape[1])]].max() > _SAME:
-            parts.append(Move(with_heading(curve[0], heading), with_heading(curve[1], heading)))
+            parts.append(StraightMove(with_heading(curve[0], heading), with_heading(curve[1], heading)))
     parts += _turn(end, heading, nearest(end[2], heading))
     return Drive(tuple(parts))
 
@@ -118,5 +118,5 @@ def nearest(heading: float, to: float) -> float:
     return float(to + np.remainder(heading - to + np.pi, 2.0 * np.pi) - np.pi)
 
 
-def _turn(q: Float[Array, " nq"], a: float, b: float) -> Iterable[Move]:
-    return [Move(with_heading(q, a), with_heading(q, b))] if abs(b - a) > _SAME else []
+def _turn(q: Float[Array, " nq"], a: float, b: float) -> Iterable[StraightMove]:
+    return [StraightMove(with_heading(q, a), with_heading(q, b))] if abs(b - a) > _SAME else []

@@ -10,7 +10,7 @@ import numpy as np
 
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.costs.still import as_if_nobody_moved
-from graceful_plan.mobile.motions.legs import Leg, Route, along_ways, routes
+from graceful_plan.mobile.motions.legs import RollingLeg, Route, along_ways, routes
 from graceful_plan.mobile.motions.rolling_spline import RollingCurves
 from graceful_plan.mobile.motions.ways import ways
 from graceful_plan.mobile.planners.drive_lattice import DriveLattice
@@ -75,7 +75,7 @@ class DriveRoutes:
         whole, arrival = self._ends.joined(path)
         return [(route, arrival) for route in routes(path)] if whole.length > 0.0 else []
 
-    def start(self, leg: Leg, arrival: int) -> Start:
+    def start(self, leg: RollingLeg, arrival: int) -> Start:
         """Return a leg as a start of descents."""
         kind = RollingCurves(
             self._base,

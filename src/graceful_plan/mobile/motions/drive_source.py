@@ -18,7 +18,7 @@ from graceful_plan.mobile.motions.drive import Drive, joined
 from graceful_plan.mobile.motions.drive_routes import DriveRoutes, as_if_still
 from graceful_plan.mobile.motions.drive_starts import DriveStarts, smooth
 from graceful_plan.mobile.motions.drive_timing import along, charged, timed_drive
-from graceful_plan.mobile.motions.legs import ArmMove, Leg, Route
+from graceful_plan.mobile.motions.legs import ArmMove, RollingLeg, Route
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
 from graceful_plan.planners.descent_rounds import descend_from
@@ -41,6 +41,8 @@ _SPACING = 0.6
 """Greatest length of a leg for each control point [m]."""
 _SEARCH_SHARE, _PREPARING_SHARE = 0.3, 0.4
 """Of a round, for starts: of this, for searching paths."""
+_COMPOSED_SHARE = 0.3
+"""Of the rest of a round, for one route of several legs."""
 _WORTH_TIMING = 1.1
 """Ratio of a curve's J to that of the best up to which it is timed."""
 _TRIED, _COMPARED = 8, 3
@@ -66,20 +68,22 @@ class DriveSource:
 
     def __init__(self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator) -> None:
         self._request, self._ends, self._problem, self._rng = request, ends, problem, rng
-        found = motion_descents(request, problem, DescentSettings())
+        found = motion_descents(request, problem, DescentSettings()) if request.refine else None
         self._descents = None if found is None else replace(found, price=DRIVING_TIME_PRICE, spacing=_SPACING)
         self._starts = None if self._descents is None else DriveStarts(self._descents)
         self._plain: DriveSource | None = None
         of = request.objective
-        if of.w > 0.0:
+        if of.w > 0.0 and self._descents is not None:
             short = of.objective.with_weight(0.0).bind(of.scene, of.paces)
             self._plain = DriveSource(
                 replace(request, objective=short, preference=None), ends, problem, rng.spawn(1)[0]
             )
+            self._routes = self._plain._routes
         else:
             self._routes = DriveRoutes(request, ends, problem, rng.spawn(1)[0])
         self._rough: list[Start] = []
         self._composed: list[tuple[Route, int]] = []
+        self._new_composed: list[tuple[Route, int]] = []
         self._first: tuple[Drive, int] | None = None
         self._results: list[DescentResult] = []
         self._best: Start | None = None
@@ -166,21 +170,23 @@ class DriveSource:
         if self._descents is None or self._starts is None:
             return
         yield from self._timed(one for one in self._pose(budget) if one.value < self._ranking)
-        starts = self._starts.take(_STARTS, again=not self._results)
-        yield from self._timed(
-            self._worth_timing(descend_from(starts, self._descents, budget, self._rng, self._results))
-        )
-        while self._composed and not budget.over:
-            motion = self._descended(*self._composed.pop(0), budget)
+        if self._composed:
+            with budget.share(_COMPOSED_SHARE * budget.remaining_seconds) as part:
+                motion = self._descended(*self._composed.pop(0), part)
             if motion is not None:
                 yield motion
+        starts = self._starts.take(_STARTS, again=not self._results)
+        results = descend_from(starts, self._descents, budget, self._rng, self._results)
+        yield from self._timed(self._worth_timing(results))
 
     def _prepared(self, budget: Budget) -> Iterator[Motion]:
         """Add starts; yield the motions that come of them as they are."""
         if self._plain is not None:
             for plain in self._plain.round(budget, np.inf):
                 yield charged(plain, self._request)
-            self._rough += self._plain.take_curves()
+            curves, routes = self._plain.take()
+            self._rough += curves
+            self._composed += routes
         else:
             with budget.share(_SEARCH_SHARE * budget.remaining_seconds) as part:
                 self._routes.search(part)
@@ -189,10 +195,11 @@ class DriveSource:
                 self._path_cost = min(self._path_cost, found.trace[-1].total)
             for route, arrival in self._routes.new():
                 leg = route[0]
-                if len(route) == 1 and isinstance(leg, Leg):
+                if len(route) == 1 and isinstance(leg, RollingLeg):
                     self._rough.append(self._routes.start(leg, arrival))
                 else:
                     self._composed.append((route, arrival))
+                    self._new_composed.append((route, arrival))
         if self._descents is None or self._starts is None:  # nothing descends along these costs
             for path in [] if self._plain is not None else self._routes.searched.paths[-1:]:
                 yield along(*self._ends.joined(path), self._request)
@@ -204,9 +211,10 @@ class DriveSource:
                 self._curves.append(curve)
                 yield from self._timed(one for one in self._starts.add(curve) if one.value < self._ranking)
 
-    def take_curves(self) -> list[Start]:
-        """Take the curves that were found since they were taken last, as starts of descents along another objective."""
-        taken, self._curves = self._curves, []
+    def take(self) -> tuple[list[Start], list[tuple[Route, int]]]:
+        """Take curves, and routes of several legs, that are new since they were taken last: to begin with elsewhere."""
+        taken = self._curves, self._new_composed
+        self._curves, self._new_composed = [], []
         return taken
 
     def _worth_timing(self, results: Iterator[DescentResult]) -> Iterator[DescentResult]:
@@ -248,9 +256,9 @@ class DriveSource:
         """Return a motion along a route whose legs descend one after the other."""
         assert self._descents is not None
         chosen: list[RollingSpline | ArmMove] = []
-        legs = sum(isinstance(part, Leg) for part in route)
+        legs = sum(isinstance(part, RollingLeg) for part in route)
         for part in route:
-            if not isinstance(part, Leg):
+            if not isinstance(part, RollingLeg):
                 chosen.append(part)
                 continue
             with budget.share(budget.remaining_seconds / legs) as share:
@@ -272,7 +280,7 @@ class DriveSource:
         chosen: list[RollingSpline | ArmMove] = []
         value, start = 0.0, None
         for part in route:
-            if not isinstance(part, Leg):
+            if not isinstance(part, RollingLeg):
                 chosen.append(part)
                 continue
             found = self._descents.first(self._routes.start(part, arrival), budget)

@@ -26,7 +26,7 @@ _SMALL = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class RollingLeg:
     """What a base rolls in one gear, with turns in place before and after where there may be any.
 
     | field        | meaning                                             | unit     | shape     |
@@ -44,7 +44,7 @@ class Leg:
 
 
 ArmMove = Float[Array, "2 nq"]
-Route = tuple[Leg | ArmMove, ...]
+Route = tuple[RollingLeg | ArmMove, ...]
 """Legs, and moves of the arm where the base stands."""
 
 
@@ -53,7 +53,7 @@ def routes(path: Path) -> Iterator[Route]:
     parts = stages(path)
     route = tuple(_parts(parts))
     yield from _turning(_arm_moved_on_the_way(route))
-    if any(not isinstance(part, Leg) for part in route):
+    if any(not isinstance(part, RollingLeg) for part in route):
         yield from _turning(route)
 
 
@@ -83,7 +83,7 @@ def along_ways(
                 for after in (False, True) if off[1] > _SMALL else (False,):
                     needless = sum(turns != wanted for turns, wanted in zip((before, after), sharp, strict=True))
                     rank = done[-1] + sum(off) + 0.5 * needless + _BACKWARD * (not forward)
-                    found.append((rank, (Leg(q, forward, before, after),)))
+                    found.append((rank, (RollingLeg(q, forward, before, after),)))
     yield from (route for _, route in sorted(found, key=lambda one: one[0]))
 
 
@@ -93,10 +93,10 @@ def _off(direction: Float[Array, "2"], heading: float, forward: bool) -> float:
     return float(abs(np.remainder(wanted - heading + np.pi, 2.0 * np.pi) - np.pi))
 
 
-def _parts(parts: list[DriveStage]) -> Iterator[Leg | ArmMove]:
+def _parts(parts: list[DriveStage]) -> Iterator[RollingLeg | ArmMove]:
     """Yield legs and moves of the arm; turns in place belong to the legs beside them."""
     before: Float[Array, " nq"] | None = None
-    leg: Leg | None = None
+    leg: RollingLeg | None = None
     for stage in parts:
         if stage.kind is Move.TURN:
             if leg is not None:
@@ -110,7 +110,7 @@ def _parts(parts: list[DriveStage]) -> Iterator[Leg | ArmMove]:
             yield stage.q[[0, -1]]
             continue
         q = stage.q if before is None else np.concatenate([with_heading(stage.q[0], before[2])[None], stage.q[1:]])
-        leg = Leg(q, stage.kind is Move.FORWARD, turns_before=before is not None)
+        leg = RollingLeg(q, stage.kind is Move.FORWARD, turns_before=before is not None)
         before = None
     if leg is not None:
         yield leg
@@ -120,35 +120,35 @@ def _parts(parts: list[DriveStage]) -> Iterator[Leg | ArmMove]:
 
 def _turning(route: Route) -> Iterator[Route]:
     """Yield a route whose curves turn instead of the base in place, at its ends, where that makes a difference."""
-    legs = [k for k, part in enumerate(route) if isinstance(part, Leg)]
+    legs = [k for k, part in enumerate(route) if isinstance(part, RollingLeg)]
     if not legs:
         yield route
         return
     first, last = route[legs[0]], route[legs[-1]]
-    assert isinstance(first, Leg)
-    assert isinstance(last, Leg)
+    assert isinstance(first, RollingLeg)
+    assert isinstance(last, RollingLeg)
     for before in (False, True) if first.turns_before else (False,):
         for after in (False, True) if last.turns_after else (False,):
             changed = list(route)
             changed[legs[0]] = replace(first, turns_before=before)
             of = changed[legs[-1]]
-            assert isinstance(of, Leg)
+            assert isinstance(of, RollingLeg)
             changed[legs[-1]] = replace(of, turns_after=after)
             yield tuple(changed)
 
 
 def _arm_moved_on_the_way(route: Route) -> Route:
     """Return a route whose arm moves along its longest leg, from where it is at the start to where it is at the end."""
-    legs = [k for k, part in enumerate(route) if isinstance(part, Leg)]
+    legs = [k for k, part in enumerate(route) if isinstance(part, RollingLeg)]
     if not legs:
         return route
-    arms = [part.q if isinstance(part, Leg) else part for part in route]
+    arms = [part.q if isinstance(part, RollingLeg) else part for part in route]
     first, last = arms[0][0, 3:], arms[-1][-1, 3:]
     longest = max(legs, key=lambda k: float(np.linalg.norm(np.diff(arms[k][:, :2], axis=0), axis=1).sum()))
-    changed: list[Leg | ArmMove] = []
+    changed: list[RollingLeg | ArmMove] = []
     for k in legs:
         leg = route[k]
-        assert isinstance(leg, Leg)
+        assert isinstance(leg, RollingLeg)
         q = leg.q.copy()
         done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q[:, :2], axis=0), axis=1))])
         share = done[:, None] / max(done[-1], 1e-9) if k == longest else float(k > longest)
