@@ -1,7 +1,7 @@
-"""Postures of the arm in which little would be harmed along a motion: where to begin, for descents move the arm on.
+"""Postures of the arm that lower the impact along a motion: initial guesses for descents.
 
-Candidates are drawn around the postures at both ends, and moved to where what has to stay level does. The few are kept
-that cost least along the whole motion, the arm's own way there and back included.
+Candidates are random postures around those at both ends, projected onto the constraints that keep a vessel level. The
+few with the least cost along the whole motion are kept; the cost includes the motion of the arm to a posture and back.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ Array = np.ndarray
 _BASE = 3
 """Joints of the base, before those of the arm."""
 _DRAWN, _SHORTLIST = 3000, 80
-"""Candidates, and those that are looked at along the whole motion."""
+"""Candidates, and how many of them are evaluated along the whole motion."""
 _SCALES = (0.4, 1.5)
-"""Standard deviation of how far joints move, from the first candidate to the last [rad, or share of a short range]."""
+"""Standard deviation of the joint displacements, from the first candidate to the last [rad, or share of a range]."""
 _MOVED = 0.5
 """Share of the joints that do."""
 _PLACES = 6
@@ -28,7 +28,7 @@ _PLACES = 6
 _FREE_SHARE = 0.6
 """Of these, where a posture has to be free: at both ends of a motion there may be less room."""
 _KEPT, _APART = 3, 0.3
-"""Postures, and how far apart they are somewhere [rad or m]."""
+"""Number of postures, and the least difference between two of them in some joint [rad or m]."""
 _RAMP = 0.3
 """Share of a motion in which the arm gets there, and in which it goes on to the end."""
 
@@ -40,8 +40,8 @@ def carry_postures(
 
     Args:
         motion: The motion.
-        problem: What has to be free, and to be kept level.
-        objective: What is minimised.
+        problem: Collision and constraints.
+        objective: The cost to minimise, as if nothing moved.
         rng: For candidates.
     """
     ends = motion.q[[0, -1], _BASE:]
@@ -49,7 +49,7 @@ def carry_postures(
     state, seconds = motion.at(t), motion.duration / _PLACES
     now = objective.quick_states(state.q, state.qd)
     arms = _candidates(ends, problem, rng)
-    # Those that are good in one place are looked at in all.
+    # Candidates that are good in one place are evaluated in all.
     middle = slice(_PLACES // 2, _PLACES // 2 + 1)
     there = _with_arms(state.q[middle], arms)
     free = problem.states_free(there)
@@ -91,7 +91,7 @@ def _with_arms(rows: Float[Array, "place nq"], arms: Float[Array, "posture arm"]
 
 
 def _candidates(ends: Float[Array, "2 arm"], problem: SceneProblem, rng: np.random.Generator) -> Float[Array, "n arm"]:
-    """Draw postures: some joints elsewhere, and the others moved until what has to be level is."""
+    """Return random postures, projected onto the constraints."""
     lower, upper = problem.lower[_BASE:], problem.upper[_BASE:]
     shape = _DRAWN, ends.shape[1]
     scale = np.linspace(*_SCALES, _DRAWN)[:, None] * np.minimum(1.0, upper - lower)

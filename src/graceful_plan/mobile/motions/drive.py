@@ -1,4 +1,4 @@
-"""What a base with an arm travels: smooth curves that it rolls along, turns in place and moves of the arm between."""
+"""Curves of a whole motion of a base with an arm: smooth curves to roll along, turns in place, motions of the arm."""
 
 from __future__ import annotations
 

@@ -100,12 +100,12 @@ class DriveRoutes:
 
 
 def as_if_still(of: SceneObjective) -> SceneObjective:
-    """Return an objective as if nobody moved."""
+    """Return an objective in the same scene without moving entities."""
     return of.objective.bind(as_if_nobody_moved(of.scene), of.paces) if of.scene.moving else of
 
 
 def _search_as_if_nobody_moved(request: Request, problem: SceneProblem, rng: np.random.Generator) -> PausedSearch:
-    """Return a search for paths: it knows no times, at which somebody might be in the way."""
+    """Return a search for paths without moving entities: a search knows no times."""
     of = request.objective
     if of.scene.moving and not isinstance(request.planner, FloorInTime):
         of = as_if_still(of)

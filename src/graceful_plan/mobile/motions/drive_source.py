@@ -1,7 +1,7 @@
 """Motions of a base: curves descend from ways over the floor and from paths of a lattice, and are timed.
 
-Ways over the floor know no headings: most of them are good to begin with, and found in milliseconds. Where no curve
-near one of them is free, the lattice finds a path with turns in place and changes of gear.
+Ways over the floor ignore headings. They are found in milliseconds, and most of them are good initial guesses. Where no
+curve near a way is free of collision, the lattice finds a path with turns in place and changes of gear.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _WORTH_TIMING = 1.1
 _TRIED, _COMPARED = 8, 3
 """Routes that are tried for a first motion at most, and of how many that are free it is the best."""
 _STARTS = 3
-"""Curves that a round begins with, besides those that it refines."""
+"""New curves that descend in a round."""
 _BASE = 3
 """Joints of the base, before those of the arm."""
 _ANOTHER_DRAW = 0.3

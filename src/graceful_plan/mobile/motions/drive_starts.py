@@ -23,7 +23,7 @@ Array = np.ndarray
 _LOOK = replace(MIDDLE, evaluations=0)
 """Tells J of a curve as it is."""
 _PACES = ((0.6, 0.0, 1.0), (0.35, 0.0, 1.0), (0.25, 0.0, 0.3), (0.25, 0.2, 0.5), (0.25, 0.4, 0.7))
-"""Shares of the speed at which curves begin that lead into somebody, and from where to where along them."""
+"""Initial shares of the speed for curves that collide with a moving entity, and the part of the curve they hold for."""
 _KEPT = 2
 """Variants of a curve."""
 _POINTS = 64
@@ -35,7 +35,7 @@ class DriveStarts:
     """Curves that wait to descend.
 
     Args:
-        descents: What they wait for.
+        descents: The descents they are for.
     """
 
     def __init__(self, descents: MotionDescents) -> None:
@@ -45,7 +45,7 @@ class DriveStarts:
         self._arms: list[Float[Array, " arm"]] = []
 
     def pose(self, best: Start, arms: Float[Array, "posture arm"]) -> Iterator[DescentResult]:
-        """Let the arm begin in other postures, along the best curve so far and along all that come later.
+        """Add variants of the best curve with other postures of the arm; curves that are added later get them, too.
 
         Yields curves that are free, with J as they are.
         """
@@ -58,7 +58,7 @@ class DriveStarts:
         yield from self._look(start, self._arms)
 
     def take(self, most: int, *, again: bool) -> list[Start]:
-        """Take those that promise most; if none are left and it is asked for, all once more."""
+        """Take the curves with the least J. If none are left, `again` returns those that were taken before."""
         if again and not self._waiting:
             self._waiting, self._tried = self._tried, []
         taken, self._waiting = self._waiting[:most], self._waiting[most:]
@@ -72,7 +72,7 @@ class DriveStarts:
             return
         looked.sort(key=_value)
         _, best, gap = looked[0]
-        if gap < 0.0:  # somebody may be let pass
+        if gap < 0.0:
             looked += [found for slower in _paced(best) if (found := self._value(slower))]
             looked.sort(key=_value)
         self._waiting += [(value, one) for value, one, _ in looked[:_KEPT]]

@@ -19,9 +19,9 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _INTO = 1e6
-"""Added to the ranking of motions that drive into somebody."""
+"""Added to the ranking of motions that collide with a moving entity."""
 _STANDING = 0.01
-"""Speed of all joints below which a robot does not drive into anybody, but is walked into [m/s or rad/s]."""
+"""Speed of every joint below which the robot stands: a moving entity then walks into it [m/s or rad/s]."""
 _FREE = 1e9
 """Squared path speed where nothing is to be slower."""
 
@@ -80,7 +80,7 @@ def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]
 
 
 def _ranked(motion: Motion, request: Request) -> Motion:
-    """Rank motions that drive into somebody behind all others."""
+    """Rank motions that collide with a moving entity behind all others."""
     return replace(motion, ranking=motion.ranking + _INTO * _drives_into_somebody(motion.trajectory, request))
 
 

@@ -1,4 +1,4 @@
-"""From paths of straight stretches and turns in place to legs: what a base rolls in one gear, where descents begin.
+"""From paths of straight stretches and turns in place to legs: what a base drives in one gear.
 
 Turns at either end of a leg are free: a curve may turn instead, partly or as a whole.
 """
@@ -27,7 +27,7 @@ _SMALL = 0.3
 
 @dataclass(frozen=True, eq=False)
 class RollingLeg:
-    """What a base rolls in one gear, with turns in place before and after where there may be any.
+    """A part of a route in one gear, with turns in place before and after where the route has them.
 
     | field        | meaning                                             | unit     | shape     |
     |--------------|-----------------------------------------------------|----------|-----------|

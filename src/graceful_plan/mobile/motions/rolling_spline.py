@@ -18,8 +18,8 @@ from graceful_plan.timing.spline import Spline
 Array = np.ndarray
 
 _INTERVALS, _BY_METRE = 128, 25.0
-"""Of the coarsest grid: in all and by length [1/m], at least. Between the points of such a grid, what moves sideways at
-2 m/s stays below 0.2 mm/s."""
+"""Of the coarsest grid: in all and by length [1/m], at least. Between the points of such a grid, the
+sideways speed stays below 0.2 mm/s at 2 m/s."""
 _LEAST_SQUARED = 1e-12
 """Squared length of a tangent below which a curve has no direction."""
 
@@ -54,7 +54,7 @@ class RollingSpline:
         return self._at(np.linspace(0.0, self.spans, n))[0]
 
     def with_controls(self, n: int) -> RollingSpline:
-        """Return the same curve, or one close to it, with so many control points."""
+        """Return the same curve, or one close to it, with `n` control points."""
         return replace(self, controls=Spline(self.controls).with_controls(n).controls)
 
     def share(self, u: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -1,8 +1,8 @@
 """Ways of a base over the floor: short ones that differ, as descents begin with them.
 
 A disc goes over the cells of a map that is cut out of the scene; a small one gets through everywhere, a large one keeps
-clear. Then again with what is near the ways so far made dear, until nothing new is found. No way is checked for
-collision with the robot: descents from it are.
+clear. Further searches add a cost to cells near the ways that were found before, until no new way is found. Ways are
+not checked for collision of the robot: the curves that descend from them are.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _CELL, _AROUND = 0.05, 8.0
-"""Width of a cell, and how far beyond both ends the map reaches [m]."""
+"""Width of a cell, and the margin of the map around both ends [m]."""
 _SHARES = (0.0, 0.5)
 """Of the way from the disc inside the robot to the one around it: what keeps clear."""
 _MOST, _NEAR, _DEAR = 4, 0.6, 1.5
-"""Ways at most; cells within so many metres of one cost so many times more in the search for another."""
+"""Number of ways at most; distance from a way within which cells cost more [m], and their cost for each metre."""
 _APART = 0.4
 """Distance by which ways differ somewhere [m]."""
 _LOOKED_AT = 40
@@ -85,7 +85,7 @@ def _differs(way: Float[Array, "point 2"], others: Sequence[Float[Array, "_ 2"]]
 
 
 def _dear(floor: FloorMap, found: Sequence[Float[Array, "_ 2"]]) -> Float[Array, "row column"]:
-    """Return what cells near ways cost besides."""
+    """Return the additional cost of cells near ways."""
     near = np.zeros(floor.shape, dtype=np.uint8)
     for way in found:
         n = int(np.ceil(np.linalg.norm(np.diff(way, axis=0), axis=1).sum() / floor.resolution)) + 2

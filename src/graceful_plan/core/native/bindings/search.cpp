@@ -375,7 +375,8 @@ class DescentRun {
 class MotionDescentRun {
  public:
   MotionDescentRun(Space& space, Reals path, const MotionSettings& settings, const RollingSettings* rolling)
-      : space_(space), descent_(checked(space, settings), path_in(space, path), settings, curve(space, settings, rolling)) {}
+      : space_(space),
+        descent_(checked(space, settings), path_in(space, path), settings, curve(space, settings, rolling)) {}
   // At most so many evaluations or seconds; after how many of them there was still something to gain.
   int run(int steps, double seconds) {
     require_slice(steps, seconds);
@@ -402,7 +403,8 @@ class MotionDescentRun {
   }
 
  private:
-  static std::unique_ptr<MotionCurve> curve(const Space& space, const MotionSettings& of, const RollingSettings* rolling) {
+  static std::unique_ptr<MotionCurve> curve(const Space& space, const MotionSettings& of,
+                                            const RollingSettings* rolling) {
     if (!rolling) return nullptr;
     require(space.dim >= 3, "a base has three joints");
     return std::make_unique<RollingCurve>(space, of.controls, of.density, *rolling);

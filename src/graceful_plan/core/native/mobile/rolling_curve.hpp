@@ -55,8 +55,7 @@ class RollingCurve final : public MotionCurve {
       for (size_t j = 0; j + 1 < columns(); ++j) row[j] = column(a, j) + share * (column(b, j) - column(a, j));
     };
     set(controls.front(), path.front(), path.front(), 0.0), set(controls.back(), path.back(), path.back(), 0.0);
-    along(space_, path,
-          [&](size_t c, size_t i, double share) { set(controls[c], path[i], path[i + 1], share); });
+    along(space_, path, [&](size_t c, size_t i, double share) { set(controls[c], path[i], path[i + 1], share); });
     return entered(controls);
   }
   // Control points with columns x, y, those of the arm, and the logarithm of the share of the speed.
@@ -163,8 +162,8 @@ class RollingCurve final : public MotionCurve {
         for (size_t j = 0; j < 2; ++j)
           out[j] += row.value[m] * d_q[j] + row.slope[m] * d_first[k][j] + row.bend[m] * d_second[k][j];
         for (size_t a = 0; a < arm_; ++a)
-          out[2 + a] += row.value[m] * d_q[kBase + a] + row.slope[m] * d_t[kBase + a] +
-                        row.bend[m] * d_arm_second[k * arm_ + a];
+          out[2 + a] +=
+              row.value[m] * d_q[kBase + a] + row.slope[m] * d_t[kBase + a] + row.bend[m] * d_arm_second[k * arm_ + a];
         out[n - 1] += row.value[m] * d.share[k] * share_[k];
       }
     }
@@ -293,7 +292,8 @@ class RollingCurve final : public MotionCurve {
                    std::array<double, 2>& d_second) {
     const std::array<double, 2>&v = p.first, &a = p.second;
     for (size_t i = 0; i < 2; ++i) {
-      d_first[i] += d_metres * v[i] / p.metres + (d_along * (a[i] - 2 * p.along * v[i]) - 2 * d_turn * p.turn * v[i]) / p.squared;
+      d_first[i] +=
+          d_metres * v[i] / p.metres + (d_along * (a[i] - 2 * p.along * v[i]) - 2 * d_turn * p.turn * v[i]) / p.squared;
       d_second[i] += d_along * v[i] / p.squared;
     }
     d_first[0] += d_turn * a[1] / p.squared, d_first[1] -= d_turn * a[0] / p.squared;

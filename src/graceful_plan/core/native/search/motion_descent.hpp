@@ -130,9 +130,7 @@ class MotionDescent {
     return std::clamp(0.5 * fall / above, kLeastShrink, 0.5);
   }
 
-  double clipped(size_t i, double value) const {
-    return std::clamp(value, curve_->lower()[i], curve_->upper()[i]);
-  }
+  double clipped(size_t i, double value) const { return std::clamp(value, curve_->lower()[i], curve_->upper()[i]); }
 
   // How much clearance each sample is to keep: near tight ends what a straight line from theirs to the usual one says.
   void want() {
@@ -225,8 +223,7 @@ class MotionDescent {
     const size_t n = x_.size();
     Point slope = gradient_;
     for (size_t i = 0; i < n; ++i)  // nothing is gained by going on into a limit
-      if ((x_[i] <= curve_->lower()[i] && slope[i] > 0) || (x_[i] >= curve_->upper()[i] && slope[i] < 0))
-        slope[i] = 0;
+      if ((x_[i] <= curve_->lower()[i] && slope[i] > 0) || (x_[i] >= curve_->upper()[i] && slope[i] < 0)) slope[i] = 0;
     direction_.assign(n, 0.0);
     double longest = kLongest;
     along_ = 0;
@@ -280,8 +277,7 @@ class MotionDescent {
       d_speed_[k] += by_speed, d_speed_[k + 1] += by_speed;
     }
     for (size_t k = 0; k < samples; ++k) {
-      const double by_squared =
-          stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed_[k] / (2 * speed_[k]) + d_squared_[k];
+      const double by_squared = stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed_[k] / (2 * speed_[k]) + d_squared_[k];
       d_.share[k] = 2 * at_.share[k] * fastest[k] * by_squared;
       d_speed_[k] = at_.share[k] * at_.share[k] * by_squared;  // now of the square of the fastest
     }
@@ -401,7 +397,8 @@ class MotionDescent {
   double pass() {
     const size_t samples = curve_->samples();
     gap_.resize(samples), by_gap_.resize(samples * dim_), gap_by_time_.resize(samples);
-    space_.gaps({at_.q.data(), time_.data(), int(samples), kPassing}, {gap_.data(), by_gap_.data(), gap_by_time_.data()});
+    space_.gaps({at_.q.data(), time_.data(), int(samples), kPassing},
+                {gap_.data(), by_gap_.data(), gap_by_time_.data()});
     const double weight = push_ * scale_ / double(samples);
     double sum = 0;
     for (size_t k = 1; k + 1 < samples; ++k) {
@@ -421,7 +418,7 @@ class MotionDescent {
     for (size_t k = d_pause_.size(); k-- > 0;) later += d_time_[k + 1], d_pause_[k] += later;
   }
 
-  static constexpr double kPassing = 0.15;       // clearance to entities that move [m]; the judge asks for more than none
+  static constexpr double kPassing = 0.15;  // clearance to entities that move [m]; the judge asks for more than none
   static constexpr double kPassingWeight = 20.0;  // of its square, relative to that of other clearance
   static constexpr double kSlowest = 1e-9;
 
