@@ -441,6 +441,7 @@ class Rolling:
         after: float,
         turns_before: bool = False,
         turns_after: bool = False,
+        holds_arm: bool = False,
     ) -> None: ...
 
 @final

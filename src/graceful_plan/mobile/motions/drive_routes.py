@@ -49,6 +49,12 @@ class DriveRoutes:
         self._asked_for_ways = False
 
     @property
+    def moves_arm(self) -> bool:
+        """Whether the arm may move while the base does."""
+        planner = self._request.planner
+        return not isinstance(planner, DriveLattice) or planner.moves_arm
+
+    @property
     def searched(self) -> Search:
         """The search of the planner."""
         return self._run.found
@@ -73,7 +79,9 @@ class DriveRoutes:
     def along(self, path: Path) -> list[tuple[Route, int]]:
         """Return routes along a path of the planner."""
         whole, arrival = self._ends.joined(path)
-        return [(route, arrival) for route in routes(path)] if whole.length > 0.0 else []
+        if whole.length == 0.0:
+            return []
+        return [(route, arrival) for route in routes(path, moves_arm=self.moves_arm)]
 
     def start(self, leg: RollingLeg, arrival: int) -> Start:
         """Return a leg as a start of descents."""
@@ -84,6 +92,7 @@ class DriveRoutes:
             forward=leg.forward,
             turns_before=leg.turns_before,
             turns_after=leg.turns_after,
+            holds_arm=not self.moves_arm,
             speed=self._request.speed,
         )
         return Start(Path(leg.q), arrival=arrival, kind=kind)
@@ -95,7 +104,8 @@ class DriveRoutes:
         start, found = self._problem.start, list[tuple[Route, int]]()
         for arrival, goal in enumerate(self._problem.goals[:goals]):
             over = list(islice(ways(self._request.objective.scene, start, goal), most))
-            found += [(route, arrival) for route in along_ways(over, start, goal, self._base.reverse)]
+            along = along_ways(over, start, goal, self._base.reverse, moves_arm=self.moves_arm)
+            found += [(route, arrival) for route in along]
         return found
 
 

@@ -246,7 +246,7 @@ class DriveSource:
         if self._starts is None or motion is None or self._best is None:
             return
         known = motion is self._posed and budget.remaining_seconds < _ANOTHER_DRAW
-        if known or objective.w == 0.0 or self._problem.start.size == _BASE:
+        if known or objective.w == 0.0 or self._problem.start.size == _BASE or not self._routes.moves_arm:
             return
         self._posed = motion
         arms = carry_postures(motion.trajectory, self._problem, as_if_still(objective), self._rng)

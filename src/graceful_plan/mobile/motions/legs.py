@@ -48,17 +48,28 @@ Route = tuple[RollingLeg | ArmMove, ...]
 """Legs, and moves of the arm where the base stands."""
 
 
-def routes(path: Path) -> Iterator[Route]:
-    """Yield routes along a path, from those that turn and move the arm on the way to those that do it at rests."""
+def routes(path: Path, *, moves_arm: bool = True) -> Iterator[Route]:
+    """Yield routes along a path, from those that turn and move the arm on the way to those that do it at rests.
+
+    Args:
+        path: Straight stretches, turns in place and motions of the arm.
+        moves_arm: Whether the arm may move while the base does.
+    """
     parts = stages(path)
     route = tuple(_parts(parts))
-    yield from _turning(_arm_moved_on_the_way(route))
-    if any(not isinstance(part, RollingLeg) for part in route):
+    if moves_arm:
+        yield from _turning(_arm_moved_on_the_way(route))
+    if not moves_arm or any(not isinstance(part, RollingLeg) for part in route):
         yield from _turning(route)
 
 
 def along_ways(
-    over: Sequence[Float[Array, "_ 2"]], start: Float[Array, " nq"], goal: Float[Array, " nq"], reverse: bool
+    over: Sequence[Float[Array, "_ 2"]],
+    start: Float[Array, " nq"],
+    goal: Float[Array, " nq"],
+    reverse: bool,
+    *,
+    moves_arm: bool = True,
 ) -> Iterator[Route]:
     """Yield routes along ways over the floor: forward, then backward, each with turns at the ends or without.
 
@@ -69,6 +80,7 @@ def along_ways(
         start: Where they begin, with heading and arm.
         goal: Where they end.
         reverse: Whether the base may drive backwards.
+        moves_arm: Whether the arm may move while the base does; else it moves at the end.
     """
     found: list[tuple[float, Route]] = []
     for way in over:
@@ -78,12 +90,16 @@ def along_ways(
             share = done[:, None] / max(done[-1], 1e-9)
             q = np.column_stack([way, np.zeros(len(way)), start[3:] + share * (goal[3:] - start[3:])])
             q[0], q[-1] = start, goal
+            moves: tuple[ArmMove, ...] = ()
+            if not moves_arm and (start[3:] != goal[3:]).any():
+                q[:, 3:] = start[3:]
+                moves = (np.stack([q[-1], goal]),)
             sharp = [angle > _SHARP for angle in off]
             for before in (False, True) if off[0] > _SMALL else (False,):
                 for after in (False, True) if off[1] > _SMALL else (False,):
                     needless = sum(turns != wanted for turns, wanted in zip((before, after), sharp, strict=True))
                     rank = done[-1] + sum(off) + 0.5 * needless + _BACKWARD * (not forward)
-                    found.append((rank, (RollingLeg(q, forward, before, after),)))
+                    found.append((rank, (RollingLeg(q, forward, before, after), *moves)))
     yield from (route for _, route in sorted(found, key=lambda one: one[0]))
 
 

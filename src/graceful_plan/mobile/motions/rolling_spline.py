@@ -111,6 +111,7 @@ class RollingCurves:
     | forward      | whether it drives forward                                                 |      |
     | turns_before | whether the base may turn in place first                                  |      |
     | turns_after  | whether it may turn in place at the end                                   |      |
+    | holds_arm    | whether the arm stays as it is at the start                               |      |
     | begins       | when it sets out                                                          | s    |
     | speed        | fraction of the limits of speed to use                                    |      |
     """
@@ -121,6 +122,7 @@ class RollingCurves:
     forward: bool = True
     turns_before: bool = False
     turns_after: bool = False
+    holds_arm: bool = False
     begins: float = 0.0
     speed: float = 1.0
     rolling: _native.Rolling = field(init=False)
@@ -141,6 +143,7 @@ class RollingCurves:
             after=self.after,
             turns_before=self.turns_before,
             turns_after=self.turns_after,
+            holds_arm=self.holds_arm,
         )
         object.__setattr__(self, "rolling", rolling)
 

@@ -531,7 +531,7 @@ void bind_search(nb::module_& m) {
           "__init__",
           [](RollingSettings* self, double speed, double turning, double acceleration, double turning_acceleration,
              double across, double rim, double lever, bool forward, double before, double after, bool turns_before,
-             bool turns_after) {
+             bool turns_after, bool holds_arm) {
             for (double limit : {speed, turning, acceleration, turning_acceleration, across, rim, lever})
               require(limit > 0 && limit <= kMaxNumber, "limits of a base");
             for (double heading : {before, after})
@@ -541,10 +541,12 @@ void bind_search(nb::module_& m) {
                                        before,
                                        after,
                                        turns_before,
-                                       turns_after};
+                                       turns_after,
+                                       holds_arm};
           },
           nb::kw_only(), "speed"_a, "turning"_a, "acceleration"_a, "turning_acceleration"_a, "across"_a, "rim"_a,
-          "lever"_a, "forward"_a = true, "before"_a, "after"_a, "turns_before"_a = false, "turns_after"_a = false);
+          "lever"_a, "forward"_a = true, "before"_a, "after"_a, "turns_before"_a = false, "turns_after"_a = false,
+          "holds_arm"_a = false);
   nb::class_<MotionDescentRun>(m, "MotionDescent")
       .def(
           "__init__",

@@ -23,6 +23,7 @@ struct RollingSettings {
   double heading_before = 0, heading_after = 0;  // [rad] of the base before and after
   // Whether it turns in place before and after, so that the curve's own directions at its ends are free.
   bool turns_before = false, turns_after = false;
+  bool holds_arm = false;  // whether the arm stays as it is at the first end
 };
 
 class RollingCurve final : public MotionCurve {
@@ -230,6 +231,8 @@ class RollingCurve final : public MotionCurve {
       }
       lower_.push_back(kSlowest), upper_.push_back(0.0);
     }
+    for (size_t i = 0; settings_.holds_arm && i < x.size(); ++i)
+      if (i % n >= 2 && i % n + 1 < n) x[i] = lower_[i] = upper_[i] = first_[i % n];
     const auto bind = [&](size_t c, const Point& at, const Point& from) {
       const double away = std::hypot(at[0] - from[0], at[1] - from[1]);
       x[c * n] = std::max(away, kNearest * step), x[c * n + 1] = 0.0;
