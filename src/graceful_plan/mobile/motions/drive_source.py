@@ -64,10 +64,19 @@ class DriveSource:
         ends: Both ends.
         problem: Where to search.
         rng: Chance.
+        charge: Whether motions have their impact in their cost.
     """
 
-    def __init__(self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator) -> None:
-        self._request, self._ends, self._problem, self._rng = request, ends, problem, rng
+    def __init__(
+        self,
+        request: Request,
+        ends: Endpoints,
+        problem: SceneProblem,
+        rng: np.random.Generator,
+        *,
+        charge: bool = True,
+    ) -> None:
+        self._request, self._ends, self._problem, self._rng, self._charge = request, ends, problem, rng, charge
         found = motion_descents(request, problem, DescentSettings()) if request.refine else None
         self._descents = None if found is None else replace(found, price=DRIVING_TIME_PRICE, spacing=_SPACING)
         self._starts = None if self._descents is None else DriveStarts(self._descents)
@@ -75,9 +84,8 @@ class DriveSource:
         of = request.objective
         if of.w > 0.0 and self._descents is not None:
             short = of.objective.with_weight(0.0).bind(of.scene, of.paces)
-            self._plain = DriveSource(
-                replace(request, objective=short, preference=None), ends, problem, rng.spawn(1)[0]
-            )
+            plain = replace(request, objective=short, preference=None)
+            self._plain = DriveSource(plain, ends, problem, rng.spawn(1)[0], charge=False)
             self._routes = self._plain._routes
         else:
             self._routes = DriveRoutes(request, ends, problem, rng.spawn(1)[0])
@@ -140,7 +148,7 @@ class DriveSource:
                 yield motion
             return
         if self._first is not None:
-            motion = timed_drive(*self._first, self._request)
+            motion = self._driven(*self._first)
             if motion is not None:
                 self._best_motion = motion
                 yield motion
@@ -149,7 +157,7 @@ class DriveSource:
         for path in self._routes.searched.paths[-1:]:
             for route, arrival in self._routes.along(path):
                 drive = self._coarse(route, arrival, budget)
-                motion = None if drive is None else timed_drive(drive[1], arrival, self._request)
+                motion = None if drive is None else self._driven(drive[1], arrival)
                 if motion is not None:
                     yield motion
             yield along(*self._ends.joined(path), self._request)
@@ -169,7 +177,7 @@ class DriveSource:
             yield from self._prepared(part)
         if self._descents is None or self._starts is None:
             return
-        yield from self._timed(one for one in self._pose(budget) if one.value < self._ranking)
+        yield from self._timed((one for one in self._pose(budget) if one.value < self._ranking), budget)
         if self._composed:
             with budget.share(_COMPOSED_SHARE * budget.remaining_seconds) as part:
                 motion = self._descended(*self._composed.pop(0), part)
@@ -177,7 +185,7 @@ class DriveSource:
                 yield motion
         starts = self._starts.take(_STARTS, again=not self._results)
         results = descend_from(starts, self._descents, budget, self._rng, self._results)
-        yield from self._timed(self._worth_timing(results))
+        yield from self._timed(self._worth_timing(results), budget)
 
     def _prepared(self, budget: Budget) -> Iterator[Motion]:
         """Add starts; yield the motions that come of them as they are."""
@@ -209,7 +217,7 @@ class DriveSource:
             curve = start if start.curve is not None else smooth(start, self._descents, budget)
             if curve is not None:
                 self._curves.append(curve)
-                yield from self._timed(one for one in self._starts.add(curve) if one.value < self._ranking)
+                yield from self._timed((one for one in self._starts.add(curve) if one.value < self._ranking), budget)
 
     def take(self) -> tuple[list[Start], list[tuple[Route, int]]]:
         """Take curves, and routes of several legs, that are new since they were taken last: to begin with elsewhere."""
@@ -225,11 +233,13 @@ class DriveSource:
             if result.value <= _WORTH_TIMING * min(other.value for other in self._results):
                 yield result
 
-    def _timed(self, results: Iterable[DescentResult]) -> Iterator[Motion]:
-        """Yield motions along curves of one leg."""
+    def _timed(self, results: Iterable[DescentResult], budget: Budget) -> Iterator[Motion]:
+        """Yield motions along curves of one leg; none is begun late."""
         for result in results:
+            if budget.over:
+                return
             arrival = result.start.arrival
-            motion = timed_drive(self._joined([_rolled(result)], arrival), arrival, self._request)
+            motion = self._driven(self._joined([_rolled(result)], arrival), arrival)
             if motion is not None:
                 if motion.ranking < self._ranking:
                     self._best_motion, self._best = motion, replace(result.start, curve=result.curve)
@@ -268,7 +278,7 @@ class DriveSource:
             if not results:
                 return None
             chosen.append(_rolled(min(results, key=lambda one: one.value)))
-        return timed_drive(self._joined(chosen, arrival), arrival, self._request)
+        return self._driven(self._joined(chosen, arrival), arrival)
 
     def _coarse(self, route: Route, arrival: int, budget: Budget) -> tuple[float, Drive, Start | None] | None:
         """Return what legs cost that became short and smooth, the drive, and its start if it has one leg.
@@ -289,6 +299,9 @@ class DriveSource:
             chosen.append(_rolled(found))
             value, start = value + found.value, replace(found.start, curve=found.curve)
         return value, self._joined(chosen, arrival), start if len(route) == 1 else None
+
+    def _driven(self, drive: Drive, arrival: int) -> Motion | None:
+        return timed_drive(drive, arrival, self._request, charge=self._charge)
 
     def _joined(self, parts: Sequence[RollingSpline | ArmMove], arrival: int) -> Drive:
         """Return parts as a drive from the start to a goal, with the way of the arm there."""

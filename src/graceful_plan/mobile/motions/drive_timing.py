@@ -10,8 +10,9 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.mobile.motions.drive import Drive
 from graceful_plan.path import Path
-from graceful_plan.query.candidates.motions import Motion, costed, costed_anew
+from graceful_plan.query.candidates.motions import Motion, costed, costed_anew, price_of_time
 from graceful_plan.query.request import Request
+from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.topp import Restraint
 from graceful_plan.timing.trajectory import Trajectory
@@ -26,8 +27,15 @@ _FREE = 1e9
 """Squared path speed where nothing is to be slower."""
 
 
-def timed_drive(drive: Drive, arrival: int, request: Request) -> Motion | None:
-    """Time a drive at its shares of the fastest speed; None if no timing keeps the constraints."""
+def timed_drive(drive: Drive, arrival: int, request: Request, *, charge: bool = True) -> Motion | None:
+    """Time a drive at its shares of the fastest speed; None if no timing keeps the constraints.
+
+    Args:
+        drive: The drive.
+        arrival: The way to a goal that it takes.
+        request: What to plan.
+        charge: Whether the impact is part of the cost. It takes longer than all the rest.
+    """
     try:
         trajectory = request.constraints.timed(drive, speed=request.speed)
         restraint = slower(drive, trajectory.t, trajectory.qd)
@@ -35,7 +43,18 @@ def timed_drive(drive: Drive, arrival: int, request: Request) -> Motion | None:
             trajectory = request.constraints.timed(drive, speed=request.speed, slower=restraint)
     except RetimingError:
         return None
+    if not charge:
+        return _uncharged(trajectory, arrival, request)
     return _ranked(costed(trajectory.path, trajectory, arrival, request), request)
+
+
+def _uncharged(trajectory: Trajectory, arrival: int, request: Request) -> Motion:
+    """Return a motion whose cost is its length alone."""
+    length = trajectory.path.length
+    cost = CostBreakdown(motion=length, impact=0.0, w=0.0, impact_by_entity={}, impact_by_component={})
+    ranking = length + price_of_time(request) * trajectory.duration
+    motion = Motion(path=trajectory.path, trajectory=trajectory, cost=cost, arrival=arrival, ranking=ranking)
+    return _ranked(motion, request)
 
 
 def charged(motion: Motion, request: Request) -> Motion:
