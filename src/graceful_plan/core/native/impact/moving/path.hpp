@@ -17,14 +17,17 @@ template <int kFirst, int kCount> static inline void follow(const MovingEntity& 
   const double begin = e.knot[0].t, end = e.knot[e.n_knot - 1].t;
   const D held = minimum(maximum(t, D{} + begin), D{} + end);
   const int first = knot_before(e, least_lane(held)), last = knot_before(e, greatest_lane(held));
-  for (int k = first; k <= last; ++k) {
+  for (int i = 0; i < kCount; ++i) {
+    const PathKnot& knot = e.knot[first];
+    rate[i] = D{} + knot.rate[kFirst + i], at[i] = knot.at[kFirst + i] + (held - knot.t) * rate[i];
+  }
+  for (int k = first + 1; k <= last; ++k) {
     const PathKnot& knot = e.knot[k];
     const auto later = held >= knot.t;
     const D since = held - knot.t;
     for (int i = 0; i < kCount; ++i) {
-      const D here = knot.at[kFirst + i] + since * knot.rate[kFirst + i], moves = D{} + knot.rate[kFirst + i];
-      at[i] = k == first ? here : where(later, here, at[i]);
-      rate[i] = k == first ? moves : where(later, moves, rate[i]);
+      at[i] = where(later, knot.at[kFirst + i] + since * knot.rate[kFirst + i], at[i]);
+      rate[i] = where(later, D{} + knot.rate[kFirst + i], rate[i]);
     }
   }
   const auto moves = (t > begin) & (t < end);
