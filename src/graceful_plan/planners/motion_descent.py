@@ -197,9 +197,8 @@ class MotionDescents:
         settings: Work of a round.
         felt: Limits on the acceleration that a carried object feels.
         counts_points: Whether the cost is summed over the samples of the motion.
-        careful: Whether a vessel is kept level.
         projected: Moves configurations to where bounds hold; None without bounds.
-        price: Cost of a second of motion on top of J; by default, that of an arm.
+        time_price: Cost of a second of motion on top of J [rad/s].
         spacing: Greatest length of a path for each control point [rad or m]; None if it does not matter.
         effort: Counts the descents of all rounds.
     """
@@ -212,16 +211,10 @@ class MotionDescents:
     settings: DescentSettings = DescentSettings()
     felt: Sequence[_native.FeltLimit] = ()
     counts_points: bool = False
-    careful: bool = False
     projected: Callable[[Float[Array, "n nq"]], Float[Array, "n nq"]] | None = None
-    price: float | None = None
+    time_price: float = TIME_PRICE
     spacing: float | None = None
     effort: Effort = field(default_factory=Effort)
-
-    @property
-    def time_price(self) -> float:
-        """Cost of a second of motion on top of J [rad/s]."""
-        return time_price(careful=self.careful) if self.price is None else self.price
 
     def controls(self, start: Start, stage: Stage) -> int:
         """Return the number of control points: as many as a stage has, more for a long path."""

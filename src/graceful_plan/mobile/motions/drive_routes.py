@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import islice
 from typing import final
 
 import numpy as np
 
-from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.mobile.motions.legs import RollingLeg, Route, along_ways, routes
 from graceful_plan.mobile.motions.rolling_spline import RollingCurves
 from graceful_plan.mobile.motions.ways import ways
@@ -19,6 +16,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.candidates.departure import without_moving
 from graceful_plan.query.candidates.search import PausedSearch, Search
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
@@ -44,7 +42,10 @@ class DriveRoutes:
         base = request.objective.scene.base
         assert base is not None
         self._request, self._ends, self._problem, self._base = request, ends, problem, base
-        self._run = _search_as_if_nobody_moved(request, problem, rng)
+        objective = request.objective
+        if objective.scene.moving and not isinstance(request.planner, FloorInTime):
+            objective, problem = without_moving(request, problem)
+        self._run = PausedSearch(request.planner, problem, objective, rng)
         self._known = 0
         self._asked_for_ways = False
 
@@ -107,18 +108,3 @@ class DriveRoutes:
             along = along_ways(over, start, goal, self._base.reverse, moves_arm=self.moves_arm)
             found += [(route, arrival) for route in along]
         return found
-
-
-def as_if_still(of: SceneObjective) -> SceneObjective:
-    """Return an objective in the same scene without moving entities."""
-    return of.objective.bind(as_if_nobody_moved(of.scene), of.paces) if of.scene.moving else of
-
-
-def _search_as_if_nobody_moved(request: Request, problem: SceneProblem, rng: np.random.Generator) -> PausedSearch:
-    """Return a search for paths without moving entities: a search knows no times."""
-    of = request.objective
-    if of.scene.moving and not isinstance(request.planner, FloorInTime):
-        of = as_if_still(of)
-        held = request.constraints.on(of.scene)
-        problem = replace(problem, kernels=held.kernels, constraints=held)
-    return PausedSearch(request.planner, problem, of, rng)

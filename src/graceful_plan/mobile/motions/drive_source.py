@@ -13,9 +13,10 @@ from typing import final
 
 import numpy as np
 
+from graceful_plan.costs.still import still_objective
 from graceful_plan.mobile.motions.carry_postures import carry_postures
 from graceful_plan.mobile.motions.drive import Drive, joined
-from graceful_plan.mobile.motions.drive_routes import DriveRoutes, as_if_still
+from graceful_plan.mobile.motions.drive_routes import DriveRoutes
 from graceful_plan.mobile.motions.drive_starts import DriveStarts, smooth
 from graceful_plan.mobile.motions.drive_timing import along, charged, timed_drive
 from graceful_plan.mobile.motions.legs import ArmMove, RollingLeg, Route
@@ -23,7 +24,6 @@ from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
 from graceful_plan.planners.descent_rounds import descend_from
 from graceful_plan.planners.motion_descent import (
-    DRIVING_TIME_PRICE,
     DescentResult,
     DescentSettings,
     Start,
@@ -78,7 +78,7 @@ class DriveSource:
     ) -> None:
         self._request, self._ends, self._problem, self._rng, self._charge = request, ends, problem, rng, charge
         found = motion_descents(request, problem, DescentSettings()) if request.refine else None
-        self._descents = None if found is None else replace(found, price=DRIVING_TIME_PRICE, spacing=_SPACING)
+        self._descents = None if found is None else replace(found, spacing=_SPACING)
         self._starts = None if self._descents is None else DriveStarts(self._descents)
         self._plain: DriveSource | None = None
         of = request.objective
@@ -259,7 +259,7 @@ class DriveSource:
         if known or objective.w == 0.0 or self._problem.start.size == _BASE or not self._routes.moves_arm:
             return
         self._posed = motion
-        arms = carry_postures(motion.trajectory, self._problem, as_if_still(objective), self._rng)
+        arms = carry_postures(motion.trajectory, self._problem, still_objective(objective), self._rng)
         yield from self._starts.pose(self._best, arms)
 
     def _descended(self, route: Route, arrival: int, budget: Budget) -> Motion | None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError
+from graceful_plan.judge.passing_by import is_moving
 from graceful_plan.mobile.motions.drive import Drive
 from graceful_plan.path import Path
 from graceful_plan.query.candidates.motions import Motion, costed, costed_anew, price_of_time
@@ -21,8 +22,6 @@ Array = np.ndarray
 
 _INTO = 1e6
 """Added to the ranking of motions that collide with a moving entity."""
-_STANDING = 0.01
-"""Speed of every joint below which the robot stands: a moving entity then walks into it [m/s or rad/s]."""
 _FREE = 1e9
 """Squared path speed where nothing is to be slower."""
 
@@ -100,14 +99,14 @@ def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]
 
 def _ranked(motion: Motion, request: Request) -> Motion:
     """Rank motions that collide with a moving entity behind all others."""
-    return replace(motion, ranking=motion.ranking + _INTO * _drives_into_somebody(motion.trajectory, request))
+    return replace(motion, ranking=motion.ranking + _INTO * _hits_moving_entity(motion.trajectory, request))
 
 
-def _drives_into_somebody(motion: Trajectory, request: Request) -> bool:
-    """Tell whether the sound robot touches an entity that moves, by the fast checker."""
+def _hits_moving_entity(motion: Trajectory, request: Request) -> bool:
+    """Tell whether the healthy robot collides with a moving entity, by the fast checker."""
     among = request.objective.among_moving
     if among is None:
         return False
-    moves = np.abs(motion.qd).max(axis=1) > _STANDING
+    moves = is_moving(motion.qd)  # a moving entity walks into a robot that stands
     gap, _, _ = among.moving.gaps(motion.q[moves], motion.t[moves], 0.0)
     return bool((gap < 0.0).any())

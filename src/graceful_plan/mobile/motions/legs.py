@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.mobile.motions.drive import with_heading
+from graceful_plan.mobile.motions.drive import nearest, with_heading
 from graceful_plan.mobile.motions.stages import DriveStage, Move, stages
 from graceful_plan.path import Path
 
@@ -86,7 +86,7 @@ def along_ways(
     for way in over:
         for forward in (True, False) if reverse else (True,):
             off = [_off(way[1] - way[0], start[2], forward), _off(way[-1] - way[-2], goal[2], forward)]
-            done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+            done = _done(way)
             share = done[:, None] / max(done[-1], 1e-9)
             q = np.column_stack([way, np.zeros(len(way)), start[3:] + share * (goal[3:] - start[3:])])
             q[0], q[-1] = start, goal
@@ -105,8 +105,13 @@ def along_ways(
 
 def _off(direction: Float[Array, "2"], heading: float, forward: bool) -> float:
     """Return the angle between a heading and that of driving in a direction [rad]."""
-    wanted = np.arctan2(direction[1], direction[0]) + (0.0 if forward else np.pi)
-    return float(abs(np.remainder(wanted - heading + np.pi, 2.0 * np.pi) - np.pi))
+    wanted = float(np.arctan2(direction[1], direction[0])) + (0.0 if forward else np.pi)
+    return abs(nearest(wanted, heading) - heading)
+
+
+def _done(xy: Float[Array, "point 2"]) -> Float[Array, " point"]:
+    """Return the length of a way up to each of its points [m]."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
 
 
 def _parts(parts: list[DriveStage]) -> Iterator[RollingLeg | ArmMove]:
@@ -160,13 +165,13 @@ def _arm_moved_on_the_way(route: Route) -> Route:
         return route
     arms = [part.q if isinstance(part, RollingLeg) else part for part in route]
     first, last = arms[0][0, 3:], arms[-1][-1, 3:]
-    longest = max(legs, key=lambda k: float(np.linalg.norm(np.diff(arms[k][:, :2], axis=0), axis=1).sum()))
+    longest = max(legs, key=lambda k: float(_done(arms[k][:, :2])[-1]))
     changed: list[RollingLeg | ArmMove] = []
     for k in legs:
         leg = route[k]
         assert isinstance(leg, RollingLeg)
         q = leg.q.copy()
-        done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q[:, :2], axis=0), axis=1))])
+        done = _done(q[:, :2])
         share = done[:, None] / max(done[-1], 1e-9) if k == longest else float(k > longest)
         q[:, 3:] = first + share * (last - first)
         changed.append(replace(leg, q=q))

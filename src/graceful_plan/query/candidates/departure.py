@@ -17,7 +17,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.costs.still import as_if_nobody_moved
+from graceful_plan.costs.still import still_objective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
@@ -90,10 +90,8 @@ def search_among_moving(
     The trace is of the search as if nobody moved. The best path is at the end.
     """
     planner, objective = request.planner, request.objective
-    still = SceneObjective(objective.objective, as_if_nobody_moved(objective.scene), objective.paces)
-    held = request.constraints.on(still.scene)
+    still, among_still = without_moving(request, problem)
     with budget.share(_STILL * budget.remaining_seconds, _STILL * budget.remaining_iterations) as part:
-        among_still = replace(problem, kernels=held.kernels, constraints=held)
         found = search(planner, among_still, still, part, rng, kept=ALL)
     paths = list(found.paths)
     if paths and objective.w > 0.0:
@@ -103,6 +101,13 @@ def search_among_moving(
     deadline = -np.inf if budget.cancelled() else budget.started + budget.time_limit
     found.paths = choice.ordered(paths, len(found.paths) - 1, deadline)
     return found
+
+
+def without_moving(request: Request, problem: SceneProblem) -> tuple[SceneObjective, SceneProblem]:
+    """Return objective and problem of a search in the scene without moving entities: a search knows no times."""
+    still = still_objective(request.objective)
+    held = request.constraints.on(still.scene)
+    return still, replace(problem, kernels=held.kernels, constraints=held)
 
 
 @dataclass(frozen=True)

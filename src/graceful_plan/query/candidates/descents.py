@@ -15,6 +15,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import LONG, DescentSettings, MotionDescents, SmoothCurve, Start
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.candidates.motions import price_of_time
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.scene.per_scene import per_layout
@@ -70,7 +71,7 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
         is_free=_keeps(lambda: replace(problem, margin=0.5 * problem.margin)),
         has_clearance=_keeps(nearly) if margin + room > problem.margin else None,
         felt=request.constraints.charged,
-        careful=request.constraints.level,
+        time_price=price_of_time(request),
         projected=problem.projected if request.constraints.level else None,
         counts_points=objective.objective.exposure == "waypoints",
         settings=_affordable(settings, objective),
