@@ -465,7 +465,6 @@ class MotionDescent:
         fitted: bool = False,
         slosh: bool = True,
         points: float = 1.0,
-        begins: float = 0.0,
         rolling: Rolling | None = None,
     ) -> None: ...
     def run(self, steps: int, seconds: float) -> int: ...

@@ -179,14 +179,6 @@ class ImpactCost(Cost):
         """Expected severity given a failure at each state."""
         return np.einsum("nce,ce->n", self.probability(batch), self.hazard_severity(batch.scene))
 
-    def moving_state(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return the part of `state` that is of moving entities."""
-        scene = batch.scene
-        if not scene.moving:
-            return np.zeros(len(batch))
-        P = np.asarray(sum(moving_model(self.interaction).sources(batch, self.counted(scene)).values()))
-        return np.einsum("nce,ce->n", P, self._moving_severity(scene))
-
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
         """Derivative of the expected severity with respect to q at constant velocity, None if the model has none."""
         model, scene = self.interaction, batch.scene

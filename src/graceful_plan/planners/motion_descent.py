@@ -125,11 +125,6 @@ class CurveKind(Protocol):
         """How a base rolls along it; None for curves of joints."""
         ...
 
-    @property
-    def begins(self) -> float:
-        """When the motion along it sets out [s]."""
-        ...
-
     def curve(self, controls: Float[Array, "control column"]) -> SmoothCurve:
         """Return the curve of control points."""
         ...
@@ -141,7 +136,6 @@ class JointCurves:
     """Splines through configurations, every joint for itself."""
 
     rolling: None = None
-    begins: float = 0.0
 
     def curve(self, controls: Float[Array, "control nq"]) -> Spline:
         """See `CurveKind`."""
@@ -245,7 +239,6 @@ class MotionDescents:
             slosh=stage.slosh,
             points=float(grid_points(controls)) if self.counts_points else 1.0,
             rolling=start.kind.rolling,
-            begins=start.kind.begins,
         )
         _go_on(descent, stage.evaluations, budget)
         return descent

@@ -17,7 +17,7 @@ from graceful_plan.costs.models.drop.constants import DropConstants, DropSetting
 from graceful_plan.costs.models.drop.functions import box, fall_time, part_reach, positive, step
 from graceful_plan.costs.models.drop.landing import LEAST_MASS, Landing, land, loose
 from graceful_plan.costs.models.drop.release import Release, heights, release
-from graceful_plan.costs.models.drop.sides import no_stop
+from graceful_plan.costs.models.drop.sides import SideStop
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.moving.outlines import outlines, outside
 from graceful_plan.costs.models.moving.whereabouts import PLACES, cell_of, normal_places, path_times
@@ -319,7 +319,7 @@ def _landing(
         blur=spread**2,
         fall_spread=spread,
         velocity=state.v[:, :2],
-        stop=no_stop(n),
+        stop=SideStop(time=np.zeros(n), push=np.zeros((n, 2)), target=np.zeros(n, dtype=int), chance=np.zeros(n)),
         mass=np.zeros((n, 0)),
         times=np.zeros((n, 0)),
         leaving=np.zeros((n, 0)),

@@ -310,19 +310,16 @@ def test_a_plan_gives_way_to_who_walks():
 
 
 def test_motions_descend_by_where_entities_are_at_their_times():
-    scene = gantry({}).with_moving(_ROUND)
-    objective = gp.Objective(w=10.0).bind(scene)
-    assert objective.among_moving is not None and objective.descended() is objective
-    problem = SceneProblem(kernels=objective.kernels, start=np.zeros(4), goals=np.ones((1, 4)))
     along = np.linspace(0.0, 1.0, 12)[:, None]
     path = np.array([-0.3, -0.3, 0.0, 0.0]) + along * [0.9, 0.8, 0.0, 0.3]
     path = path + np.sin(np.pi * along) ** 2 * [0.1, -0.2, 0.05, 0.4]  # a straight one is at kinks of its speed
     limits = {"velocity": np.ones(4), "acceleration": np.ones(4), "time_price": 0.02}
 
     def energy(begins):
-        descent = _native.MotionDescent(
-            native_space(problem, objective), path=path, controls=8, density=6, begins=begins, **limits
-        )
+        objective = gp.Objective(w=10.0).bind(gantry({}).with_moving(_ROUND.later(-begins)))
+        assert objective.among_moving is not None and objective.descended() is objective
+        problem = SceneProblem(kernels=objective.kernels, start=np.zeros(4), goals=np.ones((1, 4)))
+        descent = _native.MotionDescent(native_space(problem, objective), path=path, controls=8, density=6, **limits)
         value, slope = descent.energy(descent.inner)
         return descent, value, slope
 

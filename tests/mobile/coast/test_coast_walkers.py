@@ -71,13 +71,14 @@ def test_impact_counts_them_and_paths_meet_them_anywhere_along_their_way():
     scene = SCENE.with_moving(entity)
     q, qd = np.array([[-1.5, 1.2, 0.0]]), np.array([[1.5, 0.0, 0.0]])
     cost = gp.ImpactCost()
+    moving = cost.moving_impact(scene)
     t = np.linspace(0.0, 3.0, 400)
     rows = len(t)
-    timed = cost.moving_state(moving_batch(scene, np.repeat(q, rows, 0), np.repeat(qd, rows, 0), t))
-    assert cost.moving_state(moving_batch(scene, q, qd))[0] == pytest.approx(timed.mean(), rel=0.1)
+    timed = moving.impact(np.repeat(q, rows, 0), np.repeat(qd, rows, 0), t)
+    assert moving.impact(q, qd, None)[0] == pytest.approx(timed.mean(), rel=0.1)
     whole = cost.state(moving_batch(scene, q, qd, np.array([2.6])))
     still = cost.state(moving_batch(SCENE, q, qd))
-    assert whole == pytest.approx(still + cost.moving_state(moving_batch(scene, q, qd, np.array([2.6]))))
+    assert whole == pytest.approx(still + moving.impact(q, qd, np.array([2.6])))
     assert cost.sources(moving_batch(scene, q, qd, np.array([2.6])))["coast"][0, 0, -1] > 0.0
 
 

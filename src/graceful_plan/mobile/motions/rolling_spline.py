@@ -112,7 +112,6 @@ class RollingCurves:
     | turns_before | whether the base may turn in place first                                  |      |
     | turns_after  | whether it may turn in place at the end                                   |      |
     | holds_arm    | whether the arm stays as it is at the start                               |      |
-    | begins       | when it sets out                                                          | s    |
     | speed        | fraction of the limits of speed to use                                    |      |
     """
 
@@ -123,7 +122,6 @@ class RollingCurves:
     turns_before: bool = False
     turns_after: bool = False
     holds_arm: bool = False
-    begins: float = 0.0
     speed: float = 1.0
     rolling: _native.Rolling = field(init=False)
     """The same, as the core takes it."""

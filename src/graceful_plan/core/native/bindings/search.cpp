@@ -553,16 +553,16 @@ void bind_search(nb::module_& m) {
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
              size_t density, bool rough, double time_price, double push, double tolerance, double tight_start,
              double tight_end, const std::vector<FeltLimit>& felt, bool fitted, bool slosh, double points,
-             double begins, const RollingSettings* rolling) {
+             const RollingSettings* rolling) {
             new (self) MotionDescentRun(space, path,
                                         {point(velocity), point(acceleration), controls, density, rough, time_price,
-                                         push, tolerance, tight_start, tight_end, felt, fitted, slosh, points, begins},
+                                         push, tolerance, tight_start, tight_end, felt, fitted, slosh, points},
                                         rolling);
           },
           "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a,
           "rough"_a = false, "time_price"_a, "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0,
           "tight_end"_a = 0.0, "felt"_a = std::vector<FeltLimit>{}, "fitted"_a = false, "slosh"_a = true,
-          "points"_a = 1.0, "begins"_a = 0.0, "rolling"_a = nb::none(), nb::keep_alive<1, 2>())
+          "points"_a = 1.0, "rolling"_a = nb::none(), nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)
       .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)

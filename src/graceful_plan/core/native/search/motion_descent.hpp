@@ -37,7 +37,6 @@ struct MotionSettings {
   bool fitted = false;          // whether the path is the control points of a curve
   bool slosh = true;            // whether it counts how a liquid sloshes
   double points = 1;            // samples of the motion where these are what the impact is summed over
-  double begins = 0;            // when the motion sets out [s], where it matters who is where then
 };
 
 class MotionDescent {
@@ -389,7 +388,7 @@ class MotionDescent {
   // When the motion is where.
   void arrive() {
     const size_t samples = curve_->samples();
-    time_.assign(samples, settings_.begins), by_time_.assign(samples, 0.0), d_time_.assign(samples, 0.0);
+    time_.assign(samples, 0.0), by_time_.assign(samples, 0.0), d_time_.assign(samples, 0.0);
     for (size_t k = 0; k + 1 < samples; ++k) time_[k + 1] = time_[k] + pause_[k];
   }
 

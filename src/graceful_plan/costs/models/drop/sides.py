@@ -57,11 +57,6 @@ class SideStop:
         return self.chance * (1.0 - landed * (1.0 - smooth_step((time - self.time) / _LATE)))
 
 
-def no_stop(n: int) -> SideStop:
-    """Return that nothing is in the way."""
-    return SideStop(time=np.zeros(n), push=np.zeros((n, 2)), target=np.zeros(n, dtype=int), chance=np.zeros(n))
-
-
 def find_stop(targets: Targets, constants: DropConstants, state: Release, shape: Shape) -> SideStop:
     """Return the side in the way of each flight; there has to be a target."""
     end = fall_time(state.v[:, 2:], shape.low - targets.top.min()) + constants.delay + _AFTER

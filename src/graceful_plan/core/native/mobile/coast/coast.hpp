@@ -56,6 +56,14 @@ class CoastModel {
   bool hits_slopes(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
     return coasting_.hits(slopes(q, qd), shape_, severity, work);
   }
+  // Add derivatives by the joints of the base to d_q and d_qd; `of` has those by x, y, heading, speed along it and rate
+  // of turning.
+  static void add_slopes(const Dual& of, const double* q, const double* qd, double* d_q, double* d_qd) {
+    const double c = std::cos(q[2]), s = std::sin(q[2]), by_speed = of.slope(3);
+    for (int j = 0; j < 3; ++j) d_q[j] += of.slope(j);
+    d_q[2] += by_speed * (qd[1] * c - qd[0] * s);
+    d_qd[0] += by_speed * c, d_qd[1] += by_speed * s, d_qd[2] += of.slope(4);
+  }
 
  private:
   static Coasting::State state(const double* q, const double* qd) { return {q[0], q[1], q[2], speed(q, qd), qd[2]}; }
@@ -112,11 +120,7 @@ class CoastImpact final : public Impact {
       Dual sum(0.0);
       for (size_t e = 0; e < severity_.size(); ++e) sum += severity_[e] * work.hit_slopes[e];
       out.value[i] = sum.value();
-      const double c = std::cos(q[2]), s = std::sin(q[2]), by_speed = sum.slope(3);
-      double *d_q = out.d_q + i * nq, *d_qd = out.d_qd + i * nq;
-      for (int j = 0; j < 3; ++j) d_q[j] = sum.slope(j);
-      d_q[2] += by_speed * (qd[1] * c - qd[0] * s);
-      d_qd[0] = by_speed * c, d_qd[1] = by_speed * s, d_qd[2] = sum.slope(4);
+      CoastModel::add_slopes(sum, q, qd, out.d_q + i * nq, out.d_qd + i * nq);
     }
   }
   void edges(const Edges& edges, double* cost) const override {

@@ -34,16 +34,12 @@ class MovingCoast final : public MovingSource {
     CoastModel::Encounter encounter = model_.encounter();
     for (size_t i = 0; i < states.n; ++i) {
       const double *q = states.q + i * nq, *qd = states.qd + i * nq;
-      double *d_q = out.d_q + i * nq, *d_qd = out.d_qd + i * nq;
       for (size_t e = 0; e < table_.size(); ++e) {
         FloorShape who;
         if (severity[e] == 0 || !seen(table_.paths().entity[e], t[i], who)) continue;
         const Dual P = severity[e] * model_.met_slopes(q, qd, who, encounter);
         out.value[i] += P.value(), out.d_t[i] += P.slope(5);
-        const double by_speed = P.slope(3), c = std::cos(q[2]), s = std::sin(q[2]);
-        for (int k = 0; k < 3; ++k) d_q[k] += P.slope(k);
-        d_q[2] += by_speed * (c * qd[1] - s * qd[0]);
-        d_qd[0] += by_speed * c, d_qd[1] += by_speed * s, d_qd[2] += P.slope(4);
+        CoastModel::add_slopes(P, q, qd, out.d_q + i * nq, out.d_qd + i * nq);
       }
     }
   }
