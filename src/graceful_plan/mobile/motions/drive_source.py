@@ -37,10 +37,14 @@ from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import TracePoint
 
+_SETTINGS = DescentSettings(bends=0)
+"""Starts are ways and postures: a random bend of a way mostly ends in a wall."""
 _SPACING = 0.6
 """Greatest length of a leg for each control point [m]."""
 _SEARCH_SHARE, _PREPARING_SHARE = 0.3, 0.4
 """Of a round, for starts: of this, for searching paths."""
+_PLAIN_SHARE = 0.6
+"""Of the time for starts: for motions as if w were 0, whose curves are starts."""
 _COMPOSED_SHARE = 0.3
 """Of the rest of a round, for one route of several legs."""
 _WORTH_TIMING = 1.1
@@ -51,6 +55,8 @@ _STARTS = 3
 """New curves that descend in a round."""
 _BASE = 3
 """Joints of the base, before those of the arm."""
+_DRAW_SECONDS = 0.1
+"""Time that a draw of postures takes at most [s]."""
 _ANOTHER_DRAW = 0.3
 """Time of a round from which on postures are drawn once more along the same curve [s]."""
 
@@ -77,7 +83,7 @@ class DriveSource:
         charge: bool = True,
     ) -> None:
         self._request, self._ends, self._problem, self._rng, self._charge = request, ends, problem, rng, charge
-        found = motion_descents(request, problem, DescentSettings()) if request.refine else None
+        found = motion_descents(request, problem, _SETTINGS) if request.refine else None
         self._descents = None if found is None else replace(found, spacing=_SPACING)
         self._starts = None if self._descents is None else DriveStarts(self._descents)
         self._plain: DriveSource | None = None
@@ -99,6 +105,8 @@ class DriveSource:
         self._posed: Motion | None = None
         self._curves: list[Start] = []
         self._path_cost = np.inf
+        self._call = Budget()
+        self._timing_seconds = 0.0
 
     @property
     def path_cost(self) -> float:
@@ -118,6 +126,7 @@ class DriveSource:
 
     def search_first(self, budget: Budget) -> Search:
         """Search until there is a drive or a path; return the search."""
+        self._call = budget
         if self._plain is not None:
             return self._plain.search_first(budget)
         found: list[tuple[float, Drive, Start | None, int]] = []
@@ -177,23 +186,27 @@ class DriveSource:
             yield from self._prepared(part)
         if self._descents is None or self._starts is None:
             return
-        yield from self._timed((one for one in self._pose(budget) if one.value < self._ranking), budget)
+        yield from self._timed(one for one in self._pose(budget) if one.value < self._ranking)
         if self._composed:
             with budget.share(_COMPOSED_SHARE * budget.remaining_seconds) as part:
                 motion = self._descended(*self._composed.pop(0), part)
             if motion is not None:
                 yield motion
         starts = self._starts.take(_STARTS, again=not self._results)
-        results = descend_from(starts, self._descents, budget, self._rng, self._results)
-        yield from self._timed(self._worth_timing(results), budget)
+        with budget.share(budget.remaining_seconds - self._timing_seconds) as part:
+            results = descend_from(starts, self._descents, part, self._rng, self._results)
+            yield from self._timed(self._worth_timing(results))
 
     def _prepared(self, budget: Budget) -> Iterator[Motion]:
         """Add starts; yield the motions that come of them as they are."""
         if self._plain is not None:
-            for plain in self._plain.round(budget, np.inf):
-                yield charged(plain, self._request)
+            with budget.share(
+                _PLAIN_SHARE * budget.remaining_seconds, _PLAIN_SHARE * budget.remaining_iterations
+            ) as part:
+                for plain in self._plain.round(part, np.inf):
+                    yield charged(plain, self._request)
             curves, routes = self._plain.take()
-            self._rough += curves
+            self._rough = curves[::-1] + self._rough
             self._composed += routes
         else:
             with budget.share(_SEARCH_SHARE * budget.remaining_seconds) as part:
@@ -212,12 +225,12 @@ class DriveSource:
             for path in [] if self._plain is not None else self._routes.searched.paths[-1:]:
                 yield along(*self._ends.joined(path), self._request)
             return
-        while self._rough and (self._plain is not None or not budget.over):
+        while self._rough and not budget.over:
             start = self._rough.pop(0)
             curve = start if start.curve is not None else smooth(start, self._descents, budget)
             if curve is not None:
                 self._curves.append(curve)
-                yield from self._timed((one for one in self._starts.add(curve) if one.value < self._ranking), budget)
+                yield from self._timed(one for one in self._starts.add(curve) if one.value < self._ranking)
 
     def take(self) -> tuple[list[Start], list[tuple[Route, int]]]:
         """Take curves, and routes of several legs, that are new since they were taken last: to begin with elsewhere."""
@@ -229,17 +242,18 @@ class DriveSource:
         """Keep results of descents; yield those that are nearly as good as the best."""
         for result in results:
             self._results.append(result)
-            self._curves.append(replace(result.start, curve=result.curve))
             if result.value <= _WORTH_TIMING * min(other.value for other in self._results):
+                self._curves.append(replace(result.start, curve=result.curve))
                 yield result
 
-    def _timed(self, results: Iterable[DescentResult], budget: Budget) -> Iterator[Motion]:
-        """Yield motions along curves of one leg; none is begun late."""
+    def _timed(self, results: Iterable[DescentResult]) -> Iterator[Motion]:
+        """Yield motions along curves of one leg, as long as the call has time for one more."""
         for result in results:
-            if budget.over:
+            if self._call.over or self._call.remaining_seconds < self._timing_seconds:
                 return
-            arrival = result.start.arrival
+            began, arrival = self._call.elapsed, result.start.arrival
             motion = self._driven(self._joined([_rolled(result)], arrival), arrival)
+            self._timing_seconds = self._call.elapsed - began
             if motion is not None:
                 if motion.ranking < self._ranking:
                     self._best_motion, self._best = motion, replace(result.start, curve=result.curve)
@@ -256,7 +270,8 @@ class DriveSource:
         if self._starts is None or motion is None or self._best is None:
             return
         known = motion is self._posed and budget.remaining_seconds < _ANOTHER_DRAW
-        if known or objective.w == 0.0 or self._problem.start.size == _BASE or not self._routes.moves_arm:
+        moves_arm = self._problem.start.size > _BASE and self._routes.moves_arm
+        if known or not moves_arm or objective.w == 0.0 or self._call.remaining_seconds < _DRAW_SECONDS:
             return
         self._posed = motion
         arms = carry_postures(motion.trajectory, self._problem, still_objective(objective), self._rng)
