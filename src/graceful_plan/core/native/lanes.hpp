@@ -22,6 +22,7 @@ template <class T> using Lanes = typename Vector<T>::type;
 template <class T> using Mask = typename Vector<T>::mask;
 template <class T> constexpr int kLanes = kWidth / int(sizeof(T));
 
+// F: lanes of single precision, D: of double precision; V stands for either.
 using F = Lanes<float>;
 using D = Lanes<double>;
 using MaskF = Mask<float>;

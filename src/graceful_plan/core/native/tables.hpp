@@ -64,7 +64,7 @@ struct Triangle {
 
 // Bounds beyond collision, for every configuration. An angle times kLever counts as clearance, so that one margin
 // applies to distances and angles.
-constexpr double kLever = 0.25;  // [m/rad]
+constexpr double kLever = 0.25;  // clearance per angle [m/rad]
 
 struct Cone {  // an axis on a frame stays within an angle of a direction in W
   int32_t link, frame;
@@ -124,7 +124,7 @@ struct DropPart {
 };
 
 struct Surface {                       // a target: a box turned about the vertical
-  int32_t entity, turn, holds, fixed;  // turn: equal for equal axes; holds: wide enough for a fall to end there
+  int32_t entity, turn, holds, fixed;  // turn: equal for equal axes; holds: wide enough to stop a fall
   double centre[2], axis[2], half[2], diagonal, carries[2], bottom, top;
   double bound[2];               // half sizes of its bounding box in W
   double reached[2], inside[2];  // half sizes for the centre of a tumbling object: hits it, is stopped by it
@@ -142,8 +142,8 @@ struct DropConstants {
 
 // --- the spill model: costs/models/spill ---------------------------------------------------------------------
 
-// Rows of severity: carried object; contents after a drop; contents that leave it in the gripper; contents that a stop
-// spills.
+// Rows of severity: carried object; contents after a drop; contents that leave it in the gripper; contents that a
+// protective stop spills.
 constexpr int kDropRows = 4;
 constexpr int kStopRow = 3;
 constexpr int kSpillUses = 2;        // sets of constants: contents after a drop, contents that leave the object in the
@@ -161,20 +161,20 @@ struct SpillSurface {
 };
 
 struct SpillTables {
-  double mouth[3], axis[3];  // in the link's axes; from the centre of mass
+  double mouth[3], axis[3];  // in the link's axes; mouth: from the centre of mass
   double rim, depth, full, radius, power, repose;
   const SpillSurface* surface;  // null without contents
   SpillConstants use[kSpillUses];
 };
 
-// How the robot stops when a failure is detected, and how contents respond.
+// How the robot brakes in a protective stop, and how contents respond.
 struct StopTables {
   double amplification, response, spread;  // spread: 0 if stops spill nothing
   double slowness[kMaxJoints];             // inverse deceleration
   SpillConstants places;                   // for the places where thrown-out contents land
 };
 
-// Own loss of the dropped object. The logarithm of the acting share of the energy takes one of two values.
+// Own loss of the dropped object. The logarithm of the acting share of the energy has two values, with weights.
 struct LossTables {
   double sharpness;  // slope of damage over the logarithm of the energy; 0 if the object has no loss
   double shift[2], weight[2];
@@ -219,14 +219,16 @@ struct Inertia {                       // of all bodies on a frame
 
 struct JointDrive {
   int32_t link;
+  // Limits; inertia of the rotor, damping, dry friction, further damping without power, speed limit; in SI units.
   double lower, upper, armature, damping, friction, resistance, speed;
 };
 
+// Kinds of failure modes: all joints without power, one joint without power, one joint stuck, tracking errors.
 enum BodyGenerator : int32_t { kCollapse, kJoint, kStuck, kStray, kGenerators };
 
 // Spheres of one frame that may hit the same obstacles; a box contains their centres, a ball all of them.
 struct Limb {
-  int32_t frame, row, link;  // row: 0 body, 1 carried; link: one of the links of the spheres
+  int32_t frame, row, link;  // row: 0 body, 1 carried; link: a link with these spheres
   int32_t first, count, first_cluster, n_cluster;
   float centre[3], half[3], radius, bound;  // radius: of the largest sphere; bound: of the ball
 };

@@ -109,6 +109,7 @@ static inline D overlap(const DropTables& drop, const Flight& flight, const Surf
 
 // --- 2. support -----------------------------------------------------------------------------------------------------
 
+// Moments of the ground contact's area, relative to the centre of mass, in W.
 struct Moments {
   D area = {}, x = {}, y = {}, xx = {}, yy = {}, xy = {};
 

@@ -246,7 +246,7 @@ class DropModel {
     spill.surface = spill_.data();  // null if there is nothing to land on
   }
 
-  // deceleration: of each joint when the robot stops; constants: amplification, response, spread; places: constants of
+  // deceleration: of each joint in a protective stop; constants: amplification, response, spread; places: constants of
   // the spill model
   void add_stop(Reals deceleration, Reals constants, Reals places) {
     const size_t nq = size_t(core_.tables().n_joint);

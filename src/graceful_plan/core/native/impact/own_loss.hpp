@@ -7,6 +7,7 @@ struct Damage {
   [[gnu::always_inline]] Damage(const LossTables& loss, const Surface& s, D log_energy) {
     const D z = (log_energy - s.strength) * loss.sharpness, a = z - loss.shift[0], b = z - loss.shift[1];
     const D a2 = a * a, b2 = b * b;
+    // The normal distribution function of a and b, by Bowling et al. 2009: [1] of the specification.
     const D over_a = odds(-a * (1.5976 + 0.07056 * a2)), over_b = odds(-b * (1.5976 + 0.07056 * b2));
     const D both = reciprocal((1.0 + over_a) * (1.0 + over_b));
     const D below_a = (1.0 + over_b) * both, below_b = (1.0 + over_a) * both;

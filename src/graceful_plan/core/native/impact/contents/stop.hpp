@@ -1,4 +1,4 @@
-// The inertial spill: contents that leave the container when the robot stops. costs/models/spill specifies the model
+// The inertial spill: contents that leave the container in a protective stop. costs/models/spill specifies the model
 // and its letters.
 
 // --- values ----------------------------------------------------------------------------------------------------------

@@ -60,9 +60,9 @@ static inline D fall(D vz, D h) {
 // --- the state at release -------------------------------------------------------------------------------------------
 
 struct FlyingPart {
-  Vec<D> o, u;  // o: from c to the part's centre; u: velocity of that centre
-  D axis[9], bottom;
-  D stands;  // the part's weight in the ground contact
+  Vec<D> o, u;        // o: from c to the part's centre; u: velocity of that centre
+  D axis[9], bottom;  // rotation Q, lowest point
+  D stands;           // the part's weight in the ground contact
 };
 
 // Effect of the first side in the way on the flight.
@@ -76,11 +76,11 @@ struct SideStop {
 };
 
 struct Flight {
-  Vec<D> c, v, w;
+  Vec<D> c, v, w;  // centre of mass, its velocity, angular velocity
   SideStop stop;
   FlyingPart part[kMaxDropParts];
-  D low, high, highest_bottom, tilt, speed;
-  D turn_speed, late;  // |w|, and the largest delay of another part after the lowest one
+  D low, high, highest_bottom, tilt, speed;  // lowest and highest point; highest of the parts' lowest points
+  D turn_speed, late;                        // |w|, and the largest delay of another part after the lowest one
 };
 
 // Extent of a part in a direction, given as components d along the part's axes.

@@ -3,7 +3,7 @@
 
 namespace moving {
 
-constexpr double kRoam = 0.3;        // time from landing to rest, or to falling off [s]
+constexpr double kRoam = 0.3;        // time from landing to rest, or to falling off [s]; from the specification
 constexpr double kLevelSoft = 0.01;  // softness of comparing a level's height with the entity's [m]
 constexpr double kSideSoft = 0.02;   // softness of the object passing above or below the entity [m]
 constexpr double kStandsOn = 0.1;    // surfaces less than this above an entity's bottom support it [m]
