@@ -20,7 +20,7 @@ Array = np.ndarray
 CHECK_STEP = 1.0 / 32.0
 """Largest joint-space distance between checked configurations of an edge [rad]."""
 FINE_STEP = 1.0 / 256.0
-"""Largest distance between checked configurations of edges of a path [rad]; points of an arm move about 5 mm."""
+"""Largest distance between checked configurations of edges of a path [rad]; an arm moves at most 5 mm between them."""
 CAPACITY: dict[str, int] = dict(_native.capacity())
 """Largest numbers of joints, links, spheres, parts and entities that the kernels hold."""
 LEVER: float = _native.lever()

@@ -100,7 +100,7 @@ static void link_poses(const Tables& tables, const States& states, double* X_WL)
   });
 }
 
-// Comparisons with NaN are false, and collision checks would report "free".
+// Comparisons with NaN are false, so collision checks would report "free".
 static inline bool is_number(const double* q, size_t n) {
   double sum = 0;
   for (size_t j = 0; j < n; ++j) sum += q[j] * 0;

@@ -156,7 +156,7 @@ struct SpillConstants {
 };
 
 struct SpillSurface {
-  int32_t first, end;  // levels that it supports or stands beside
+  int32_t first, end;  // levels that the surface's body stands on or beside
   double visible;
 };
 
@@ -169,7 +169,7 @@ struct SpillTables {
 
 // How the robot brakes in a protective stop, and how contents respond.
 struct StopTables {
-  double amplification, response, spread;  // spread: 0 if stops spill nothing
+  double amplification, response, spread;  // spread: 0 without a model of stops
   double slowness[kMaxJoints];             // inverse deceleration
   SpillConstants places;                   // for the places where thrown-out contents land
 };

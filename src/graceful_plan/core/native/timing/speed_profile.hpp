@@ -279,8 +279,8 @@ class SpeedProfile {
     return {1 - 2 * curve.step[i] * tilt_[r], 2 * curve.step[i] * reach_[r], r};
   }
   // If the largest speed now forces a low speed next, as where a row hardly depends on u, a lower speed is better: the
-  // one that maximises the sum of both. It depends continuously on the curve; the largest next speed after the largest
-  // speed now does not.
+  // one that maximises the sum of both. That optimum depends continuously on the curve, unlike the result of always
+  // taking the largest speed.
   void ease(const CurveSamples& curve, size_t i) {
     if (!overturns_[i]) return;
     Line now = line(curve, i, kEnd);

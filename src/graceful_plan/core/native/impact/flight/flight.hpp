@@ -5,7 +5,7 @@
 constexpr double kGravity = 9.81;
 constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
 constexpr double kHalfRoot = 0.70710678118654752440;
-constexpr double kTouch = 0.008;  // softness of passing the height of a top (step 1 of the specification) [m]
+constexpr double kTouch = 0.008;  // smoothing width for passing the height of a top (step 1 of the specification) [m]
 constexpr double kAbove =
     -kTouch * (1.0 + kTail * kBeta);  // a part that is lower relative to a top does not land on it [m]
 constexpr double kLeastMass = 1e-6;
@@ -158,10 +158,11 @@ static inline Point2 travelled(const Flight& flight, D time) {
 
 // --- 0. sides in the way --------------------------------------------------------------------------------------------
 
-constexpr double kSideTouch = 0.006;  // softness of being in front of a side instead of above its surface [m]
-constexpr double kSideTop = 0.067;    // softness of being below the upper edge of a side and above the lower one [m]
+constexpr double kSideTouch = 0.006;  // smoothing width for being in front of a side instead of above its surface [m]
+constexpr double kSideTop =
+    0.067;  // smoothing width for being below the upper edge of a side and above the lower one [m]
 constexpr double kSideWidth = 2.2360679774997896;  // width of a step over noise of standard deviation 1: sqrt(5)
-constexpr double kSideLate = 0.067;                // softness of reaching a side before landing [s]
+constexpr double kSideLate = 0.067;                // smoothing width for reaching a side before landing [s]
 constexpr double kSideAfter = 0.15;                // time after landing in which a side may still be hit [s]
 constexpr double kSideSlow = 1e-3;                 // lower bound of speeds towards a side [m/s]
 constexpr double kSideMoves = 0.1;                 // speed that fully counts as flying towards a side [m/s]

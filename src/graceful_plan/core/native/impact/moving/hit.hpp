@@ -4,8 +4,8 @@
 namespace moving {
 
 constexpr double kRoam = 0.3;        // time from landing to rest, or to falling off [s]; from the specification
-constexpr double kLevelSoft = 0.01;  // softness of comparing a level's height with the entity's [m]
-constexpr double kSideSoft = 0.02;   // softness of the object passing above or below the entity [m]
+constexpr double kLevelSoft = 0.01;  // smoothing width for comparing a level's height with the entity's [m]
+constexpr double kSideSoft = 0.02;   // smoothing width for the object passing above or below the entity [m]
 constexpr double kStandsOn = 0.1;    // surfaces less than this above an entity's bottom support it [m]
 constexpr double kFar = 8.0;         // standard deviations beyond which nothing is hit
 constexpr double kCertain = 0.01;    // for smaller standard deviations one place is enough [m]
@@ -83,7 +83,7 @@ struct Dropped : Placed {
   }
 };
 
-// --- what passes ----------------------------------------------------------------------------------------------------
+// --- relative motion ------------------------------------------------------------------------------------------------
 
 // An entity off its predicted path by the given numbers of standard deviations; `cell`: remaining standard deviation of
 // its place, relative to that of the prediction.

@@ -4,7 +4,7 @@
 namespace moving {
 
 constexpr double kBodyReach = 0.15, kBodySpread = 0.1;  // reach of a collapsing arm, and its spread [m]; not fitted
-constexpr double kPassesBelow = 0.02;                   // softness of a link passing below an entity [m]
+constexpr double kPassesBelow = 0.02;                   // smoothing width for a link passing below an entity [m]
 
 // A moving entity at the times of the states side by side.
 struct Met {
