@@ -1,1 +1,1 @@
-"""What is computed fast: arrays, and the native kernels on them."""
+"""Scene tables as arrays, and the native kernels that read them."""

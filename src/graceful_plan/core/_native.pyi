@@ -1,6 +1,6 @@
-"""The native core; `kernels.py` and the native planners are its typed faces.
+"""Types of the native core; `kernels.py` and the native planners wrap it.
 
-Arrays of other types or layouts than those that stand here are copied; those that come out belong to the caller.
+Input arrays of other types or layouts than declared are copied. The caller owns returned arrays.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ def body_constants() -> list[str]: ...
 
 @final
 class Core:
-    """The tables of a scene, see `arrays.py`; row by row, q is [n, nq]."""
+    """The tables of a scene, see `arrays.py`; configurations q are rows [n, nq]."""
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ class BodyModel:
     def dynamics(self, q: Reals) -> tuple[Reals, Reals]: ...
 
 class Impact:
-    """A model of the impact with severities; has no constructor of its own."""
+    """An impact model with severities; abstract, without a constructor."""
 
     def states(self, q: Reals) -> Reals: ...
     def moving_states(self, q: Reals, qd: Reals) -> Reals: ...
@@ -351,7 +351,7 @@ class GraphSearch:
     ) -> tuple[list[Integers], Reals, bool]: ...
 
 class Space:
-    """What a planner plans in; has no constructor of its own."""
+    """The space that a planner plans in; abstract, without a constructor."""
 
 @final
 class SceneSpace(Space):

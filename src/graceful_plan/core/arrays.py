@@ -1,7 +1,7 @@
 """The tables that kernels read: robot, world, hazards, bounds.
 
 Axis words: `*batch time nq nv link geom sphere obstacle pair component entity hazard xyz(3) wxyz(4)`. Order: batch,
-time, item, component. Tables are frozen; `compile.py` makes them from a scene, `kernels.py` hands them to the core.
+time, item, component. Tables are frozen; `compile.py` builds them from a scene, `kernels.py` passes them to the core.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ OBSTACLE_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RobotArrays:
-    """The moving part: links in topological order, the spheres that cover them, limits.
+    """Tables of the robot: links in topological order, the spheres that cover them, joint limits.
 
-    A link is one joint with everything rigidly behind it; link 0 is the fixed base. The carried object and the
-    gripper ride on the link of the tool, as links of their own without a joint.
+    A link is one joint with everything rigidly attached to it; link 0 is the fixed base. The gripper and the carried
+    object are separate links without a joint, attached to the tool's link.
 
     | field         | meaning                                                        | unit  | shape          |
     |---------------|----------------------------------------------------------------|-------|----------------|
@@ -40,7 +40,7 @@ class RobotArrays:
     | bound         | bounding sphere of each link, radius -1 if it has no spheres   | m     | link 4         |
     | self_pair     | pairs of links that may touch each other                       |       | pair 2         |
     | self_slack    | clearance of their spheres at which they touch, 0 or less      | m     | pair           |
-    | protrusion    | how far the spheres stick out of the geoms, at most            | m     |                |
+    | protrusion    | largest protrusion of the spheres from the geoms               | m     |                |
     """
 
     parent: Int[Array, " link"]
@@ -61,7 +61,7 @@ class RobotArrays:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class WorldArrays:
-    """What stands around: exact primitives and convex hulls, in world coordinates.
+    """Tables of the obstacles around the robot: exact primitives and convex hulls, in world coordinates.
 
     | field       | meaning                                                              | unit | shape         |
     |-------------|----------------------------------------------------------------------|------|---------------|
@@ -86,7 +86,7 @@ class WorldArrays:
 
     @classmethod
     def nothing(cls) -> WorldArrays:
-        """Return surroundings in which nothing stands."""
+        """Return a world without obstacles."""
         none = np.zeros(0, dtype=int)
         return cls(
             kind=none,
@@ -102,12 +102,12 @@ class WorldArrays:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class HazardArrays:
-    """Who may hit whom, and how bad it is: boxes per geom of components and entities.
+    """Components that may hit, entities that may be hit, and the severities: boxes per geom of components and entities.
 
     | field          | meaning                                                 | unit | shape            |
     |----------------|---------------------------------------------------------|------|------------------|
     | part_component | component of each moving box, ascending                 |      | part             |
-    | part_link      | link that it rides on                                   |      | part             |
+    | part_link      | link of each moving box                                 |      | part             |
     | part_box       | pose in the link (rotation row-major, centre), half size | m   | part 15          |
     | target_entity  | entity of each static box, ascending                    |      | target           |
     | target_box     | axis-aligned box in W: lower corner, upper corner       | m    | target 6         |
@@ -124,13 +124,13 @@ class HazardArrays:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BoundArrays:
-    """What else has to hold in every configuration: axes within cones, points within boxes, more distance.
+    """Bounds beyond collision: axes within cones, points within boxes, extra distance to obstacles.
 
     | field      | meaning                                                                   | unit | shape    |
     |------------|---------------------------------------------------------------------------|------|----------|
-    | cone_link  | link that the axis rides on                                               |      | cone     |
+    | cone_link  | link that the axis is attached to                                         |      | cone     |
     | cone       | unit axis in the link, unit direction in W, largest angle between them     | rad  | cone 7   |
-    | room_link  | link that the point rides on                                              |      | room     |
+    | room_link  | link that the point is attached to                                        |      | room     |
     | room       | point in the link; rotation (row-major) and position of the box; its lower |      |          |
     |            | and upper corner in its own axes                                          | m    | room 21  |
     | keep       | distance to keep from each obstacle, on top of any margin                 | m    | obstacle |
@@ -144,7 +144,7 @@ class BoundArrays:
 
     @classmethod
     def none(cls, n_obstacle: int) -> BoundArrays:
-        """Nothing besides keeping clear."""
+        """Return tables without bounds."""
         no_link = np.zeros(0, dtype=int)
         return cls(
             cone_link=no_link,

@@ -1,12 +1,12 @@
-"""Scene -> arrays. Refuses what the kernels cannot represent, by name.
+"""Compile a scene to arrays; features that the kernels cannot represent are refused by name.
 
-Frames: W world, L link, P parent link, G geom, T tool. A link is a joint with everything rigidly behind it; rigid links
-without a joint group geoms that ride on the same frame and may touch the same things, so that every pair of links and
-every pair of link and obstacle is either tested or not.
+Frames: W world, L link, P parent link, G geom, T tool. A link is a joint with everything rigidly attached to it.
+Rigid links without a joint group the geoms of one frame that may touch the same geoms. So each pair of links, and
+each pair of a link and an obstacle, is either tested as a whole or not at all.
 
-Geoms that ride on one frame, such as the carried object and the last link, or the base and what stands beside it, keep
-their distance in all configurations. Those that are apart are not tested, since covering spheres might overlap where
-the geoms never touch; those that overlap are tested, so that no configuration is free, as the exact judge says too.
+Geoms on one frame keep their distance in all configurations: the carried object and the last link, for example, or
+the base and its surroundings. Pairs that are apart are not tested, since the covering spheres might overlap where the
+geoms never touch. Pairs that overlap are tested, so that no configuration is free; the exact judge agrees.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _PROTRUSIONS = tuple(factor * MAX_PROTRUSION for factor in (1.0, 1.5, 2.0, 3.0))
-"""How far spheres may stick out [m], one after the other until the kernels hold them all."""
+"""Protrusions of spheres [m], tried in this order until the spheres fit into the kernels."""
 PLANE_EXTENT = 50.0
-"""Half side of the box that stands for an infinite plane in Algorithm 1 [m]."""
+"""Half side of the box that replaces an infinite plane in Algorithm 1 [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ class CompiledScene:
 
     @cached_property
     def proof(self) -> Kernels:
-        """Kernels that are never optimistic, of pairs of links neither: those without slack."""
+        """Kernels for proofs: never optimistic, also for pairs of links, since their slack is zero."""
         if not self.robot.self_slack.any():
             return self.kernels
         strict = replace(self.robot, self_slack=np.zeros_like(self.robot.self_slack))
@@ -59,11 +59,11 @@ class CompiledScene:
 
 @per_scene
 def compile_scene(scene: Scene) -> CompiledScene:
-    """Return the scene's tables and kernels; a scene is compiled once.
+    """Compile a scene to tables and kernels, or return them if it is compiled already.
 
     Raises:
-        UnsupportedError: If the kernels cannot represent it; names the geom.
-        TooLargeError: If it needs more memory than there is.
+        UnsupportedError: If the kernels cannot represent the scene; names the geom.
+        TooLargeError: If compiling needs more memory than the machine has.
     """
     with within_memory(f"compiling scene {scene.name!r} with {scene.model.ngeom} geoms"):
         return _compiled(scene)
@@ -84,15 +84,15 @@ def _compiled(scene: Scene) -> CompiledScene:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _RobotParts:
-    """What of a scene's tables does not depend on where things around the robot stand."""
+    """Tables of a scene that do not depend on where the objects around the robot are."""
 
     groups: list[_Group]
     arrays: RobotArrays
-    """Without links of the base that touch what stands around."""
+    """Without the links of the base that touch surroundings."""
     hazards: HazardArrays
-    """Without boxes of entities."""
+    """Without the boxes of entities."""
     targets: list[int]
-    """The geoms of these."""
+    """The geoms of the entities."""
     obstacles: _Obstacles
 
 
@@ -139,7 +139,7 @@ def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArr
 
 @dataclass(frozen=True, kw_only=True)
 class _Frames:
-    """Frames that move: 0 is the base, k + 1 belongs to planned joint k."""
+    """Moving frames: 0 is the base, k + 1 belongs to planned joint k."""
 
     parent: list[int]
     X_W: Float[Array, "frame 4 4"]  # at the reference configuration
@@ -150,7 +150,7 @@ class _Frames:
 def reference_data(scene: Scene) -> mujoco.MjData:
     """Return the scene with all planned joints at their reference position, where joint rotations are the identity.
 
-    Whoever asks next in the same thread, about this scene or one of the same layout, moves the data.
+    The returned data is shared: the next call in this thread for a scene of the same layout overwrites it.
     """
     return _placements(scene).of(scene).place(scene.model.qpos0[scene.qpos_adr])
 
@@ -199,7 +199,7 @@ def _is_below(model: mujoco.MjModel, body: int, root: int) -> bool:
 def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:
     R, z = np.empty((3, 3)), axis / np.linalg.norm(axis)
     a, b, c = z.tolist()
-    # The unit vector that is farthest from z, crossed with it.
+    # The unit vector farthest from z, crossed with z.
     x = ((0.0, -c, b), (c, 0.0, -a), (-b, a, 0.0))[int(np.argmin(np.abs(z)))]
     d, e, f = (np.array(x) / np.linalg.norm(x)).tolist()
     R[:, 0], R[:, 1], R[:, 2] = (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d), z
@@ -207,12 +207,12 @@ def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:
 
 
 def body_frames(scene: Scene) -> tuple[int, ...]:
-    """Return the frame that each body rides on: 0 for what does not move, k + 1 for planned joint k."""
+    """Return the frame of each body: 0 if it does not move, k + 1 on planned joint k."""
     return tuple(_frames(scene, reference_data(scene)).of_body)
 
 
 def link_geoms(scene: Scene) -> tuple[tuple[int, ...], ...]:
-    """Return the geoms that the spheres of each link cover; none for frames."""
+    """Return the geoms that the spheres of each link cover; frames have none."""
     frames = _frames(scene, reference_data(scene))
     return (*((),) * len(frames.parent), *(group.geoms for group in _groups(scene, frames)))
 
@@ -254,7 +254,7 @@ def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
 
 
 def _overlapping(model: mujoco.MjModel, data: mujoco.MjData) -> frozenset[tuple[int, int]]:
-    """Return the pairs of geoms, both ways round, that overlap at the reference configuration by exact geometry."""
+    """Return the pairs of geoms, in both orders, that overlap at the reference configuration by exact geometry."""
     mujoco.mj_collision(model, data)
     pairs = data.contact.geom[data.contact.dist < 0.0].tolist()
     return frozenset((a, b) for pair in pairs for a, b in (pair, pair[::-1]))
@@ -310,7 +310,7 @@ def _robot_arrays(
 
 
 def _covers(model: mujoco.MjModel, data: mujoco.MjData, frames: _Frames, groups: list[_Group]) -> list[GroupCover]:
-    """Cover all links by spheres that stick out as little as there is room for."""
+    """Cover all links by spheres, with the smallest protrusion at which the kernels can hold them."""
     X_LG = [
         np.stack(
             [
@@ -352,7 +352,7 @@ def _self_pairs(groups: list[_Group], n_frame: int, overlapping: frozenset[tuple
 
 
 def _blocked(scene: Scene, data: mujoco.MjData, parts: _RobotParts) -> Int[Array, "pair 2"]:
-    """Return links of the base that touch what stands around, each as a pair with itself: such a link is never free.
+    """Return the links of the base that touch obstacles, each paired with itself: such a link is never free.
 
     Kernels do not test the base against obstacles.
     """
@@ -367,7 +367,7 @@ def _blocked(scene: Scene, data: mujoco.MjData, parts: _RobotParts) -> Int[Array
 
 
 def _touchable(groups: list[_Group], pair: Int[Array, " 2"]) -> list[tuple[int, int]]:
-    """Return the geoms of two groups that may touch."""
+    """Return the pairs of geoms of two groups that may touch."""
     first, second = (groups[k] for k in pair.tolist())
     return [(a, b) for a in first.geoms for b in second.geoms if b in first.partners]
 
@@ -381,7 +381,7 @@ def _overlap(group: _Group, others: Iterable[int], overlapping: frozenset[tuple[
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Obstacles:
-    """Geoms around the robot, with what does not depend on where they stand.
+    """Geoms around the robot, with the tables that do not depend on where they are.
 
     | field   | meaning                                                        | unit | shape        |
     |---------|----------------------------------------------------------------|------|--------------|
@@ -399,7 +399,7 @@ class _Obstacles:
     base: Int[Array, " geom"]
 
     def near_base(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
-        """Tell whether the bounding sphere of one of them meets that of a geom of the base; planes have none."""
+        """Return whether the bounding sphere of an obstacle meets that of a geom of the base; planes count as near."""
         radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)
         away = np.linalg.norm(data.geom_xpos[self.geom][:, None] - data.geom_xpos[self.base], axis=2)
         return bool(np.any(away <= radius[self.geom][:, None] + radius[self.base]))
@@ -433,7 +433,7 @@ def _obstacles(scene: Scene, groups: list[_Group]) -> _Obstacles:
 
 def _world_arrays(scene: Scene, data: mujoco.MjData, obstacles: _Obstacles) -> WorldArrays:
     model = scene.model
-    # Nearest to the base first: these are met most often.
+    # Nearest to the base first, since these obstacles collide most often.
     away = np.linalg.norm(data.geom_xpos[obstacles.geom] - data.xpos[min(scene.robot_bodies)], axis=1)
     order = np.argsort(away - model.geom_rbound[obstacles.geom], kind="stable")
     geoms = obstacles.geom[order]

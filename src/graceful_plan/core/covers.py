@@ -1,7 +1,7 @@
-"""Spheres that cover the geoms of links, made once for each shape and kept.
+"""Cover the geoms of links with spheres, once for each shape, and cache the covers.
 
-What belongs to the robot does not change when an obstacle does. Covers are found again by what they are made of, in
-this process and, where they took long, in a folder of the user's: see `kept`.
+Covers depend on the robot only, so they stay valid when obstacles change. Their key is the shape they cover. They are
+cached in this process and, if they took long to compute, in a folder of the user; see `kept`.
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ GEOM_KINDS = {
     _GEOM.mjGEOM_BOX: "box",
     _GEOM.mjGEOM_MESH: "mesh",
 }
-"""Names of the types of geoms that can be represented."""
+"""Names of the supported geom types."""
 BASE_PROTRUSION = 0.03
-"""How far spheres may stick out of large geoms of the base [m]; they only keep the arm off its own foot."""
+"""Largest protrusion of spheres of large geoms of the base [m]; these only keep the arm away from its own base."""
 _MANY, _LIKELY_MANY = 200, 1000
-"""Spheres of a base from which on it is covered by larger ones: counted, and as sizes let expect."""
+"""Numbers of spheres above which a base gets larger ones: as counted, and as estimated from its sizes."""
 _MOST_KEPT = 512
-"""Covers of links in memory; those not asked for longest go first."""
+"""Largest number of links' covers in memory; the least recently used are dropped first."""
 _SLOW = 0.05
-"""A cover that took longer is kept in the folder [s]: reading one takes a millisecond."""
+"""Covers that took longer to compute are written to the folder [s]; reading one takes a millisecond."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GroupCover:
-    """Spheres of a link.
+    """Spheres that cover the geoms of a link.
 
     | field      | meaning                                          | unit | shape    |
     |------------|--------------------------------------------------|------|----------|
     | spheres    | centre in the link frame, radius                 | m    | sphere 4 |
-    | bound      | a sphere around them all                         | m    | 4        |
-    | protrusion | how far they stick out of the geoms, at most     | m    |          |
+    | bound      | a sphere around all spheres                      | m    | 4        |
+    | protrusion | largest protrusion of the spheres from the geoms | m    |          |
     """
 
     spheres: Float[Array, "sphere 4"]
@@ -72,14 +72,14 @@ def group_cover(
     base: bool,
     protrusion: float = sphere_cover.MAX_PROTRUSION,
 ) -> GroupCover:
-    """Return spheres that contain some geoms of one link.
+    """Return spheres that contain the given geoms of one link.
 
     Args:
         model: The model.
         geoms: The geoms.
-        X_LG: Where they are on the link.
+        X_LG: Poses of the geoms in the link.
         base: Whether the link is the base.
-        protrusion: How far spheres may stick out [m]; those of a base of many may do so by `BASE_PROTRUSION`.
+        protrusion: Largest protrusion of the spheres [m]. A base that needs many spheres may use `BASE_PROTRUSION`.
 
     Raises:
         UnsupportedError: If a geom cannot be covered; names it.
@@ -101,13 +101,13 @@ def group_cover(
 
 
 def forget() -> None:
-    """Forget the covers of this process; those in the folder stay."""
+    """Drop the covers in memory; those in the folder stay."""
     with _covers_lock:
         _covers.clear()
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> bytes:
-    """Return what a cover depends on, as bytes."""
+    """Return the data of a geom that its cover depends on, as bytes."""
     kind = int(model.geom_type[geom])
     shape = bytes([kind]) + model.geom_size[geom].tobytes()
     return shape + _mesh_bytes(model, int(model.geom_dataid[geom])) if kind == _GEOM.mjGEOM_MESH else shape
@@ -125,7 +125,7 @@ def _group_cover(
 ) -> GroupCover:
     halves = [_half_sizes(model, geom) for geom in geoms]
     reach = [sphere_cover.roomy(half, protrusion) for half in halves]
-    # A mobile base of many is not covered finely first, just to count.
+    # A mobile base with many spheres is not covered finely first just to count them.
     likely = sum(map(sphere_cover.likely_count, halves, reach)) if base else 0.0
     covers = [] if likely > _LIKELY_MANY else _link_covers(model, geoms, X_LG, reach)
     if base and (not covers or sum(len(radii) for _, radii in covers) > _MANY):
@@ -133,7 +133,7 @@ def _group_cover(
     inexact = [far for g, far in zip(geoms, reach, strict=True) if model.geom_type[g] != _GEOM.mjGEOM_SPHERE]
     sticks_out = 0.0 if base else max(inexact, default=0.0)
     all_centres, all_radii = (np.concatenate(of) for of in zip(*covers, strict=True))
-    if len(all_radii) <= CAPACITY["spheres"]:  # more will be refused; no need to compare them all
+    if len(all_radii) <= CAPACITY["spheres"]:  # more are refused anyway, so skip the comparison of all pairs
         keep = _not_inside_others(all_centres, all_radii)
         all_centres, all_radii = all_centres[keep], all_radii[keep]
     spheres = np.column_stack([all_centres, all_radii])
@@ -145,9 +145,9 @@ def _group_cover(
 def _link_covers(
     model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], reach: list[float]
 ) -> list[sphere_cover.Cover]:
-    """Return covers in the frame of the link: one of hulls whose spheres may stick out as far, one of each other geom.
+    """Return covers in the link's frame: one for all hulls with the same protrusion, one for each other geom.
 
-    Hulls are placed relative to the first, so that a link with one hull finds the cover of another with the same mesh.
+    Hulls are placed relative to the first, so that links with one hull of the same mesh share a cover.
     """
     hulls: dict[float, list[int]] = {}
     found = []
@@ -177,7 +177,7 @@ def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " 
     room = radii - radii[:, None] + 1e-9
     contains = (room >= 0.0) & (squared <= np.square(room))  # [i, j]: j contains i
     inner, outer = np.nonzero(contains)
-    twins = contains[outer, inner] & (inner <= outer)  # of two equal ones the first stays, and each contains itself
+    twins = contains[outer, inner] & (inner <= outer)  # of two equal spheres the first stays, and each contains itself
     keep = np.ones(len(radii), dtype=bool)
     keep[inner[~twins]] = False
     return keep
@@ -210,7 +210,7 @@ def _geom_cover(
 
 
 def _mesh_cover(hulls: list[Float[Array, "triangle 3 3"]], protrusion: float) -> sphere_cover.Cover:
-    """Cover convex hulls, or find their cover in the folder; one with a hole hides collisions, so it is checked."""
+    """Cover convex hulls, or read their cover from the folder and check it: a cover with a hole hides collisions."""
     vertices = [np.unique(triangles.reshape(-1, 3), axis=0) for triangles in hulls]
     key = hashlib.sha256(repr((sphere_cover.METHOD, protrusion, [len(triangles) for triangles in hulls])).encode())
     for triangles in hulls:
@@ -233,18 +233,18 @@ def _contains(spheres: Float[Array, "sphere 4"], points: Float[Array, "n 3"]) ->
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """Name a geom, by its body if it has no name."""
+    """Return the name of a geom, or its id and body if it has none."""
     return model.geom(geom).name or f"#{geom} of body {model.body(int(model.geom_bodyid[geom])).name}"
 
 
 def hull_triangles(model: mujoco.MjModel, mesh: int) -> Float[Array, "triangle 3 3"]:
-    """Convex hull of a mesh as MuJoCo computed it: triangles, counter-clockwise from outside, in the mesh frame."""
+    """Return the convex hull of a mesh as MuJoCo computed it: triangles, counter-clockwise from outside, mesh frame."""
     first, graph = model.mesh_vertadr[mesh], model.mesh_graphadr[mesh]
     vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
     if graph < 0:
         raise UnsupportedError(f"mesh {model.mesh(mesh).name!r} has no convex hull; use it in a geom that collides")
     n_vertex, n_face = (int(n) for n in model.mesh_graph[graph : graph + 2])
-    # The graph holds the two counts, per vertex an edge address and its id, the edges, and the faces' vertex ids.
+    # The graph holds two counts, an edge address and an id per vertex, the edges, and the vertex ids of the faces.
     faces = graph + 2 + 2 * n_vertex + n_vertex + 3 * n_face
     corners = vertices[model.mesh_graph[faces : faces + 3 * n_face].reshape(-1, 3)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,7 +1,7 @@
-"""The native kernels' typed Python face: shapes, units and checks.
+"""Typed Python interface to the native kernels: shapes, units and checks.
 
-All functions take configurations q with any leading batch axes and work in float64 outside; inside, collision runs in
-float32 lanes and impact in float64 lanes. Kernels hold no state and release the GIL.
+All functions take configurations q with any leading batch axes. Inputs and outputs are float64; inside, collision
+runs in float32 lanes and impact in float64 lanes. Kernels hold no state and release the GIL.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ Array = np.ndarray
 CHECK_STEP = 1.0 / 32.0
 """Largest joint-space distance between checked configurations of an edge [rad]."""
 FINE_STEP = 1.0 / 256.0
-"""The same for edges that become part of a path [rad]: no point of an arm moves more than some 5 mm in between."""
+"""Largest distance between checked configurations of edges of a path [rad]; an arm moves at most 5 mm between them."""
 CAPACITY: dict[str, int] = dict(_native.capacity())
-"""How many joints, links, spheres, parts and entities the kernels hold."""
+"""Largest numbers of joints, links, spheres, parts and entities that the kernels hold."""
 LEVER: float = _native.lever()
-"""What a radian of a bound counts as clearance [m/rad], so that one margin is for distances and angles."""
+"""Clearance per radian of an angular bound [m/rad], so that one margin applies to distances and angles."""
 MAX_SAMPLES = 1_000_000
-"""Configurations that one edge may be cut into."""
+"""Largest number of configurations that an edge is sampled at."""
 MAX_POSITION = 1000.0
-"""Largest joint position that kernels take [rad or m]; single precision says little beyond."""
+"""Largest joint position that kernels take [rad or m]; single precision is too coarse beyond."""
 PROJECTED = 0.003
-"""How much more than a margin projected configurations keep: what a straight edge between two may lose [m]."""
+"""Clearance of projected configurations beyond the margin [m]; a straight edge between two may lose this much."""
 COST_STEP = 0.015
 """Largest joint-space distance between samples of the impact along an edge [rad]."""
 
 
 def instruction_sets() -> tuple[str, ...]:
-    """Names of the instruction sets that this machine can run, best first."""
+    """Return the names of the instruction sets that this machine supports, best first."""
     return tuple(_native.instruction_sets())
 
 
@@ -45,7 +45,7 @@ def _integers(values: Array) -> Array:
 
 
 def reals(values: ArrayLike) -> Array:
-    """Return numbers as the core takes them."""
+    """Return numbers as a contiguous float64 array, as the core takes them."""
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
@@ -53,11 +53,12 @@ class Kernels:
     """Batched kinematics, collision and impact of one scene.
 
     Args:
-        robot: The moving part.
-        world: The obstacles.
+        robot: Tables of the robot.
+        world: Tables of the obstacles.
         hazards: Components and entities.
         isa: Instruction set, "auto" for the best; see `instruction_sets`.
-        bounds: What else has to hold: "free" and "clearance" then speak of these too, an angle [rad] as `LEVER` metres.
+        bounds: Bounds beyond collision. They count in "free" and "clearance", too; an angle [rad] counts as `LEVER`
+            metres.
     """
 
     def __init__(
@@ -117,12 +118,12 @@ class Kernels:
         return self.core.isa
 
     def link_poses(self, q: ArrayLike) -> Float[Array, "*batch link 4 4"]:
-        """Pose of every link in W [m]."""
+        """Return the pose of every link in W [m]."""
         flat, batch = self.rows("q", q)
         return self.core.link_poses(flat).reshape(*batch, len(self.robot.parent), 4, 4)
 
     def tool_pose(self, q: ArrayLike) -> Float[Array, "*batch 4 4"]:
-        """Pose of the tool in W [m]."""
+        """Return the pose of the tool in W [m]."""
         return self.link_poses(q)[..., self.robot.tool_link, :, :] @ self.robot.X_LT
 
     def reach(
@@ -135,22 +136,22 @@ class Kernels:
         patience: int,
         held: slice = slice(0),
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n 6"]]:
-        """Take each seed towards its pose of the tool, inside the position limits, by damped least squares.
+        """Move each seed towards its tool pose by damped least squares, within the position limits.
 
-        A seed ends at its pose, after all iterations, or where it makes too little progress. What becomes of it does
-        not depend on the other seeds.
+        A seed stops at its pose, after all iterations, or when it makes too little progress. Seeds do not affect each
+        other.
 
         Args:
-            seeds: Configurations to begin from [rad or m].
-            X_WG: The pose for each seed.
-            free_yaw: Whether the tool may be turned about its own z axis there.
-            iterations: At most, from each seed.
-            patience: Iterations in which at least .3 of the error has to go.
-            held: Joints that stay.
+            seeds: Initial configurations [rad or m].
+            X_WG: Tool pose for each seed.
+            free_yaw: Whether the tool may turn about its own z axis at that pose.
+            iterations: Largest number of iterations for each seed.
+            patience: Number of iterations within which at least 30 % of the error must vanish.
+            held: Joints that do not move.
 
         Returns:
-            Where the seeds end, and the twist that takes the tool from there to the pose: translation [m] and rotation
-            vector [rad], both in W.
+            The final configurations, and the twist that takes the tool from there to the pose: translation [m] and
+            rotation vector [rad], both in W.
         """
         kept = np.zeros(self.nq, dtype=np.int32)
         kept[held] = 1
@@ -168,7 +169,7 @@ class Kernels:
         )
 
     def free(self, q: ArrayLike, margin: float = 0.0) -> Bool[Array, "*batch"]:
-        """Tell which configurations keep at least `margin` [m] of clearance; never optimistic."""
+        """Return whether configurations keep at least `margin` [m] of clearance; never optimistic."""
         flat, batch = self.rows("q", q)
         _check_margin(margin)
         return self.core.free_states(flat, margin).reshape(batch)
@@ -176,15 +177,15 @@ class Kernels:
     def edges_free(
         self, q0: ArrayLike, q1: ArrayLike, step: float = CHECK_STEP, margin: float = 0.0
     ) -> Bool[Array, "*batch"]:
-        """Tell which straight edges are free at configurations at most `step` [rad] apart, ends included."""
+        """Return whether straight edges are free at configurations at most `step` [rad] apart, ends included."""
         first, second, batch = self.edge_rows(q0, q1, step)
         _check_margin(margin)
         return self.core.free_edges(first, second, step, margin).reshape(batch)
 
     def projected(self, q: ArrayLike, margin: float = 0.0) -> Float[Array, "*batch nq"]:
-        """Move configurations to where bounds hold by a margin [m] and `PROJECTED`, as far as the limits let them.
+        """Move configurations to where bounds hold by `margin` [m] plus `PROJECTED`, as far as position limits allow.
 
-        Those that do so already stay as they are, all of them if there are no bounds. Obstacles are not looked at.
+        Configurations that satisfy this already do not change; without bounds none does. Obstacles are ignored.
         """
         flat, batch = self.rows("q", q)
         _check_margin(margin)
@@ -192,47 +193,47 @@ class Kernels:
         return self.core.projected(flat, lower, upper, margin + PROJECTED).reshape(*batch, self.nq)
 
     def clearance(self, q: ArrayLike) -> Float[Array, "*batch"]:
-        """Signed clearance of the spheres [m], positive outside; infinite if there is nothing to hit.
+        """Return the signed clearance of the spheres [m], positive outside; infinite if there is nothing to hit.
 
-        A lower bound of the true one where that is positive.
+        Where positive, it is a lower bound of the true clearance.
         """
         flat, batch = self.rows("q", q)
         return self.core.clearance(flat).reshape(batch)
 
     def clearance_gradient(self, q: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"]]:
-        """Signed clearance [m] and its gradient [m/rad], that of the nearest pair where several are equally near."""
+        """Return the signed clearance [m] and its gradient [m/rad], that of one pair if several are nearest."""
         flat, batch = self.rows("q", q)
         clearance, gradient = self.core.clearance_gradient(flat)
         return clearance.reshape(batch), gradient.reshape(*batch, self.nq)
 
     def interaction(self, q: ArrayLike) -> Float[Array, "*batch component entity"]:
-        """Probability by Algorithm 1 that each component hits each entity, given a failure at q."""
+        """Return the probability that each component hits each entity given a failure at q, by Algorithm 1."""
         flat, batch = self.rows("q", q)
         return self.core.interaction(flat).reshape(*batch, *self.hazards.severity.shape)
 
     def overlap(self, severity: Float[Array, "component entity"]) -> ImpactKernel:
-        """Return the impact by Algorithm 1 with these severities."""
+        """Return the impact model of Algorithm 1 with these severities."""
         if np.shape(severity) != self.hazards.severity.shape:
             raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
         return ImpactKernel(self, _native.OverlapImpact(self.core, reals(finite_array("severity", severity))))
 
     def impact(self, q: ArrayLike, severity: Float[Array, "component entity"]) -> Float[Array, "*batch"]:
-        """Expected severity by Algorithm 1 given a failure at q: sum of P S."""
+        """Return the expected severity given a failure at q by Algorithm 1: the sum of P S."""
         return self.overlap(severity).states(q)
 
     def edge_costs(
         self, q0: ArrayLike, q1: ArrayLike, severity: Float[Array, "component entity"], step: float = COST_STEP
     ) -> Float[Array, "*batch 2"]:
-        """Length [rad] and integral of the impact by Algorithm 1 over length of each straight edge."""
+        """Return the length [rad] of each straight edge and the integral of Algorithm 1's impact over its length."""
         return self.overlap(severity).edges(q0, q1, step)
 
     def rows(self, name: str, q: ArrayLike) -> tuple[Float[Array, "n nq"], tuple[int, ...]]:
-        """Return configurations (or velocities) row by row, as the core takes them, and their batch axes."""
+        """Return configurations (or velocities) as rows for the core, and their batch axes."""
         array = self._positions(name, q)
         return reals(array.reshape(-1, self.nq)), array.shape[:-1]
 
     def edge_rows(self, q0: ArrayLike, q1: ArrayLike, step: float) -> tuple[Array, Array, tuple[int, ...]]:
-        """Return the ends of edges row by row, and their batch axes."""
+        """Return the ends of edges as rows for the core, and their batch axes."""
         if not step > 0.0:
             raise SettingError("step", step, "a positive length [rad]")
         first, second = self._positions("q0", q0), self._positions("q1", q1)
@@ -253,10 +254,10 @@ class Kernels:
 
 
 class ImpactKernel:
-    """A native model of the impact with fixed severities: what native planners charge edges with.
+    """A native model of the impact with fixed severities, from which native planners compute the cost of edges.
 
     Args:
-        kernels: Those of the scene.
+        kernels: Kernels of the scene.
         native: The model in the core.
     """
 
@@ -264,36 +265,36 @@ class ImpactKernel:
         self.kernels, self.native = kernels, native
 
     def __add__(self, other: ImpactKernel) -> ImpactKernel:
-        """Return both models of one scene added up."""
+        """Return the sum of two models of one scene."""
         return ImpactKernel(self.kernels, _native.SumImpact(self.native, other.native))
 
     def scaled(self, factor: float) -> ImpactKernel:
-        """Return the same model, all that it says times a factor >= 0."""
+        """Return the model with all values multiplied by a factor >= 0."""
         return self if factor == 1.0 else ImpactKernel(self.kernels, _native.ScaledImpact(self.native, factor))
 
     def timed(self, speed: Float[Array, " nq"]) -> ImpactKernel:
-        """Return the same model with edges that count by their time, the joints at these speeds [rad/s or m/s]."""
+        """Return the model with edges integrated over time, at these joint speeds [rad/s or m/s]."""
         return ImpactKernel(self.kernels, _native.TimedImpact(self.native, reals(speed)))
 
     def states(self, q: ArrayLike) -> Float[Array, "*batch"]:
-        """Expected severity given a failure at q, at rest."""
+        """Return the expected severity given a failure at q, at rest."""
         flat, batch = self.kernels.rows("q", q)
         return self.native.states(flat).reshape(batch)
 
     def moving_states(self, q: ArrayLike, qd: ArrayLike) -> Float[Array, "*batch"]:
-        """Expected severity given a failure at q and qd."""
+        """Return the expected severity given a failure at q and qd."""
         flat, batch = self.kernels.rows("q", q)
         return self.native.moving_states(flat, self.kernels.rows("qd", qd)[0]).reshape(batch)
 
     def state_slopes(
         self, q: ArrayLike, qd: ArrayLike, *, rough: bool = False
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:
-        """Expected severity given a failure at q and qd, and its derivatives with respect to q and to qd.
+        """Return the expected severity given a failure at q and qd, and its derivatives with respect to q and qd.
 
         Args:
-            q: States.
-            qd: Their joint velocities.
-            rough: Whether they follow each other along a motion, for which what descents take will do.
+            q: Configurations.
+            qd: Joint velocities.
+            rough: Whether the rows are successive states of a motion, for which the model of descents is enough.
         """
         flat, batch = self.kernels.rows("q", q)
         value, d_q, d_qd = self.native.state_slopes(flat, self.kernels.rows("qd", qd)[0], rough)
@@ -302,16 +303,16 @@ class ImpactKernel:
     def edges(
         self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP, *, rough: bool = False
     ) -> Float[Array, "*batch 2"]:
-        """Length [rad] of each straight edge, and the integral of the impact over length or, if timed, over time [s].
+        """Return each straight edge's length [rad] and its integral of the impact over length or, if timed, time [s].
 
-        By the trapezoid rule. A model that knows velocities takes those of an edge whose slowest joint moves as fast as
-        it may.
+        Uses the trapezoid rule. For a model that depends on velocity, an edge is travelled as fast as its slowest joint
+        allows.
 
         Args:
-            q0: Where the edges begin.
-            q1: Where they end.
+            q0: First ends of the edges.
+            q1: Second ends of the edges.
             step: Largest distance between samples [rad].
-            rough: Whether what native searches are charged will do; of most models it is the same.
+            rough: Whether the coarser model of native searches is enough; for most models there is no difference.
         """
         first, second, batch = self.kernels.edge_rows(q0, q1, step)
         return self.native.edges(first, second, step, rough).reshape(*batch, 2)
@@ -319,10 +320,11 @@ class ImpactKernel:
     def edge_gradients(
         self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP
     ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]] | None:
-        """`edges`, and the derivatives of the integral of the impact with respect to `q0` and `q1`.
+        """Return `edges`, and the derivatives of the integral of the impact with respect to `q0` and `q1`.
 
-        None if the model has none. At kinks (another joint becomes the slowest, two surfaces are equally likely) the
-        derivative is that of one side. Where arms may fail it is only close: see `BodyModel.impact_gradient`.
+        None if the model has no derivatives. At kinks (another joint becomes the slowest, two surfaces are equally
+        likely), the derivative is that of one side. For failures of the arm it is approximate: see
+        `BodyModel.impact_gradient`.
         """
         first, second, batch = self.kernels.edge_rows(q0, q1, step)
         found = self.native.edge_gradients(first, second, step)

@@ -1,10 +1,10 @@
-"""How far the spheres of two links may overlap before the links touch.
+"""Estimate the overlap of two links' spheres at which the links touch.
 
-Spheres stick out of what they cover. Where two links pass each other at a finger's breadth whatever the joints do, as
-those on both sides of a short one, their spheres overlap although the links never touch, and little or nothing would be
-free. For such pairs exact geometry looks at many configurations: they count as touching from the largest clearance of
-spheres on at which they were found to. That is an estimate, where the spheres themselves are a bound: the judge does
-not use it.
+Spheres stick out of the geoms they cover. If two links pass within a finger's breadth of each other in all
+configurations, such as those on both sides of a short link, their spheres overlap although the links never touch, and
+few or no configurations would be free. For such pairs, exact geometry checks many configurations. The slack is the
+largest clearance of spheres at which the links touched. It is an estimate, whereas the spheres are a bound; the judge
+does not use it.
 """
 
 from __future__ import annotations
@@ -27,19 +27,21 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _SAMPLES, _SAMPLES_OF_MESHES, _FIRST = 4000, 16_000, 256
-"""Configurations, drawn evenly within the limits; so many tell whether the rest has to be looked at."""
+"""Numbers of configurations drawn uniformly within the limits: for primitives, for meshes, and the first batch. If
+the first batch shows few overlaps, the rest is skipped."""
 _EXACT = 500
-"""Of those in which the spheres of a pair overlap, how many exact geometry looks at."""
+"""Largest number of configurations with overlapping spheres that exact geometry checks for a pair."""
 _LOST, _LOST_OF_MESHES = 0.1, 0.003
-"""Share of the configurations in which a pair is apart that its spheres may call touching without any slack. Robots of
-meshes have dozens of pairs whose spheres stick out everywhere; at .1, UR arms were called free in four of five of the
-configurations in which they are, a Fetch with 66 pairs at .01 in 95 %, at .003 in 96 %."""
+"""Largest share of a pair's collision-free configurations that its spheres may report as touching without slack.
+
+Robots of meshes have dozens of pairs whose spheres stick out everywhere. At 0.1, UR arms were reported free in 80 % of
+their free configurations. A Fetch with 66 pairs was reported free in 95 % of them at 0.01, in 96 % at 0.003."""
 _RESERVE = 0.0005
-"""Kept to what was found [m]."""
+"""Margin above the largest clearance of spheres at which links touched [m]."""
 _NEVER = 0.003
-"""Kept to the deepest overlap where links never touched [m]."""
+"""Margin below the deepest overlap of spheres if the links never touched [m]."""
 _KEPT = 4096
-"""Pairs whose slack is remembered."""
+"""Number of pairs whose slack is cached."""
 _known: OrderedDict[bytes, float] = OrderedDict()
 _lock = Lock()
 
@@ -53,14 +55,14 @@ def self_slack(
     """Return the clearance of spheres at which the links of each pair touch [m], at most 0.
 
     Args:
-        scene: Where.
+        scene: The scene.
         robot: Tables with pairs of links.
-        geoms: The geoms of each pair that may touch.
-        hazards: Of the scene.
+        geoms: For each pair of links, the pairs of geoms that may touch.
+        hazards: Tables of the scene.
     """
     slack = np.zeros(len(robot.self_pair))
     for k, (pair, touchable) in enumerate(zip(robot.self_pair, geoms, strict=True)):
-        if pair[0] != pair[1]:  # else it is a base that touches something, and never free
+        if pair[0] != pair[1]:  # a pair of equal links is a base in contact, which is never free
             key = _key(robot, pair)
             with _lock:
                 known = _known.get(key)
@@ -73,9 +75,9 @@ def self_slack(
 
 
 def _key(robot: RobotArrays, pair: Int[Array, " 2"]) -> bytes:
-    """Return what the slack of a pair depends on: its spheres, and how its links move against each other.
+    """Return a hash of the data that the slack of a pair depends on: its spheres and the relative motion of its links.
 
-    Joints that carry both of them make no difference: how far a base may drive is another matter in each scene.
+    Joints that move both links are left out, since the limits of a base, for example, differ between scenes.
     """
     frames = len(robot.lower) + 1
     own = np.ones(frames, dtype=bool)
@@ -91,7 +93,7 @@ def _key(robot: RobotArrays, pair: Int[Array, " 2"]) -> bytes:
 
 
 def _carriers(robot: RobotArrays, link: int) -> set[int]:
-    """Return the frames that a link moves with, its own among them."""
+    """Return the frames that a link moves with, its own included."""
     frames, frame = {0}, int(robot.parent[link])
     while frame > 0:
         frames.add(frame)

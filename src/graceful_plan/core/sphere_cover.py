@@ -1,7 +1,7 @@
-"""Spheres that together contain a geom and stick out of it by less than a given amount.
+"""Cover a geom with spheres that stick out of it by less than a given amount.
 
-All covers are computed in the geom's own frame: centres [m] and radii [m]. A ball of radius R around a point at depth d
-inside of a convex body sticks out by at most R - d, which bounds the protrusion of every sphere.
+All covers are computed in the geom's own frame: centres [m] and radii [m]. A ball of radius R around a point at depth
+d inside a convex body sticks out by at most R - d; this bounds the protrusion of every sphere.
 """
 
 from __future__ import annotations
@@ -17,59 +17,59 @@ from graceful_plan.array_types import Float, Int
 Array = np.ndarray
 
 MAX_PROTRUSION = 0.0095
-"""How far a cover may stick out of its geom [m]; below the promised 1 cm by the width of float32 and of samples."""
+"""Largest protrusion of a cover from its geom [m]; the rest of the promised 1 cm is for float32 and samples."""
 
 METHOD = 5
-"""Counts changes of what covers are like: those kept by an earlier version are not used."""
+"""Version of the algorithm; increase it when covers change, so that old ones in the folder are ignored."""
 CANDIDATES = 40
-"""Balls that are compared before the greedy cover of a hull takes the next."""
+"""Number of balls compared at each step of the greedy cover of a hull."""
 _BETWEEN_FACES = 2e-4
-"""How far a corner of a body with fewer faces may be outside of a face of the hull that it stands for [m]."""
+"""Farthest that a corner of a simplified body may lie outside a face of its hull [m]."""
 _FEW_FACES = 100
-"""Of hulls that are covered as they are."""
+"""Number of faces up to which hulls are not simplified."""
 _SHELL = 2.0
-"""Depth of what counts as surface when balls are compared, in pitches."""
+"""Depth of the surface layer, which is covered first [pitches]."""
 _ON_SURFACE = 1e-3
-"""How far points that were moved onto a hull may be outside of its box [m]."""
+"""Tolerance of the box test for points that were projected onto a hull [m]."""
 _ROUNDING = 1e-12
-"""Of squared distances [m^2]."""
+"""Margin for rounding of squared distances [m^2]."""
 _FINEST, _FINE, _COARSE = 0.0032, 0.0038, 0.0057
-"""Edges of lattice cells in small bodies, links, and large bodies [m]. A ball is trusted with what is within its radius
-less the gap between points, so that finer lattices need fewer balls: links of an arm 20 % fewer at 3.8 than at 5.7."""
+"""Edges of lattice cells in small bodies, links, and large bodies [m]. A ball is trusted to cover its radius less the
+gap between points, so finer lattices need fewer balls: links of an arm 20 % fewer at 3.8 mm than at 5.7 mm."""
 _STEPS = 60
-"""Of Newton's method, at most; a dozen do."""
+"""Largest number of steps of Newton's method; about twelve suffice."""
 _GAP = np.sqrt(5.0) / 4.0
-"""Farthest that anything is from a point of a body-centred cubic lattice, in edges of its cells. For the same number of
-points that of a cubic lattice is a quarter more."""
+"""Largest distance of any point to a body-centred cubic lattice [cell edges]. With as many points, that of a simple
+cubic lattice is about a quarter larger."""
 _POINTS = (12_000, 300_000)
-"""Of the lattice of a body that is small, and from which on it is large."""
+"""Numbers of lattice cells: with fewer, a body gets a finer lattice; with more, a coarser one."""
 _CHUNK = 2_000_000
-"""Heights of points over faces that are computed at a time; 16 MB."""
+"""Number of heights of points over faces that are computed at a time; 16 MB."""
 MANY = 1500
-"""Spheres of one geom above which they are larger, and stick out farther."""
+"""Number of spheres of one geom above which larger ones are used, which stick out farther."""
 _PER_AREA = 0.15
-"""Spheres on so much of the surface of a box as they stick out, squared; seen on cubes, plates and rods."""
+"""Spheres per surface area of the bounding box, times protrusion squared; measured on cubes, plates and rods."""
 _THIN = 1.4
-"""The same for what is much thinner than that: balls then reach less far aside."""
+"""Factor on the protrusion for bodies much thinner than it, where balls cover less to the sides."""
 _LAYERS = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 30, 42)
-"""Numbers of layers that a cylinder's cover is tried with."""
+"""Numbers of layers tried for the cover of a cylinder."""
 
 Cover = tuple[Float[Array, "sphere 3"], Float[Array, " sphere"]]
 
 
 def roomy(half: tuple[float, float, float], protrusion: float = MAX_PROTRUSION) -> float:
-    """Return how far spheres may stick out of a geom in a box of these half sizes for about `MANY` to do [m].
+    """Return the protrusion at which about `MANY` spheres cover a geom in a box of these half sizes [m].
 
-    That is `protrusion` itself unless the geom is large: a cube of more than .4 m.
+    It is `protrusion` unless the geom is large: a cube of more than 0.4 m.
     """
     enough = float(np.sqrt(_PER_AREA * _surface(half) / MANY))
     if enough > max(3.0 * min(half), protrusion):
         enough *= _THIN
-    return max(protrusion, enough, 1.5 * max(half) / MANY)  # the last of thin rods
+    return max(protrusion, enough, 1.5 * max(half) / MANY)  # the last term is for thin rods
 
 
 def likely_count(half: tuple[float, float, float], protrusion: float) -> float:
-    """Return about how many spheres cover what fills a box of these half sizes."""
+    """Estimate the number of spheres that cover a body that fills a box of these half sizes."""
     return _PER_AREA * _surface(half) / protrusion**2
 
 
@@ -102,7 +102,7 @@ def _axis(reach: float, half_gap: float) -> Float[Array, "sphere 3"]:
 
 
 def box_cover(half: tuple[float, float, float], protrusion: float = MAX_PROTRUSION) -> Cover:
-    """Cover a box by a lattice of spheres, one around each cell, and its core by fewer, larger ones."""
+    """Cover a box by a lattice of spheres, one around each cell, and its core by fewer, larger spheres."""
     half_sizes = np.asarray(half, dtype=float)
     counts = _box_lattice(half_sizes, protrusion)
     cell = half_sizes / counts
@@ -117,11 +117,11 @@ def box_cover(half: tuple[float, float, float], protrusion: float = MAX_PROTRUSI
 
 
 def _box_lattice(half: Float[Array, " 3"], protrusion: float) -> Array:
-    """Fewest cells per axis such that the ball around a cell sticks out of it by no more than `protrusion`."""
+    """Return the fewest cells per axis such that the ball around a cell sticks out of it by at most `protrusion`."""
     best = None
     for layers in range(1, 200):  # along the thinnest axis
         pitch = half.min() / layers
-        width = np.sqrt(((pitch + protrusion) ** 2 - pitch**2) / 2.0)  # what the ball still reaches along the others
+        width = np.sqrt(((pitch + protrusion) ** 2 - pitch**2) / 2.0)  # along the other axes, covered by the ball
         counts = np.maximum(np.ceil(half / width), 1).astype(int)
         counts[np.argmin(half)] = layers
         while np.linalg.norm(half / counts) - (half / counts).min() > protrusion:
@@ -135,14 +135,14 @@ def _box_lattice(half: Float[Array, " 3"], protrusion: float) -> Array:
 
 
 def cylinder_cover(radius: float, half_length: float, protrusion: float = MAX_PROTRUSION) -> Cover:
-    """Cover a cylinder along z by the best of several ways; thin ones get spheres on the axis, plates get rings."""
+    """Cover a cylinder along z by the smallest of several covers; thin ones use spheres on the axis, plates rings."""
     options = [_cylinder_on_axis(radius, half_length, n, protrusion) for n in _LAYERS[:8]]
     options += [_cylinder_with_core(radius, half_length, n, protrusion) for n in _LAYERS]
     return min((cover for cover in options if cover is not None), key=lambda cover: len(cover[1]))
 
 
 def _cylinder_on_axis(radius: float, half_length: float, n: int, protrusion: float) -> Cover | None:
-    """Rings at both ends in layers of half height `half_length / n`, spheres on the axis between them."""
+    """Cover a cylinder by rings at both ends, in layers of half height `half_length / n`, and spheres on the axis."""
     c = half_length / n
     rings = _rings(radius, c, protrusion)
     if rings is None or n == 1:
@@ -150,14 +150,14 @@ def _cylinder_on_axis(radius: float, half_length: float, n: int, protrusion: flo
     gap, R = half_length - 2.0 * c, radius + protrusion
     count = max(1, int(np.ceil(gap / np.sqrt(R**2 - radius**2)))) if gap > 0.0 else 0
     z = (np.arange(count) + 0.5) * 2.0 * gap / max(count, 1) - gap
-    if count and R > half_length - np.abs(z).max() + protrusion:  # would bulge out of the ends
+    if count and R > half_length - np.abs(z).max() + protrusion:  # spheres would bulge out of the ends
         return None
     ends = [_at_height(rings, z_end) for z_end in (half_length - c, c - half_length)]
     return _joined([*ends, (np.stack([0 * z, 0 * z, z], axis=1), np.full(count, R))])
 
 
 def _cylinder_with_core(radius: float, half_length: float, n: int, protrusion: float) -> Cover | None:
-    """Rings in `n` layers, only the outermost between the ends; the core behind it by fewer, larger spheres."""
+    """Cover a cylinder by rings in `n` layers, only the outermost between the ends, and its core by larger spheres."""
     c = half_length / n
     rings = _rings(radius, c, protrusion)
     if rings is None:
@@ -180,7 +180,7 @@ def _in_layers(radius: float, half_length: float, n: int, protrusion: float) -> 
 
 @dataclass(frozen=True)
 class _Ring:
-    """Equal balls around the axis that cover a slab of a disc down to the radius `inner`."""
+    """Equal balls around the axis that cover a slab of a disc from its rim to the radius `inner`."""
 
     xy: Float[Array, "ball 2"]
     radius: float
@@ -194,12 +194,12 @@ def _rings(radius: float, c: float, protrusion: float) -> list[_Ring] | None:
     if c > radius:  # balls that reach both faces would bulge out of the side
         return None
     R = c + protrusion
-    rho = np.sqrt(R**2 - c**2)  # what a ball covers on both faces of the slab
+    rho = np.sqrt(R**2 - c**2)  # radius that a ball covers on both faces of the slab
     rings: list[_Ring] = []
     outer, d = radius, radius - c
     while outer > rho:
         cosine = (outer**2 + d**2 - rho**2) / (2.0 * outer * d) if d > 0.0 else 1.0
-        if cosine > 0.999:  # the ring hardly reaches out to `outer`
+        if cosine > 0.999:  # the ring hardly covers anything near `outer`
             return None
         m = max(3, int(np.ceil(np.pi / np.arccos(cosine))))
         angle = 2.0 * np.pi * (np.arange(m) + 0.5 * (len(rings) % 2)) / m
@@ -225,19 +225,19 @@ def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrus
     """Cover a body by balls around some of its points.
 
     Args:
-        points: Samples of the body, every point of it within `pitch` of one.
-        depth: How far inside each of them is, at least [m].
-        protrusion: How far balls may stick out [m].
+        points: Samples of the body; every point of the body is within `pitch` of one.
+        depth: Lower bound of the depth of each point inside the body [m].
+        protrusion: Largest protrusion of the balls [m].
         pitch: Density of `points` [m].
     """
     radii = np.maximum(depth, 0.0) + protrusion
-    # A ball covers for certain what is within its radius less the gaps between samples. |a - b|^2 = a.a + b.b - 2 a.b.
+    # A ball surely covers its radius less the gap between samples. |a - b|^2 = a.a + b.b - 2 a.b.
     within = np.maximum(radii - pitch, 0.0) ** 2 - _ROUNDING
     square = np.einsum("ni,ni->n", points, points)
-    order = np.argsort(depth, kind="stable")  # the surface first, corners before all
+    order = np.argsort(depth, kind="stable")  # the surface first, and on it the corners
     near = int(np.searchsorted(depth[order], _SHELL * pitch))
     picked: list[int] = []
-    for left in (order[:near], order[near:]):  # of what is deep inside, little is left once the surface is covered
+    for left in (order[:near], order[near:]):  # few deep points remain once the surface is covered
         for k in picked:
             left = left[square[left] + square[k] - 2.0 * (points[left] @ points[k]) > within[k]]
         while len(left):
@@ -246,7 +246,7 @@ def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrus
             deepest = able[np.argsort(-depth[able], kind="stable")[:CANDIDATES]]
             spread = able[np.linspace(0, len(able) - 1, min(len(able), CANDIDATES)).astype(int)]
             able = np.union1d(deepest, spread)
-            # What any of them covers is no farther from the first point than a diameter.
+            # The candidates contain the first point, so they cover nothing farther from it than a diameter.
             from_first = square[left] + square[first] - 2.0 * (points[left] @ points[first])
             around = np.flatnonzero(from_first <= 4.0 * within[able].max() + _ROUNDING)
             some = left[around]
@@ -261,7 +261,7 @@ def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrus
 
 
 def _needed(points: Float[Array, "n 3"], within: Float[Array, " n"], picked: list[int]) -> list[int]:
-    """Drop balls of which others cover all, those that cover least first; `within` are squared radii [m^2]."""
+    """Drop redundant balls, smallest coverage first; `within` are squared radii [m^2]."""
     square = np.einsum("ni,ni->n", points, points)
     covered = [np.flatnonzero(square + square[k] - 2.0 * (points @ points[k]) <= within[k]) for k in picked]
     times = np.zeros(len(points), dtype=int)
@@ -276,7 +276,7 @@ def _needed(points: Float[Array, "n 3"], within: Float[Array, " n"], picked: lis
 
 
 def _lattice(lower: Float[Array, " 3"], upper: Float[Array, " 3"], pitch: float) -> Float[Array, "n 3"]:
-    """Return the points of a body-centred cubic lattice in a box and around it."""
+    """Return the points of a body-centred cubic lattice in and just around a box."""
     axes = [np.arange(a - pitch, b + pitch, pitch) for a, b in zip(lower, upper, strict=True)]
     corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.concatenate([corners, corners + 0.5 * pitch])
@@ -285,7 +285,7 @@ def _lattice(lower: Float[Array, " 3"], upper: Float[Array, " 3"], pitch: float)
 def samples_of_convex(
     vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], pitch: float
 ) -> tuple[Float[Array, "m 3"], Float[Array, " m"]]:
-    """Return lattice points inside a convex body and its nearest points to lattice points just outside, and heights."""
+    """Sample a convex body: lattice points inside, projections of those just outside; return points and heights."""
     grid = _lattice(vertices.min(axis=0), vertices.max(axis=0), pitch)
     height, _ = heights(grid, planes)
     near = np.concatenate([grid[height <= _GAP * pitch], vertices])
@@ -303,7 +303,7 @@ def samples_of_convex(
 
 
 def heights(points: Float[Array, "n 3"], planes: Float[Array, "face 4"]) -> tuple[Float[Array, " n"], Int[Array, " n"]]:
-    """Return how high points are over the face that each is highest over [m], negative inside, and which that is."""
+    """Return the largest height of each point over a face [m], negative inside the body, and the index of that face."""
     height, face = np.empty(len(points)), np.empty(len(points), dtype=int)
     rows = max(1, _CHUNK // len(planes))
     for k in range(0, len(points), rows):
@@ -318,13 +318,13 @@ Hull = tuple[Float[Array, "_ 3"], Float[Array, "_ 4"]]
 
 
 def hull_cover(hulls: Sequence[Hull], protrusion: float = MAX_PROTRUSION) -> Cover:
-    """Cover convex hulls by balls that stick out of their union; where hulls overlap, one ball serves several."""
+    """Cover convex hulls by balls that stick out of their union; where hulls overlap, one ball may serve several."""
     bounded = [(vertices, fewer_planes(vertices, planes)) for vertices, planes in hulls]
     pitch = max(_pitch(np.ptp(vertices, axis=0), protrusion) for vertices, _ in bounded)
     samples = []
     for k, (vertices, planes) in enumerate(bounded):
         points, _ = samples_of_convex(vertices, planes, pitch)
-        # What is near to points deep in a hull before belongs to that hull, which has points of its own.
+        # Points deep inside an earlier hull are dropped; the samples of that hull cover them.
         own = _depth(points, bounded[:k]) < _GAP * pitch
         samples.append(points[own])
     points = np.concatenate(samples)
@@ -332,7 +332,7 @@ def hull_cover(hulls: Sequence[Hull], protrusion: float = MAX_PROTRUSION) -> Cov
 
 
 def _depth(points: Float[Array, "n 3"], hulls: Sequence[Hull]) -> Float[Array, " n"]:
-    """Return how deep points are in the hull that each is deepest in [m]; minus infinity outside of all boxes."""
+    """Return the depth of each point in the hull it is deepest in [m]; minus infinity outside all boxes."""
     depth = np.full(len(points), -np.inf)
     for vertices, planes in hulls:
         lower, upper = vertices.min(axis=0) - _ON_SURFACE, vertices.max(axis=0) + _ON_SURFACE
@@ -344,15 +344,15 @@ def _depth(points: Float[Array, "n 3"], hulls: Sequence[Hull]) -> Float[Array, "
 def fewer_planes(
     vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], away: float = _BETWEEN_FACES
 ) -> Float[Array, "some 4"]:
-    """Return planes that bound almost the same body: all of the hull is inside, and no corner is far off a face of it.
+    """Return fewer planes that bound nearly the same body: it contains the hull, and its corners are near the faces.
 
-    Scanned links have thousands of faces; what a cover takes is proportional to their number. Beginning with a box,
-    the faces that corners are farthest outside of are added.
+    Scanned links have thousands of faces, and the time of a cover is proportional to their number. The algorithm begins
+    with a box and adds the faces that corners are farthest outside of.
 
     Args:
-        vertices: Of the hull.
-        planes: Of all its faces.
-        away: How far outside of any face a corner may be [m].
+        vertices: Vertices of the hull.
+        planes: Planes of all its faces.
+        away: Farthest that a corner may lie outside any face [m].
     """
     if len(planes) <= _FEW_FACES:
         return planes
@@ -376,7 +376,7 @@ def fewer_planes(
 
 
 def _pitch(extent: Float[Array, " 3"], protrusion: float) -> float:
-    """Lattice constant: dense enough that its slack costs few spheres, and points are not too many [m]."""
+    """Return the lattice constant [m]: fine enough that its gaps cost few spheres, without too many points."""
     few, many = (float(np.prod(extent) / count) ** (1.0 / 3.0) for count in _POINTS)
     coarsest = min(max(_FINE, many), _COARSE) * max(1.0, protrusion / MAX_PROTRUSION)
     return min(max(_FINEST, few), coarsest)
@@ -398,9 +398,10 @@ def ellipsoid_cover(semi_axes: tuple[float, float, float], protrusion: float = M
 
 
 def _ellipsoid_depth(points: Float[Array, "n 3"], axes: Float[Array, " 3"]) -> Float[Array, " n"]:
-    """Distance of points inside of an ellipsoid to its surface, by the secular equation (Eberly 2013).
+    """Return the distance of points inside an ellipsoid to its surface, by the secular equation (Eberly 2013).
 
-    Newton's method on 1 / |p| - 1, which is nearly linear, comes to the root from the left (More and Sorensen 1983).
+    Newton's method is applied to 1 / |p| - 1, which is nearly linear, and approaches the root from the left (More and
+    Sorensen 1983).
     """
     y = np.abs(points) + 1e-9  # off the symmetry planes, where the nearest point is not unique
     shortest = int(np.argmin(axes))
@@ -418,7 +419,7 @@ def _ellipsoid_depth(points: Float[Array, "n 3"], axes: Float[Array, " 3"]) -> F
 
 
 def enclosing_sphere(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Float[Array, " 4"]:
-    """A small sphere around spheres, by steps towards the furthest one (Badoiu and Clarkson 2003)."""
+    """Return a small sphere around spheres, by steps towards the furthest one (Badoiu and Clarkson 2003)."""
     centre = (centres.min(axis=0) + centres.max(axis=0)) / 2.0
     for k in range(1, 80):
         reach = np.linalg.norm(centres - centre, axis=1) + radii

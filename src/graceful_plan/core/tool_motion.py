@@ -1,7 +1,7 @@
-"""Differential kinematics of the tool in batches: pose and Jacobian, what is missing to a pose, least-squares steps.
+"""Differential kinematics of the tool in batches: pose, Jacobian, twist to a target pose, least-squares steps.
 
-Twists are translation [m] and rotation vector [rad], both in W. Where only the tool's axis counts (`free_yaw`), the
-turn about the tool's own z axis is left out of what is missing and of the Jacobian.
+Twists are translation [m] and rotation vector [rad], both in W. If only the tool's axis counts (`free_yaw`), rotation
+about the tool's own z axis is removed from the twist and the Jacobian.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from graceful_plan.core.kernels import Kernels
 Array = np.ndarray
 
 _DAMPING = 1e-9
-"""Of steps; near singular postures they stay finite."""
+"""Damping of steps; keeps them finite near singular postures."""
 _SINE = 1e-9
-"""Sine of an angle that is nothing, or half a turn."""
+"""Sine below which an angle counts as 0 or pi."""
 
 
 def tool_jacobian(kernels: Kernels, q: Float[Array, "n nq"]) -> tuple[Float[Array, "n 4 4"], Float[Array, "n 6 nq"]]:
     """Return the pose of the tool in W and the Jacobian of its twist [m and rad by rad or m].
 
     Args:
-        kernels: Those of the scene.
+        kernels: Kernels of the scene.
         q: Configurations.
     """
     robot = kernels.robot
@@ -33,7 +33,7 @@ def tool_jacobian(kernels: Kernels, q: Float[Array, "n nq"]) -> tuple[Float[Arra
     links = _moving_links(robot)
     joints, slides = robot.joint[links], robot.slide[links] > 0
     moving = X_WL[:, links]
-    axis = moving[:, :, :3, 2]  # of a joint: its link's own z axis
+    axis = moving[:, :, :3, 2]  # joint axis: the z axis of its link
     lever = X_WT[:, None, :3, 3] - moving[:, :, :3, 3]
     jacobian = np.zeros((len(q), 6, kernels.nq))
     jacobian[:, :3, joints] = np.where(slides[:, None], axis, np.cross(axis, lever)).transpose(0, 2, 1)
@@ -42,7 +42,7 @@ def tool_jacobian(kernels: Kernels, q: Float[Array, "n nq"]) -> tuple[Float[Arra
 
 
 def _moving_links(robot: RobotArrays) -> list[int]:
-    """Return the links with a joint that moves the tool."""
+    """Return the links whose joints move the tool."""
     links, link = [], int(robot.tool_link)
     while link >= 0:
         links += [link] if robot.joint[link] >= 0 else []
@@ -53,7 +53,7 @@ def _moving_links(robot: RobotArrays) -> list[int]:
 def missing_twist(
     X_WT: Float[Array, "n 4 4"], X_WG: Float[Array, "n 4 4"], *, free_yaw: bool = False
 ) -> Float[Array, "n 6"]:
-    """Return the twist that takes each pose to another: translation [m] and rotation vector [rad] in W."""
+    """Return the twist that takes each pose to its target: translation [m] and rotation vector [rad] in W."""
     missing = np.empty((len(X_WT), 6))
     missing[:, :3] = X_WG[:, :3, 3] - X_WT[:, :3, 3]
     if free_yaw:
@@ -65,7 +65,7 @@ def missing_twist(
 
 
 def without_yaw(X_WT: Float[Array, "n 4 4"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n 6 nq"]:
-    """Return the Jacobian without what turns the tool about its own z axis."""
+    """Return the Jacobian without rotation of the tool about its own z axis."""
     z = X_WT[:, :3, 2]
     turning = z[:, :, None] * np.einsum("ni,nij->nj", z, jacobian[:, 3:])[:, None]
     return np.concatenate([jacobian[:, :3], jacobian[:, 3:] - turning], axis=1)
@@ -74,7 +74,7 @@ def without_yaw(X_WT: Float[Array, "n 4 4"], jacobian: Float[Array, "n 6 nq"]) -
 def least_squares(
     twist: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"], damping: Float[Array, " n"] | float = _DAMPING
 ) -> Float[Array, "n nq"]:
-    """Return the shortest joint steps that make twists, damped."""
+    """Return the shortest joint steps that produce the twists, damped."""
     gram = jacobian @ jacobian.transpose(0, 2, 1) + np.multiply.outer(damping, np.eye(6))
     return np.einsum("nij,ni->nj", jacobian, np.linalg.solve(gram, twist[..., None])[..., 0])
 
@@ -86,16 +86,16 @@ def steps_inside(
     limits: tuple[Float[Array, " nq"], Float[Array, " nq"]],
     wish: Float[Array, "n nq"] | float = 0.0,
 ) -> tuple[Float[Array, "n nq"], Bool[Array, "n nq"]]:
-    """Return steps that make twists and do not leave the limits, and which joints are held by theirs.
+    """Return joint steps that produce the twists within the position limits, and which joints a limit stops.
 
-    Joints that would leave their limits stay; the others make up for them, as far as they can.
+    Joints that would leave their limits stay; the others compensate as far as they can.
 
     Args:
-        twist: What the tool should do.
-        jacobian: At `q`.
+        twist: Desired twist of the tool.
+        jacobian: Jacobian at `q`.
         q: Configurations.
         limits: Lower and upper position limits.
-        wish: Joint steps to take as far as the twists leave freedom for them.
+        wish: Desired joint steps, taken in the null space of the twists.
     """
     wished = np.broadcast_to(np.asarray(wish, dtype=float), q.shape)
     held = np.zeros(q.shape, dtype=bool)
@@ -118,7 +118,7 @@ def matrix_vector(R: Float[Array, "n 3 3"]) -> Float[Array, "n 3"]:
 
 
 def rotation_vector(sine: Float[Array, "n 3"], cosine: Float[Array, " n"]) -> Float[Array, "n 3"]:
-    """Return rotation vectors from sin(angle) * axis and cos(angle); about x if the angle is pi."""
+    """Return rotation vectors from sin(angle) * axis and cos(angle); the axis is x if the angle is pi."""
     length = np.linalg.norm(sine, axis=1, keepdims=True)
     angle = np.arctan2(length[:, 0], cosine)[:, None]
     fallback = np.where(angle > 1.0, np.array([1.0, 0.0, 0.0]), 0.0)

@@ -1,4 +1,4 @@
-// Obstacles in boxes, boxes in boxes: what is far from a link is passed over by the hundred.
+// A tree of boxes around obstacles (bounding volume hierarchy): obstacles far from a link are skipped together.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,8 +9,7 @@
 
 namespace gp {
 
-// A tree in the order in which it is walked, and the obstacles as its leaves have them; those without bounds come
-// first.
+// The tree in depth-first order, and the obstacles in the order of its leaves, after those without bounds.
 struct Cells {
   std::vector<Cell> cell;
   std::vector<int32_t> order;
@@ -27,13 +26,13 @@ struct Cells {
   }
 
  private:
-  static constexpr int kLeaf = 4;  // obstacles at most
+  static constexpr int kLeaf = 4;  // most obstacles in a leaf
 
   struct Box {
     float lower[3], upper[3];
   };
 
-  // Around a box itself, around the bounding sphere of anything else.
+  // Bounds a box itself; of other kinds, the bounding sphere.
   static Box box_of(const Obstacle& o) {
     Box box{};
     for (int k = 0; k < 3; ++k) {

@@ -1,5 +1,5 @@
-// What Python hands over is checked at the door, before anything is built of it: a wrong width or a number that is none
-// would be read past its end or go through every comparison. All of it raises ValueError.
+// Checks of Python's arguments, made before anything is built from them: a wrong width would be read past the end, and
+// NaN would pass through every comparison. All failures raise ValueError.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -18,17 +18,17 @@ using Integers = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
 using Bits = nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>;
 template <class T> using Out = nb::ndarray<nb::numpy, T, nb::c_contig>;
 
-constexpr double kMaxPosition = 1000;  // of a joint [rad or m]; single precision says little beyond
-constexpr double kMaxExtent = 1e4;     // of places and sizes [m]: single precision is good to half a millimetre there
-constexpr double kMaxNumber = 1e15;    // of anything else: products of some of them are finite
-constexpr double kMaxSamples = 1e6;    // configurations that one edge may be cut into
-constexpr double kLeastStep = 1e-6;    // between configurations of an edge [rad]
+constexpr double kMaxPosition = 1000;  // largest joint position [rad or m]; single precision is too coarse beyond
+constexpr double kMaxExtent = 1e4;   // largest position and size [m]; single precision resolves half a millimetre there
+constexpr double kMaxNumber = 1e15;  // largest other number; products of several stay finite
+constexpr double kMaxSamples = 1e6;  // largest number of configurations that an edge is sampled at
+constexpr double kLeastStep = 1e-6;  // least distance between configurations of an edge [rad]
 
 inline void require(bool ok, const char* what) {
   if (!ok) throw std::invalid_argument(std::string("bad table: ") + what);
 }
 
-// So many numbers of at most this size, each of them a number.
+// Requires n finite numbers of absolute value at most `most`.
 inline void require_numbers(const double* values, size_t n, const char* what, double most = kMaxNumber) {
   bool ok = true;
   for (size_t i = 0; i < n; ++i) ok &= std::fabs(values[i]) <= most;
@@ -48,7 +48,7 @@ inline void require_positive(const Reals& values, size_t size, const char* what)
 inline void require_within(const Integers& values, int low, int end, const char* what) {
   for (size_t i = 0; i < values.size(); ++i) require(values.data()[i] >= low && values.data()[i] < end, what);
 }
-// Configurations row by row.
+// Requires configurations as rows.
 inline void require_rows(const Reals& q, int width, const char* what, double most = kMaxPosition) {
   require(q.ndim() == 2 && q.shape(1) == size_t(width), what);
   require_numbers(q, what, most);
@@ -58,7 +58,7 @@ inline void require_slice(int64_t iterations, double seconds) {
   require(iterations >= 0 && seconds >= 0, "iterations and seconds are numbers of at least 0");
 }
 
-// Held while a search runs without the GIL: a second thread is refused, not let into the same trees.
+// A lock held while a search runs without the GIL; a second thread is refused, since the search's trees are not shared.
 class Turn {
  public:
   explicit Turn(std::atomic_flag& taken) : taken_(taken) {

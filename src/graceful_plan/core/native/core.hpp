@@ -1,4 +1,4 @@
-// The tables of a scene as Python hands them over, and the kernels that read them.
+// The tables of a scene, as Python passes them, and the kernels that read them.
 #pragma once
 #include <algorithm>
 #include <limits>
@@ -17,7 +17,7 @@ struct Isa {
   const Kernels* kernels;
 };
 
-// Every instruction set that this machine can run, best first.
+// All instruction sets that this machine supports, best first.
 inline std::vector<Isa> available() {
   std::vector<Isa> found;
 #if defined(__x86_64__) && !defined(GP_QUICK)
@@ -59,7 +59,7 @@ inline void solve3(const double A[3][3], const double b[3], double y[3]) {
   }
 }
 
-// The tables of a scene as Python hands them over; core/arrays.py says what they hold.
+// The tables of a scene, as Python passes them; core/arrays.py documents their fields.
 struct RobotArrays {
   Integers parent, joint, slide;
   Reals X_PL;
@@ -81,7 +81,7 @@ struct WorldArrays {
   Reals keep;
 };
 
-// Rows: axis, direction, angle; point, rotation, position, lower, upper.
+// Rows of cone: axis, direction, angle. Rows of room: point, rotation, position, lower, upper corner.
 struct BoundArrays {
   Integers cone_link;
   Reals cone;
@@ -223,8 +223,8 @@ class Core {
     kernels().interaction(tables_, states(q), out);
     return array;
   }
-  // Where seeds end that are taken towards poses [n, 3, 4] by damped least squares, and the twists that are missing
-  // there.
+  // Moves seeds towards poses [n, 3, 4] by damped least squares. Returns the final configurations and their remaining
+  // twists to the poses.
   auto reach(Reals seed, Reals X_WG, Integers free_yaw, Reals X_LT, Reals lower, Reals upper, Integers held,
              int iterations, int patience) const {
     double *q, *missing;
@@ -245,7 +245,7 @@ class Core {
     }
     return nb::make_tuple(ended, twists);
   }
-  // e^x and ln e^x as the drop model computes them.
+  // e^x and ln e^x as the drop model computes them, for tests.
   auto elementary(Reals x) const {
     double *exponential, *logarithm;
     require_numbers(x, "exponents");
@@ -255,7 +255,7 @@ class Core {
     return nb::make_tuple(first, second);
   }
 
-  // The Jacobian of the tool's position, and the inverse of J J^T applied to what a caller asks for.
+  // The Jacobian J of the tool's position, and gram = J J^T, damped.
   struct ToolMotion {
     double J[3][kMaxJoints] = {}, gram[3][3] = {};
 
@@ -309,10 +309,10 @@ class Core {
 
   bool has_bounds() const { return !cone_.empty() || !room_.empty(); }
 
-  // Newton's method on the bound that is kept least, until all are by so much [m].
+  // Applies Newton's method to the bound with the least clearance, until the clearance of all is `wanted` [m].
   bool project(double* q, const double* lower, const double* upper, double wanted) const {
     constexpr int kSteps = 30;
-    constexpr double kLongest = 0.5;  // of a step [rad]
+    constexpr double kLongest = 0.5;  // longest step [rad]
     const size_t nq = size_t(tables_.n_joint);
     Ride ride;
     Point X(link_.size() * 16), gradient(nq), least_gradient(nq);
@@ -331,11 +331,11 @@ class Core {
       double squared = 0;
       for (size_t j = 0; j < nq; ++j) {
         const double d = least_gradient[j];
-        if (d > 0 ? q[j] >= upper[j] : q[j] <= lower[j]) least_gradient[j] = 0;  // no way there
+        if (d > 0 ? q[j] >= upper[j] : q[j] <= lower[j]) least_gradient[j] = 0;  // the limit blocks this joint
         squared += least_gradient[j] * least_gradient[j];
       }
       if (step == kSteps || squared < 1e-12) return false;
-      // A little further than wanted, or the last steps are many.
+      // A little further than wanted, since the last steps would otherwise be many.
       const double length = (wanted - least + 0.1 * wanted + 1e-5) / squared;
       const double shrink = std::min(1.0, kLongest / (length * std::sqrt(squared)));
       for (size_t j = 0; j < nq; ++j) q[j] = std::clamp(q[j] + shrink * length * least_gradient[j], lower[j], upper[j]);
@@ -343,7 +343,7 @@ class Core {
     return false;
   }
 
-  // A point of a link in n configurations, row by row.
+  // Evaluates a point of a link in n configurations, stored as rows.
   void ride(const double* q, size_t n, int link, const double* point, Ride* out) const {
     const size_t nq = size_t(tables_.n_joint), row = link_.size() * 16;
     Point poses(n * row);
@@ -370,7 +370,7 @@ class Core {
     }
   }
 
-  // What a point of a link rides on.
+  // A point of a link with the joints that move it.
   Rider rider(int link, const Vector3& point) const {
     require(link >= 0 && size_t(link) < link_.size(), "link");
     Rider rider{size_t(link), point, {}};
@@ -433,7 +433,8 @@ class Core {
       group_.push_back(group);
     }
   }
-  // Halve a range of spheres along its longest side until the parts are small; the spheres change places within it.
+  // Recursively halves a range of spheres along its longest side until the parts are small, sorting the spheres within
+  // it.
   void add_clusters(int first, int count) {
     struct Ball {
       float v[4];
@@ -665,7 +666,7 @@ class Core {
   std::vector<Room> room_;
 };
 
-// A row, or rows, of a space's own width.
+// A row, or rows, with one number for each joint of the space.
 inline void require_point(const Space& space, const Reals& q, const char* what) {
   require(q.ndim() == 1 && q.size() == size_t(space.dim), what);
   require_numbers(q, what, kMaxPosition);

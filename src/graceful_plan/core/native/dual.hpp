@@ -1,17 +1,17 @@
-// Numbers with derivatives: forward-mode differentiation by a few variables at once, in one vector.
+// Dual numbers: forward-mode differentiation by up to seven variables, in one vector.
 #pragma once
 #include <cmath>
 
-// Vectors cross no call: what one instruction set passes in one register, another one passes in memory.
+// Vectors are never passed to calls: instruction sets differ in whether these pass them in registers or in memory.
 #define GP_INLINE inline __attribute__((always_inline))
 
 namespace gp {
 
 // A value and its derivatives by up to seven variables.
-struct alignas(64) Dual {  // for GCC, what a vector is aligned to depends on the instruction set
+struct alignas(64) Dual {  // GCC's default alignment of a vector depends on the instruction set
   using Lanes = double __attribute__((vector_size(64)));
   static constexpr int kVariables = 7;
-  Lanes a;  // the value first
+  Lanes a;  // the value, then the derivatives
 
   GP_INLINE Dual() : a{} {}
   GP_INLINE Dual(double value) : a{value} {}  // NOLINT: numbers mix with duals
@@ -23,7 +23,7 @@ struct alignas(64) Dual {  // for GCC, what a vector is aligned to depends on th
   }
   GP_INLINE double value() const { return a[0]; }
   GP_INLINE double slope(int k) const { return a[k + 1]; }
-  // f(x) from its value and derivative there.
+  // The dual of f(x), from the value of f and its derivative at x.
   GP_INLINE Dual through(double f, double slope) const {
     Dual y(a * slope);
     y.a[0] = f;
@@ -58,7 +58,7 @@ struct alignas(64) Dual {  // for GCC, what a vector is aligned to depends on th
 GP_INLINE double value_of(double x) { return x; }
 GP_INLINE double value_of(const Dual& x) { return x.value(); }
 
-// Of both kinds of numbers. At a kink the derivative is that of one side, at a root of 0 it is 0.
+// Functions of both kinds of numbers. At a kink, the derivative is that of one side; the derivative of root(0) is 0.
 GP_INLINE double root(double x) { return std::sqrt(x); }
 GP_INLINE Dual root(const Dual& x) {
   const double y = std::sqrt(x.value());

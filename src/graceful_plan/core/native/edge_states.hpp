@@ -1,23 +1,25 @@
-// The states at which the impact along straight edges is sampled, and the way back from derivatives there to the edges'
-// ends.
+// The states at which the impact along straight edges is sampled, and the chain rule from derivatives at these states
+// to derivatives at the ends of the edges.
 #pragma once
 #include "core.hpp"
 
 namespace gp {
 
-// Of edges: as edges() does, or at midpoints of pieces of at most a step, at both paces or at their mean. By turns the
-// paces would not do there: a descent shortens the edges whose pace is the worse one.
+// Where edges are sampled. kExact: as edges() does. kBoth, kMean: at midpoints of pieces of at most a step, at both
+// paces or at their mean. Alternating paces would not do for midpoints, since a descent would shorten the pieces at the
+// worse pace.
 enum class Sampling { kExact, kBoth, kMean };
 
-struct EdgeSlopes {  // per edge V and S, and the derivatives of S with respect to its ends
+struct EdgeSlopes {  // per edge: cost V and S, and the derivatives of S with respect to its ends
   double *cost, *d_q0, *d_q1;
 };
 
-// Fill in impact, d_q and d_qd of every state, then integrate. An edge is travelled at shares of the velocity at which
-// its slowest joint is at its speed: qd = pace (q1 - q0) / T, T = max_j |q1_j - q0_j| / speed_j.
+// The caller fills in impact, d_q and d_qd of every state; integrate() then sums them up. An edge is travelled at a
+// share (pace) of the velocity at which its slowest joint reaches its speed limit: qd = pace (q1 - q0) / T, T = max_j
+// |q1_j - q0_j| / speed_j.
 class EdgeStates {
  public:
-  Point q, qd, impact, d_q, d_qd;  // row by row
+  Point q, qd, impact, d_q, d_qd;  // rows
 
   EdgeStates(const Core& core, const double* speed, const double* pace, const Edges& edges, Sampling sampling)
       : dim_(size_t(core.tables().n_joint)),
@@ -53,7 +55,7 @@ class EdgeStates {
  private:
   struct Edge {
     double length, duration;
-    size_t slowest, end;  // joint; one past the last state
+    size_t slowest, end;  // slowest: joint; end: one past the last state
   };
   struct Place {
     double along, weight, pace;
@@ -94,7 +96,7 @@ class EdgeStates {
       qd.push_back(pace * (b[j] - a[j]) / edge.duration);
     }
   }
-  // d qd / d delta = pace (1/T - delta dT/d delta / T^2), and only the slowest joint changes T.
+  // d qd / d delta = pace (1/T - delta dT/d delta / T^2), with delta = q1 - q0; only the slowest joint changes T.
   void add_slopes(const Edge& edge, size_t k, double* by_a, double* by_b, double& mean) const {
     const Place& at = place_[k];
     const double *by_q = d_q.data() + k * dim_, *by_qd = d_qd.data() + k * dim_, *rate = qd.data() + k * dim_;

@@ -1,5 +1,5 @@
-// The kernels of one instruction set. This file is compiled several times; GP_ISA names the result. It uses no inline
-// function of any other header, so that the linker cannot mix code of different instruction sets.
+// The kernels of one instruction set. This file is compiled once per set; GP_ISA names the result. It uses no inline
+// functions of headers that other files share, so that the linker cannot mix code of different instruction sets.
 #include "tables.hpp"
 
 #if defined(__x86_64__)
@@ -21,10 +21,10 @@ namespace GP_ISA {
 #include "geometry/tangent.hpp"
 #include "impact/interaction.hpp"
 
-constexpr double kTail = 29.0;      // scales of noise beyond which nothing happens: e^-29 is 3e-13
-constexpr double kHeld = 60.0;      // exponents are held within
-constexpr double kNothing = 1e-13;  // a probability that does not matter
-constexpr double kRare = 1e-11;     // of which there are few to be added up
+constexpr double kTail = 29.0;      // distance beyond which hits are neglected [scales of noise]; e^-29 = 3e-13
+constexpr double kHeld = 60.0;      // exponents are clamped to +-kHeld
+constexpr double kNothing = 1e-13;  // probabilities below this are neglected
+constexpr double kRare = 1e-11;     // the same for rare events, of which few are summed
 constexpr double kTiny = 1e-300;
 #include "geometry/reach.hpp"
 #include "impact/flight/flight.hpp"
@@ -68,7 +68,7 @@ constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kRare = 1e-6,
 #include "impact/impact_of_drop.hpp"
 }  // namespace rough
 
-// Calls visit(first, count, poses) for every block of lanes: so many rows of q from `first` on, and the frames there.
+// Calls visit(first, count, poses) for every block of lanes: rows first to first + count of q, and their frames.
 template <class V, class Visit>
 static inline void for_each_block(const Tables& tables, const States& states, Visit visit) {
   V qs[kMaxJoints];
@@ -100,7 +100,7 @@ static void link_poses(const Tables& tables, const States& states, double* X_WL)
   });
 }
 
-// Comparisons with what is no number are false, which would say "free".
+// Comparisons with NaN are false, so collision checks would report "free".
 static inline bool is_number(const double* q, size_t n) {
   double sum = 0;
   for (size_t j = 0; j < n; ++j) sum += q[j] * 0;
@@ -116,9 +116,10 @@ static void free_states(const Tables& tables, const States& states, double margi
   });
 }
 
-constexpr double kMostPieces = 1e8;  // of an edge; also those of which nothing is a number have more
+constexpr double kMostPieces = 1e8;  // largest number of pieces of an edge; edges with NaN fail the comparison, too
 
-// Blocks are spread over the whole edge and shifted between each other, so that a bad edge fails in the first ones.
+// Each block samples the whole edge, shifted against the others, so that a colliding edge is detected in the first
+// blocks.
 static bool edge_is_free(const Tables& tables, const double* q0, const double* q1, double step, float margin) {
   constexpr int W = kLanes<float>;
   F qs[kMaxJoints], lane;
@@ -142,7 +143,8 @@ static void free_edges(const Tables& tables, const Edges& edges, double margin, 
     free[k] = edge_is_free(tables, edges.q0 + k * nq, edges.q1 + k * nq, edges.step, float(margin));
 }
 
-// Those of states whose nearest pairs are known; between near spheres single precision is too coarse.
+// Gradients for states whose nearest pairs are known. They are in double precision: single is too coarse between near
+// spheres.
 static void clearance_gradients(const Tables& tables, const Nearest& pair, const States& states, double* gradient) {
   for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
     for (size_t k = first; k < first + size_t(count); ++k) {
@@ -191,7 +193,7 @@ static void impact(const Tables& tables, const double* severity, const States& s
   }
 }
 
-// V = length, S = integral of the impact over length by the trapezoid rule, at least every `step`.
+// V = length, S = integral of the impact over length by the trapezoid rule, with samples at most `step` apart.
 template <class Value>
 static inline void edge_cost(const Tables& tables, const double* a, const double* b, double step, Value impact_at,
                              double* cost) {
@@ -225,8 +227,8 @@ static void edge_costs(const Tables& tables, const double* severity, const Edges
     edge_cost(tables, edges.q0 + k * nq, edges.q1 + k * nq, edges.step, impact_at, cost + 2 * k);
 }
 
-// Edges that are travelled at shares of the velocity at which their slowest joint is at its speed, by turns the first
-// and the second share. speed(j) is that of a joint, impact_at(q, qd) what is integrated.
+// Costs of edges travelled at shares (pace) of the velocity at which their slowest joint reaches its speed; samples
+// alternate between the two shares. speed(j) is the speed of a joint, impact_at(q, qd) the integrand.
 template <class Speed, class Value>
 static inline void paced_edge_costs(const Tables& tables, const double* pace, const Edges& edges, Speed speed,
                                     Value impact_at, double* cost) {
@@ -339,7 +341,7 @@ static void body_gradient(const Tables& tables, const BodyTables& body, const Bo
   delete slopes, delete arm;
 }
 
-// Mass matrix and torques of the weight, for tests.
+// Mass matrix and gravity torques, for tests.
 static void body_dynamics(const Tables& tables, const BodyTables& body, const States& states, double* mass_matrix,
                           double* gravity) {
   D M[kMaxJoints][kMaxJoints], g[kMaxJoints];
@@ -354,7 +356,7 @@ static void body_dynamics(const Tables& tables, const BodyTables& body, const St
   });
 }
 
-// e^x and ln e^x, for tests of what the drop model computes itself.
+// e^x and ln e^x as the drop model computes them, for tests.
 static void elementary(const double* x, size_t n, double* exponentials, double* logarithms) {
   for (size_t first = 0; first < n; first += kLanes<double>) {
     D value = {};

@@ -1,5 +1,5 @@
-// W configurations side by side: GCC/Clang vector types and the few functions on them that the kernels need.
-// Included once per instruction set, inside its own namespace, so that no inline function is shared between them.
+// W configurations side by side (lanes): GCC/Clang vector types, and the functions on them that the kernels need. The
+// file is included once per instruction set, inside a namespace, so that no inline function is shared between sets.
 
 #if defined(__AVX512F__)
 constexpr int kWidth = 64;
@@ -22,11 +22,12 @@ template <class T> using Lanes = typename Vector<T>::type;
 template <class T> using Mask = typename Vector<T>::mask;
 template <class T> constexpr int kLanes = kWidth / int(sizeof(T));
 
+// F: lanes of single precision, D: of double precision; V stands for either.
 using F = Lanes<float>;
 using D = Lanes<double>;
 using MaskF = Mask<float>;
 
-// Of a type that holds W numbers: what they are, and W.
+// The scalar type of a vector type, and its number of lanes W.
 template <class V> struct Content;
 template <> struct Content<F> {
   using type = float;
@@ -37,7 +38,7 @@ template <> struct Content<D> {
 template <class V> using Scalar = typename Content<V>::type;
 template <class V> constexpr int kAbreast = kLanes<Scalar<V>>;
 
-// A bit for each lane, set where that is.
+// A bit mask of the lanes that are set.
 #if defined(__AVX512F__)
 static inline int lanes_set(MaskF m) { return _mm512_movepi32_mask((__m512i)m); }
 static inline int lanes_set(Mask<double> m) { return _mm512_movepi64_mask((__m512i)m); }
@@ -64,7 +65,7 @@ template <class V> static inline V absolute(V a) { return a < 0 ? -a : a; }
 template <class V> static inline V minimum(V a, V b) { return a < b ? a : b; }
 template <class V> static inline V maximum(V a, V b) { return a > b ? a : b; }
 
-#if defined(__AVX512F__)  // GCC 12 makes two instructions of each of these
+#if defined(__AVX512F__)  // GCC 12 emits two instructions for each of the generic versions
 static inline Lanes<double> minimum(Lanes<double> a, Lanes<double> b) {
   return (Lanes<double>)_mm512_maskz_min_pd(__mmask8(0xff), (__m512d)a, (__m512d)b);
 }
@@ -75,7 +76,7 @@ static inline Lanes<double> maximum(Lanes<double> a, Lanes<double> b) {
 static inline Lanes<double> absolute(Lanes<double> a) { return (Lanes<double>)((Mask<double>)a & 0x7fffffffffffffff); }
 static inline Lanes<double> relu(Lanes<double> a) { return maximum(a, Lanes<double>{}); }
 
-// Whether a < b in any lane; of masks, GCC makes a vector and a mask of that again.
+// The lanes where a < b, as a bit mask. From vector masks, GCC would make a vector and a mask again.
 #if defined(__AVX512F__)
 static inline int lanes_below(F a, F b) { return _mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_LT_OQ); }
 static inline int lanes_below(D a, D b) { return _mm512_cmp_pd_mask((__m512d)a, (__m512d)b, _CMP_LT_OQ); }
@@ -102,7 +103,7 @@ template <class V> static inline Scalar<V> greatest_lane(V a) { return -least_la
 
 static inline F square_root(F a) {
 #if defined(__AVX512F__)
-  return (F)_mm512_maskz_sqrt_ps(__mmask16(0xffff), (__m512)a);  // the plain one trips -Wmaybe-uninitialized in GCC 12
+  return (F)_mm512_maskz_sqrt_ps(__mmask16(0xffff), (__m512)a);  // _mm512_sqrt_ps trips -Wmaybe-uninitialized in GCC 12
 #elif defined(__AVX2__)
   return (F)_mm256_sqrt_ps((__m256)a);
 #elif defined(__SSE2__)
@@ -114,8 +115,8 @@ static inline F square_root(F a) {
 #endif
 }
 
-// 1/x and 1/sqrt(x) for normal x > 0, good to 1e-15. With AVX-512, two steps of Newton's method from the machine's
-// estimate take a quarter of the time of a division or of a square root.
+// 1/x and 1/sqrt(x) for normal x > 0, relative error 1e-15. With AVX-512, two Newton steps from the hardware estimate
+// take a quarter of the time of a division or square root.
 static inline Lanes<double> reciprocal(Lanes<double> x) {
 #if defined(__AVX512F__)
   Lanes<double> y = (Lanes<double>)_mm512_maskz_rcp14_pd(__mmask8(0xff), (__m512d)x);
@@ -162,8 +163,8 @@ template <class V, class C, class... Rest>
   return c0 + x * horner(x, c1, rest...);
 }
 
-// e^x for |x| <= 700, good to 1e-15: x = k ln 2 + r, a polynomial in r that is best in the sense of Chebyshev, and k
-// put into the exponent of a double. The rounding trick leaves k + 1023 in the low bits of the sum.
+// e^x for |x| <= 700, relative error 1e-15. With x = k ln 2 + r, it evaluates a Chebyshev-optimal polynomial in r and
+// puts k into the exponent of the double. Adding `magic` leaves k + 1023 in the low bits of the sum.
 [[gnu::always_inline]] static inline Lanes<double> exponential(Lanes<double> x) {
   using D = Lanes<double>;
   const double magic = 6755399441055744.0 + 1023.0;  // 1.5 * 2^52 and the bias of exponents
@@ -178,7 +179,7 @@ template <class V, class C, class... Rest>
   return (low + r4 * (middle + r4 * high)) * (D)((Mask<double>)shifted << 52);
 }
 
-// ln x for normal x > 0, good to 1e-15: x = m 2^e with m around 1, and the series of artanh.
+// ln x for normal x > 0, error 1e-15: x = m 2^e with m around 1, and the series of artanh.
 static inline Lanes<double> logarithm(Lanes<double> x) {
   using D = Lanes<double>;
   const Mask<double> bits = (Mask<double>)x;
@@ -193,8 +194,8 @@ static inline Lanes<double> logarithm(Lanes<double> x) {
   return e * 6.93147180559945286227e-01 + 2.0 * s * series;
 }
 
-// Sine and cosine by reduction to [-pi/4, pi/4] in two or three steps (Cody and Waite) and Cephes' polynomials.
-// The rounding trick leaves the quadrant in the low bits of the sum. Good to 1e-7 and 1e-15 for |x| < 1000.
+// Sine and cosine for |x| < 1000, error 1e-7 (float) and 1e-15 (double). x is reduced to [-pi/4, pi/4] in two or three
+// steps (Cody and Waite); the polynomials are those of Cephes. Adding `magic` leaves the quadrant in the low bits.
 template <class V, class M> static inline void turn_back(M quadrant, V sine, V cosine, V& s, V& c) {
   const M swap = (quadrant & 1) != 0;
   const V first = swap ? cosine : sine, second = swap ? sine : cosine;

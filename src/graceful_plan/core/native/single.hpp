@@ -1,5 +1,5 @@
-// Numbers in single precision, twice as many side by side, for the models that are written for `D`: a D whose
-// arithmetic also takes doubles. Descents that a path of exact cost is chosen from afterwards use it.
+// Single-precision numbers for models written for `D`, with twice as many lanes; arithmetic with doubles is allowed.
+// Descents use them whose paths are afterwards compared by their exact costs.
 
 struct Single {
   F v;
@@ -31,7 +31,7 @@ static inline Single maximum(Single a, Single b) { return Single(maximum(a.v, b.
 static inline Single absolute(Single a) { return Single((F)((MaskF)a.v & 0x7fffffff)); }
 static inline Single relu(Single a) { return Single(relu(a.v)); }
 
-// 1/x and 1/sqrt(x) for normal x > 0, good to 2e-7.
+// 1/x and 1/sqrt(x) for normal x > 0, relative error 2e-7.
 static inline Single reciprocal(Single x) {
 #if defined(__AVX512F__)
   const F y = (F)_mm512_maskz_rcp14_ps(__mmask16(0xffff), (__m512)x.v);
@@ -50,7 +50,7 @@ static inline Single inverse_root(Single x) {
 }
 static inline Single square_root(Single x) { return x * inverse_root(x); }
 
-// e^x for |x| <= 80, good to 2e-7; as that of doubles.
+// e^x for |x| <= 80, relative error 2e-7; method as for doubles.
 [[gnu::always_inline]] static inline Single exponential(Single x) {
   const float magic = 12582912.f + 127.f;  // 1.5 * 2^23 and the bias of exponents
   const F shifted = x.v * 1.44269504f + magic, k = shifted - magic;
@@ -59,7 +59,7 @@ static inline Single square_root(Single x) { return x * inverse_root(x); }
   return Single((low + r2 * r2 * high) * (F)((MaskF)shifted << 23));
 }
 
-// ln x for normal x > 0; as that of doubles.
+// ln x for normal x > 0; method as for doubles.
 static inline Single logarithm(Single x) {
   const MaskF bits = (MaskF)x.v;
   const F exponent = (F)((bits >> 23) | 0x4b000000) - (8388608.f + 127.f);

@@ -1,4 +1,4 @@
-// Python's door to the core, room by room: owns the tables, picks the instruction set, releases the GIL.
+// Python bindings of the core, by topic: they own the tables, select the instruction set and release the GIL.
 #pragma once
 #include <nanobind/nanobind.h>
 
@@ -11,6 +11,6 @@ void bind_impact(nb::module_&);  // after bind_core
 void bind_moving(nb::module_&);  // after bind_impact
 void bind_timing(nb::module_&);  // after bind_core
 void bind_search(nb::module_&);  // after bind_moving and bind_timing
-void bind_mobile(nb::module_&);  // after bind_moving; not there in a build without mobile/
+void bind_mobile(nb::module_&);  // after bind_moving; absent in builds without mobile/
 
 }  // namespace gp

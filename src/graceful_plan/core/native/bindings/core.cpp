@@ -1,4 +1,4 @@
-// The tables of a scene: kinematics, collision, and what the core can hold.
+// Bindings of scene tables: kinematics, collision, capacities of the core.
 #include "core.hpp"
 
 #include <nanobind/stl/string.h>

@@ -1,4 +1,4 @@
-// The models of the impact.
+// Bindings of the impact models.
 #include "impact/impact.hpp"
 
 #include <nanobind/stl/optional.h>

@@ -1,4 +1,4 @@
-// The module itself.
+// The Python module.
 #include "bindings/bindings.hpp"
 
 NB_MODULE(_native, m) {

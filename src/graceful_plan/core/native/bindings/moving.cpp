@@ -1,4 +1,4 @@
-// What failures do to entities that move.
+// Bindings of failures that hit moving entities.
 #include "impact/moving/moving_impact.hpp"
 
 #include <nanobind/stl/optional.h>

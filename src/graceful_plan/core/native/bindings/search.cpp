@@ -1,4 +1,4 @@
-// The native planners, the spaces that they plan in, and graphs.
+// Bindings of the native planners, their spaces, and graph search.
 #include "search/graph_search.hpp"
 
 #include <nanobind/stl/optional.h>
@@ -19,17 +19,18 @@ using namespace nb::literals;
 namespace gp {
 namespace {
 
-// How a scene is planned in; [rad] or [m].
+// Settings of a scene's space [rad or m].
 struct SpaceSettings {
   Point low, high;
   double weight, check_step, fine_step, cost_step, margin;
-  bool projects = true;  // onto what constraints leave; else trees only reject
+  bool projects = true;  // project onto constraints; if false, trees only reject configurations
 };
 
-// What a straight edge between two projected configurations may lose in between [m].
+// Clearance that a straight edge between two projected configurations may lose [m].
 constexpr double kProjectionReserve = 0.003;
 
-// What only Python can check of configurations, row by row: holds(q) -> [n], clearance(q) -> [n] and its gradient.
+// Constraints that only Python can check, for rows of configurations: holds(q) -> [n], clearance(q) -> [n] and
+// gradients.
 struct CustomConstraints {
   nb::object holds, clearance;
   bool any() const { return !holds.is_none(); }
@@ -37,14 +38,14 @@ struct CustomConstraints {
 
 template <class T, size_t Dims> using Answer = nb::ndarray<const T, nb::ndim<Dims>, nb::c_contig, nb::device::cpu>;
 
-// What motions are charged for their states where entities move: these at their times, and all that stands still.
+// Costs of states with moving entities: `moving` is evaluated at their times, `still` covers everything else.
 struct AmongMoving {
   const Impact* still;
-  const MovingImpact* moving;  // null where nothing moves
-  bool keeps_off;              // whether the sound robot keeps a distance from them, as bases that drive do
+  const MovingImpact* moving;  // null without moving entities
+  bool keeps_off;              // whether the intact robot keeps clear of moving entities, as mobile bases do
 };
 
-// Collision and cost from the kernels, and from Python what else has to hold.
+// Collision and cost from the kernels, further constraints from Python.
 class SceneSpace final : public Space {
  public:
   SceneSpace(const Core& core, const Impact& impact, const SpaceSettings& settings, CustomConstraints custom,
@@ -197,12 +198,12 @@ class SceneSpace final : public Space {
 // Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2], state_costs(q) -> [n].
 class CallbackSpace final : public Space {
  public:
-  // The three questions.
+  // The Python functions.
   struct Callbacks {
     nb::object edges_free, edge_costs, state_costs;
   };
 
-  // With a core, configurations are projected onto its bounds.
+  // If a core is given, configurations are projected onto its bounds.
   CallbackSpace(Callbacks ask, Reals low, Reals high, double weight, bool motion_is_length, const Core* core)
       : Space(point(low), point(high), weight), ask_(std::move(ask)), motion_is_length_(motion_is_length), core_(core) {
     require(!core || core->tables().n_joint == dim, "limits of another robot");
@@ -258,14 +259,14 @@ Out<double> as_array(const std::vector<Point>& rows, int dim) {
   return array;
 }
 
-// A path of somebody else's.
+// A path given by the caller, validated.
 std::vector<Point> path_in(const Space& space, const Reals& path) {
   require_rows(path, space.dim, "a path is [n >= 2, nq], numbers of at most 1000 rad or m");
   require(path.shape(0) >= 2, "a path is [n >= 2, nq]");
   return points(path);
 }
 
-// The space, if it holds such ends of a search.
+// Returns the space after checking that start and goals fit it.
 Space& with_ends(Space& space, const Reals& start, const Reals& goals) {
   require_point(space, start, "a start is [nq], numbers of at most 1000 rad or m");
   require_points(space, goals, "goals are [n > 0, nq], numbers of at most 1000 rad or m");
@@ -345,7 +346,7 @@ class DescentRun {
  public:
   DescentRun(Space& space, Reals path, int pieces, double step)
       : space_(space), descent_(checked(space, pieces, step), path_in(space, path), pieces, {.step = step}) {}
-  // At most so many evaluations; after how many of them there was still something to gain.
+  // Runs at most `steps` evaluations. Returns the number after which it had not yet converged.
   int run(int steps) {
     const Turn turn(taken_);
     nb::gil_scoped_release release;
@@ -377,7 +378,7 @@ class MotionDescentRun {
   MotionDescentRun(Space& space, Reals path, const MotionSettings& settings, const RollingSettings* rolling)
       : space_(space),
         descent_(checked(space, settings), path_in(space, path), settings, curve(space, settings, rolling)) {}
-  // At most so many evaluations or seconds; after how many of them there was still something to gain.
+  // Runs for at most `steps` evaluations or `seconds`. Returns the number after which it had not yet converged.
   int run(int steps, double seconds) {
     require_slice(steps, seconds);
     const Turn turn(taken_);
@@ -389,7 +390,7 @@ class MotionDescentRun {
   }
   void harden() { descent_.harden(); }
   Out<double> controls() const { return as_array(descent_.controls(), space_.dim); }
-  // The inner ones, as energy() takes them.
+  // The inner control points, in the order of energy().
   Out<double> inner() const { return as_array({descent_.inner()}, int(descent_.unknowns())); }
   double value() const { return descent_.value(); }
   double duration() const { return descent_.duration(); }

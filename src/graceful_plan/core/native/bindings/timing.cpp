@@ -1,4 +1,4 @@
-// Timing: splines, limits on what is felt, and the fastest motion along a curve.
+// Bindings of timing: splines, limits on felt acceleration, the fastest motion along a curve.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
@@ -13,7 +13,7 @@ namespace {
 
 using Flags = nb::ndarray<const bool, nb::ndim<1>, nb::c_contig>;
 
-// A motion along a curve as Python sees it, see timing/curve_timing.hpp.
+// A motion along a curve, as returned to Python; see timing/curve_timing.hpp.
 struct TimedCurve {
   Travel motion;
   std::vector<double> speeds;
@@ -34,17 +34,17 @@ Out<double> row(const std::vector<double>& values) {
   return array;
 }
 
-// Drives may be as fast as they like.
+// Velocity limits may be infinite.
 void require_limits(const Reals& velocity, const Reals& acceleration) {
   for (size_t j = 0; j < velocity.size(); ++j) require(velocity.data()[j] > 0, "velocity limits");
   require_positive(acceleration, velocity.size(), "acceleration limits");
 }
 
-// A curve as Python hands it over.
+// A curve given by Python.
 struct GivenCurve {
   Reals step, q, slope, bend;
 
-  // The number of intervals, if all of it fits.
+  // Returns the number of intervals after checking all sizes.
   size_t check(const Reals& velocity, const Reals& acceleration) const {
     const size_t n = step.size(), dim = velocity.size();
     require(n > 0 && q.size() == (n + 1) * dim && slope.size() == 2 * n * dim && bend.size() == 2 * n * dim, "a curve");
@@ -77,7 +77,7 @@ TimedCurve fastest(Reals step, Reals q, Reals slope, Reals bend, Flags stop, Rea
   return {timing.motion(), timing.speeds(), {}, dim};
 }
 
-// A curve travelled at given speeds of its parameter.
+// Travels a curve at given speeds of its parameter.
 TimedCurve travelled(Reals step, Reals q, Reals slope, Reals bend, Reals speeds, Reals velocity, Reals acceleration) {
   const size_t dim = velocity.size(), n = GivenCurve{step, q, slope, bend}.check(velocity, acceleration);
   require_numbers(speeds, n + 1, "speeds along a curve");
@@ -101,7 +101,7 @@ double excess(Reals t, Reals q, Reals qd, Reals qdd, Reals velocity, Reals accel
   return cubics_excess(n, dim, t.data(), q.data(), qd.data(), qdd.data(), velocity.data(), acceleration.data());
 }
 
-// The first and second derivative of a point of a link along a curve: [2, n, 3].
+// First and second derivatives of a point of a link along a curve: [2, n, 3].
 Out<double> point_derivatives(const Core& core, int link, Reals where, Reals q, Reals slope, Reals bend) {
   const size_t n = core.rows(q), dim = size_t(core.tables().n_joint), links = size_t(core.tables().n_link);
   require_numbers(where, 3, "a point", kMaxExtent);
@@ -120,7 +120,7 @@ Out<double> point_derivatives(const Core& core, int link, Reals where, Reals q, 
   return array;
 }
 
-// A spline and its first two derivatives at some parameters: [3, n, dim].
+// A spline and its first two derivatives at given parameters: [3, n, dim].
 Out<double> spline(Reals controls, Reals u) {
   require(controls.ndim() == 2 && controls.shape(0) >= 4, "controls are [n >= 4, nq]");
   require_numbers(controls, "controls");

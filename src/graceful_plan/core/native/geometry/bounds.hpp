@@ -1,5 +1,5 @@
-// What has to hold in every configuration besides keeping clear: axes within cones, points within boxes. Cones come
-// first, then rooms; each has a clearance, positive inside.
+// Bounds beyond collision for every configuration: axes within cones, points within boxes (rooms). Bounds are numbered
+// cones first, then rooms. Each has a clearance, positive inside.
 
 template <class V> static inline Vec<V> turned(const Frame<V>& X, const double v[3]) {
   using T = Scalar<V>;
@@ -14,7 +14,7 @@ template <class V> static inline V cosine(const Cone& cone, const Frame<V>* X_W)
   return axis.x * T(cone.direction[0]) + axis.y * T(cone.direction[1]) + axis.z * T(cone.direction[2]);
 }
 
-// How far a point is inside of its box, by the nearest side.
+// Distance of a point to the nearest side of its box, positive inside.
 static inline F room_clearance(const Room& room, const Frame<F>* X_W) {
   const Frame<F>& X = X_W[room.frame];
   const Vec<F> turned_point = turned(X, room.point);
@@ -28,7 +28,7 @@ static inline F room_clearance(const Room& room, const Frame<F>* X_W) {
   return least;
 }
 
-// Which lanes are not inside of all bounds by so much.
+// The lanes that violate some bound by `margin`.
 static inline MaskF breaks(const Tables& tables, const Frame<F>* X_W, float margin) {
   MaskF out = {};
   for (int k = 0; k < tables.n_cone; ++k) {
@@ -39,7 +39,7 @@ static inline MaskF breaks(const Tables& tables, const Frame<F>* X_W, float marg
   return out;
 }
 
-// Calls visit(bound, clearance [m]).
+// Calls visit(bound, clearance [m]) for each bound.
 template <class Visit> static inline void for_each_bound(const Tables& tables, const Frame<F>* X_W, Visit visit) {
   for (int k = 0; k < tables.n_cone; ++k) {
     const F c = cosine(tables.cone[k], X_W);

@@ -1,7 +1,7 @@
-// Spheres that ride on links against exact primitives, convex hulls and each other.
-// Every pair of a link and an obstacle is first tried with bounding spheres; most of the time that is all.
+// Distances of links' spheres to exact primitives, convex hulls and each other. Each pair of a link and an obstacle is
+// first tested with bounding spheres, which mostly settles it.
 
-// A square root that takes zero; that of doubles in lanes.hpp does not.
+// A square root that allows 0; square_root of doubles in lanes.hpp does not.
 static inline F root(F a) { return square_root(a); }
 static inline Lanes<double> root(Lanes<double> a) { return square_root(maximum(a, Lanes<double>{} + 1e-60)); }
 
@@ -33,8 +33,9 @@ template <class V> static inline V capsule_distance(float radius, float half, co
   return root(p.x * p.x + p.y * p.y + z * z) - radius;
 }
 
-// Of a point outside of an ellipsoid, by Newton on the convex secular equation (Eberly, "Distance from a point to an
-// ellipse, an ellipsoid") from below: the nearest point is r_i^2 y_i / (t + r_i^2). k is the norm that is 1 on it.
+// Parameter t of the nearest point r_i^2 y_i / (t + r_i^2) on an ellipsoid to a point y outside. Newton's method solves
+// the convex secular equation from below (Eberly, "Distance from a point to an ellipse, an ellipsoid"). r: semi-axes;
+// k: the norm of y that is 1 on the ellipsoid.
 template <class V> static inline V ellipsoid_parameter(const float r[3], const V y[3], V k, float r_min) {
   const V settled = V{} + Scalar<V>(sizeof(Scalar<V>) == 4 ? 1e-7 : 1e-15);
   V t = relu((k - 1.f) * (r_min * r_min));
@@ -57,7 +58,7 @@ static inline float least_of(const float r[3]) {
   return least < r[2] ? least : r[2];
 }
 
-// Never more than the distance; inside (k - 1) r_min, right in sign and a bound in size.
+// A lower bound of the distance; inside, (k - 1) r_min, which has the right sign and bounds the size.
 template <class V> static inline V ellipsoid_distance(const float r[3], const Vec<V>& p) {
   const V y[3] = {p.x, p.y, p.z};
   V k2 = {}, d2 = {};
@@ -74,7 +75,7 @@ template <class V> static inline V ellipsoid_distance(const float r[3], const Ve
 
 template <class V> static inline V squared(const Vec<V>& a) { return a.x * a.x + a.y * a.y + a.z * a.z; }
 
-// To a point from the nearest one of an edge of a face.
+// Vector to a point from the nearest point of an edge of a face.
 template <class V> static inline Vec<V> from_edge(const Vec<V>& p, const Triangle& t, int i) {
   const float *a = i == 0 ? t.a : i == 1 ? t.b : t.c, *e = t.edge[i];
   const Vec<V> d = {p.x - a[0], p.y - a[1], p.z - a[2]};
@@ -82,14 +83,14 @@ template <class V> static inline Vec<V> from_edge(const Vec<V>& p, const Triangl
   return {d.x - s * e[0], d.y - s * e[1], d.z - s * e[2]};
 }
 
-// How far a point is outside of a face's prism at least; negative above the face.
+// Lower bound of the distance of a point outside the prism over a face; negative inside the prism.
 template <class V> static inline V outside_of(const Vec<V>& p, const Triangle& t) {
   const float (&n)[3][4] = t.inward;
   return maximum(n[0][3] - dot(p, n[0]), maximum(n[1][3] - dot(p, n[1]), n[2][3] - dot(p, n[2])));
 }
 
-// Calls visit(face, height, outside) for faces that points outside see and that may be nearer than sqrt(nearest), which
-// the calls may lower; returns how high points are above the face that they are highest above.
+// Calls visit(face, height, outside) for the faces that see points from outside and may be nearer than sqrt(nearest),
+// which visit may lower. Returns the largest height of each point over a face.
 template <class V, class Visit>
 static inline V for_each_near_face(const Tables& tables, const Obstacle& o, const Vec<V>& p, const V& nearest,
                                    Visit visit) {
@@ -105,8 +106,8 @@ static inline V for_each_near_face(const Tables& tables, const Obstacle& o, cons
   return highest;
 }
 
-// As far as it is below `far`. The nearest face is one that p sees: above its prism its plane is nearest, else one of
-// its edges.
+// Distance to a hull where below `far`. The nearest face sees p: inside the prism over it, the distance is that to its
+// plane, otherwise that to one of its edges.
 template <class V>
 static inline V mesh_distance(const Tables& tables, const Obstacle& o, const Vec<V>& p, V far = V{} + 1e15f) {
   V nearest = far * far;
@@ -118,7 +119,7 @@ static inline V mesh_distance(const Tables& tables, const Obstacle& o, const Vec
   return highest > 0.f ? root(nearest) : highest;
 }
 
-// Those of meshes as far as they are below `far` > 0.
+// Signed distance to an obstacle; for meshes, only where below `far` > 0.
 template <class V>
 static inline V signed_distance(const Tables& tables, const Obstacle& o, const Vec<V>& point, V far = V{} + 1e15f) {
   switch (o.kind) {
@@ -146,8 +147,8 @@ template <class V> static inline auto near_bound(const Obstacle& o, const Vec<V>
   return dx * dx + dy * dy + dz * dz < r * r;
 }
 
-// A plane of a face that separates the sphere from the hull settles it; distances to triangles are for the few that are
-// left.
+// If a face's plane separates the sphere from the hull, they do not touch; distances to triangles are computed only for
+// the few other spheres.
 static inline MaskF touches_mesh(const Tables& tables, const Obstacle& o, const Vec<F>& centre, float radius) {
   if (!any(near_bound(o, centre, F{} + radius))) return MaskF{};
   F deepest = F{} - 1e30f;
@@ -159,7 +160,7 @@ static inline MaskF touches_mesh(const Tables& tables, const Obstacle& o, const 
   return mesh_distance(tables, o, centre) < radius;
 }
 
-// Whether a sphere touches; for the box, by far the commonest, without a square root.
+// Whether a sphere touches an obstacle; for boxes, the most common kind, without a square root.
 static inline MaskF touches(const Tables& tables, const Obstacle& o, const Vec<F>& centre, float radius) {
   if (o.kind == kMesh) return touches_mesh(tables, o, centre, radius);
   if (o.kind != kBox) return signed_distance(tables, o, centre) < radius;
@@ -168,7 +169,7 @@ static inline MaskF touches(const Tables& tables, const Obstacle& o, const Vec<F
   return x * x + y * y + z * z < radius * radius;
 }
 
-// World positions of bounding spheres, and of clusters and spheres as far as somebody asked for them.
+// World positions of bounding spheres, and of clusters and spheres once they are needed.
 struct Placed {
   const Tables& tables;
   const Frame<F>* X_W;
@@ -183,7 +184,7 @@ struct Placed {
       ready[g] = ready_clusters[g] = false;
     }
   }
-  // Centres of the bounding spheres of clusters, by their numbers.
+  // Centres of the bounding spheres of clusters, indexed by cluster.
   const Vec<F>* clusters(int g) {
     const Group& group = tables.group[g];
     if (!ready_clusters[g])
@@ -202,7 +203,8 @@ struct Placed {
   }
 };
 
-// Calls visit(j) for obstacles that may be within reach(distance they ask for) of points, until one says it is enough.
+// Calls visit(j) for obstacles that may be within reach(keep) of points, until visit returns true; keep: distance to
+// keep.
 template <class Reach, class Visit>
 static inline bool for_each_obstacle_near(const Tables& tables, const Vec<F>& p, Reach reach, Visit visit) {
   for (int k = 0; k < tables.n_boundless; ++k)
@@ -223,7 +225,7 @@ static inline bool for_each_obstacle_near(const Tables& tables, const Vec<F>& p,
   return false;
 }
 
-// Adds the lanes in which spheres of two links come closer to each other than they may.
+// Adds the lanes in which spheres of two links are closer than allowed.
 template <bool first_hit> static inline void touching_links(Placed& placed, int p, float margin, MaskF& hit) {
   const Tables& tables = placed.tables;
   const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
@@ -261,11 +263,11 @@ template <bool first_hit> static inline void touching_links(Placed& placed, int 
   }
 }
 
-// Which lanes collide. With `first_hit` it returns as soon as any lane does: one bad state spoils an edge.
+// The lanes in collision. With `first_hit`, it returns once any lane is: one colliding state invalidates an edge.
 template <bool first_hit> static inline MaskF collides(const Tables& tables, const Frame<F>* X_W, float margin) {
   Placed placed(tables, X_W);
   MaskF hit = {};
-  for (int g = tables.n_group - 1; g >= 0; --g) {  // the far links move most: test them first
+  for (int g = tables.n_group - 1; g >= 0; --g) {  // outermost links first, since they move most
     const Group& group = tables.group[g];
     if (group.frame == 0) continue;  // the base does not move
     const auto reach = [&](float keep) { return F{} + (group.bound[3] + margin + keep); };

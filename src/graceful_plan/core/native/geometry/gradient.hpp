@@ -1,4 +1,4 @@
-// The gradient of a clearance once it is known which pair is nearest: scalar, in double, one configuration at a time.
+// The gradient of the clearance of a known nearest pair: scalar, in double precision, one configuration at a time.
 
 static inline double norm3(const double* v) { return __builtin_sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 static inline double clamp(double v, double lower, double upper) { return v < lower ? lower : v > upper ? upper : v; }
@@ -86,7 +86,7 @@ static inline void mesh_normal(const Tables& tables, const Obstacle& o, const do
   }
 }
 
-// Unit direction in which the distance from `point` to the obstacle grows fastest, in W.
+// Unit normal in W along which the distance from the obstacle to `point` grows fastest.
 static inline void outward_normal(const Tables& tables, const Obstacle& o, const double* point, double* normal) {
   double p[3], n[3] = {0, 0, 1};
   for (int k = 0; k < 3; ++k)
@@ -119,13 +119,13 @@ static inline int group_of(const Tables& tables, int sphere) {
   return g;
 }
 
-struct Posture {  // one of the configurations side by side
+struct Posture {  // one lane of a block of configurations
   const Tables& tables;
   const Frame<D>* X_W;
   int lane;
 };
 
-// Add sign * normal . J to the gradient, J the Jacobian of a point that rides on a link.
+// Adds sign * normal . J to the gradient, with J the Jacobian of a point of a link.
 static inline void add_jacobian(const Posture& at, int link, const double* point, const double* normal, double sign,
                                 double* gradient) {
   const auto& [tables, X_W, lane] = at;
@@ -164,7 +164,7 @@ static inline void cross(const double* a, const double* b, double* out) {
   for (int i = 0; i < 3; ++i) out[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
 }
 
-// A joint about z turns the axis towards the direction by z . (axis x direction) / sin(angle).
+// A joint about z reduces the angle between axis and direction at the rate z . (axis x direction) / sin(angle).
 static inline void cone_gradient(const Posture& at, const Cone& cone, double* gradient) {
   double axis[3], about[3];
   in_world(at, cone.frame, cone.axis, axis);
@@ -198,7 +198,7 @@ static inline void room_gradient(const Posture& at, const Room& room, double* gr
   add_jacobian(at, room.link, point, inward, 1.0, gradient);
 }
 
-// `a` and `b` name the pair, as in `Nearest`.
+// `a` and `b` identify the pair as in `Nearest`.
 static inline void clearance_gradient(const Posture& at, int a, int b, double* gradient) {
   const Tables& tables = at.tables;
   for (int j = 0; j < tables.n_joint; ++j) gradient[j] = 0;

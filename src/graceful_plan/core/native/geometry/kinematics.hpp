@@ -1,7 +1,7 @@
 // Forward kinematics of a tree of hinges and slides, W configurations at a time.
 
-// Poses of all links that own a frame: the base and every link with a joint, whose axis is its local z. Those before
-// `first` are known.
+// Computes the poses of all links that own a frame: the base, and every link with a joint, whose axis is its local z.
+// Frames before `first` are already computed.
 template <class V>
 static inline void forward_kinematics(const Tables& tables, const V* q, Frame<V>* X_W, int first = 0) {
   using T = Scalar<V>;
@@ -38,7 +38,7 @@ static inline void forward_kinematics(const Tables& tables, const V* q, Frame<V>
   }
 }
 
-// Load up to W configurations; the lanes past the end repeat the last one.
+// Loads up to W configurations; lanes past the end repeat the last configuration.
 template <class V> static inline void load(const Tables& tables, const double* q, size_t first, size_t n, V* out) {
   using T = Scalar<V>;
   Lanes<T> values[kMaxJoints];

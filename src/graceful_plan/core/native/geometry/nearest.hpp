@@ -1,6 +1,6 @@
-// Which spheres are nearest to each other, or to an obstacle, in each lane.
+// The nearest pair of spheres, or of a sphere and an obstacle, in each lane.
 
-// Sphere `a` against obstacle `b`, or against sphere -1 - b; bound -2 - a if a < -1.
+// a >= 0: sphere `a` and obstacle `b`, or sphere -1 - b if b < 0. a < -1: bound -2 - a. a == -1: none.
 struct Nearest {
   F distance;
   MaskF a, b;
@@ -22,7 +22,7 @@ struct Nearest {
   }
 };
 
-// Two clusters of links that may be near each other, and how near at least.
+// Two clusters of a pair of links that may be nearest, and a lower bound of their distance.
 struct Facing {
   F lower;
   MaskF pair, mine, other;
@@ -36,7 +36,7 @@ struct Facing {
   }
 };
 
-// The spheres of two clusters of a pair of links in one lane.
+// Updates `best` with the spheres of two clusters of a pair of links in one lane.
 static inline void nearest_in_lane(const Placed& placed, int p, int c, int d, int lane, Nearest& best) {
   const Tables& tables = placed.tables;
   const Cluster &mine = tables.cluster[c], &other = tables.cluster[d];
@@ -62,7 +62,7 @@ static inline void nearest_in_lane(const Placed& placed, int p, int c, int d, in
   }
 }
 
-// Whether links of a pair may be nearer than so much in any lane.
+// Whether the links of a pair may be nearer than `distance` in any lane.
 static inline bool may_be_nearer(const Placed& placed, int p, F distance) {
   const Tables& tables = placed.tables;
   const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
@@ -71,7 +71,7 @@ static inline bool may_be_nearer(const Placed& placed, int p, F distance) {
   return any_below(squared_distance(placed.bound[a], placed.bound[b]), within * within);
 }
 
-// In each lane the spheres of the two clusters that may be nearest: a distance that rules most others out.
+// Takes the two clusters with the least lower bound in each lane first: their distance rules out most others.
 static inline void begin_with_likeliest(Placed& placed, Nearest& best) {
   const Tables& tables = placed.tables;
   Facing likeliest = {best.distance, MaskF{} - 1, MaskF{}, MaskF{}};
@@ -80,7 +80,7 @@ static inline void begin_with_likeliest(Placed& placed, Nearest& best) {
     const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
     const Group &ga = tables.group[a], &gb = tables.group[b];
     const Vec<F>*ca = placed.clusters(a), *cb = placed.clusters(b);
-    // Whether two bounding spheres may be nearer than the likeliest ones are, in any lane.
+    // Whether two bounding spheres may be nearer than the likeliest pair in any lane.
     const auto near = [&](const Vec<F>& p, const Vec<F>& q, float radii) {
       const F within = relu(likeliest.lower + radii);
       return any_below(squared_distance(p, q), within * within);
@@ -106,7 +106,7 @@ static inline void nearest_of_links(Placed& placed, int p, Nearest& best) {
   const Group &ga = tables.group[a], &gb = tables.group[b];
   const float slack = tables.slack[p];
   const Vec<F>*ca = placed.clusters(a), *cb = placed.clusters(b);
-  // Which lanes may have a sphere and a bound that are nearer than what was found so far.
+  // The lanes in which two bounding spheres may be nearer than the best distance.
   const auto near = [&](const Vec<F>& p, const Vec<F>& q, float radii) {
     const F within = relu(best.distance + (radii + slack));
     return lanes_below(squared_distance(p, q), within * within);
@@ -158,7 +158,7 @@ static inline void nearest_to_obstacle(Placed& placed, int g, int j, Nearest& be
   }
 }
 
-// Of those nearer than `far`, and nobody if there are none.
+// The nearest pair below `far`, or none (a == -1).
 static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W, float far) {
   Placed placed(tables, X_W);
   Nearest best = {F{} + far, MaskF{} - 1, MaskF{}};

@@ -1,11 +1,11 @@
-// The spheres of a cluster side by side in one configuration of a block. Configurations that have little in common need
-// few clusters each, but other ones; to look at these in all lanes would take several times as long.
+// Spheres of a cluster side by side, in one lane of a block of configurations. Dissimilar configurations need few
+// clusters each, but different ones; evaluating these in all lanes would take several times as long.
 
 constexpr int kPacks = (kClusterSize + kLanes<float> - 1) / kLanes<float>;
 
 struct InOneLane {
   Vec<F> centre[kPacks];
-  F radius[kPacks];  // far below 0 of those that are not there
+  F radius[kPacks];  // far below 0 for missing spheres
 
   InOneLane() = default;
   InOneLane(const Tables& tables, const Frame<F>& X, int cluster, int lane) {
@@ -28,7 +28,7 @@ template <class V> static inline V squared_distance(const Vec<V>& a, float x, fl
   return dx * dx + dy * dy + dz * dz;
 }
 
-// Whether any two spheres are closer than they may be.
+// Whether any two spheres of the clusters are closer than `kept`.
 static inline bool touch(const InOneLane& one, int count, const InOneLane& two, float kept) {
   for (int k = 0; k < count; ++k) {
     const int u = k / kLanes<float>, i = k % kLanes<float>;
@@ -41,7 +41,7 @@ static inline bool touch(const InOneLane& one, int count, const InOneLane& two, 
   return false;
 }
 
-// Of lanes that are set, so few that each on its own takes less time than all at once.
+// Whether so few lanes are set that single ones are faster than the block.
 static inline bool are_few(int lanes) { return __builtin_popcount(unsigned(lanes)) * 2 < kLanes<float>; }
 
 template <class Visit> static inline void for_each_lane(int lanes, Visit visit) {

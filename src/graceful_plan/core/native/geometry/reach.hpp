@@ -1,23 +1,23 @@
-// Inverse kinematics by damped least squares, W seeds side by side. A lane that ends takes the next seed, so that what
-// becomes of a seed does not depend on the others.
+// Inverse kinematics by damped least squares, W seeds side by side. A finished lane takes the next seed, so seeds do
+// not affect each other.
 //
 // C. W. Wampler, "Manipulator inverse kinematic solutions based on vector formulations and damped least-squares
 // methods", IEEE Transactions on Systems, Man, and Cybernetics 16 (1986).
 
-constexpr double kReached = 1e-10;      // norm of the missing twist [m and rad] at which a seed is at its pose
-constexpr double kFarDamping = 1e-2;    // times the square of the missing twist: steady far away,
-constexpr double kLeastDamping = 1e-9;  // and as fast as Newton's method close by
-constexpr double kLongestStep = 0.5;    // of a joint in one iteration [rad or m]
-constexpr double kProgress = 0.7;       // of the missing twist that is left after `patience` iterations at most
-constexpr double kNoAngle = 1e-9;       // sine of an angle that is nothing, or half a turn
+constexpr double kReached = 1e-10;      // norm of the missing twist [m and rad] at which a seed has converged
+constexpr double kFarDamping = 1e-2;    // damping = kFarDamping |missing|^2 + kLeastDamping: steady far from the pose,
+constexpr double kLeastDamping = 1e-9;  // close to it as fast as Newton's method
+constexpr double kLongestStep = 0.5;    // largest step of a joint in one iteration [rad or m]
+constexpr double kProgress = 0.7;  // largest share of the missing twist that may remain after `patience` iterations
+constexpr double kNoAngle = 1e-9;  // sine below which an angle counts as 0 or pi
 constexpr double kHalfTurn = 3.14159265358979323846;
 constexpr int kTwist = 6;  // translation [m] and rotation vector [rad], in W
 
-// Seeds on their way to their poses, and the joints that move the tool.
+// The seeds being solved, and the joints that move the tool.
 struct Reaching {
   const Tables& tables;
   const Reach& ask;
-  int n_mover = 0, mover[kMaxJoints] = {};  // links with a joint that may move and moves the tool
+  int n_mover = 0, mover[kMaxJoints] = {};  // links whose joints move the tool and are not held
   D q[kMaxJoints] = {}, goal[12] = {}, J[kMaxJoints][kTwist] = {}, missing[kTwist] = {}, norm = {};
   Mask<double> free_yaw = {};
 
@@ -32,7 +32,7 @@ struct Reaching {
     free_yaw[lane] = ask.free_yaw[seed] ? -1 : 0;
   }
 
-  // The missing twist of every lane, and the Jacobian of the tool's.
+  // Computes the missing twist of every lane, and the Jacobian of the tool.
   void linearise() {
     Frame<D> X_W[kMaxLinks];
     forward_kinematics(tables, q, X_W);
@@ -63,13 +63,13 @@ struct Reaching {
     norm = square_root(squared + kTiny);
   }
 
-  // The rotation vector that takes the tool's axes to those wanted, or its z axis alone.
+  // Computes the rotation vector from the tool's axes to the goal's, or from z axis to z axis if yaw is free.
   void rotate_to(const D R[9]) {
     const auto& g = goal;
     D sine[3] = {}, trace = {};
     for (int i = 0; i < 3; ++i) {
       const int k = (i + 1) % 3, l = (i + 2) % 3;
-      D lk = {}, kl = {};  // of the rotation in between
+      D lk = {}, kl = {};  // entries of the relative rotation matrix
       for (int c = 0; c < 3; ++c) {
         lk += g[4 * l + c] * R[3 * k + c], kl += g[4 * k + c] * R[3 * l + c];
         trace += g[4 * i + c] * R[3 * i + c];
@@ -83,12 +83,12 @@ struct Reaching {
       if (length[i] > kNoAngle)
         scale[i] = __builtin_atan2(length[i], cosine[i]) / length[i];
       else if (cosine[i] < 0)
-        sine[0][i] = kHalfTurn, sine[1][i] = sine[2][i] = 0;  // about x: any axis will do
+        sine[0][i] = kHalfTurn, sine[1][i] = sine[2][i] = 0;  // about x, since any axis will do
     }
     for (int i = 0; i < 3; ++i) missing[3 + i] = scale * sine[i];
   }
 
-  // The damped step of all joints at most `kLongestStep` long, those left out that are blocked.
+  // The damped step without the blocked joints, scaled so that no joint moves more than `kLongestStep`.
   void step(const Mask<double>* blocked, D* out) const {
     D gram[kTwist][kTwist] = {}, y[kTwist];
     const D damping = kFarDamping * norm * norm + kLeastDamping;
@@ -97,7 +97,7 @@ struct Reaching {
         const D own = where(blocked[m], D{}, J[m][i]);
         for (int k = 0; k <= i; ++k) gram[i][k] += own * J[m][k];
       }
-    // Cholesky: gram = L L^T, of the diagonal its inverse.
+    // Cholesky factor L of gram = L L^T; the diagonal holds its inverses.
     for (int i = 0; i < kTwist; ++i) {
       for (int k = 0; k <= i; ++k) {
         D left = gram[i][k] + (k == i ? damping : D{});
@@ -125,7 +125,7 @@ struct Reaching {
     for (int m = 0; m < n_mover; ++m) out[m] *= scale;
   }
 
-  // Joints that would leave their limits stay, and the others make up for them.
+  // Steps the lanes that are going. Joints that would leave their limits stay, and the others compensate.
   void advance(Mask<double> going) {
     Mask<double> blocked[kMaxJoints] = {}, any_blocked = {};
     D moved[kMaxJoints];
@@ -175,7 +175,7 @@ static void reach(const Tables& tables, const Reach& ask, double* q, double* mis
       if (!over) continue;
       for (size_t j = 0; j < nq; ++j) q[seed[i] * nq + j] = now.q[j][i];
       for (size_t k = 0; k < kTwist; ++k) missing[seed[i] * kTwist + k] = now.missing[k][i];
-      take(i);  // whose twist is not known yet: it takes its first step in the next iteration
+      take(i);  // its twist is not known yet, so its first step follows in the next iteration
     }
     if (!left) return;
     now.advance(going);

@@ -1,10 +1,10 @@
-// Planes below signed distances. Obstacles are convex, and so are their distances d: with the normal n at a point c,
-// d(p) >= d(c) + n . (p - c) everywhere. One plane bounds the distances of all spheres of a link from below, and those
-// of the link once it has moved.
+// Tangent planes below signed distances. Obstacles are convex, and so are their distance functions d: with the normal n
+// at a point c, d(p) >= d(c) + n . (p - c) for all p. One plane bounds the distances of all spheres of a link from
+// below, also after the link has moved.
 
 template <class V> struct Tangent {
   V d;
-  Vec<V> n;  // of unit length, in W; d is no more than the distance if that is dear to compute
+  Vec<V> n;  // n: unit vector in W; d: the distance, or a lower bound where the distance is expensive
 };
 
 template <class V> static inline V dot(const Vec<V>& a, const Vec<V>& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
@@ -14,7 +14,7 @@ template <class V> static inline Vec<V> to_world(const Obstacle& o, const Vec<V>
           o.R[6] * n.x + o.R[7] * n.y + o.R[8] * n.z};
 }
 
-// With the sign of another.
+// Gives a the sign of another number.
 template <class V> static inline V signed_as(V a, V sign) { return sign < 0 ? -a : a; }
 
 template <class V> static inline Tangent<V> box_tangent(const float half[3], const Vec<V>& p) {
@@ -44,7 +44,7 @@ template <class V> static inline Tangent<V> cylinder_tangent(float radius, float
   return {out ? square * shrink : inside, {along_r * p.x, along_r * p.y, signed_as(along_z, p.z)}};
 }
 
-// The support function of an ellipsoid bounds the distance from below for every direction.
+// For every direction, the support function of an ellipsoid bounds the distance from below.
 template <class V> static inline Tangent<V> ellipsoid_tangent(const float r[3], const Vec<V>& p) {
   const V y[3] = {p.x, p.y, p.z};
   V k2 = {};
@@ -63,7 +63,7 @@ template <class V> static inline Vec<V> shorter(const Vec<V>& a, const Vec<V>& b
   return {first ? a.x : b.x, first ? a.y : b.y, first ? a.z : b.z};
 }
 
-// Inside, the face that the point is highest above; outside, across the way from the nearest point.
+// Inside: the face with the largest height over it. Outside: perpendicular to the vector from the nearest point.
 template <class V> static inline Tangent<V> mesh_tangent(const Tables& tables, const Obstacle& o, const Vec<V>& p) {
   Tangent<V> best;
   Vec<V> way = {V{}, V{}, V{}};
@@ -82,7 +82,7 @@ template <class V> static inline Tangent<V> mesh_tangent(const Tables& tables, c
     square = nearer ? here_square : square;
   });
   const V inverse = inverse_root(maximum(square, V{} + Scalar<V>(1e-24)));
-  const auto out = (best.d > 0.f) & (square > 1e-12f);  // on a face its normal is more exact
+  const auto out = (best.d > 0.f) & (square > 1e-12f);  // on a face, its normal is more accurate
   best.n = {way.x * inverse, way.y * inverse, way.z * inverse};
   for (int k = 0; any(~out) && k < o.n_triangle; ++k) {
     const Triangle& t = tables.triangle[o.first_triangle + k];
@@ -114,7 +114,7 @@ template <class V>
 
 template <class V>
 [[gnu::always_inline]] static inline Tangent<V> tangent(const Tables& tables, const Obstacle& o, const Vec<V>& point) {
-  if (o.kind != kBox) return other_tangent(tables, o, point);  // most are boxes
+  if (o.kind != kBox) return other_tangent(tables, o, point);  // fast path for boxes, the most common kind
   const Tangent<V> t = box_tangent(o.size, local(o, point));
   return {t.d, to_world(o, t.n)};
 }

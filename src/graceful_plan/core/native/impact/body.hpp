@@ -1,33 +1,34 @@
-// The body model: what the arm and what it holds hit if the drives fail here. The specification, with the letters used
-// here, is in costs/models/body. W states side by side, in double or in single precision. What is left out to save time
-// changes nothing but rounding, unless tables ask for fewer looks or tails for shorter ones:
+// The body model: obstacles that the arm and its carried object hit if the drives fail in this state. costs/models/body
+// specifies the model and its letters. W states side by side, in double or single precision. Three shortcuts save time
+// and change results only by rounding, unless the tables request fewer steps or shorter tails:
 //
-// - Planes below distances, taken where the arm is, rule out most of what a limb might hit in a fall.
-// - A joint that fails alone turns what hangs on it as one rigid body from where the arm would have been.
-// - What does not hang on it meets what the arm meets as it goes on; that is looked at once.
+// - Tangent planes below the distances at the failure rule out most obstacles that a falling limb might hit.
+// - A joint that fails alone moves all links beyond it as one rigid body, relative to the expected motion.
+// - The other links follow the expected motion; their hits are the same for all joints and evaluated once.
 
-constexpr double kFar = 8.0;                                            // U: scales beyond which nothing is hit
-constexpr double kNearby = 0.4;                                         // gap from where no plane is kept [m]
-template <class T> constexpr T kStill = sizeof(T) == 4 ? 1e-6 : 1e-12;  // what rounding moves the arm by [m]
+constexpr double kFar = 8.0;     // U: spreads beyond which nothing is hit
+constexpr double kNearby = 0.4;  // smallest gap for which no tangent plane is stored [m]
+template <class T> constexpr T kStill = sizeof(T) == 4 ? 1e-6 : 1e-12;  // motion of the arm by rounding [m]
 
-// The least distance of one way to fail, for each row and entity, and how deep the arm is in what stops it.
+// Least distances in one failure mode for each row and entity, and the depth of the arm in obstacles that stop it.
 template <class V, bool kNamed> struct WayToFail {
   using T = Scalar<V>;
-  V *best[2], blocked;  // [entity]
-  T* worst[2];          // [entity] of the lanes of best
-  T* limit[2];          // [obstacle] what is farther does not count
+  V *best[2], blocked;  // best: [entity]; blocked: largest depth
+  T* worst[2];          // [entity] largest lane of best
+  T* limit[2];          // [obstacle] distances above do not count
   double gain = 0.0, tolerance = 0.0;
-  Mask<T>*who[2], deepest;  // whose distances best and blocked are, see Meeting
+  Mask<T>*who[2], deepest;  // who: the Meeting of each best distance; deepest: that of `blocked`
 };
 
-// The distance of a limb to an obstacle is at least this, wherever its centre c goes and however it turns:
-// max(n . c + max(low, close - bound turned), known - |c - c_0| - bound turned).
+// A lower bound of the distance of a limb to an obstacle, for any centre c of the limb and any rotation: max(n . c +
+// max(low, close - bound turned), known - |c - c_0| - bound turned); bound: the limb's radius about c.
 template <class V> struct Floor {
   Vec<V> n;
   V low, close, known;
 };
 
-// A sphere, an obstacle, and one of the configurations: one that is expected, or one of a way to fail.
+// A sphere, an obstacle and a place (step): own is set if the configuration belongs to one failure mode, clear for the
+// expected motion.
 struct Meeting {
   int sphere, obstacle, place;
   bool own;
@@ -37,7 +38,7 @@ struct Meeting {
 };
 static_assert(kMaxSpheres <= 2048 && kMaxObstacles <= 4096 && kMaxSteps < 128);
 
-// What may be nearer than what is known: a limb and an obstacle in one of the configurations, and their least distance.
+// A limb and an obstacle that may be nearer at a place than the best distance, with a lower bound of their distance.
 template <class V> struct Prospect {
   V least;
   int16_t limb, place;
@@ -46,10 +47,10 @@ template <class V> struct Prospect {
 
 template <class V> struct FallingJoint {
   JointMotion<V> motion;
-  V rests;  // 1 where it lies on something
+  V rests;  // 1 where the joint rests on an obstacle
 };
 
-// Numbers are not set to anything.
+// An array that leaves its numbers uninitialised.
 template <class T> class Room {
  public:
   explicit Room(size_t n) : data_(new T[n + 1]) {}
@@ -65,7 +66,7 @@ template <class T> class Room {
 
 template <class V> class BodySlopes;
 
-// kNamed: whether ways remember who is nearest, for derivatives.
+// kNamed: whether failure modes also record the nearest spheres, for derivatives.
 template <class V, bool kNamed = false> class Arm {
   using T = Scalar<V>;
   using Id = Mask<T>;
@@ -74,9 +75,9 @@ template <class V, bool kNamed = false> class Arm {
   static constexpr int kPending = 512;
 
  public:
-  Way way;  // the one that was last
+  Way way;  // the most recent failure mode
 
-  // Without weights and severities everything counts.
+  // Without weights and severities, all hits are computed.
   Arm(const Tables& t, const BodyTables& b, const BodyHarm& harm)
       : tables_(t),
         body_(b),
@@ -121,7 +122,7 @@ template <class V, bool kNamed = false> class Arm {
     }
   }
 
-  // Where the arm would be, as far as is known, and what is around it now.
+  // Sets the state: the expected motion of the arm, and its distances at the failure.
   void start(const V* q, const V* qd, const double* ahead, size_t first, size_t n) {
     const int nq = tables_.n_joint;
     known_ahead_ = ahead != nullptr;
@@ -144,7 +145,7 @@ template <class V, bool kNamed = false> class Arm {
     weigh();
   }
 
-  // Calls visit(mode, generator) after every way to fail that has a weight.
+  // Calls visit(mode, generator) after every failure mode that has a weight.
   template <class Visit> void fail(const V* qd, Visit visit) {
     const int n = tables_.n_joint;
     if (counts(0)) collapse(qd), visit(0, kCollapse);
@@ -162,9 +163,9 @@ template <class V, bool kNamed = false> class Arm {
     if (counts(1 + 2 * n)) stray(shared), visit(1 + 2 * n, kStray);
   }
 
-  // Distance from where on a row does not hit an entity.
+  // Distance from which on a row does not hit an entity.
   T cut(int generator, int r, int e) const { return end_of(generator, r, e).cut; }
-  // P, and its derivative with respect to the distance.
+  // P of a hit at distance d, and its derivative with respect to d.
   V probability(int generator, int r, int e, V d, V* slope = nullptr) const {
     const BodyConstants& k = body_.constants;
     const T least = end_of(generator, r, e).least, inverse = T(1.0 / k.spread[generator][r]);
@@ -172,7 +173,7 @@ template <class V, bool kNamed = false> class Arm {
     if (slope) *slope = s > least ? s * (s - 1) * (inverse / (1 - least)) : V{};
     return relu(s - least) * (1 / (1 - least));
   }
-  // Calls visit(row, entity, weighted severity, distance, distance that counts) for all that may be hit.
+  // Calls visit(row, entity, weighted severity, distance) for every entity that may be hit.
   template <class Visit> void for_each_hit(int mode, int generator, Visit visit) const {
     for (int r = 0; r < body_.n_row; ++r)
       for (int e = 0; e < body_.n_entity; ++e) {
@@ -184,7 +185,7 @@ template <class V, bool kNamed = false> class Arm {
  private:
   friend class BodySlopes<V>;
 
-  // --- what is met --------------------------------------------------------------------------------------------------
+  // --- distances to obstacles ---------------------------------------------------------------------------------------
 
   void improve(Way& way, int r, int e, V d, Id who) const {
     if constexpr (kNamed) way.who[r][e] = d < way.best[r][e] ? who : way.who[r][e];
@@ -194,7 +195,7 @@ template <class V, bool kNamed = false> class Arm {
     if constexpr (kNamed) way.deepest = -d > way.blocked ? who : way.deepest;
     way.blocked = maximum(way.blocked, -d);
   }
-  // What a distance has to be below to make a difference.
+  // Largest distance that would still improve a result.
   V needed(const Way& way, int r, int obstacle, V penalty, bool stops) const {
     const int e = hit(r, obstacle);
     const V need = e < 0 ? V{} - T(kAnywhere) : way.best[r][e] - penalty;
@@ -226,8 +227,8 @@ template <class V, bool kNamed = false> class Arm {
     while (n_pending_ > 0) examine(way, pending_[--n_pending_], false);
   }
 
-  // What limbs on frames in [first, last) may meet in a place. What stops the arm is known at once if anybody asks;
-  // other hits after settle(), which begins with the last places: what falls comes nearer.
+  // Distances of limbs on frames [first, last) at a place. If `stops`, those to obstacles that stop the arm are
+  // computed now. The others wait for settle(), which begins with the last places, since falling links come nearer.
   void meet(int at, int first, int last, bool stops, Way& way) {
     Place<V>& place = places_[at];
     const V penalty = T(way.gain) * relu(way.blocked - T(way.tolerance));
@@ -261,7 +262,7 @@ template <class V, bool kNamed = false> class Arm {
     }
   }
 
-  // Where the arm is: distances, and planes for what follows.
+  // Computes distances and tangent planes at the failure.
   void look() {
     home_.blocked = V{}, home_.deepest = Id{};
     for (int r = 0; r < body_.n_row; ++r)
@@ -304,7 +305,7 @@ template <class V, bool kNamed = false> class Arm {
     gap = least_lane(floor.known);
   }
 
-  // From what is met before anything moves, as far as it counts for some generators.
+  // Starts a failure mode from the distances at the failure, as far as they count for the given generators.
   void begin(Way& way, int generator, unsigned others = 0) {
     way.gain = body_.constants.stop_gain[generator], way.tolerance = body_.constants.stop_tolerance[generator];
     for (int r = 0; r < body_.n_row; ++r) {
@@ -339,7 +340,7 @@ template <class V, bool kNamed = false> class Arm {
       if (!link.slide) at.turned[l] += absolute(x[link.joint] - reference(0, link.joint));
     }
   }
-  // Inertia of single joints, and their loads at each step.
+  // Inertia of single joints, and their gravity load at each step.
   void weigh() {
     Composite<V> all[kMaxJoints + 1];
     for (int s = 0; s < (steps_ ? steps_ : 1); ++s) {
@@ -354,7 +355,7 @@ template <class V, bool kNamed = false> class Arm {
       }
     }
   }
-  // What hangs on a joint that is at x rather than where it is expected.
+  // Places the links beyond a joint that is at x instead of its expected position.
   void displace(int s, int joint, V x, V& sine, V& cosine) {
     const Link& link = tables_.link[body_.drive[joint].link];
     const V expected = reference(s, joint), by = x - expected, q = reference(0, joint);
@@ -365,7 +366,7 @@ template <class V, bool kNamed = false> class Arm {
                    joint_motion(link, stances_[s].X_W[body_.drive[joint].link], by, sine, cosine), more);
   }
 
-  // --- ways to fail -------------------------------------------------------------------------------------------------
+  // --- failure modes ------------------------------------------------------------------------------------------------
 
   void collapse(const V* qd) {
     const int n = body_.n_fall;
@@ -425,7 +426,7 @@ template <class V, bool kNamed = false> class Arm {
     }
     settle(way);
   }
-  // Frames in [first, last) go on as expected.
+  // Frames [first, last) follow the expected motion.
   void go_on(int first, int last) {
     for (int s = steps_; s > 0; --s) {
       if (!body_.looks(s)) continue;
@@ -440,7 +441,7 @@ template <class V, bool kNamed = false> class Arm {
 
   // --- tables -------------------------------------------------------------------------------------------------------
 
-  // Of hits by a generator: the distance from where on they do not count, and what P would be there.
+  // For hits by a generator: the distance from which on they do not count, and P there.
   struct End {
     T cut, least;
   };
@@ -459,7 +460,7 @@ template <class V, bool kNamed = false> class Arm {
           ends_[at] = {its.far < 0 ? T(-kAnywhere) : T(cut), T(its.least)};
         }
   }
-  // Farther than that, none of some generators hits an entity; minus kAnywhere if they never do.
+  // Distance beyond which none of the generators hits an entity; -kAnywhere if they never do.
   T reach(int r, int e, unsigned generators = ~0u) const {
     T far = T(-kAnywhere);
     for (int g = 0; e >= 0 && g < kGenerators; ++g)
@@ -482,7 +483,7 @@ template <class V, bool kNamed = false> class Arm {
     T* limit = reinterpret_cast<T*>(&gaps_[2 * body_.n_limb * padded_ / W]);
     const int n_gap = 2 * body_.n_limb * padded_ / W;
     for (int k = 0; k < n_gap + 8 * padded_ / W; ++k)
-      gaps_[k] = V{} + T(k < n_gap ? kAnywhere : 0);  // also what fills up
+      gaps_[k] = V{} + T(k < n_gap ? kAnywhere : 0);  // padding included
     for (int k = 0; kNamed && k < 8 * n_entity; ++k) who_[k] = Id{};
     int k = 0;
     for (Way* one : {&home_, &along_, &end_, &way})
@@ -495,33 +496,35 @@ template <class V, bool kNamed = false> class Arm {
   V& reference(int s, int j) const { return reference_[s * tables_.n_joint + j]; }
   Load<V>& load(int s, int j) const { return load_[s * tables_.n_joint + j]; }
   Stance<V>& fallen(int s) const { return stances_[n_expected_ + s]; }
-  // Over all lanes, no more than the distance of a limb to some obstacles: if only its centre moves, whatever it does.
+  // Lower bounds of the distance of a limb to a block of obstacles, over all lanes. The tight one assumes that only the
+  // centre moves, the loose one allows any rotation.
   V& tight_gap(int limb, int o) const { return gaps_[(limb * padded_ + o) / W]; }
   V& loose_gap(int limb, int o) const { return gaps_[((body_.n_limb + limb) * padded_ + o) / W]; }
-  // The entity that counts if a row hits an obstacle, -1 for none.
+  // The entity that counts if a row hits an obstacle; -1 for none.
   int32_t& hit(int r, int obstacle) const { return hits_[r * padded_ + obstacle]; }
 
   const Tables& tables_;
   const BodyTables& body_;
   const double *severity_, *weight_;
   const int n_obstacle_, n_frame_, padded_, n_expected_, n_place_;
-  int steps_ = 0, order_[kMaxJoints];  // order: joints, from the base outwards
+  int steps_ = 0, order_[kMaxJoints];  // order: joints from the base outwards
   bool known_ahead_ = false;
-  uint64_t hanging_[kMaxJoints];  // frames that hang on each joint
-  Way home_, along_, end_;        // where the arm is; on the way it is expected to go, and at the end of that
-  V inertia_[kMaxJoints];         // M_jj where the arm is
+  uint64_t hanging_[kMaxJoints];  // links moved by each joint (bits)
+  Way home_, along_, end_;        // home: at the failure; along: on the expected motion; end: at its last step
+  V inertia_[kMaxJoints];         // M_jj at the failure
 
   Room<Frame<V>> frames_;
   Room<Vec<V>> centres_;
   Room<V> turned_;
-  Room<Stance<V>> stances_;  // expected ones, then those of a collapse
+  Room<Stance<V>> stances_;  // of the expected motion, then of a collapse
   Room<Place<V>> places_;
-  Room<V> reference_;            // [step, joint]
-  Room<Load<V>> load_;           // [step, joint]
-  Room<V> share_, depth_;        // [step] d r/d qd but at ends of ranges; of frames that have gone on
+  Room<V> reference_;      // [step, joint]
+  Room<Load<V>> load_;     // [step, joint]
+  Room<V> share_, depth_;  // [step] share: d r/d qd inside the joint's range; depth: depth of the frames that follow
+                           // the expected motion
   Room<FallingJoint<V>> trace_;  // [step] of the joint that fell last
   Room<V> penalty_;              // [place]
-  Room<Id> stopper_;             // [place] whose depth that comes from
+  Room<Id> stopper_;             // [place] the Meeting that determines the depth
   Room<Floor<V>> floors_;        // [limb, obstacle]
   Room<uint8_t> planes_;         // [limb, obstacle] whether there is a floor
   Room<V> gaps_;

@@ -1,7 +1,7 @@
-// Where the arm is in one configuration, and how far its limbs are from obstacles then.
+// The arm in one configuration, and the distances of its limbs to obstacles.
 
-constexpr double kSlack = 1e-5;    // what is ruled out is so much farther than what counts, above any rounding [m]
-constexpr double kAnywhere = 1e9;  // farther than anything [m]
+constexpr double kSlack = 1e-5;    // margin above rounding for distances that are ruled out [m]
+constexpr double kAnywhere = 1e9;  // a distance beyond all others [m]
 
 // --- configurations -------------------------------------------------------------------------------------------------
 
@@ -19,7 +19,7 @@ template <class V> static inline Frame<V> moved(const Frame<V>& T, const Frame<V
   return Y;
 }
 
-// How a joint that goes on by an angle, or a distance, moves what hangs on it, in W; X is the frame behind the joint.
+// Transform in W of everything beyond a joint when the joint moves by an angle or a distance; X: the joint's frame.
 template <class V> static inline Frame<V> joint_motion(const Link& link, const Frame<V>& X, V by, V sine, V cosine) {
   const Vec<V> a = {X.R[2], X.R[5], X.R[8]}, o = X.p;
   const V one = V{} + 1;
@@ -34,18 +34,18 @@ template <class V> static inline Frame<V> joint_motion(const Link& link, const F
   return T;
 }
 
-// The arm in one configuration: frames, centres of limbs, and by how much frames have turned at most since the failure.
+// The arm in one configuration: frames, centres of limbs, upper bounds of the rotation of frames since the failure.
 template <class V> struct Stance {
   Frame<V>* X_W;   // [frame]
   Vec<V>* centre;  // [limb]
   V* turned;       // [frame]
 };
 
-// A stance, or one in which what hangs on a joint has moved on by T.
+// A stance, in which the links beyond a joint may have moved by T.
 template <class V> class Place {
  public:
   Frame<V> T;
-  Frame<V>* moved_frames = nullptr;  // [frame] room for frames that have moved
+  Frame<V>* moved_frames = nullptr;  // [frame] storage for moved frames
 
   void set(const Stance<V>& at) { at_ = &at, hanging_ = known_ = 0; }
   void set(const Stance<V>& at, uint64_t hanging, const Frame<V>& motion, V more) {
@@ -70,14 +70,14 @@ template <class V> class Place {
 
 // --- distances ------------------------------------------------------------------------------------------------------
 
-// A direction in W as a frame sees it.
+// A direction in W, in the axes of a frame.
 template <class V> static inline Vec<V> seen_from(const Frame<V>& X, const Vec<V>& n) {
   const V* R = X.R;
   return {R[0] * n.x + R[3] * n.y + R[6] * n.z, R[1] * n.x + R[4] * n.y + R[7] * n.z,
           R[2] * n.x + R[5] * n.y + R[8] * n.z};
 }
 
-// A plane below a distance, as a frame sees it.
+// A tangent plane below a distance, in the axes of a frame.
 template <class V> struct Plane {
   Vec<V> n;
   V base;
@@ -88,12 +88,12 @@ template <class V> struct Plane {
   V at(const float* p) const { return base + dot(n, p); }
 };
 
-// How far a limb reaches from its centre against a direction of its frame, at most.
+// Largest extent of a limb from its centre against a direction of its frame.
 template <class V> static inline V reach_of(const Limb& limb, const Vec<V>& n) {
   return absolute(n.x) * limb.half[0] + absolute(n.y) * limb.half[1] + absolute(n.z) * limb.half[2] + limb.radius;
 }
 
-// A least distance so far and, if anybody asks, the sphere that has it.
+// A least distance and, if kNamed, the sphere that has it.
 template <class V, bool kNamed> struct Least {
   V d;
   Mask<Scalar<V>> sphere;
@@ -104,13 +104,13 @@ template <class V, bool kNamed> struct Least {
   }
 };
 
-// Not to be repeated in every loop over spheres.
+// Not inlined, so that loops over spheres stay small.
 template <class V>
 [[gnu::noinline]] static V other_distance(const Tables& tables, const Obstacle& o, const Vec<V>& point, V far) {
   return signed_distance(tables, o, point, far);
 }
 
-// Distance of spheres to an obstacle as far as it is below `least`. A plane below the distance rules most of them out.
+// Updates `least` with the distances of a cluster's spheres to an obstacle. The plane rules out most spheres.
 template <class V, bool kNamed>
 [[gnu::always_inline]] static inline void look_at_cluster(const Tables& tables, const Obstacle& o,
                                                           const Cluster& cluster, const Frame<V>& X,
@@ -131,7 +131,7 @@ template <class V, bool kNamed>
   }
 }
 
-// The same for obstacles to which distances are dear: every sphere that is looked at gives a plane for the others.
+// look_at_cluster() for obstacles with expensive distances: each evaluated sphere gives a new plane for the others.
 template <class V, bool kNamed>
 [[gnu::noinline]] static void look_sparingly(const Tables& tables, const Obstacle& o, const Cluster& cluster,
                                              const Frame<V>& X, const Plane<V>& plane, Least<V, kNamed>& least) {

@@ -1,10 +1,10 @@
-// Rigid-body dynamics of an arm whose drives fail; the letters are those of costs/models/body. W states side by side.
+// Rigid-body dynamics of an arm whose drives fail; letters as in costs/models/body. W states side by side.
 
 template <class V> static inline Vec<V> cross(const Vec<V>& a, const Vec<V>& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-// Everything that hangs on a frame: mass, first moment and inertia about the origin of W.
+// Composite inertia of a frame and all frames beyond it: mass, first moment h and inertia J about the origin of W.
 template <class V> struct Composite {
   V mass, h[3], J[6];  // J: xx yy zz xy xz yz
 
@@ -37,7 +37,7 @@ template <class V> static inline Composite<V> placed_inertia(const Inertia& rigi
            R[3] - m * c.x * c.y, R[4] - m * c.x * c.z, R[5] - m * c.y * c.z}};
 }
 
-// How the origin of W would move if a joint did: angular and linear velocity.
+// Angular and linear velocity of the origin of W per unit velocity of a joint.
 template <class V> struct Twist {
   Vec<V> w, v;
 };
@@ -65,14 +65,14 @@ template <class V> static inline V weight_torque(const Composite<V>& c, const Tw
   return Scalar<V>(kGravity) * (t.w.x * c.h[1] - t.w.y * c.h[0] + c.mass * t.v.z);
 }
 
-// Composites of all frames.
+// Computes the composites of all frames.
 template <class V>
 static inline void gather(const Tables& tables, const BodyTables& body, const Frame<V>* X_W, Composite<V>* all) {
   for (int l = 0; l < body.n_frame; ++l) all[l] = placed_inertia(body.inertia[l], X_W[l]);
   for (int l = body.n_frame - 1; l > 0; --l) all[tables.link[l].parent].add(all[l]);
 }
 
-// M, lower half, and the torques that hold the arm.
+// Computes the lower half of M and the gravity torques g.
 template <class V>
 static inline void mass_and_weight(const Tables& tables, const BodyTables& body, const Frame<V>* X_W, V M[][kMaxJoints],
                                    V* g) {
@@ -95,7 +95,7 @@ static inline void mass_and_weight(const Tables& tables, const BodyTables& body,
   }
 }
 
-// Solve A x = b by Cholesky's method; A is destroyed.
+// Solves A x = b by Cholesky's method; A is overwritten.
 template <class V> static inline void solve(V A[][kMaxJoints], V* b, int n) {
   for (int j = 0; j < n; ++j) {
     V d = A[j][j];
@@ -125,7 +125,7 @@ template <class V> static inline V within(const JointDrive& drive, V x) {
   return minimum(maximum(x, V{} + T(drive.lower)), V{} + T(drive.upper));
 }
 
-// A joint that has moved by the mean of two velocities; a stop takes the velocity.
+// Moves a joint by the mean of two velocities; at a limit its velocity becomes 0.
 template <class V> static inline void move_joint(const JointDrive& drive, V& x, V& v, V next, double h) {
   using T = Scalar<V>;
   const V to = x + T(0.5 * h) * (v + next);
@@ -152,7 +152,7 @@ static inline void fall_together(const Tables& tables, const BodyTables& body, c
   for (int i = 0; i < n; ++i) move_joint(body.drive[i], x[i], v[i], towards_zero(next[i], slip[i]), h);
 }
 
-// What a joint has to hold if it is turned by an angle from where the arm is: g (still cos + turned sin).
+// Gravity torque on a joint turned by an angle from its expected position: g (still cos + turned sin).
 template <class V> struct Load {
   V still, turned;
 
@@ -170,7 +170,7 @@ template <class V> struct JointMotion {
   V x, v;
 };
 
-// A joint without power, with its own inertia and under the weight of what hangs on it, for a step.
+// One step of a joint without power, with its own inertia and the load of the links beyond it.
 template <class V>
 static inline void fall_alone(const JointDrive& drive, double h, V inertia, V torque, JointMotion<V>& motion) {
   using T = Scalar<V>;

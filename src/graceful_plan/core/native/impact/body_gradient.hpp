@@ -1,10 +1,10 @@
-// Derivatives of the impact by the body model with respect to q and qd: the way back from the nearest spheres of each
-// way to fail. A distance pushes its sphere along the obstacle's normal; forces are gathered at the frames where the
-// arm is expected, become torques there, and go back through the motion to come. What hangs on a joint that failed is
-// pushed where that joint took it, and the joint itself goes back through its fall. Left out: how inertia changes with
-// q, how the joints of an arm that collapses move each other, and how contacts stop what falls.
+// Derivatives of the body model's impact with respect to q and qd, in reverse mode. Each nearest sphere receives a
+// force along the obstacle's normal, the derivative with respect to its distance. Forces are summed at the frames of
+// the expected motion, become joint torques there, and are mapped back through that motion to q and qd. Forces on links
+// beyond a failed joint act where that joint has moved them; the joint itself is mapped back through its fall.
+// Neglected: how inertia depends on q, the coupling of joints in a collapse, and contacts that stop a fall.
 
-// Of a frame, about the origin of W.
+// Force on a frame, and moment about the origin of W.
 template <class V> struct Wrench {
   Vec<V> force, moment;
 
@@ -18,7 +18,7 @@ template <class V> struct Wrench {
     force = {force.x + f.x, force.y + f.y, force.z + f.z};
     moment = {moment.x + m.x, moment.y + m.y, moment.z + m.z};
   }
-  // Along a joint's axis; X is the frame behind it.
+  // Component along a joint's axis; X is the joint's frame.
   V torque(const Link& link, const Frame<V>& X) const {
     const Vec<V> a = {X.R[2], X.R[5], X.R[8]};
     if (link.slide) return dot(a, force);
@@ -50,7 +50,7 @@ template <class V> class BodySlopes {
   }
 
  private:
-  // Forces on those who are nearest, collected over ways to fail that end alike.
+  // Force on one Meeting, accumulated over failure modes that share it.
   struct Slot {
     Id id;
     V force;
@@ -79,7 +79,7 @@ template <class V> class BodySlopes {
     if (generator == kStuck) stay_back(joint);
   }
 
-  // Hands a force to the slot of those who are as expected, or pushes at once.
+  // Adds a force to the slot of its Meeting; for a Meeting of the failure mode itself, applies it at once.
   void push(int r, int e, Id who, V force, int generator, int joint) {
     const auto own = (who >> 30 & 1) != 0, at_home = (who >> 23 & 255) == 0;
     if (any((force != V{}) & own)) push_spheres(who, own ? force : V{}, generator, joint);
@@ -96,7 +96,7 @@ template <class V> class BodySlopes {
     slot.force = V{};
   }
 
-  // One sphere at a time; lanes often share one.
+  // Handles equal Meetings together, since lanes often share one.
   void push_spheres(Id who, V force, int generator, int joint, bool stopped_too = true) {
     for (unsigned left = unsigned(lanes_set(force != V{})); left;) {
       const auto id = who[__builtin_ctz(left)];
@@ -104,7 +104,7 @@ template <class V> class BodySlopes {
       left &= ~unsigned(lanes_set(these));
       const Meeting at{int(id)};
       push_sphere(at, these ? force : V{}, generator, joint);
-      // What was met before makes it farther.
+      // Depth reached earlier adds to the distance.
       const V stopped = at.own && stopped_too ? (these & (arm_.penalty_[at.place] > 0) ? force : V{}) : V{};
       if (any(stopped != V{}))
         push_spheres(arm_.stopper_[at.place], T(-arm_.way.gain) * stopped, generator, joint, false);
@@ -122,7 +122,7 @@ template <class V> class BodySlopes {
     const Vec<V> f = {force * n.x, force * n.y, force * n.z};
     Wrench<V>* wrenches = wrench(fallen, at.place);
     if (!displaced) return wrenches[frame].add(f, p);
-    // Joints further out turn it as if nothing had failed, those further in as it is.
+    // Joints beyond the failed one turn this sphere as if nothing had failed, joints before it as it is.
     const int link = body_.drive[joint].link;
     const Vec<V> before = seen_from(arm_.places_[at.place].T, f), at_first = transform(stance.X_W[frame], s);
     Wrench<V> real = {{V{}, V{}, V{}}, {V{}, V{}, V{}}};
@@ -134,13 +134,13 @@ template <class V> class BodySlopes {
   }
   bool hangs(int frame, int joint) const { return arm_.hanging_[joint] >> frame & 1; }
 
-  // 1 where a joint is not held at an end of its range in the motion to come.
+  // 1 where the expected motion does not clamp a joint to its range.
   V within_range(int s, int j) const {
     const V x = arm_.reference(s, j);
     const JointDrive& drive = body_.drive[j];
     return s == 0 ? V{} + 1 : ((x > T(drive.lower)) & (x < T(drive.upper)) ? V{} + 1 : V{});
   }
-  // A joint that fails does not go on as expected.
+  // The failed joint does not follow the expected motion.
   void take_back(int s, int joint) {
     const V torque = own_torque_[s] * within_range(s, joint);
     d_q[joint] -= torque, d_qd[joint] -= arm_.share_[s] * torque;
@@ -149,10 +149,10 @@ template <class V> class BodySlopes {
     for (int s = 1; s <= arm_.steps_; ++s) take_back(s, joint), d_q[joint] += own_torque_[s];
   }
 
-  struct Sensitivity {  // of a joint's position and velocity to q and qd
+  struct Sensitivity {  // Derivatives of a joint's position and velocity with respect to q and qd.
     V x_q[kMaxJoints], v_q[kMaxJoints], x_qd[kMaxJoints], v_qd[kMaxJoints];
   };
-  // Back through the fall of a joint: fall_alone() with derivatives.
+  // Maps torques back through the fall of a joint: fall_alone() with derivatives.
   void fall_back(int joint) {
     bool pushed = false;
     for (int s = 1; s <= arm_.steps_; ++s) pushed |= any(own_torque_[s] != V{});
@@ -169,7 +169,7 @@ template <class V> class BodySlopes {
       V d_load[kMaxJoints];
       load_slopes(s - 1, joint, s > 1 ? arm_.trace_[s - 1].motion.x : arm_.reference(0, joint), d_load);
       const FallingJoint<V>& step = arm_.trace_[s];
-      const V free = step.motion.v != V{} ? V{} + 1 : V{};  // neither at an end nor held by friction
+      const V free = step.motion.v != V{} ? V{} + 1 : V{};  // neither at a limit nor held by friction
       const auto rests = step.rests > 0;
       const V inside = (step.motion.x > T(drive.lower)) & (step.motion.x < T(drive.upper)) ? V{} + 1 : V{};
       take_back(s, joint);
@@ -186,7 +186,7 @@ template <class V> class BodySlopes {
       }
     }
   }
-  // Derivatives of what a joint has to hold at step s, itself at x.
+  // Derivatives of a joint's gravity load at step s, with the joint at x.
   void load_slopes(int s, int joint, V x, V* d_load) const {
     for (int i = 0; i < tables_.n_joint; ++i) d_load[i] = V{};
     const Load<V>& load = arm_.load(s, joint);
@@ -223,7 +223,7 @@ template <class V> class BodySlopes {
              [&](int j, V torque) { d_q[j] += torque * x_q[j], d_qd[j] += torque * x_qd[j]; });
     }
   }
-  // Torques of all joints; wrenches become those of all that hangs on frames.
+  // Visits the torques of all joints; wrenches become sums over all frames beyond.
   template <class Visit> void gather(Wrench<V>* wrenches, const Stance<V>& at, Visit visit) {
     for (int l = body_.n_frame - 1; l > 0; --l) {
       const Link& link = tables_.link[l];
@@ -237,6 +237,6 @@ template <class V> class BodySlopes {
   const BodyTables& body_;
   const int n_wrench_;
   Room<Wrench<V>> wrenches_;     // [configuration, frame]
-  V own_torque_[kMaxSteps + 1];  // of the joint that failed
-  Room<Slot> slots_;             // [row, entity, where the arm is or later]
+  V own_torque_[kMaxSteps + 1];  // of the failed joint
+  Room<Slot> slots_;             // [row, entity, at the failure or later]
 };

@@ -1,4 +1,4 @@
-// The body model as Python hands it over, and what native planners charge edges with.
+// The tables of the body model from Python, and the impact model for native planners.
 #pragma once
 #include <nanobind/stl/optional.h>
 
@@ -37,25 +37,26 @@ constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
     "stray.carried.spread"};
 static_assert(sizeof(BodyConstants) == sizeof(kBodyConstants) / sizeof(kBodyConstants[0]) * sizeof(double));
 
-constexpr int kFallSteps = 5;  // of a collapse, see costs/models/body
+constexpr int kFallSteps = 5;  // steps of a collapse, see costs/models/body
 
-// What searches and descents are charged, which is what most states are for. Chosen so that sums along motions come out
-// nearly the same (tests/costs/models/test_body_searches.py says how nearly) in a tenth of the time.
-constexpr double kRoughShare = 3e-4;   // of the worst that may happen: hits that are worth less do not count
-constexpr double kLeastTail = 3.4e-4;  // 1/(1 + e^8), see costs/models/body
-constexpr double kRoughPiece = 0.2;    // of edges, with a sample at both paces: 10 in a radian [rad]
-constexpr size_t kRoughLooks = 32;     // at states along a motion that descends
+// Shortcuts for searches and descents, where most states are evaluated. They take a tenth of the time and change sums
+// along motions little (tests/costs/models/test_body_searches.py bounds the error).
+constexpr double kRoughShare = 3e-4;   // hits below this share of the worst possible are neglected
+constexpr double kLeastTail = 3.4e-4;  // 1/(1 + e^8): the tail at U = 8, see costs/models/body
+constexpr double kRoughPiece = 0.2;    // length of the pieces of edges [rad], sampled at both paces: 10 samples per
+                                       // radian
+constexpr size_t kRoughLooks = 32;     // most states evaluated along a motion in a descent
 
-// The tables of the body model as Python hands them over.
+// The tables of the body model, as Python passes them.
 struct BodyArrays {
-  Reals inertia;  // per frame mass, centre (3), inertia about it (9)
-  Reals drive;    // per joint limits (2), armature, damping, friction, resistance, speed
+  Reals inertia;  // per frame: mass, centre (3), inertia about it (9)
+  Reals drive;    // per joint: limits (2), armature, damping, friction, resistance, speed
   Integers row, entity;
   int n_row, n_entity, n_step;
   Reals constants;
 };
 
-// What links and held objects hit.
+// Hits by links and the carried object.
 class BodyModel {
  public:
   BodyModel(const Core& core, const BodyArrays& of)
@@ -85,7 +86,7 @@ class BodyModel {
 
   const Core& core() const { return core_; }
   const BodyTables& tables() const { return tables_; }
-  // The same falls, looked at half way and at their end.
+  // Tables that check falls only at three fifths and at their end.
   const BodyTables& rough_tables() const { return rough_; }
   const double* speed() const { return speed_.data(); }
   size_t modes() const { return 2 * drive_.size() + 2; }
@@ -95,7 +96,7 @@ class BodyModel {
     require_numbers(severity, size_t(tables_.n_row) * size_t(tables_.n_entity), "severity is not [row, entity]");
   }
 
-  // Least distances of each way to fail. ahead: configurations after 1, 2, .. steps, or None where only the velocity is
+  // Least distances in each failure mode. ahead: configurations after 1, 2, .. steps, or None if only the velocity is
   // known.
   auto distances(Reals q, Reals qd, std::optional<Reals> ahead) const {
     double* out;
@@ -137,7 +138,7 @@ class BodyModel {
     }
     return nb::make_tuple(values, by_q, by_qd);
   }
-  // From where on hits do not count if they are worth less than a share of the worst that may happen.
+  // Tails that neglect hits worth less than a share of the worst possible.
   std::vector<Tail> tails(const Point& weight, const Point& severity, double share) const {
     const size_t nq = drive_.size(), n_row = size_t(tables_.n_row), n_entity = size_t(tables_.n_entity);
     std::vector<Tail> tails;
@@ -157,7 +158,7 @@ class BodyModel {
     }
     return tails;
   }
-  // Mass matrix and torques of the weight.
+  // Mass matrix and gravity torques.
   auto dynamics(Reals q) const {
     double *mass_matrix, *gravity;
     auto first = make<double>({core_.rows(q), q.shape(1), q.shape(1)}, mass_matrix);
@@ -192,7 +193,7 @@ class BodyModel {
     }
   }
 
-  // Neighbouring groups of a row on one frame become one limb if they may touch the same obstacles.
+  // Merges neighbouring groups of a row on one frame into a limb if they may touch the same obstacles.
   void add_limbs(const int32_t* row) {
     const Tables& t = core_.tables();
     const auto alike = [&t](int a, int b) {
@@ -249,7 +250,7 @@ class BodyModel {
   std::vector<int32_t> entity_;
 };
 
-// The body model with weights of its ways to fail and severities; along edges at their speed.
+// The body model with weights of its failure modes and severities; edges are travelled at their pace.
 class BodyImpact final : public Impact {
  public:
   BodyImpact(const BodyModel& model, Reals weight, Reals severity, double slow, double fast)
@@ -298,8 +299,8 @@ class BodyImpact final : public Impact {
   BodyHarm harm() const { return {weight_.data(), severity_.data(), nullptr}; }
   BodyHarm rough_harm() const { return {weight_.data(), severity_.data(), tail_.data()}; }
 
-  // Of states in their order along a motion. Where there are many, the impact and its derivatives are those of some of
-  // them, and on a straight line between.
+  // For successive states of a motion. If there are many, a subset is evaluated, and the impact and its derivatives are
+  // interpolated linearly in between.
   void rough_slopes(const States& states, const Slopes& out) const {
     const size_t nq = size_t(core_.tables().n_joint), looks = std::min(states.n, kRoughLooks);
     Point q, qd, value(looks), d_q(looks * nq), d_qd(looks * nq);

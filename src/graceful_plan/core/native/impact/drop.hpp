@@ -1,8 +1,10 @@
-// The drop model: whom the carried object hits if it is let go here, at this velocity; flight.hpp is what comes before.
+// The drop model: entities that the carried object hits if it is released in this state. flight.hpp is the step before.
+// Letters as in the specification, the docstring of costs/models/drop.
 
 // --- 1. first contact -----------------------------------------------------------------------------------------------
 
-// How far each part reaches along the axes of a surface, and halfway between them; kept for the next one turned alike.
+// Extents of each part along the axes of a surface (x, y) and its diagonals (left, right), cached for surfaces with the
+// same axes.
 struct Reaches {
   int turn = -1;
   struct {
@@ -24,17 +26,18 @@ struct Reaches {
   }
 };
 
-// The object when it passes the height of a top.
+// The object at the time when it passes the height of a surface's top.
 struct Passage {
   double top = __builtin_inf();
-  D time = {};                  // of the lowest part, with the delay
-  D x = {}, y = {}, near = {};  // of the centre of mass then, and how far from it anything may happen
+  D time = {};                  // of the lowest part, including the delay of the release
+  D x = {}, y = {}, near = {};  // of the centre of mass; near: radius around it within which the object may be
   bool detailed = false;
   struct {
-    D x, y, inverse_scale, passes;  // of each part when it is down there; 1 + e^.. of the gate that it has to be above
+    D x, y, inverse_scale, passes;  // of each part at that height; passes: 1 + e^.. of the gate for starting above the
+                                    // top
     decltype(D{} > D{}) above;
 
-    // Whether anything may happen to it at a place in a surface's axes, given half sizes.
+    // Whether the part may be within half sizes a, b of a place in a surface's axes, in any lane.
     bool may_meet(const Point2& at, D a, D b) const { return any(may_be_within(at, a, b, inverse_scale) & above); }
   } part[kMaxDropParts];
 
@@ -49,7 +52,7 @@ struct Passage {
     const D late = falling + flight.late;
     near = drop.radius * (1.0 + flight.turn_speed * (late + k.delay)) + flight.speed * flight.late +
            kTail * kBeta * (k.position_spread + k.velocity_spread * late);
-    near *= 1.4142135623730951;  // a margin in the surface's axes is less than that in W's
+    near *= 1.4142135623730951;  // the margin along the axes of W covers a margin along the surface's axes
     near = where(flight.highest_bottom - top > kAbove, near, D{} - 1e9);
   }
   void detail(const DropTables& drop, const Flight& flight) {
@@ -76,7 +79,8 @@ static inline bool may_meet(const Surface& s, const Passage& passage) {
              (absolute(passage.y - s.centre[1]) < s.bound[1] + passage.near));
 }
 
-// D: P that the object is over a surface when it passes the height of its top; `foremost` is the part that decides it.
+// D: P that the object overlaps a surface, seen from above, when it passes the height of the top; `foremost`: the part
+// that determines D.
 static inline D overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage,
                         Reaches& reaches, D& foremost) {
   D best = {};
@@ -105,10 +109,11 @@ static inline D overlap(const DropTables& drop, const Flight& flight, const Surf
 
 // --- 2. support -----------------------------------------------------------------------------------------------------
 
+// Moments of the ground contact's area, relative to the centre of mass, in W.
 struct Moments {
   D area = {}, x = {}, y = {}, xx = {}, yy = {}, xy = {};
 
-  // What of the parts' ground contact a surface carries; `at` is the centre of mass in its axes.
+  // Adds the ground contact of the parts that a surface supports; `at`: the centre of mass in the surface's axes.
   void add(const DropTables& drop, const Flight& flight, const Surface& s, const Point2& at, Reaches& reaches) {
     if (!any((absolute(at.x) < s.carries[0] + drop.radius) & (absolute(at.y) < s.carries[1] + drop.radius))) return;
     reaches.turn_to(drop, flight, s);
@@ -134,7 +139,7 @@ struct Moments {
   }
 };
 
-// T: P that the object does not stay on what carries it, and n: where to it leaves.
+// T: P that the object leaves the surfaces that support it; away: n, the direction in which it leaves.
 static inline D leaves(const DropTables& drop, const Flight& flight, const Moments& m, Point2& away) {
   const DropConstants& k = drop.constants;
   const D share = reciprocal(m.area + 1e-6), ex = m.x * share, ey = m.y * share;
@@ -154,28 +159,31 @@ static inline D leaves(const DropTables& drop, const Flight& flight, const Momen
 // --- steps 1 and 2 for all levels -----------------------------------------------------------------------------------
 
 struct Landing {
-  D overlap[kMaxSurfaces], contact[kMaxSurfaces], time[kMaxSurfaces];   // D, C, tc
-  D foremost[kMaxSurfaces];                                             // which part it is whose overlap D is
-  D arrives[kMaxSurfaces], first[kMaxSurfaces], leaving[kMaxSurfaces];  // per level: A, sum of F, M
-  D share[kMaxSurfaces], leaves[kMaxSurfaces];                          // per level: F over D, T
+  D overlap[kMaxSurfaces], contact[kMaxSurfaces], time[kMaxSurfaces];  // D, C, tc: overlap, share of the first contact,
+                                                                       // time of contact
+  D foremost[kMaxSurfaces];                                            // the part that determines D
+  D arrives[kMaxSurfaces], first[kMaxSurfaces], leaving[kMaxSurfaces];  // per level: A (P of arriving), sum of F (first
+                                                                        // impacts), M (P of impact and leaving)
+  D share[kMaxSurfaces], leaves[kMaxSurfaces];                          // per level: F/D, T
   Point2 away[kMaxSurfaces];                                            // per level: n
-  D landed, total, mean_time, height, fallen;                           // sum of F, that + 1e-6, tl, zs, hs
-  D x, y;                                                               // L
-  D blur;                                                               // variance of the place
+  D landed, total, mean_time, height, fallen;  // sum of F, total = that + 1e-6, tl, zs, hs: mean time, height and depth
+                                               // of the fall
+  D x, y;                                      // L, the place of landing
+  D blur;                                      // variance of the place of landing
 };
 
-// Where the centre of mass is at some time, in the axes of a surface.
+// The centre of mass at a time, in the axes of a surface.
 static inline Point2 passing(const Flight& flight, const Surface& s, D time) {
   const Point2 at = travelled(flight, time);
   return placed(s, at.x, at.y);
 }
 
-// Of D of a level's surfaces: their sum, and the product of 1 - D.
+// Over the surfaces of a level: the sum of D, and the product of 1 - D.
 struct Met {
   D sum = {}, missed = D{} + 1.0;
 };
 
-// Finds D of a level that the object arrives at.
+// Computes D of the surfaces of a level.
 static inline Met meet_level(const DropTables& drop, const Flight& flight, int level, Passage& passage,
                              Reaches& reaches, Landing& landing) {
   Met met;
@@ -228,7 +236,7 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
   landing.blur = c.position_spread * c.position_spread + late * late + deep * deep;
 }
 
-// From the state at the release to where the object comes down.
+// From the state at the release to the first contact.
 struct Fall {
   Frame<D> X_W[kMaxLinks];
   Flight flight;
@@ -242,15 +250,15 @@ struct Fall {
   }
 };
 
-// --- 3. falls on to something lower ---------------------------------------------------------------------------------
+// --- 3. falls onto lower surfaces -----------------------------------------------------------------------------------
 
 struct Tumble {
-  D mass = {};                // B
-  Point2 drift = {D{}, D{}};  // N
+  D mass = {};                // B: P that the object is falling
+  Point2 drift = {D{}, D{}};  // N: sum of n M, weighted direction
   D inverse_scale;
   Point2 start;    // L + ks v
-  D x, y;          // where it is on the present level
-  D keep, caught;  // shares of it that no surface of the level has ended so far, and that the last one did
+  D x, y;          // its place on the present level
+  D keep, caught;  // shares of B: not stopped by the surfaces visited on the level; stopped by the last one
 
   Tumble(const DropTables& drop, const Flight& flight, const Landing& landing) {
     const DropConstants& k = drop.constants;
@@ -267,11 +275,11 @@ struct Tumble {
     x = start.x + drift.x * moved, y = start.y + drift.y * moved;
     return true;
   }
-  // Whether anything may happen at a place in a surface's axes.
+  // Whether the object may reach a surface from a place in its axes.
   bool may_meet(const Surface& s, const Point2& at) const {
     return any(may_be_within(at, s.near[0], s.near[1], inverse_scale));
   }
-  // G, if it is wanted, and how much goes on.
+  // G/B, if wanted: P of hitting the surface; also updates `caught` and `keep`.
   D hit(const Surface& s, bool wanted) {
     const Point2 at = placed(s, x, y);
     caught = D{};
@@ -293,7 +301,7 @@ struct Tumble {
 
 // --- 4. side contacts -----------------------------------------------------------------------------------------------
 
-// P that the object leaves what it came down on, given that it did come down, and its mean direction.
+// P that the object leaves its first support, given that it has landed, and the mean direction.
 struct Leaving {
   D probability = {}, x = {}, y = {}, share;
 
@@ -320,7 +328,7 @@ struct Sweep {
     reach = (k.side_reach + k.topple_reach * leaving.probability) * drop.size;
     top = landing.height + flight.high - flight.low;
   }
-  // H, given P that the object comes down beside the surface.
+  // H: P of hitting the surface from the side; beside: P that the object lands beside it.
   D hit(const DropTables& drop, const Flight& flight, const Surface& s, D time, D beside) const {
     const D over = (top - s.bottom) * (1.0 / drop.constants.side_height);
     const Point2 from = passing(flight, s, time), to = placed(s, x, y);
@@ -337,7 +345,7 @@ struct Sweep {
   }
 };
 
-// P that the object meets the side in its way before it comes down.
+// P that the object hits the side in its way before it lands (step 0).
 struct Brunt {
   D before, value;
 
@@ -347,6 +355,6 @@ struct Brunt {
     before = Step((landing.mean_time - flight.stop.time) * (1.0 / kSideLate)).value;
     value = flight.stop.chance * (1.0 - landing.landed * (1.0 - before));
   }
-  // Of a surface.
+  // The value for one surface.
   D on(const Flight& flight, int surface) const { return where(flight.stop.is_of(surface), value, D{}); }
 };

@@ -1,6 +1,6 @@
-// The gradient of the drop model's impact with respect to q and qd: drop.hpp backwards. d_x is the derivative of the
-// impact with respect to x; every function takes those of what its namesake returns and adds to those of what that
-// takes.
+// The gradient of the drop model's impact with respect to q and qd: drop.hpp in reverse mode. d_x is the derivative of
+// the impact with respect to x. Each function takes derivatives with respect to the results of its namesake and adds to
+// those with respect to its arguments.
 
 struct StopSlope {
   D time = {}, x = {}, y = {}, chance = {};
@@ -32,7 +32,7 @@ struct LandingSlope {
   }
 };
 
-// What all steps backwards work on: one fall, and the derivatives with respect to it.
+// The state of the reverse pass: one fall, and the derivatives with respect to its quantities.
 struct Backward {
   const Tables& tables;
   const DropTables& drop;
@@ -59,7 +59,7 @@ static inline void back_turned(const Surface& s, const Point2& d, D& d_x, D& d_y
   d_y += s.axis[1] * d.x + s.axis[0] * d.y;
 }
 
-// P(|x + noise| < A) with its derivatives: the difference of two logistic functions.
+// P(|x + noise| < A) and its derivatives: the difference of two logistic functions.
 struct Within {
   D value, x, A, inverse_scale;
 
@@ -75,7 +75,7 @@ struct Within {
   }
 };
 
-// P(noise < u), and its derivative.
+// P(noise < u) and its derivative.
 struct Below {
   D value, u;
 
@@ -99,7 +99,7 @@ static inline void back_reach(const DropPart& part, const D d[3], D d_reach, D d
   d_d[2] = d_reach * (where(d[2] < 0.0, D{} - part.half[2], D{} + part.half[2]) - part.half[0] * slope);
 }
 
-// How far a part reaches in a horizontal direction.
+// Extent of a part in a horizontal direction u.
 static inline void back_reach_along(Backward& back, int p, double ux, double uy, D d_reach) {
   const D* Q = back.flight.part[p].axis;
   D* slope = back.d_flight.part[p].axis;
@@ -109,7 +109,7 @@ static inline void back_reach_along(Backward& back, int p, double ux, double uy,
   for (int i = 0; i < 3; ++i) slope[i] += d_d[i] * ux, slope[3 + i] += d_d[i] * uy;
 }
 
-// With respect to Reaches, gathered over surfaces that are turned alike.
+// Derivatives with respect to Reaches, summed over surfaces with the same axes.
 struct ReachSlope {
   const Surface* alike = nullptr;
   struct {
@@ -140,7 +140,7 @@ struct ReachSlope {
   }
 };
 
-// What a side in the way adds to a place at some time; returns the derivative with respect to the time.
+// Displacement of a place by a side in the way (push); returns the derivative with respect to the time.
 static inline D back_pushed(Backward& back, D time, D d_x, D d_y) {
   const SideStop& stop = back.flight.stop;
   const auto after = time > stop.time;
@@ -150,14 +150,14 @@ static inline D back_pushed(Backward& back, D time, D d_x, D d_y) {
   return d_time;
 }
 
-// Where the centre of mass is at some time; returns the derivative with respect to that.
+// Place of the centre of mass at a time; returns the derivative with respect to the time.
 static inline D back_travelled(Backward& back, D time, D d_x, D d_y) {
   back.d_flight.c.x += d_x, back.d_flight.c.y += d_y;
   back.d_flight.v.x += d_x * time, back.d_flight.v.y += d_y * time;
   return d_x * back.flight.v.x + d_y * back.flight.v.y + back_pushed(back, time, d_x, d_y);
 }
 
-// Where it is when it passes a surface, in the axes of that.
+// Place of the centre of mass when it passes a surface, in the surface's axes.
 static inline void back_passing(Backward& back, int k, const Point2& d) {
   D x = {}, y = {};
   back_turned(back.drop.surface[k], d, x, y);
@@ -217,7 +217,7 @@ static inline void back_sweep(Backward& back, const Sweep& sweep, const SweepSlo
   d_landing.total -= leaving.share * (d_leaves * leaving.probability + drift * (d.x * leaving.x + d.y * leaving.y));
 }
 
-// P that the object meets the side in its way; returns the derivative with respect to P that it comes down at all.
+// P that the object hits the side in its way; returns the derivative with respect to P of landing at all.
 static inline D back_brunt(Backward& back, const Brunt& brunt, D d) {
   const SideStop& stop = back.flight.stop;
   const D landed = back.landing.landed;
@@ -269,7 +269,7 @@ struct IntervalSlope {
   D o, r, at;
 };
 
-// One axis of the rectangle that a surface carries: from the larger lower end to the smaller upper end.
+// One axis of the rectangle of contact on a surface, from the larger lower end to the smaller upper end.
 static inline IntervalSlope back_interval(D o, D r, double carries, D at, D d_middle, D d_width) {
   const D d0 = 0.5 * d_middle - d_width, d1 = 0.5 * d_middle + d_width;
   const auto own0 = o - r > -carries - at, own1 = o + r < carries - at;
@@ -362,8 +362,8 @@ static inline void back_overlap(Backward& back, int surface, Passage& passage, R
 
 // --- steps 1 and 2 for all levels -----------------------------------------------------------------------------------
 
-// From derivatives with respect to C and F (of each surface) to those with respect to D; returns that with respect to
-// A.
+// Maps derivatives with respect to C and F of each surface to derivatives with respect to D; returns that with respect
+// to A.
 static inline D back_level(const Backward& back, int level, D d_next, const D* d_F, D* d_overlap) {
   const DropTables& drop = back.drop;
   const Landing& landing = back.landing;
@@ -437,7 +437,7 @@ static inline void back_tilt(int shape, const D axis[9], D d_tilt, D d_axis[9]) 
     d_axis[i] -= 4.0 * d_tilt * axis[i] * (shape == kRound && i < 8 ? side : axis[i] * axis[i]);
 }
 
-// Leaves the derivatives with respect to c, v and w in d, and returns that with respect to a small turn of the object.
+// Stores the derivatives with respect to c, v and w in d; returns that with respect to a small rotation of the object.
 static inline Vec<D> back_release(Backward& back) {
   auto& [tables, drop, X_W, flight, landing, d, d_landing] = back;
   const D inverse_speed = reciprocal(flight.speed);
@@ -477,12 +477,13 @@ static inline Vec<D> back_release(Backward& back) {
 
 static inline D dot(const Vec<D>& a, const Vec<D>& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
-// From the object's pose and velocity to the joints', from its link inwards. A joint turns (or shifts) the velocities
-// that those further out give the object, and moves it within what those further in do.
+// Maps derivatives with respect to the object's pose and velocity to the joints, from the object's link to the base. A
+// joint turns (or shifts) the velocities contributed by joints beyond it, and moves the object in the velocity field of
+// the joints before it.
 static inline void back_joints(const Backward& back, const D* qd, const Vec<D>& d_turn, D* d_q, D* d_qd) {
   const auto& [tables, drop, X_W, flight, landing, d, d_landing] = back;
   for (int j = 0; j < tables.n_joint; ++j) d_q[j] = d_qd[j] = D{};
-  // w of the joints up to this one; v and w beyond it.
+  // inner: w of the joints up to this one; outer: v and w of those beyond.
   Vec<D> inner = flight.w, v_outer = {D{}, D{}, D{}}, w_outer = {D{}, D{}, D{}};
   for (int l = drop.link; l >= 0; l = tables.link[l].parent) {
     const Link& joint = tables.link[l];

@@ -1,4 +1,4 @@
-// Models of the impact, with severities: what native planners charge edges with.
+// Impact models with severities, from which native planners compute the cost of edges.
 #pragma once
 #include <cmath>
 
@@ -7,21 +7,21 @@
 
 namespace gp {
 
-// I of configurations at rest and integrals over straight edges; one scene, fixed severities.
+// I of configurations at rest, and its integrals over straight edges; for one scene and fixed severities.
 class Impact {
  public:
   virtual ~Impact() = default;
   virtual void states(const double* q, size_t n, double* impact) const = 0;
-  // The same, good enough to choose what to look at.
+  // A coarser states(), for choosing which configurations to consider.
   virtual void rough_states(const double* q, size_t n, double* impact) const { states(q, n, impact); }
   virtual void edges(const Edges& edges, double* cost) const = 0;
-  // The same as searches are charged: near enough to choose between paths, and in no more time than that takes.
+  // A coarser, faster edges(), for searches: accurate enough to choose between paths.
   virtual void rough_edges(const Edges& edges, double* cost) const { this->edges(edges, cost); }
-  // I of configurations that move; of a model that does not ask for velocities, that at rest.
+  // I of moving configurations; a model without velocities returns the value at rest.
   virtual void moving_states(const States& states, double* impact) const { this->states(states.q, states.n, impact); }
   virtual bool asks_for_velocity() const { return false; }
-  // The same with its derivatives with respect to q and to qd; by differences unless a model knows better. `rough`: of
-  // states in their order along a motion, near enough for it to descend.
+  // moving_states() with derivatives with respect to q and qd, by finite differences unless a model overrides it.
+  // `rough`: the states follow each other along a motion; descent accuracy is enough.
   virtual void state_slopes(const States& states, bool rough, const Slopes& out) const {
     (void)rough;
     const size_t nq = size_t(core_.tables().n_joint), size = states.n * nq;
@@ -40,20 +40,21 @@ class Impact {
     if (asks_for_velocity())
       for (size_t j = 0; j < nq; ++j) differ(rates, j, kNudge, out.d_qd);
   }
-  // What the impact of a motion is integrated over.
+  // The measure that the impact of a motion is integrated over.
   virtual Measure measure() const { return Measure::kLength; }
-  // Whether Python answers, so that one question for many is much cheaper than many.
+  // Whether values come from Python, where one call for many states is much cheaper than many calls.
   virtual bool in_python() const { return false; }
-  // Whether edges() has the length as V; if not, the density of V over length at states whose qd is a tangent.
+  // Whether the cost V of edges() is their length. If not, motion_slopes() gives the density of V over length, at
+  // states whose qd is a tangent.
   virtual bool motion_is_length() const { return true; }
   virtual void motion_slopes(const States&, const Slopes&) const {}
-  // What edges are integrated over.
+  // The measure of an edge that its impact is integrated over.
   virtual double exposure(const double* a, const double* b) const {
     double d2 = 0;
     for (int j = 0; j < core_.tables().n_joint; ++j) d2 += (b[j] - a[j]) * (b[j] - a[j]);
     return std::sqrt(d2);
   }
-  // Whether edge_gradients() is known.
+  // Whether edge_gradients() is implemented.
   virtual bool has_gradients() const { return false; }
   // edges() with the derivatives of S with respect to both ends.
   virtual void edge_gradients(const Edges&, Sampling, const EdgeSlopes&) const {}
@@ -74,7 +75,7 @@ class Impact {
     moving_states(all, out);
     return array;
   }
-  // I of states that move, and its derivatives with respect to q and qd.
+  // I of moving states, and its derivatives with respect to q and qd.
   auto state_slopes_array(Reals q, Reals qd, bool rough) const {
     Slopes out;
     auto values = make<double>({core_.rows(q)}, out.value);
@@ -87,7 +88,7 @@ class Impact {
     }
     return nb::make_tuple(values, by_q, by_qd);
   }
-  // V and S, and the derivatives of S with respect to q0 and q1; None if there are none.
+  // V and S, and the derivatives of S with respect to q0 and q1; None if the model has none.
   nb::object edge_gradients_array(Reals q0, Reals q1, double step) const {
     const Edges all = core_.edges(q0, q1, step);
     if (!has_gradients()) return nb::none();
@@ -116,7 +117,7 @@ class Impact {
   }
 
  protected:
-  static constexpr double kNudge = 1e-4;  // of a difference [rad or rad/s]
+  static constexpr double kNudge = 1e-4;  // step of finite differences [rad or rad/s]
 
   explicit Impact(const Core& core) : core_(core) {}
   Impact(const Core& core, const Reals& severity) : core_(core), severity_(point(severity)) {
@@ -128,9 +129,9 @@ class Impact {
   const Point severity_;
 
  private:
-  static constexpr double kPart = 65536;  // samples that are kept at a time, unless one edge has more
+  static constexpr double kPart = 65536;  // number of samples held at a time, unless one edge has more
 
-  // Calls visit(edges, first) for parts of edges: what is kept of samples does not grow with the number of edges.
+  // Calls visit(edges, first) for parts of edges, which bounds the memory for samples.
   template <class Visit> void in_parts(const Edges& all, Visit visit) const {
     const size_t nq = size_t(core_.tables().n_joint);
     for (size_t first = 0, end = 0; first < all.n; first = end) {
@@ -163,7 +164,8 @@ class OverlapImpact final : public Impact {
   }
 };
 
-constexpr double kWide = 0.1;  // narrower half of a top that ends half of the falls that one of no width does not [m]
+constexpr double kWide = 0.1;  // narrower half width of a top at which it stops half of the falls that one of no width
+                               // would not (step 3 of the specification) [m]
 constexpr const char* kDropConstants[] = {  // in the order of DropConstants
     "delay",        "velocity_spread", "height_spread", "carry_spread",    "side_spread", "side_reach",
     "side_height",  "catch",           "leave_tilt",    "position_spread", "size_spread", "tumble_reach",
@@ -178,7 +180,7 @@ static_assert(sizeof(SpillConstants) == sizeof(kSpillConstants) / sizeof(kSpillC
 
 constexpr const char* kDropSeverities = "severities are not [row, entity] and one of the object itself";
 
-// The tables of what is carried and of what it may fall on, as Python hands them over.
+// The tables of the carried object and of the surfaces it may fall on, as Python passes them.
 struct DropArrays {
   int link;
   Reals centre;
@@ -187,13 +189,13 @@ struct DropArrays {
   int main;
   double size;
   Integers target_entity;
-  Reals target;  // centre (2), axis (2), half sizes (2), diagonal, carrying half sizes (2), bottom, top
+  Reals target;  // centre (2), axis (2), half sizes (2), diagonal, half sizes that support (2), bottom, top
   Integers level_start;
   int n_entity;
   Reals speed, constants;
 };
 
-// The drop model of what is carried, and the spill model of its contents if `add_contents` gives it some.
+// The drop model of the carried object and, after `add_contents`, the spill model of its contents.
 class DropModel {
  public:
   DropModel(const Core& core, const DropArrays& of)
@@ -220,7 +222,8 @@ class DropModel {
   }
   DropModel(const DropModel&) = delete;
 
-  // container: mouth (3), axis (3), rim, depth, full, radius, power, repose; constants: dropped, held
+  // container: mouth (3), axis (3), rim, depth, full, radius, power, repose; constants: contents after a drop, contents
+  // in the gripper
   void add_contents(Reals container, Integers stands, Reals visible, Reals constants) {
     const size_t n = surface_.size();
     require(!tables_.spill.surface && spill_.empty() && stands.size() == 2 * n, "tables of the spill model");
@@ -243,8 +246,8 @@ class DropModel {
     spill.surface = spill_.data();  // null if there is nothing to land on
   }
 
-  // deceleration: of each joint when the robot stops by itself; constants: amplification, response, spread; places:
-  // those of the spill model
+  // deceleration: of each joint in a protective stop; constants: amplification, response, spread; places: constants of
+  // the spill model
   void add_stop(Reals deceleration, Reals constants, Reals places) {
     const size_t nq = size_t(core_.tables().n_joint);
     require_positive(deceleration, nq, "deceleration of a joint");
@@ -257,7 +260,7 @@ class DropModel {
     for (size_t j = 0; j < nq; ++j) stop.slowness[j] = 1.0 / deceleration.data()[j];
   }
 
-  // strength: of each surface; loss: sharpness, shifts (2), weights (2)
+  // strength: per surface; loss: sharpness, shifts (2), weights (2)
   void add_loss(Reals strength, Reals loss) {
     require_numbers(strength, surface_.size(), "strength of surfaces");
     require_numbers(loss, sizeof(LossTables) / sizeof(double), "tables of the loss of what is carried");
@@ -266,7 +269,7 @@ class DropModel {
     require(tables_.loss.sharpness > 0, "sharpness of damage");
   }
 
-  // weights: those of DropNetwork in its order, biases of each surface last
+  // weights: in the order of DropNetwork, biases of each surface last
   void add_network(int hidden, double bound, Reals weights) {
     require(hidden >= 1 && hidden <= kMaxHidden, "hidden units of a network");
     require(in_range(bound, 0, 30), "bound of a network");
@@ -280,7 +283,7 @@ class DropModel {
   const Core& core() const { return core_; }
   const DropTables& tables() const { return tables_; }
 
-  // What a network is told of each surface, and P that it is to correct; zero where nobody minds.
+  // Inputs of the network for each surface, and the P it corrects; zero where severities are zero.
   auto sights(Reals q, Reals qd) const {
     double* out;
     const size_t row = surface_.size() * size_t(kNetworkInputs + 1);
@@ -291,7 +294,7 @@ class DropModel {
     core_.kernels().drop_sights(core_.tables(), tables_, states, out);
     return array;
   }
-  // P by row and entity, and last that the object itself is damaged.
+  // P by row and entity, then P that the object itself is damaged.
   auto probability(Reals q, Reals qd) const {
     double* out;
     auto array = make<double>({core_.rows(q), size_t(kDropRows * tables_.n_entity + 1)}, out);
@@ -309,7 +312,7 @@ class DropModel {
     core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), states, out);
     return array;
   }
-  // The impact with its derivatives with respect to q and to qd.
+  // The impact, and its derivatives with respect to q and qd.
   auto gradient(Reals severity, Reals q, Reals qd, bool rough) const {
     Slopes out;
     auto values = make<double>({core_.rows(q)}, out.value);
@@ -392,7 +395,7 @@ class DropModel {
   std::vector<float> rough_weights_;
 };
 
-// The drop and spill models with a severity per row and entity; along edges at their speed.
+// The drop and spill models with a severity per row and entity; edges are travelled at their pace.
 class DropImpact final : public Impact {
  public:
   DropImpact(const DropModel& model, Reals severity, double slow, double fast)
@@ -431,7 +434,7 @@ class DropImpact final : public Impact {
   const double pace_[2];  // shares of the joints' speeds
 };
 
-// Two models added up.
+// The sum of two models.
 class SumImpact final : public Impact {
  public:
   SumImpact(const Impact& first, const Impact& second) : Impact(first.core()), first_(first), second_(second) {
@@ -485,8 +488,8 @@ class SumImpact final : public Impact {
   const Impact &first_, &second_;
 };
 
-// A model whose edges count by the time that they take, and not by their length: T = max_j |q1_j - q0_j| / speed_j,
-// with the speeds that joints will have.
+// A model whose edges are integrated over time instead of length: T = max_j |q1_j - q0_j| / speed_j, with the expected
+// speeds of the joints.
 class TimedImpact final : public Impact {
  public:
   TimedImpact(const Impact& model, const Reals& speed) : Impact(model.core()), model_(model), speed_(point(speed)) {

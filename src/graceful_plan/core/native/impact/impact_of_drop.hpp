@@ -1,4 +1,4 @@
-// The drop model and the spill model together: probabilities and impact, with its gradient.
+// The drop and spill models together: probabilities, impact, and the gradient of the impact.
 
 // --- values ---------------------------------------------------------------------------------------------------------
 
@@ -8,15 +8,15 @@ static inline bool matters(const DropTables& drop, const double* severity) {
   return false;
 }
 
-// Whether the robot may stop by itself, and moves.
+// Whether the robot moves and its stops may spill contents.
 static inline bool stops(const DropTables& drop, const D* qd) { return drop.stop.spread > 0 && qd; }
 
-// Whether what becomes of the object itself counts: the last one of all severities.
+// Whether damage to the object itself counts; its severity comes last.
 static inline bool own_matters(const DropTables& drop, const double* severity) {
   return drop.loss.sharpness > 0 && (!severity || severity[kDropRows * drop.n_entity] != 0.0);
 }
 
-// Visits every surface of an entity with what hits it, before a network corrects that.
+// Visits every surface of an entity with the probabilities of its hits, before the network corrects them.
 template <class Visit>
 static inline void for_each_hit(const DropTables& drop, const Flight& flight, const Landing& landing, Visit visit) {
   Tumble tumble(drop, flight, landing);
@@ -37,7 +37,7 @@ static inline void for_each_hit(const DropTables& drop, const Flight& flight, co
   }
 }
 
-// P of entities, and, if it counts, that the object itself is damaged.
+// Computes P of entities; returns P that the object itself is damaged, if that counts.
 static inline D carried_probability(const DropTables& drop, const Flight& flight, const Landing& landing,
                                     const double* severity, D* P) {
   const bool own = own_matters(drop, severity);
@@ -46,7 +46,7 @@ static inline D carried_probability(const DropTables& drop, const Flight& flight
   const Sweep sweep(drop, flight, landing);
   const Leaving leaving(drop, landing);
   const Brunt brunt(flight, landing);
-  D lower = landing.landed;  // sum of F over this level and those below it
+  D lower = landing.landed;  // sum of F over this level and all lower ones
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
     if (own && tumbles) loss.enter(tumble);
@@ -67,8 +67,8 @@ static inline D carried_probability(const DropTables& drop, const Flight& flight
   return loss.probability;
 }
 
-// P [kDropRows, n_entity] of every entity, and after these P that the object itself is damaged; those without severity
-// are left at zero, if severities are given.
+// P [kDropRows, n_entity] of entities, then P that the object itself is damaged. If severities are given, entities
+// without severity stay at 0.
 static inline void drop_probability(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
                                     const D* qd, D* P) {
   const Fall fall(tables, drop, q, qd);
@@ -108,8 +108,8 @@ static inline D drop_impact_of(const Tables& tables, const DropTables& drop, con
 
 // --- gradient -------------------------------------------------------------------------------------------------------
 
-// Adds what contents do to the impact and to derivatives; returns that with respect to a small turn of the object.
-// d_stop: with respect to the time that the robot needs to stop.
+// Adds the contribution of contents to the impact and the derivatives; returns the derivative with respect to a small
+// rotation of the object. d_stop: derivative with respect to the time the robot needs to stop.
 static inline Vec<D> back_contents(Backward& back, const double* severity, const D* qd, D& impact, D& d_stop) {
   const DropTables& drop = back.drop;
   Vec<D> d_turn = {D{}, D{}, D{}};
@@ -146,7 +146,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
                                      const D* qd, LaneSlopes& out) {
   const Fall fall(tables, drop, q, qd);
   const auto& [X_W, flight, landing] = fall;
-  // Forwards, as in drop_probability, with a record.
+  // Forward pass, as in drop_probability, with a record.
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   const Leaving leaving(drop, landing);
@@ -177,13 +177,13 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
     tumble.leave(landing.leaving[l], landing.away[l]);
     left -= landing.first[l];
   }
-  // Backwards.
+  // Reverse pass.
   Backward back(tables, drop, fall);
   LandingSlope& d_landing = back.d_landing;
   TumbleSlope d_tumble;
   SweepSlope d_sweep;
   LeavingSlope d_leaving;
-  // open: severities of entities whose greatest P is not yet found.
+  // open: severities of entities whose largest P has not been found yet.
   D open[kMaxEntities], d_G[kMaxSurfaces], d_brunt = {};
   for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e], open[e] = D{} + severity[e];
   if (own) impact += loss.probability * d_own.severity;

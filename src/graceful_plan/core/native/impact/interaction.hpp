@@ -1,16 +1,18 @@
-// Algorithm 1 of the paper: what lies below the robot's boxes, in double so that it equals a NumPy transcription.
+// Algorithm 1 of the paper: entities below or beside the robot's boxes. In double precision, so that results equal a
+// NumPy transcription.
 
-constexpr double kLeastArea = 1e-12;  // of a body seen from above [m2]; what is thinner cannot be hit from above
+constexpr double kLeastArea = 1e-12;  // least area of a body seen from above [m^2]; thinner bodies cannot be hit from
+                                      // above
 
-// Where boxes are over all lanes: the rectangle that they stay in and how high they reach. Most targets are out of
-// that, which a few scalar comparisons tell.
+// Bounds of boxes over all lanes: the rectangle that contains them and their highest point. A few scalar comparisons
+// with it rule out most targets.
 struct Range {
   double least[2], most[2], highest;
 
   bool overlaps(const Target& t) const {
     return least[0] < t.upper[0] && most[0] > t.lower[0] && least[1] < t.upper[1] && most[1] > t.lower[1];
   }
-  // What is above or beside an entity reaches higher than its lowest point.
+  // A component above or beside an entity reaches higher than the entity's lowest point.
   bool may_hit(const Target& whole) const { return highest > whole.lower[2] && overlaps(whole); }
   void include(const Range& other) {
     for (int i = 0; i < 2; ++i) {
@@ -21,16 +23,16 @@ struct Range {
   }
 };
 
-// The parts' boxes in W, seen from above, and from where to where each component reaches in height.
+// The parts' boxes in W, seen from above, and the height range of each component.
 struct PartBoxes {
   D lower[kMaxParts][2], upper[kMaxParts][2];
   D area[kMaxComponents], bottom[kMaxComponents], top[kMaxComponents];
   Range range[kMaxParts], all[kMaxComponents];
 };
 
-// What counts: all components, or those with a severity against anything.
+// The components that count: all, or those with a severity for some entity.
 struct Hazard {
-  const double* severity;  // null: probabilities of everything
+  const double* severity;  // null: compute all probabilities
   bool counts[kMaxComponents];
   int first_part[kMaxComponents + 1];  // parts are ordered by component
 
@@ -78,9 +80,9 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const 
   }
 }
 
-// P(entity, component) = max(sum I / sum A_entity, sum I / sum A_component), I the overlap in xy of a pair of boxes, A
-// a box's area in xy; sums over all pairs, respectively all boxes; at most 1. It counts if the component as a whole is
-// above the entity as a whole, or if their heights overlap; else P is 0. False, with P = 0, if no box comes near.
+// P(entity, component) = min(1, max(sum I / sum A_entity, sum I / sum A_component)), with I the overlap of a pair of
+// boxes in xy, A the area of a box in xy, and sums over all pairs or boxes. P is 0 unless the component as a whole is
+// above the entity as a whole, or their heights overlap. Returns false, with P = 0, if no box comes near.
 static inline bool interactions(const Tables& tables, const Hazard& hazard, const PartBoxes& boxes, int component,
                                 const Harmed& entity, D& P) {
   P = D{};

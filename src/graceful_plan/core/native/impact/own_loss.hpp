@@ -1,12 +1,13 @@
-// What its fall does to the carried object itself: step 5 of the drop model.
+// Step 5 of the drop model: own loss, the damage to the carried object itself.
 
-// P that it is damaged where it comes down, by the logarithm of its vertical energy per mass; with the derivative.
+// P that the object is damaged on a surface, from the log of its vertical energy per mass, and the derivative.
 struct Damage {
   D value, slope;
 
   [[gnu::always_inline]] Damage(const LossTables& loss, const Surface& s, D log_energy) {
     const D z = (log_energy - s.strength) * loss.sharpness, a = z - loss.shift[0], b = z - loss.shift[1];
     const D a2 = a * a, b2 = b * b;
+    // The normal distribution function of a and b, by Bowling et al. 2009: [1] of the specification.
     const D over_a = odds(-a * (1.5976 + 0.07056 * a2)), over_b = odds(-b * (1.5976 + 0.07056 * b2));
     const D both = reciprocal((1.0 + over_a) * (1.0 + over_b));
     const D below_a = (1.0 + over_b) * both, below_b = (1.0 + over_a) * both;
@@ -23,7 +24,7 @@ static inline D arrival_speed(const DropTables& drop, const Flight& flight, D ti
 }
 static inline D log_arrival(D speed) { return logarithm(maximum(0.5 * speed * speed, D{} + 1e-9)); }
 
-// P that the first contact with a level does damage.
+// P that the first contact with a level damages the object.
 static inline D first_damage(const DropTables& drop, const Flight& flight, const Landing& landing, int level) {
   D sum = {}, log_energy = {};
   if (!any(landing.first[level] > kRare)) return sum;
@@ -39,11 +40,12 @@ static inline D first_damage(const DropTables& drop, const Flight& flight, const
   return sum;
 }
 
-// Follows a Tumble: what falls off is damaged where it ends, as far as the first contact has not done so.
+// Own loss along a Tumble: after falling off, the object is damaged where it is stopped, unless the first contact did
+// so.
 struct OwnLoss {
   D probability = {};
-  D lift = {}, borne = {};      // H, Q
-  D share = {}, height, known;  // on the present level: 1/(B + 1e-6), h, what the first contact has done
+  D lift = {}, borne = {};      // A, K in the specification of step 5
+  D share = {}, height, known;  // on the present level: 1/(B + 1e-6), h, damage already done by the first contact
   D log_energy;
   double top;
 
@@ -51,7 +53,7 @@ struct OwnLoss {
     share = reciprocal(tumble.mass + kLeastMass);
     height = lift * share, known = borne * share, top = __builtin_inf();
   }
-  // Damage where it would end on a surface.
+  // Damage if the object is stopped by a surface.
   Damage fall(const DropTables& drop, const Surface& s) {
     if (s.top != top) {
       const D h = height - s.top;
@@ -65,7 +67,7 @@ struct OwnLoss {
     const D ends = tumble.mass * tumble.caught;
     if (any(ends > kRare)) probability += ends * relu(fall(drop, s).value - known);
   }
-  // After the last surface of a level, before tumble.leave(); `damaged` is what first_damage() says of the level.
+  // Call it after the last surface of a level and before tumble.leave(); `damaged`: first_damage() of the level.
   void leave(const DropTables& drop, const Landing& landing, int level, const Tumble& tumble, D damaged) {
     probability += damaged;
     lift = lift * tumble.keep + landing.leaving[level] * drop.surface[drop.level_start[level]].top;

@@ -1,30 +1,30 @@
-// The gradient of own_loss.hpp: what it adds to derivatives; see drop_gradient.hpp.
+// The gradient of own_loss.hpp; it adds to the derivatives, see drop_gradient.hpp.
 
 struct OwnLossSlope {
   double severity;
   D damaged[kMaxSurfaces];  // per level: first_damage()
   D lift_at[kMaxSurfaces], borne_at[kMaxSurfaces];
-  D lift = {}, borne = {};      // derivatives with respect to H and Q after the present level
+  D lift = {}, borne = {};      // derivatives with respect to A and K (lift, borne) after the present level
   D d_damaged[kMaxSurfaces];    // with respect to first_damage()
   D ends_below, height, known;  // of the present level
 
   explicit OwnLossSlope(double of) : severity(of) {}
   void keep(int level, const OwnLoss& loss) { lift_at[level] = loss.lift, borne_at[level] = loss.borne; }
 
-  // From H and Q after a level to what has left it.
+  // Maps derivatives with respect to A and K after a level to those of the shares that left it.
   void back_leave(Backward& back, int level) {
     back.d_landing.leaving[level] += lift * back.drop.surface[back.drop.level_start[level]].top;
     back.d_landing.leaves[level] += borne * damaged[level];
     d_damaged[level] = severity + borne * back.landing.leaves[level];
   }
-  // Goes on before the level; returns the derivative with respect to `keep`.
+  // Moves to the state before the level; returns the derivative with respect to `keep`.
   D back_keep(int level, D keep) {
     const D d_keep = lift * lift_at[level] + borne * borne_at[level];
     lift *= keep, borne *= keep;
     ends_below = height = known = D{};
     return d_keep;
   }
-  // One surface, the last one first; returns the derivative with respect to the share that it ends of what arrives.
+  // One surface, in reverse order; returns the derivative with respect to the share of the arriving mass that it stops.
   D back_end(const DropTables& drop, const Surface& s, OwnLoss& loss, D arrives, D ends) {
     const D d_passes = -severity * arrives * ends_below;
     ends_below *= 1.0 - ends;
@@ -37,7 +37,7 @@ struct OwnLossSlope {
     known -= counts;
     return d_passes + severity * arrives * more;
   }
-  // After the first surface; returns the derivative with respect to B.
+  // Call it after the first surface; returns the derivative with respect to B.
   D back_enter(const OwnLoss& loss) {
     lift += height * loss.share, borne += known * loss.share;
     return severity * ends_below - (height * loss.height + known * loss.known) * loss.share;

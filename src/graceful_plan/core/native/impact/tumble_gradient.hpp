@@ -1,12 +1,12 @@
-// The gradient of step 3, falls on to something lower, and of what they do to the object itself; see drop_gradient.hpp.
+// The gradient of step 3, falls onto lower surfaces, and of the own loss they cause; see drop_gradient.hpp.
 
 struct TumbleSlope {
   D mass = {}, inverse_scale = {};
   Point2 drift = {D{}, D{}}, start = {D{}, D{}};
 };
 
-// One level: `tumble` is at its state before it, d holds the derivatives with respect to the state after it; `own` is
-// null if the object itself does not count, otherwise `loss` is at its state before the level, too.
+// One level. `tumble` is at its state before the level, d holds the derivatives with respect to the state after it.
+// `own` is null if own loss does not count; otherwise `loss` is also at its state before the level.
 static inline void back_tumble_level(Backward& back, Tumble& tumble, int level, const D* d_G, TumbleSlope& d,
                                      OwnLoss& loss, OwnLossSlope* own) {
   auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;

@@ -1,8 +1,8 @@
-// The default planner's search: RRT-Connect for the first path, then paths that might become better, one after the
-// other. They come from small roadmaps (Scout), from detours of the best path, from RRT-Connect through the valleys of
-// the impact and from cost-bounded RRT-Connect (AO-x: whatever it finds beats the best path). Each is descended along
-// the gradient of J and refined by random moves, for as long as it may still win; whatever becomes the best path is
-// polished on finer vertices. Where J has no gradient, several are refined side by side instead.
+// The search of the default planner. RRT-Connect finds the first path; then candidates (challengers) compete with the
+// best path one after the other. Candidates come from small roadmaps (Scout), detours of the best path, RRT-Connect
+// restricted to low impact, and cost-bounded RRT-Connect (AO-x, which only returns better paths). Each candidate
+// descends along the gradient of J and is refined by random moves while it may still win. A new best path is polished:
+// a last descent on more vertices. If J has no gradient, several candidates are refined in parallel instead.
 #pragma once
 #include <algorithm>
 #include <memory>
@@ -16,7 +16,7 @@ namespace gp {
 struct AnytimeSettings {
   ConnectSettings connect;
   double spacing = 0.2;
-  int challengers = 8;  // in a contest, without gradient
+  int challengers = 8;  // candidates in a contest, without gradient
   bool descents = true, scouts = true;
 };
 
@@ -32,16 +32,16 @@ class Anytime {
         connect_(space, start, goals, settings.connect, random_.bits()),
         scout_(space, std::move(start), std::move(goals), random_.bits()) {}
 
-  // Work until the slice ends; true if the best path changed. Stops early at a proven optimum.
+  // Works until the slice ends; returns true if the best path changed. Stops early at a proven optimum.
   bool run(Slice& slice) {
-    const bool first = best_.q.empty();  // nobody should wait for the end of a slice to hear of the first path
+    const bool first = best_.q.empty();  // the first path is reported at once, not at the end of the slice
     bool improved = false;
     while (!optimal() && !(first && improved) && slice.next()) improved |= step();
     return improved;
   }
   const Polyline& best() const { return best_; }
 
-  // A straight path of cost w = 0 cannot be beaten.
+  // A straight path at w = 0 is optimal.
   bool optimal() const {
     if (best_.q.empty() || !space_.motion_is_length()) return false;
     double bound = std::numeric_limits<double>::infinity();
@@ -49,10 +49,10 @@ class Anytime {
     return best_.total <= bound * (1 + 1e-9);
   }
 
-  // Go on from a free path of somebody else, if it is better.
+  // Continues from a given collision-free path if it is better than the best path.
   void adopt(std::vector<Point> path) { take(Polyline::of(space_, std::move(path))); }
 
-  // Look at a path next, free or, with a gradient, not.
+  // Considers a path next. Without a gradient, it must be collision-free.
   void suggest(std::vector<Point> path) {
     const bool free = space_.path_free(path);
     if (descends_ || free)
@@ -72,8 +72,8 @@ class Anytime {
     kSources,
     kSuggested = kSources
   };
-  static constexpr int64_t kFirstRound = 150, kLastRound = 5000;  // moves of each challenger in a contest
-  static constexpr int kFirstScout = 150, kLastScout = 600;       // nodes
+  static constexpr int64_t kFirstRound = 150, kLastRound = 5000;  // moves of each candidate in a contest
+  static constexpr int kFirstScout = 150, kLastScout = 600;       // nodes of a roadmap
   static constexpr size_t kElite = 6;
 
   bool step() {
@@ -84,7 +84,7 @@ class Anytime {
     return descends_ ? chase() : contest();
   }
 
-  // One after the other: descend, and give up on those that will not beat the best path.
+  // One candidate at a time: descends it, and drops candidates that will not beat the best path.
   bool chase() {
     if (challengers_.empty()) return explore();
     Challenger& one = *challengers_.front();
@@ -104,8 +104,8 @@ class Anytime {
     return improved;
   }
 
-  // Rounds of successive halving: gather challengers, refine all of them a little, drop the worse half, refine the rest
-  // twice as long, and so on until one is left, which is refined until it wins or settles.
+  // Successive halving: collects candidates, refines each a little, drops the worse half, refines the rest twice as
+  // long, and so on. The last one is refined until it wins or settles.
   bool contest() {
     if (turns_ == 0) {
       if (int(challengers_.size()) < settings_.challengers) return explore();
@@ -137,12 +137,12 @@ class Anytime {
     return false;
   }
 
-  // Sources that improved the best path lately are asked more often.
+  // Prefers sources that improved the best path recently.
   void reward(int source, bool won) {
     if (source < kSources) score_[source] = won ? 0.9 * score_[source] + 1.0 : 0.95 * score_[source];
   }
   Source choose() {
-    // How often each is asked as long as nothing is known.
+    // Initial frequency of each source.
     const bool feared = space_.w > 0, scouts = descends_ && settings_.scouts;
     const double prior[kSources] = {scouts ? 1.0 : 0.0,   scouts ? 1.5 : 0.0, 1.0, 1.0, feared ? 0.8 : 0.0, 0.2, 0.3,
                                     descends_ ? 3.0 : 0.0};
@@ -154,7 +154,7 @@ class Anytime {
     return kDetour;
   }
 
-  // Look for another path. Searches go on across steps until they succeed or age.
+  // Looks for another path. Searches continue across steps until they succeed or run for too long.
   bool explore() {
     if (scouting_) {
       if (scout_.step()) offer(scout_.path(), source_);
@@ -182,7 +182,8 @@ class Anytime {
     return false;
   }
 
-  // A roadmap around the straight line or the best path, larger every time, with the best paths in it.
+  // Starts a roadmap around the straight line or the best path. Each is larger than the last and contains the best
+  // paths.
   bool scout() {
     const bool line = source_ == kScoutLine;
     const Point& goal = goals_[size_t(random_.below(int(goals_.size())))];
@@ -205,7 +206,7 @@ class Anytime {
     return std::max(0.0, best_.total - length) / (space_.w * std::max(exposure, 1e-9));
   }
 
-  // The straight path, or a stretch of the best one, sent through the most promising of some random via points.
+  // Routes the straight path, or a section of the best path, through the most promising of several random via points.
   bool detour() {
     const std::vector<Point>& q = best_.q;
     size_t i = 0, j = q.size() - 1;
@@ -220,7 +221,7 @@ class Anytime {
     return (descends_ || space_.path_free(points, i, i + 2)) && offer(std::move(points), kDetour);
   }
 
-  // A stretch of the best path with the tool carried higher, lower or further aside, by steps along its Jacobian.
+  // Moves the tool higher, lower or aside along a section of the best path, by steps along its Jacobian.
   bool tool_detour() {
     const int n = int(best_.q.size());
     if (n < 3) return detour();
@@ -268,7 +269,8 @@ class Anytime {
     return Point(best, best + dim);
   }
 
-  // Enter a path; it is the best one right away if it is free and there is none, or if nothing is to be descended.
+  // Adds a candidate. It becomes the best path at once if it is the first free path, or if nothing descends and it is
+  // better.
   bool offer(std::vector<Point> path, Source source) {
     if (space_.w == 0) cut_short(path);
     if (best_.q.empty()) {
@@ -288,7 +290,7 @@ class Anytime {
     return std::make_unique<Challenger>(space_, std::move(path), settings, random_.bits());
   }
 
-  // Leave out vertices wherever the straight edge is free, the longest first: where length counts, it is shorter.
+  // Drops vertices where the straight edge is free, longest edges first; if the cost is length, the path gets shorter.
   void cut_short(std::vector<Point>& path) {
     for (size_t i = 0; i + 2 < path.size(); ++i)
       for (size_t j = path.size() - 1; j > i + 1; --j)
@@ -306,7 +308,7 @@ class Anytime {
     return true;
   }
 
-  // Keep a few good paths for roadmaps, where parts of them may be joined.
+  // Keeps a few good paths for roadmaps, which may combine parts of them.
   void remember(const Polyline& path) {
     if (path.total > 1.5 * best_.total) return;
     elite_.push_back(path);

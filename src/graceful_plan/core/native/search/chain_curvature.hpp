@@ -1,6 +1,5 @@
-// The curvature of a sum over the links of a chain, learnt link by link: each term depends on the two vertices at its
-// ends only, so that one step teaches something about every link, and not one direction of the whole chain as L-BFGS
-// would learn it.
+// The curvature of a sum over the links of a chain, estimated per link. Each term depends only on the two vertices of
+// its link, so one step provides information about every link; L-BFGS would learn one direction of the whole chain.
 //
 // References:
 //   Griewank and Toint, "Partitioned variable metric updates for large structured optimization problems", Numer. Math.
@@ -18,7 +17,7 @@ class ChainCurvature {
   ChainCurvature(size_t links, size_t dim)
       : n_(links), dim_(dim), matrix_(links * 4 * dim * dim), lower_((links - 1) * dim * dim), beside_(lower_.size()) {}
 
-  // Of stiffness |to - from|^2 / 2 for each link.
+  // Resets the curvature to that of stiffness |to - from|^2 / 2 for each link.
   void reset(const std::vector<double>& stiffness) {
     std::fill(matrix_.begin(), matrix_.end(), 0.0);
     mean_ = 0;
@@ -33,7 +32,7 @@ class ChainCurvature {
     }
   }
 
-  // From the inner vertices and the gradient (both ends of link 0, of link 1 ..) at two places, by damped BFGS.
+  // Damped BFGS update, from the inner vertices and the gradients (both ends of link 0, of link 1, ..) at two places.
   void learn(const Point& x, const Point& gradient, const Point& other_x, const Point& other_gradient) {
     const size_t size = 2 * dim_;
     Point s(size), y(size), Bs(size);
@@ -47,7 +46,7 @@ class ChainCurvature {
     }
   }
 
-  // -(curvature + damping)^-1 slope: block-tridiagonal, by Cholesky. The damping is relative, and as that of reset.
+  // -(curvature + damping)^-1 slope: block-tridiagonal, by Cholesky. The damping is relative, of the form of reset().
   void solve(const Point& slope, double damping, Point& direction) {
     const size_t d = dim_, m = n_ - 1;
     const double extra = damping * mean_;
@@ -75,9 +74,8 @@ class ChainCurvature {
   }
 
  private:
-  static constexpr double kPinned =
-      0.002;  // what keeps the ends of a link in place, relative to what keeps them together
-  static constexpr double kDamped = 0.3;  // least curvature that is believed, relative to the present one
+  static constexpr double kPinned = 0.002;  // stiffness that holds a link's ends in place, relative to its stiffness
+  static constexpr double kDamped = 0.3;  // smallest curvature accepted along a step, relative to the present curvature
 
   double* of(size_t e) { return &matrix_[e * 4 * dim_ * dim_]; }
 
@@ -99,7 +97,7 @@ class ChainCurvature {
       for (size_t j = 0; j < size; ++j) B[i * size + j] += y[i] * y[j] / sy - Bs[i] * Bs[j] / sBs;
   }
 
-  // A -= W^T W and r -= W^T z.
+  // A -= W^T W and r -= W^T z, to eliminate a vertex.
   void eliminate(const double* W, const double* z, double* A, double* r) const {
     for (size_t i = 0; i < dim_; ++i)
       for (size_t k = 0; k < dim_; ++k) {
@@ -107,7 +105,7 @@ class ChainCurvature {
         for (size_t j = 0; j < dim_; ++j) A[i * dim_ + j] -= W[k * dim_ + i] * W[k * dim_ + j];
       }
   }
-  // Cholesky's lower triangle in place of a matrix.
+  // Replaces a matrix by its Cholesky factor (lower triangle).
   void factorise(double* A) const {
     for (size_t i = 0; i < dim_; ++i)
       for (size_t j = 0; j <= i; ++j) {
@@ -128,7 +126,7 @@ class ChainCurvature {
       r[i] /= A[i * dim_ + i];
     }
   }
-  // W = A^-1 C, C between a vertex and the next one.
+  // W = A^-1 C, with C the coupling of a vertex and the next one.
   void couple(const double* A, const double* link, double extra, double* W) const {
     for (size_t j = 0; j < dim_; ++j)
       for (size_t i = 0; i < dim_; ++i) {

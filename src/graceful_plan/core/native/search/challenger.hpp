@@ -1,4 +1,4 @@
-// A path on its way to beat the best one: descended on few vertices, then on more, then refined by random moves.
+// A candidate path: it descends on few vertices, then on more, and is then refined by random moves.
 #pragma once
 #include <memory>
 #include <utility>
@@ -8,14 +8,13 @@
 
 namespace gp {
 
-// How a challenger begins: with moves of a path that is free, with a coarse descent, or with a last one on many
-// vertices.
+// First stage of a candidate: random moves of a free path, a coarse descent, or a final descent on many vertices.
 enum class Beginning { kMove, kCoarse, kPolish };
 
 struct ChallengerSettings {
   double spacing;
   Beginning beginning;
-  bool patient;  // descends further before it is given to the refiner
+  bool patient;  // descends further before the refiner takes over
   int source;    // of the path
 };
 
@@ -33,12 +32,12 @@ class Challenger {
   }
 
   int source() const { return settings_.source; }
-  // J, as far as a descent knows it.
+  // J of the path, or the estimate of the descent.
   double estimate() const {
     return failed_ ? std::numeric_limits<double>::infinity() : descent_ ? descent_->value() : refiner_->path().total;
   }
   double settled() const { return refiner_ ? refiner_->settled() : 1.0; }
-  // Null while it descends.
+  // Null during the descent.
   std::unique_ptr<Refiner>& refiner() { return refiner_; }
 
   // One evaluation of a descent, or one move of a refiner.
@@ -54,10 +53,10 @@ class Challenger {
     if (std::vector<Point> path = descent_->path(); space_.path_free(path)) early_ = std::move(path);
     sharpen();
   }
-  // A free path that the coarse descent ended with, once; empty otherwise.
+  // The result of the coarse descent, if it is free; returned once, then empty.
   std::vector<Point> take_early() { return std::exchange(early_, {}); }
 
-  // Whether more work on it would be in vain next to a path of that cost.
+  // Whether the candidate is unlikely to beat a path with cost `best`.
   bool hopeless(double best) const {
     const double e = estimate();
     if (failed_) return true;
@@ -67,20 +66,20 @@ class Challenger {
 
  private:
   static constexpr int kPieces = 14, kFinePieces = 40, kLastPieces = 100;
-  static constexpr double kStep = 0.15, kFineStep = 0.05, kLastStep = 0.04;  // between samples of the impact [rad]
-  // Evaluations while coarse, while fine, at last, and after each time that the path was not free in the end; moves of
-  // the refiner.
+  static constexpr double kStep = 0.15, kFineStep = 0.05, kLastStep = 0.04;  // distance between samples of the impact
+                                                                             // [rad]
+  // Evaluations in the coarse, fine and final descent, and after each hardening; moves of the refiner.
   static constexpr int kSteps = 30, kFineSteps = 50, kLastSteps = 200, kMoreSteps = 30, kMoves = 30;
-  static constexpr int kHardenings = 2;  // then it is given up
+  static constexpr int kHardenings = 2;  // then the candidate is dropped
 
-  // From few vertices to many.
+  // Moves from the coarse to the fine descent.
   void sharpen() {
     descent_ =
         std::make_unique<Descent>(space_, descent_->path(), kFinePieces,
                                   DescentSettings{.step = kFineStep, .tolerance = settings_.patient ? 1e-4 : 1e-3});
     fine_ = true, used_ = 0, limit_ = settings_.patient ? 2 * kFineSteps : kFineSteps;
   }
-  // On other vertices every time: a path settles where it does by how it is cut, too.
+  // Number of vertices and step are randomised, since the local minimum depends on them.
   void polish(const std::vector<Point>& path) {
     Random random(seed_);
     const int pieces = int(kLastPieces * random.uniform(0.75, 1.35));

@@ -1,5 +1,5 @@
-// RRT-Connect (Kuffner and LaValle 2000), and with a finite cost bound the inner search of an AO-x planner (Hauser and
-// Zhou 2016; AORRTC, Wilson et al. 2025): nodes that cannot be part of a path below the bound are never added.
+// RRT-Connect (Kuffner and LaValle 2000). With a finite cost bound it is the inner search of an AO-x planner (Hauser
+// and Zhou 2016; AORRTC, Wilson et al. 2025): nodes that cannot be part of a path below the bound are not added.
 #pragma once
 #include <algorithm>
 
@@ -12,15 +12,15 @@ struct ConnectSettings {
   int max_nodes = 10000;
 };
 
-// Among bounds, edges are short and their ends are projected (constrained bidirectional RRT, Berenson et al. 2009).
+// With bounds, edges are short and their ends are projected (constrained bidirectional RRT, Berenson et al. 2009).
 constexpr double kBoundedRange = 0.3;  // [rad]
-constexpr double kLeastGain = 0.1;     // of that, by which a step has to come nearer
-constexpr int kPatience = 40;          // attempts of the smaller tree before the other one gets a turn
+constexpr double kLeastGain = 0.1;     // least progress of a step towards the target, relative to its range
+constexpr int kPatience = 40;          // failed attempts of the smaller tree before the other one grows
 
-// A first path also grows from where the trees are: so many of the samples lie around a node, normally distributed with
-// so much of each joint's range. Where an end is in a cage, nearly all uniform samples are beyond the bars, and the
-// tree runs into the same ones again and again. On 320 problems of benchmarks/motion_problems.py ("cage",
-// "bookshelf_thin"), shares of .3 to .6 and widths of .15 to .3 were about as good as each other.
+// Searches for a first path draw this share of samples near tree nodes, from a normal distribution with a standard
+// deviation of this share of each joint's range. If start or goal is in a cage, nearly all uniform samples are outside,
+// and the tree runs into the same bars repeatedly. On 320 problems of benchmarks/motion_problems.py ("cage",
+// "bookshelf_thin"), shares of 0.3 to 0.6 and widths of 0.15 to 0.3 performed about equally.
 constexpr double kNearbyShare = 0.4;
 constexpr double kNearby = 0.2;
 
@@ -39,8 +39,8 @@ class Connect {
     reset(std::numeric_limits<double>::infinity());
   }
 
-  // Forget the trees and look for paths that cost less than `bound`, none of whose edges has a mean impact above
-  // `impact_limit` or what the start and goal themselves have: a path through the valleys.
+  // Clears the trees and looks for paths that cost less than `bound`. No edge may have a mean impact above
+  // `impact_limit` or above that of the start and goal themselves.
   void reset(double bound, double impact_limit = std::numeric_limits<double>::infinity()) {
     bound_ = bound, impact_limit_ = impact_limit;
     a_ = Tree(space_.dim), b_ = Tree(space_.dim);
@@ -58,7 +58,7 @@ class Connect {
     }
   }
 
-  // One iteration; true when a path was found, which is then in path().
+  // One iteration; returns true if it found a path, see path().
   bool step() {
     if (!tried_direct_) {
       tried_direct_ = true;
@@ -66,8 +66,8 @@ class Connect {
     }
     if (a_.size() + b_.size() > settings_.max_nodes) reset(bound_, impact_limit_);
     tried_direct_ = true;
-    // The smaller tree grows: where one end sits in a narrow place, its tree would otherwise stay small while the other
-    // fills all of the open space. It is not the only one that does, for a tree may be unable to grow at all.
+    // The smaller tree grows. Otherwise, the tree of an end in a narrow place would stay small while the other fills
+    // the open space. After kPatience failures the larger one grows, since a tree may be unable to grow at all.
     const bool patient = stuck_ < kPatience;
     if (!patient) stuck_ = 0;
     if (a_.size() != b_.size()) from_start_ = (a_.size() < b_.size()) == patient;
@@ -93,11 +93,11 @@ class Connect {
   }
 
   const std::vector<Point>& path() const { return path_; }
-  // The straight edge was tried in an earlier search.
+  // Skips the straight edge, which an earlier search has tried.
   void skip_direct() { tried_direct_ = true; }
 
  private:
-  // The nearest goal that a free edge leads to.
+  // Connects the start by a free edge to the nearest goal possible.
   bool connect_directly() {
     std::vector<const Point*> nearest;
     for (const Point& goal : goals_) nearest.push_back(&goal);
@@ -114,7 +114,8 @@ class Connect {
     return false;
   }
 
-  // Uniform within the limits or, for a first path, near a tree; with a bound, where a path below it can pass at all.
+  // Samples uniformly within the limits or, for a first path, near a tree; with a bound, where a path below it can
+  // pass.
   bool sample(const Tree& grown, Point& target) {
     const bool first = std::isinf(bound_) && std::isinf(impact_limit_) && !bounded_;
     if (first && random_.uniform() < kNearbyShare) {
@@ -131,7 +132,7 @@ class Connect {
       if (std::isinf(bound_) || !space_.motion_is_length()) return true;
       double to_goal = std::numeric_limits<double>::infinity();
       for (const Point& goal : goals_) to_goal = std::min(to_goal, space_.distance(target.data(), goal.data()));
-      // Uniform samples hardly ever fall into a thin ellipsoid in seven dimensions: shrink towards the segment.
+      // Uniform samples rarely fall into a thin ellipsoid in seven dimensions, so shrink towards the segment.
       const Point& goal = goals_[size_t(random_.below(int(goals_.size())))];
       const double along = random_.uniform();
       for (int shrink = 0; shrink < 12; ++shrink) {
@@ -171,7 +172,7 @@ class Connect {
     return &tree == &a_ ? space_.cost(from, to) : space_.cost(to, from);
   }
 
-  // Add a node at most `range` from `near` towards the target; -1 if blocked or too dear.
+  // Adds a node at most `range` from `near` towards the target; -1 if it is blocked or too expensive.
   int extend(Tree& tree, int near, const double* target) {
     Point to(target, target + space_.dim);
     const Point from(tree.node(near), tree.node(near) + space_.dim);
@@ -180,7 +181,7 @@ class Connect {
     if (d > range_)
       for (int j = 0; j < space_.dim; ++j) to[size_t(j)] = from[size_t(j)] + (target[j] - from[size_t(j)]) * range_ / d;
     if (bounded_ && d > range_) {
-      // What comes back to where it was, or leads away, would go on for ever.
+      // Projected steps without progress would repeat forever.
       if (!space_.project(to.data())) return -1;
       if (space_.distance(to.data(), target) > d - kLeastGain * range_) return -1;
     }
@@ -207,7 +208,7 @@ class Connect {
     path_.erase(std::unique(path_.begin(), path_.end()), path_.end());
     for (size_t k = 0; k + 1 < path_.size(); ++k)
       if (!space_.edge_certain(path_[k].data(), path_[k + 1].data())) {
-        reset(bound_, impact_limit_);  // these trees hold an edge that grazes something between two checks
+        reset(bound_, impact_limit_);  // an edge of these trees touches an obstacle between two checks
         tried_direct_ = true;
         return false;
       }
@@ -225,7 +226,7 @@ class Connect {
   const double range_;
   double unavoidable_[2] = {0, 0};
   bool from_start_, tried_direct_;
-  int stuck_ = 0;  // iterations since a tree grew
+  int stuck_ = 0;  // iterations since a tree last grew
   std::vector<Point> path_;
 };
 

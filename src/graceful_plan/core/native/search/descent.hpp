@@ -1,6 +1,6 @@
 // Descent of a whole path along the gradient of J: Levenberg-Marquardt steps on the vertices of a polyline with fixed
-// ends. What falls is the energy n/2 sum c_i^2 of the edges' costs, as for geodesics: its least paths are those of the
-// least sum, with vertices spread so that all edges cost the same; the sum alone would let them slide. A penalty holds
+// ends. The objective is the energy n/2 sum c_i^2 of the edges' costs c_i, as for geodesics. Its minima are paths of
+// least total cost whose edges cost the same; the sum alone would let vertices slide along the path. A penalty keeps
 // clearances at the margin.
 //
 // References:
@@ -16,15 +16,16 @@
 namespace gp {
 
 struct DescentSettings {
-  double step = 0.06;       // between samples of the impact [rad]
+  double step = 0.06;       // distance between samples of the impact [rad]
   double push = 1.0;        // weight of the penalty, relative to J
-  double tolerance = 1e-3;  // relative fall of the energy over some steps below which it is settled
-  bool rough = false;       // half the work an evaluation: one pace, and clearances at the vertices only
+  double tolerance = 1e-3;  // relative decrease of the energy over kLookBack steps below which the descent has
+                            // converged
+  bool rough = false;       // half the work per evaluation: one pace, and clearances at vertices only
 };
 
 class Descent {
  public:
-  // In a space that has slopes.
+  // The space must have slopes.
   Descent(Space& space, const std::vector<Point>& path, int pieces, DescentSettings settings)
       : space_(space),
         settings_(settings),
@@ -39,8 +40,8 @@ class Descent {
     begin();
   }
 
-  // One evaluation of the whole path and its gradient; false once nothing is gained any more. A step that is refused
-  // teaches curvature as well, and the next one is damped more.
+  // Evaluates the whole path and its gradient; returns false once converged. A rejected step also updates the
+  // curvature, and increases the damping.
   bool step() {
     if (settled_) return false;
     for (size_t i = 0; i < x_.size(); ++i) trial_[i] = x_[i] + share_ * direction_[i];
@@ -57,11 +58,11 @@ class Descent {
     return !settled_;
   }
 
-  // J, and what is charged for being too close.
+  // J plus the penalty for low clearance.
   double value() const { return now_.total; }
-  // What falls.
+  // The objective.
   double energy() const { return now_.energy; }
-  // Press harder against what is in the way.
+  // Increases the weight of the clearance penalty.
   void harden() {
     push_ *= 4.0;
     begin();
@@ -78,13 +79,13 @@ class Descent {
   struct Evaluation {
     double energy, total;
   };
-  static constexpr double kKeep = 0.001;   // clearance to keep on top of the space's margin [m]
-  static constexpr double kLongest = 0.5;  // of a vertex in one step [rad]
+  static constexpr double kKeep = 0.001;   // clearance to keep in addition to the space's margin [m]
+  static constexpr double kLongest = 0.5;  // longest step of a vertex [rad]
   static constexpr double kBegin = 1.0, kDamping = 0.3, kMoreDamping = 4.0, kLessDamping = 0.25, kLeastDamping = 1e-3;
-  static constexpr int kRefusals = 12;    // in a row
-  static constexpr size_t kLookBack = 8;  // steps
+  static constexpr int kRefusals = 12;    // consecutive rejections before it stops
+  static constexpr size_t kLookBack = 8;  // steps over which the decrease is measured
 
-  // The path cut into pieces of equal length, within the limits.
+  // Cuts the path into pieces of equal length, within the limits.
   void respace(const std::vector<Point>& path) {
     first_ = path.front(), last_ = path.back();
     std::vector<double> at{0.0};
@@ -105,7 +106,7 @@ class Descent {
     recent_.clear();
     refusals_ = 0, damping_ = kBegin, scale_ = 0;
     now_ = evaluate(x_, gradient_);
-    // As if costs were proportional to lengths.
+    // Assumes costs proportional to lengths.
     std::vector<double> stiffness(n_);
     const Point all = vertices(x_);
     for (size_t e = 0; e < n_; ++e) {
@@ -129,12 +130,12 @@ class Descent {
     recent_.pop_front();
   }
 
-  // The next step to try.
+  // Computes the next trial step.
   void descend() {
     for (size_t v = 0; v + 1 < n_; ++v)
       for (size_t j = 0; j < dim_; ++j)
         slope_[v * dim_ + j] = gradient_[(2 * v + 1) * dim_ + j] + gradient_[(2 * v + 2) * dim_ + j];
-    // Nothing is gained by going on into a limit.
+    // Directions beyond a limit are dropped.
     for (size_t i = 0; i < x_.size(); ++i)
       if ((x_[i] <= space_.lower[i % dim_] && slope_[i] > 0) || (x_[i] >= space_.upper[i % dim_] && slope_[i] < 0))
         slope_[i] = 0;
@@ -156,7 +157,7 @@ class Descent {
     return all;
   }
 
-  // The gradient is that of each edge's term with respect to its two ends.
+  // The gradient holds the derivatives of each edge's term with respect to its two ends.
   Evaluation evaluate(const Point& x, Point& gradient) {
     const Point all = vertices(x);
     if (space_.w > 0)
@@ -176,10 +177,10 @@ class Descent {
     }
     if (scale_ == 0) scale_ = total;
     const double penalty = collide(all, gradient);
-    return {energy + scale_ * penalty, total + penalty};  // the energy is about J^2 / 2, so that J is its unit of J
+    return {energy + scale_ * penalty, total + penalty};  // the energy is about J^2 / 2, so the penalty is scaled by J
   }
 
-  // Charges vertices and the middles of edges that come too close to something.
+  // Penalty for vertices and midpoints of edges with low clearance.
   double collide(const Point& all, Point& gradient) {
     const size_t n = settings_.rough ? n_ - 1 : 2 * n_ - 1;
     const auto before = [&](size_t k) { return settings_.rough ? k + 1 : (k + 1) / 2; };
@@ -194,7 +195,7 @@ class Descent {
     for (size_t k = 0; k < n; ++k) {
       const double lack = (wanted - clearance_[k]) / wanted;
       if (!(lack > 0)) continue;
-      // Beyond a few margins it grows evenly: how deep the nearest pair is says little then.
+      // Linear beyond a few margins, since the depth of the nearest pair is unreliable there.
       const double knee = 5.0, depth = std::min(lack, knee);
       sum += weight * (depth * depth + 2 * knee * (lack - depth));
       // A vertex counts as the end of the edge before it.

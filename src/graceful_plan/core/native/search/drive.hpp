@@ -1,9 +1,9 @@
 // Paths for a base that rolls along its heading and turns in place: A* over positions and headings around the start.
 //
-// Sixteen headings point from a cell to others exactly, so that every move is a straight edge in configuration space
-// along which the base rolls: drive on, drive back, turn to the next heading. From where a goal is near, and now and
-// then from afar, three edges lead to it: turn, drive, turn. Edges are checked and priced once, when they are first
-// asked for, and remembered from one weight of the heuristic to the next.
+// Sixteen headings point exactly to other cells, so every move is a straight edge in configuration space along which
+// the base rolls: forward, backward, or a turn to the next heading. Near a goal, and occasionally from afar, three
+// edges connect to it: turn, drive, turn. Edges are checked and evaluated once, when first needed, and kept when the
+// weight of the heuristic changes.
 //
 // M. Likhachev, D. Ferguson: "Planning long dynamically feasible maneuvers for autonomous vehicles", IJRR 28 (2009);
 // for the way to the goal D. Dolgov et al.: "Path planning for autonomous vehicles in unknown semi-structured
@@ -22,13 +22,13 @@ namespace gp {
 struct DriveSettings {
   double cell = 0.1;  // [m]
   bool reverse = true;
-  double weight = 1;  // of the heuristic: paths cost at most so many times the least
+  double weight = 1;  // of the heuristic: bound on the cost relative to the optimum
   int max_nodes = 2000000;
 };
 
 class Drive {
  public:
-  // The first three joints are x, y and heading; the others stay as they are at the start until the base is there.
+  // The first three joints are x, y and heading. The others stay at their start until the base has arrived.
   Drive(Space& space, Point start, std::vector<Point> goals, DriveSettings settings)
       : space_(space), start_(std::move(start)), goals_(std::move(goals)), settings_(settings) {
     for (int k = 0; k < kHeadings; ++k)
@@ -38,7 +38,7 @@ class Drive {
     begin(settings.weight);
   }
 
-  // Search anew, with other weight; what is known of edges stays.
+  // Restarts the search with another weight; evaluated edges are kept.
   void begin(double weight) {
     settings_.weight = weight;
     for (Node& node : nodes_) node.g = kInfinite, node.closed = false;
@@ -49,7 +49,7 @@ class Drive {
     push(first);
   }
 
-  // Expand one node; true when a path was found, which is then in path(), and the search is over.
+  // Expands one node. Returns true if it found a path, see path(); the search is then over.
   bool step() {
     if (over_) return false;
     if (open_.empty() || int(nodes_.size()) > settings_.max_nodes) {
@@ -76,8 +76,8 @@ class Drive {
 
  private:
   static constexpr double kTurn = 6.283185307179586, kInfinite = std::numeric_limits<double>::infinity();
-  static constexpr double kNear = 8;                // cells within which every node tries the way to the goal
-  static constexpr int kHeadings = 16, kEdges = 4;  // on, back, turn left, turn right
+  static constexpr double kNear = 8;  // distance to a goal within which every node tries to connect [cells]
+  static constexpr int kHeadings = 16, kEdges = 4;  // edges: forward, backward, turn left, turn right
   static constexpr int kMoves[kHeadings][2] = {{1, 0},  {2, 1},  {1, 1},  {1, 2},   {0, 1},   {-1, 2},
                                                {-1, 1}, {-2, 1}, {-1, 0}, {-2, -1}, {-1, -1}, {-1, -2},
                                                {0, -1}, {1, -2}, {1, -1}, {2, -1}};
@@ -95,7 +95,7 @@ class Drive {
     Key key;
     double yaw, g;
     int parent;
-    bool closed, no_way;  // no_way: what connect() finds here grazes something
+    bool closed, no_way;  // no_way: the connection found from here touches an obstacle between checks
     double edge[kEdges];  // cost of each, infinite if blocked
   };
   struct Entry {
@@ -156,7 +156,8 @@ class Drive {
     }
   }
 
-  // The ways from a node to all goals: turn, drive, turn; backwards too. The cheapest competes with all other nodes.
+  // Connects a node to all goals: turn, drive, turn; also backwards. The cheapest connection competes with all other
+  // nodes.
   void connect(int from) {
     const Node node = nodes_[size_t(from)];
     const Point here = state(node.key, node.yaw);
@@ -176,7 +177,7 @@ class Drive {
         Point standing = way.back();
         standing[2] += std::remainder(goal[2] - standing[2], kTurn);
         way.push_back(standing);
-        // What is behind the base moves last; a whole turn of the heading makes no difference.
+        // The other joints move last; whole turns of the heading do not matter.
         Point reached = goal;
         reached[2] = standing[2];
         way.push_back(reached);
@@ -216,7 +217,7 @@ class Drive {
     over_ = true;
     for (size_t k = 0; k + 1 < path_.size(); ++k) {
       if (inside(path_[k + 1]) && space_.edge_certain(path_[k].data(), path_[k + 1].data())) continue;
-      // An edge that grazes something between two checks: search again without it.
+      // The edge touches an obstacle between two checks: search again without it.
       if (k + 1 < chain.size())
         block(chain[k], chain[k + 1]);
       else
@@ -247,7 +248,7 @@ class Drive {
     for (const Point& goal : goals_) least = std::min(least, std::hypot(goal[0] - here[0], goal[1] - here[1]));
     return least;
   }
-  // Every path drives at least as far as the goal is away, and turns at least as far as it is turned.
+  // Lower bound: every path drives at least the distance to a goal and turns at least the difference in heading.
   double bound(const Node& node) const {
     if (!space_.motion_is_length()) return 0;
     const Point here = state(node.key, node.yaw);

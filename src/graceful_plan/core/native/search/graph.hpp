@@ -1,4 +1,4 @@
-// A directed graph with costs on its edges: cheapest paths, and all non-dominated paths of two costs.
+// A directed graph with costs on its edges: cheapest paths, and all non-dominated paths for two costs.
 #pragma once
 #include <algorithm>
 #include <chrono>
@@ -10,8 +10,7 @@
 
 namespace gp {
 
-// Edges sorted by the node that they leave (or enter, if turned round): those of node i are edge[begin[i] .. begin[i +
-// 1]).
+// Edges sorted by the node that they leave (or enter, for reversed edges); node i has edge[begin[i] .. begin[i + 1]).
 struct Adjacency {
   std::vector<int> begin, edge;
 
@@ -23,7 +22,7 @@ struct Adjacency {
   }
 };
 
-// A path found: the edges along it, and both costs added up from its start on.
+// A path: its edges, and both costs summed from its start.
 struct FoundPath {
   std::vector<int> edge;
   double first, second;
@@ -43,8 +42,8 @@ class Digraph {
   int size() const { return n_; }
   size_t edges() const { return tail_.size(); }
 
-  // Edges of the cheapest path to the nearest goal; costs are at least 0, infinite ones are no edges. Its cost is
-  // infinite if there is none.
+  // The edges of the cheapest path to the nearest goal, and its cost, infinite if there is none. Edge costs are at
+  // least 0; infinite ones disable an edge.
   FoundPath cheapest(const double* cost, int start, const std::vector<int>& goals) const {
     std::vector<double> distance(size_t(n_), kFar);
     std::vector<int> from(size_t(n_), -1);
@@ -65,17 +64,17 @@ class Digraph {
     return {{}, kFar, kFar};
   }
 
-  // Every path to a goal that no other one dominates, by ascending first cost; of equal ones one. With epsilon, only
-  // some of them: for each there is one that costs no more of the first and at most (1 + epsilon) times as much of the
+  // All non-dominated paths to a goal, by ascending first cost; of equal ones, one. With epsilon, a subset: for each
+  // non-dominated path there is one that costs no more in the first and at most (1 + epsilon) times as much in the
   // second.
   //
-  // Labels leave the heap by ascending first cost, so that one is dominated at its node if and only if an earlier one
-  // had no more of the second: BOA*, Hernandez Ulloa et al., "A simple and fast bi-objective search algorithm", ICAPS
-  // 2020; pruning by epsilon at the goal as in Zhang et al., "A*pex", ICAPS 2022.
+  // Labels leave the heap by ascending first cost. A label is therefore dominated at its node if and only if an earlier
+  // one had no larger second cost: BOA*, Hernandez Ulloa et al., "A simple and fast bi-objective search algorithm",
+  // ICAPS 2020; pruning by epsilon at the goal as in Zhang et al., "A*pex", ICAPS 2022.
   Found front(const double* cost, int start, const std::vector<int>& goals, double epsilon, double seconds) const {
     const std::vector<double> first_to_go = to_go(cost, goals), second_to_go = to_go(cost + 1, goals);
     const std::vector<uint8_t> is_goal = flags(goals);
-    std::vector<double> least(size_t(n_), kFar);  // of the second cost, at each node
+    std::vector<double> least(size_t(n_), kFar);  // least second cost at each node
     double least_at_goal = kFar;
     std::vector<Label> labels;
     std::priority_queue<Waiting, std::vector<Waiting>, Later> heap;
@@ -121,7 +120,7 @@ class Digraph {
     double first, second;
   };
   struct Waiting {
-    double first, second;  // of the whole path, at least
+    double first, second;  // lower bounds for the whole path
     int label;
   };
   struct Later {
@@ -136,7 +135,8 @@ class Digraph {
     return marked;
   }
 
-  // Least cost from each node to a goal, of one of the two costs; a hair less, so that rounding never hides a path.
+  // Least cost from each node to a goal, for the first or second cost; slightly reduced, so that rounding never hides a
+  // path.
   std::vector<double> to_go(const double* cost, const std::vector<int>& goals) const {
     std::vector<double> distance(size_t(n_), kFar);
     Heap heap;

@@ -1,4 +1,4 @@
-// Python's door to graph.hpp.
+// Python bindings of graph.hpp.
 #pragma once
 #include <cmath>
 
@@ -24,7 +24,7 @@ class GraphSearch {
     return nb::make_tuple(ids(found.edge), found.first);
   }
 
-  // Per path the ids of its edges; the two costs of each; whether the search came to its end.
+  // The edge ids of each path; its two costs; whether the search was completed.
   nb::tuple front(Reals cost, int start, Integers goals, double epsilon, double seconds) const {
     require(cost.size() == 2 * graph_.edges(), "two costs per edge");
     require(epsilon >= 0 && std::isfinite(epsilon) && seconds >= 0, "epsilon and seconds");

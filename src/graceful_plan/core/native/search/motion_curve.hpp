@@ -1,5 +1,5 @@
-// How the control points of a spline become a motion's curve: its configurations, and along which axes their speed and
-// acceleration are limited. Of an arm these axes are its joints.
+// Maps the control points of a spline to the curve of a motion: its configurations, and axes along which speed and
+// acceleration are limited. For an arm, the axes are its joints.
 #pragma once
 #include <algorithm>
 #include <vector>
@@ -9,11 +9,11 @@
 
 namespace gp {
 
-// Even samples of a curve with parameter u; also derivatives of a sum with respect to them.
+// Even samples of a curve with parameter u, or derivatives of a sum with respect to these samples.
 struct CurveStates {
   Point q, tangent;   // [sample, joint] configurations, and dq/du
-  Point slope, bend;  // [interval, 2, axis] first and second derivatives at both ends of each interval, by u
-  Point share;        // [sample] of the fastest speed
+  Point slope, bend;  // [interval, 2, axis] first and second derivatives by u at both ends of each interval
+  Point share;        // [sample] of the largest speed
 
   void resize(size_t samples, size_t joints, size_t axes) {
     q.resize(samples * joints), tangent.resize(q.size()), share.resize(samples);
@@ -32,7 +32,7 @@ class MotionCurve {
   virtual ~MotionCurve() = default;
 
   size_t samples() const { return row_.size(); }
-  // Of a control point; the unknowns are those of the inner ones, point by point.
+  // Number of unknowns per control point. The unknowns are those of the inner control points, point by point.
   size_t columns() const { return columns_; }
   const Point& lower() const { return lower_; }
   const Point& upper() const { return upper_; }
@@ -40,20 +40,20 @@ class MotionCurve {
   // Limits of speed and acceleration along the axes, from those of the joints.
   virtual Point axis_velocity(const Point& velocity) const { return velocity; }
   virtual Point axis_acceleration(const Point& acceleration) const { return acceleration; }
-  // Unknowns of a path, or of the control points of a curve.
+  // Unknowns fitted to a path, or taken from the control points of a curve.
   virtual Point fitted(const std::vector<Point>& path) = 0;
   virtual Point adopted(const std::vector<Point>& controls) = 0;
   virtual std::vector<Point> controls(const Point& x) const = 0;
   virtual void sample(const Point& x, CurveStates& out) = 0;
-  // From derivatives with respect to samples of the last sample() to those with respect to unknowns.
+  // Maps derivatives with respect to the last samples to derivatives with respect to the unknowns.
   virtual void collect(const CurveStates& d, Point& gradient) const = 0;
-  // What is charged besides for the unknowns themselves; its derivatives are added.
+  // Additional cost of the unknowns themselves; adds its derivatives.
   virtual double charge(const Point&, double, Point&) const { return 0.0; }
 
  protected:
   size_t control_count() const { return basis_.spans() + 3; }
   size_t inner() const { return control_count() - 2; }
-  // Where control points would lie on a polyline: for each inner one the vertex before, and the share of its edge.
+  // Places of control points along a polyline: for each inner one, the vertex before it and the share of its edge.
   template <class Place> void along(const Space& space, const std::vector<Point>& path, const Place& place) const {
     std::vector<double> at{0.0};
     for (size_t i = 0; i + 1 < path.size(); ++i)
@@ -73,7 +73,7 @@ class MotionCurve {
   Point lower_, upper_;
 };
 
-// Every joint is a column and an axis.
+// A curve in joint space: each joint is a column and an axis.
 class JointCurve final : public MotionCurve {
  public:
   JointCurve(const Space& space, size_t controls, size_t density)
@@ -116,7 +116,7 @@ class JointCurve final : public MotionCurve {
     std::fill(out.share.begin(), out.share.end(), 1.0);
     for (size_t k = 0; k < samples(); ++k) {
       const SplineBasis::Row& row = row_[k];
-      // A sample is the end of an interval and the beginning of the next one.
+      // A sample is the end of one interval and the beginning of the next.
       const size_t at = k + 1 < samples() ? 2 * k * dim : (2 * k - 1) * dim;
       double *q = &out.q[k * dim], *slope = &out.slope[at], *bend = &out.bend[at];
       std::fill_n(q, dim, 0.0), std::fill_n(slope, dim, 0.0), std::fill_n(bend, dim, 0.0);

@@ -1,16 +1,16 @@
-// Local improvement of a whole motion by what it costs as it will be executed: control points of a smooth curve,
-// travelled as fast as the joints' velocities and accelerations allow, descend along the gradient of
+// Local improvement of a timed motion. The control points of a smooth curve, travelled as fast as the velocity and
+// acceleration limits of the joints allow, descend along the gradient of
 //
-//   J = V + w (integral of I) + (a price of time) T,
+//   J = V + w (integral of I) + (price of time) T,
 //
-// the integral over time, over length or over samples, to which violations of clearance are added. The speed profile is
-// part of the gradient: a corner costs what it costs in time. Quasi-Newton steps (BFGS) with a line search for
-// functions that have kinks, as the profile has where another limit becomes the tightest.
+// plus a penalty for low clearance; the integral is over time, length or samples. The gradient includes the speed
+// profile, so corners cost the time they take. The method is BFGS with a line search for functions with kinks, such as
+// those where another limit becomes the tightest.
 //
 // References:
 //   A. Lewis and M. Overton, "Nonsmooth optimization via quasi-Newton methods", Mathematical Programming 141, 2013.
-//   M. Zucker et al., "CHOMP: Covariant Hamiltonian optimization for motion planning", IJRR 32, 2013 (the metric that
-//   the steps begin with: what keeps neighbours together).
+//   M. Zucker et al., "CHOMP: Covariant Hamiltonian optimization for motion planning", IJRR 32, 2013 (the initial
+//   metric of the steps, which couples neighbours).
 #pragma once
 #include <deque>
 #include <limits>
@@ -29,19 +29,19 @@ struct MotionSettings {
   bool rough = false;        // impacts in single precision
   double time_price = 0.02;  // [rad/s]
   double push = 1.0;         // weight of the penalty, relative to J
-  double tolerance = 1e-4;   // relative fall over some steps below which it is settled
-  // Parts of the length at both ends within which less than the wanted clearance may be kept: there the path leaves and
-  // reaches places that are tight for the spheres.
+  double tolerance = 1e-4;   // relative decrease over kLookBack steps below which the descent has converged
+  // Shares of the length at both ends where less than the wanted clearance is allowed: there the path leaves and
+  // reaches places that are tight for the covering spheres.
   double tight_start = 0, tight_end = 0;
-  std::vector<FeltLimit> felt;  // where something is carried
-  bool fitted = false;          // whether the path is the control points of a curve
-  bool slosh = true;            // whether it counts how a liquid sloshes
-  double points = 1;            // samples of the motion where these are what the impact is summed over
+  std::vector<FeltLimit> felt;  // limits on felt acceleration at carried objects
+  bool fitted = false;          // whether the path consists of the control points of a curve
+  bool slosh = true;            // whether sloshing of a liquid is penalised
+  double points = 1;            // number of samples of the motion, for sums over samples
 };
 
 class MotionDescent {
  public:
-  // From a path in a space that has slopes of states, along curves of joints unless other curves are given.
+  // Starts from a path. The space must have state slopes; without a given curve, a JointCurve is used.
   MotionDescent(Space& space, const std::vector<Point>& path, const MotionSettings& settings,
                 std::unique_ptr<MotionCurve> curve = nullptr)
       : space_(space),
@@ -66,7 +66,7 @@ class MotionDescent {
     begin();
   }
 
-  // One evaluation of the whole motion and its gradient; false once nothing is gained any more.
+  // Evaluates the whole motion and its gradient; returns false once converged.
   bool step() {
     if (settled_) return false;
     for (size_t i = 0; i < x_.size(); ++i) trial_[i] = clipped(i, x_[i] + share_ * direction_[i]);
@@ -94,12 +94,12 @@ class MotionDescent {
     return !settled_;
   }
 
-  // J, and what is charged for being too close before it is pressed harder.
+  // J plus the clearance penalty at its initial weight.
   double value() const { return now_.total; }
   double duration() const { return now_.duration; }
-  // The least gap to an entity that moves; infinite where none is within kPassing.
+  // The least gap to a moving entity; infinite unless below kPassing.
   double gap() const { return now_.gap; }
-  // Press harder against what is in the way.
+  // Increases the weight of the clearance penalty.
   void harden() {
     push_ *= 4.0;
     begin();
@@ -107,22 +107,22 @@ class MotionDescent {
   std::vector<Point> controls() const { return curve_->controls(x_); }
   size_t unknowns() const { return x_.size(); }
   const Point& inner() const { return x_; }
-  // What falls, at other inner control points, and its derivatives with respect to them; for tests.
+  // The objective at given inner control points, and its gradient; for tests.
   double energy(const Point& controls, Point& gradient) { return evaluate(controls, gradient).energy; }
 
  private:
   struct Evaluation {
     double energy, total, duration, gap;
   };
-  static constexpr double kKeep = 0.001;   // clearance to keep on top of the space's margin [m]
-  static constexpr double kLongest = 0.3;  // of a control point in one step [rad]
+  static constexpr double kKeep = 0.001;   // clearance to keep in addition to the space's margin [m]
+  static constexpr double kLongest = 0.3;  // longest step of a control point [rad]
   static constexpr double kArmijo = 1e-4, kWolfe = 0.9, kLongestShare = 8.0;
   static constexpr double kLeastShrink = 0.05;
-  static constexpr int kTries = 10;       // of a line search
-  static constexpr size_t kLookBack = 6;  // steps
+  static constexpr int kTries = 10;       // evaluations of a line search
+  static constexpr size_t kLookBack = 6;  // steps over which the decrease is measured
 
-  // The part of a step that was too long where a parabola through its value and the slope at its beginning is least; a
-  // half where the step did not begin there.
+  // Factor for a step that was too long: the minimum of the parabola through its value and its initial slope, or a half
+  // if the step did not start at the present point.
   double shrink(double energy) const {
     if (shortest_ > 0) return 0.5;
     const double fall = -along_ * share_, above = energy - now_.energy + fall;
@@ -131,7 +131,8 @@ class MotionDescent {
 
   double clipped(size_t i, double value) const { return std::clamp(value, curve_->lower()[i], curve_->upper()[i]); }
 
-  // How much clearance each sample is to keep: near tight ends what a straight line from theirs to the usual one says.
+  // Computes the wanted clearance of each sample. Near tight ends, it is interpolated linearly between the clearance at
+  // the end and the usual one.
   void want() {
     curve_->sample(x_, at_);
     const size_t samples = curve_->samples();
@@ -157,11 +158,11 @@ class MotionDescent {
     restart();
   }
 
-  // Forget what was learnt of the curvature.
+  // Discards the estimate of the curvature.
   void restart() {
     const size_t n = x_.size();
     inverse_.assign(n * n, 0.0);
-    // V alone has about the curvature (controls / V) times second differences; the rest comes in proportion.
+    // V alone has a curvature of about (controls / V) times second differences; the rest is assumed proportional.
     const double stiffness =
         double(settings_.controls - 1) / std::max(length_, 1e-3) * std::max(1.0, now_.energy / std::max(length_, 1e-3));
     const size_t m = settings_.controls - 2;
@@ -191,7 +192,7 @@ class MotionDescent {
     if (!settled_) descend();
   }
 
-  // The inverse of the curvature, by the update of Broyden, Fletcher, Goldfarb and Shanno.
+  // BFGS update of the inverse curvature.
   void learn() {
     const size_t n = x_.size();
     Point s(n), y(n), Hy(n);
@@ -206,7 +207,7 @@ class MotionDescent {
       for (size_t j = 0; j < n; ++j) sum += inverse_[i * n + j] * y[j];
       Hy[i] = sum, yHy += y[i] * sum;
     }
-    if (fresh_) {  // the scale of the first metric is a guess
+    if (fresh_) {  // the scale of the initial metric is a guess
       const double scale = sy / yHy;
       for (double& h : inverse_) h *= scale;
       for (double& h : Hy) h *= scale;
@@ -217,11 +218,11 @@ class MotionDescent {
       for (size_t j = 0; j < n; ++j) inverse_[i * n + j] += both * s[i] * s[j] - (Hy[i] * s[j] + s[i] * Hy[j]) / sy;
   }
 
-  // The next direction to search along.
+  // Computes the next search direction.
   void descend() {
     const size_t n = x_.size();
     Point slope = gradient_;
-    for (size_t i = 0; i < n; ++i)  // nothing is gained by going on into a limit
+    for (size_t i = 0; i < n; ++i)  // directions beyond a limit are dropped
       if ((x_[i] <= curve_->lower()[i] && slope[i] > 0) || (x_[i] >= curve_->upper()[i] && slope[i] < 0)) slope[i] = 0;
     direction_.assign(n, 0.0);
     double longest = kLongest;
@@ -278,7 +279,7 @@ class MotionDescent {
     for (size_t k = 0; k < samples; ++k) {
       const double by_squared = stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed_[k] / (2 * speed_[k]) + d_squared_[k];
       d_.share[k] = 2 * at_.share[k] * fastest[k] * by_squared;
-      d_speed_[k] = at_.share[k] * at_.share[k] * by_squared;  // now of the square of the fastest
+      d_speed_[k] = at_.share[k] * at_.share[k] * by_squared;  // from now on with respect to the squared largest speed
     }
     profile_.back(curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()});
     felt_.back(d_.q);
@@ -289,8 +290,8 @@ class MotionDescent {
     return {total + spread + penalty + charge, total + penalty / push_ + charge, duration, gap};
   }
 
-  // The length of the curve, and by how much its energy exceeds it, which is nothing where samples are even: the length
-  // alone does not say where along the curve control points should be.
+  // Computes the length of the curve; returns the excess of its energy over the length, which is zero for even samples.
+  // The length alone would not determine where along the curve the control points are.
   double lengthen() {
     const size_t n = curve_->samples() - 1;
     double energy = 0;
@@ -308,7 +309,7 @@ class MotionDescent {
     return value - length_;
   }
 
-  // V of a density over length, and its derivatives; lengthen() has charged the length.
+  // V as the integral of a density over length, with derivatives; lengthen() has added the length itself.
   double move() {
     const size_t samples = curve_->samples();
     space_.motion_slopes({at_.q.data(), at_.tangent.data(), int(samples), settings_.rough},
@@ -323,8 +324,8 @@ class MotionDescent {
     return sum;
   }
 
-  // The integral of a density over length. Derivatives for (factor density + offset) are added as far as lengths have
-  // them; how much each sample stands for is left in weight_.
+  // The integral of a density over length. Adds derivatives of the integral of (factor density + offset) with respect
+  // to lengths; stores the weight of each sample in weight_.
   double stretch(const Point& density, double factor, double offset) {
     const size_t samples = curve_->samples();
     double sum = 0;
@@ -341,7 +342,7 @@ class MotionDescent {
     return sum;
   }
 
-  // The integral of the impact, and derivatives but for those of the times.
+  // The integral of the impact, with derivatives except those of the times.
   double fail(std::vector<double>& d_speed) {
     const size_t samples = curve_->samples();
     space_.state_slopes({at_.q.data(), qd_.data(), int(samples), settings_.rough},
@@ -377,7 +378,7 @@ class MotionDescent {
     for (size_t k = 1; k + 1 < samples; ++k) {
       const double lack = (wanted_[k] - clearance_[k]) / unit;
       if (!(lack > 0)) continue;
-      // Beyond a few margins it grows evenly: how deep the nearest pair is says little then.
+      // Linear beyond a few margins, since the depth of the nearest pair is unreliable there.
       const double knee = 5.0, depth = std::min(lack, knee);
       sum += weight * (depth * depth + 2 * knee * (lack - depth));
       for (size_t j = 0; j < dim_; ++j) d_.q[k * dim_ + j] -= 2 * weight * depth / unit * by_clearance_[k * dim_ + j];
@@ -385,14 +386,14 @@ class MotionDescent {
     return sum;
   }
 
-  // When the motion is where.
+  // Computes the time of each sample.
   void arrive() {
     const size_t samples = curve_->samples();
     time_.assign(samples, 0.0), by_time_.assign(samples, 0.0), d_time_.assign(samples, 0.0);
     for (size_t k = 0; k + 1 < samples; ++k) time_[k + 1] = time_[k] + pause_[k];
   }
 
-  // What is charged for coming too close to an entity that moves, where it is then.
+  // Penalty for low clearance to moving entities at their places at these times.
   double pass() {
     const size_t samples = curve_->samples();
     gap_.resize(samples), by_gap_.resize(samples * dim_), gap_by_time_.resize(samples);
@@ -411,14 +412,14 @@ class MotionDescent {
     return sum;
   }
 
-  // A longer pause delays everything after it.
+  // A longer pause delays all later samples.
   void delay() {
     double later = 0;
     for (size_t k = d_pause_.size(); k-- > 0;) later += d_time_[k + 1], d_pause_[k] += later;
   }
 
-  static constexpr double kPassing = 0.15;  // clearance to entities that move [m]; the judge asks for more than none
-  static constexpr double kPassingWeight = 20.0;  // of its square, relative to that of other clearance
+  static constexpr double kPassing = 0.15;  // wanted clearance to moving entities [m]; the judge requires more than 0
+  static constexpr double kPassingWeight = 20.0;  // weight of its square, relative to that of other clearance
   static constexpr double kSlowest = 1e-9;
 
   Space& space_;
@@ -432,7 +433,7 @@ class MotionDescent {
   CurveStates at_, d_;
   Point qd_, impact_, impact_by_q_, impact_by_qd_, density_, weight_, clearance_, by_clearance_, wanted_;
   Point step_, squared_, speed_, pause_, d_speed_, d_pause_, d_squared_;
-  Point time_, by_time_, d_time_, gap_, by_gap_, gap_by_time_;  // among entities that move
+  Point time_, by_time_, d_time_, gap_, by_gap_, gap_by_time_;  // for moving entities
   std::vector<uint8_t> stop_;
   Evaluation now_{}, kept_{};
   double share_ = 1, shortest_ = 0, longest_ = 0, along_ = 0;

@@ -1,4 +1,4 @@
-// What the native planners share: the space they plan in, paths with cached costs, random numbers, a tree.
+// Shared by the native planners: the space they plan in, paths with cached costs, random numbers, a tree.
 #pragma once
 #include <chrono>
 #include <cmath>
@@ -14,8 +14,8 @@ namespace gp {
 
 using Point = std::vector<double>;
 
-// The edges between consecutive points, and what is known of them: V and S, and the derivatives of S with respect to
-// the first and the second end of each.
+// The edges between consecutive points, and their V and S with the derivatives of S with respect to the first and
+// second end of each edge.
 struct Chain {
   const double* points;
   int n_edge;
@@ -23,24 +23,24 @@ struct Chain {
 struct ChainSlopes {
   double *cost, *by_from, *by_to;
 };
-// States row by row; `rough` if single precision will do.
+// Rows of states; `rough` if single precision is enough.
 struct MovingStates {
   const double *q, *qd;
   int n;
   bool rough;
 };
-// Configurations row by row, and the clearance below which they matter.
+// Rows of configurations, and the clearance below which they matter.
 struct Probes {
   const double* q;
   int n;
   double wanted;
 };
-// The impact of states and its derivatives with respect to q and to qd, row by row.
+// Rows of the impact of states, and its derivatives with respect to q and qd.
 struct StateSlopes {
   double *impact, *by_q, *by_qd;
 };
 
-// The same at times [s], and the derivatives with respect to these.
+// The same at times t [s], with derivatives with respect to t.
 struct TimedStates {
   const double *q, *qd, *t;
   int n;
@@ -48,7 +48,7 @@ struct TimedStates {
 struct TimedSlopes {
   double *impact, *by_q, *by_qd, *by_t;
 };
-// Configurations at times, and the gap to entities that move below which they matter, with its derivatives.
+// Configurations at times; gaps to moving entities matter below `wanted`, and come with derivatives.
 struct TimedProbes {
   const double *q, *t;
   int n;
@@ -58,16 +58,16 @@ struct GapSlopes {
   double *gap, *by_q, *by_t;
 };
 
-// What a density of states is integrated over along a motion: its time, its length, or the plain sum over its samples.
+// The measure over which a density of states is integrated along a motion: time, length, or a plain sum over samples.
 enum class Measure { kTime, kLength, kPoints };
 
-// Something that rides on a link: where a point of it is, how it is turned, and how both move with the joints.
+// A point and a rotation attached to a link, and their derivatives with respect to the joints.
 struct Ride {
   double p[3], R[9];
-  Point J, turn;  // [3, nq]: of the point, and the axes about which joints turn it
+  Point J, turn;  // [3, nq]: Jacobian of the point; axes about which joints rotate it
 };
 
-// What a planner sees of the world and of the cost J = V + w S.
+// A planner's view of the world and of the cost J = V + w S.
 struct Space {
   int dim = 0;
   double w = 0;
@@ -83,44 +83,44 @@ struct Space {
   }
   virtual ~Space() = default;
   virtual bool edge_free(const double* a, const double* b) = 0;
-  // The same at a finer step, for edges that become part of a path; asked after edge_free.
+  // Finer check of edges that become part of a path; called after edge_free.
   virtual bool edge_certain(const double* a, const double* b) = 0;
   virtual double impact(const double* a, const double* b) = 0;         // S of an edge
-  virtual void impacts(const double* points, int n, double* out) = 0;  // I of configurations, row by row
-  // What the impact is integrated over: how long or how much of it an edge is.
+  virtual void impacts(const double* points, int n, double* out) = 0;  // I of configurations (rows)
+  // The measure of an edge over which its impact is integrated, such as its duration or length.
   virtual double exposure(const double* a, const double* b) const { return distance(a, b); }
-  // Leave of a displacement what does not move the tool; false if the space knows no tool.
+  // Removes the part of a displacement that moves the tool; false if the space has no tool.
   virtual bool keep_tool(const double*, double*) { return false; }
-  // The smallest displacement that moves the tool by so much, to first order; false if the space knows no tool.
+  // The smallest displacement that moves the tool by a step, to first order; false if the space has no tool.
   virtual bool move_tool(const double*, const double*, double*) { return false; }
-  // Whether configurations have to keep bounds that are thin among all configurations: sampling needs project() then.
+  // Whether configurations must satisfy bounds that few samples satisfy, so that sampling needs project().
   virtual bool has_bounds() const { return false; }
-  // Move a configuration to where its bounds hold, with a margin; false if that is not found nearby.
+  // Moves a configuration to where its bounds hold with a margin; false if it finds none nearby.
   virtual bool project(double*) { return true; }
-  // Poses of all links in so many configurations, [n, link, 4, 4]; only asked where the space knows links.
+  // Poses of all links, [n, link, 4, 4]; requires a space with links.
   virtual void poses(const Chain&, Point&) { throw std::logic_error("a space without links"); }
   virtual Rider rider(int, const Vector3&) const { throw std::logic_error("a space without links"); }
-  // Whether the two below are known.
+  // Whether slopes() is implemented.
   virtual bool has_slopes() const { return false; }
-  // Of edges sampled at so long steps; `rough` halves the work again.
+  // Costs of edges and their derivatives, sampled at the given step; `rough` halves the work.
   virtual void slopes(const Chain&, double, bool, const ChainSlopes&) {}
-  // Of states that move.
+  // Whether state_slopes() of moving states is implemented.
   virtual bool has_state_slopes() const { return false; }
   virtual void state_slopes(const MovingStates&, const StateSlopes&) {}
-  // Whether there are entities that move: what they add to the impact of states and its derivatives, and how far the
-  // robot is from the nearest of them, infinite where that is more than what is wanted.
+  // Whether there are moving entities. moving_slopes() adds their impact and its derivatives, gaps() computes the gap
+  // between the robot and the nearest one, infinite unless below `wanted`.
   virtual bool has_moving() const { return false; }
   virtual void moving_slopes(const TimedStates&, const TimedSlopes&) {}
   virtual void gaps(const TimedProbes&, const GapSlopes&) {}
-  // What the impact of a motion is integrated over.
+  // The measure over which the impact of a motion is integrated.
   virtual Measure measure() const { return Measure::kTime; }
-  // Where motion() is not the length: its density over length, at states whose `qd` is a tangent of the path.
+  // If motion() is not the length: its density over length, at states whose `qd` is a tangent of the path.
   virtual void motion_slopes(const MovingStates&, const StateSlopes&) {}
-  // Signed clearances of configurations and their gradients where they are below `wanted`, which is seen much faster
-  // than how far the rest is away; infinite elsewhere.
+  // Signed clearances and their gradients where the clearance is below `wanted`, infinite elsewhere; the bound makes
+  // this much faster than exact distances everywhere.
   virtual void clearances(const Probes&, double*, double*) {}
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
-  // Whether motion() is the length, so that distances bound the cost from below.
+  // Whether motion() is the length, so that distances are lower bounds of the cost.
   virtual bool motion_is_length() const { return true; }
 
   double distance(const double* a, const double* b) const {
@@ -132,23 +132,22 @@ struct Space {
     const double v = motion(a, b);
     return w > 0 ? v + w * impact(a, b) : v;
   }
-  // The cost of each edge of a chain; one question where questions are dear.
+  // The cost of each edge of a chain; a single call where calls are expensive.
   virtual void costs(const Chain& of, double* out) {
     for (int e = 0; e < of.n_edge; ++e) out[e] = cost(of.points + e * dim, of.points + (e + 1) * dim);
   }
-  // The cost, or infinity as soon as it is known to reach `limit`: impact is never negative, and dear.
+  // The cost, or infinity if a lower bound reaches `limit`: impact is non-negative and expensive to evaluate.
   double cost_below(const double* a, const double* b, double limit) {
     const double v = motion(a, b);
     if (v >= limit) return std::numeric_limits<double>::infinity();
     return w > 0 ? v + w * impact(a, b) : v;
   }
-  // About what an edge costs along which the impact is so much.
+  // Estimated cost of an edge with a given mean impact.
   double guess(const double* a, const double* b, double mean_impact) const {
     return distance(a, b) + w * mean_impact * exposure(a, b);
   }
   double extent() const { return distance(lower.data(), upper.data()); }
-  // Whether the edges between the vertices `first` and `last` of a path are free and certain: the cheap question for
-  // all first.
+  // Whether the edges between vertices `first` and `last` of a path are free; the cheap check runs on all edges first.
   bool path_free(const std::vector<Point>& path, size_t first, size_t last) {
     for (size_t k = first; k < last; ++k)
       if (!edge_free(path[k].data(), path[k + 1].data())) return false;
@@ -186,7 +185,7 @@ class Random {
   uint64_t state_[4];
 };
 
-// Iterations and seconds that one call may use.
+// Numbers of iterations and seconds that one call may use.
 class Slice {
  public:
   Slice(int64_t iterations, double seconds)
@@ -218,7 +217,7 @@ struct Polyline {
     path.price(space, 0, path.q.size() - 1);
     return path;
   }
-  // Evaluate so many edges anew, from the one that begins at a vertex.
+  // Evaluates n edges, starting with that from vertex `first`.
   void price(Space& space, size_t first, size_t n) {
     Point rows;
     for (size_t k = first; k <= first + n; ++k) rows.insert(rows.end(), q[k].begin(), q[k].end());
@@ -232,7 +231,7 @@ struct Polyline {
   }
 };
 
-// Nodes in one array for a linear scan, which beats every other structure below some thousands of nodes.
+// Nodes in one array for linear scans, which are fastest up to some thousands of nodes.
 struct Tree {
   int dim;
   std::vector<double> q, cost;
@@ -247,7 +246,7 @@ struct Tree {
     cost.push_back(cost_to_come);
     return size() - 1;
   }
-  // Nearest node whose cost plus distance stays below `cost_limit`; -1 if there is none.
+  // Nearest node whose cost plus distance is below `cost_limit`; -1 if there is none.
   int nearest(const double* point, double cost_limit = std::numeric_limits<double>::infinity()) const {
     int best = -1;
     double best_d2 = std::numeric_limits<double>::infinity();

@@ -1,5 +1,5 @@
-// Local improvement of a path by J: shortcuts, perturbed vertices, smooth bumps. A move is kept only if J falls and the
-// new edges are free, so the path is valid at every moment.
+// Refinement of a path by random moves: shortcuts, perturbed vertices, smooth bumps. A move is kept only if it lowers J
+// and the new edges are free, so the path stays valid.
 #pragma once
 #include <algorithm>
 
@@ -13,10 +13,10 @@ class Refiner {
       : space_(space), path_(std::move(path)), spacing_(spacing), sigma_{spacing, spacing}, random_(seed) {}
 
   const Polyline& path() const { return path_; }
-  // Size of the vertex moves relative to the spacing: small means settled.
+  // Size of the vertex moves relative to the spacing; small values mean convergence.
   double settled() const { return std::max(sigma_[0], sigma_[1]) / spacing_; }
 
-  // One trial move; true if J fell.
+  // One trial move; returns true if J decreased.
   bool step() {
     ++moves_;
     if (path_.q.size() < 2) return false;
@@ -37,7 +37,7 @@ class Refiner {
     return improved;
   }
 
-  // Split long edges and drop vertices that crowd, so that every vertex controls a similar stretch.
+  // Splits long edges and drops crowded vertices, so that vertices are about evenly spaced.
   void respace() {
     for (size_t i = path_.q.size() - 1; i-- > 1;) {
       const double gap = space_.distance(path_.q[i - 1].data(), path_.q[i + 1].data());
@@ -60,14 +60,14 @@ class Refiner {
     return out;
   }
 
-  // The same geometry with more vertices; costs are evaluated anew, as sampling shifts.
+  // The same path with more vertices; costs are evaluated again, since samples shift.
   void subdivide(size_t i, const std::vector<Point>& points) {
     path_.q.insert(path_.q.begin() + long(i) + 1, points.begin(), points.end());
     path_.edge.insert(path_.edge.begin() + long(i) + 1, points.size(), 0.0);
     path_.price(space_, i, points.size() + 1);
   }
 
-  // Replace the vertices strictly between `first` and `last`; keep it if J falls and the new edges are free.
+  // Replaces the vertices strictly between `first` and `last` if J decreases and the new edges are free.
   bool replace(int first, int last, const std::vector<Point>& points) {
     double before = 0;
     for (int k = first; k < last; ++k) before += path_.edge[size_t(k)];
@@ -96,7 +96,7 @@ class Refiner {
     return true;
   }
 
-  // Connect two random points on the path directly; the new stretch is subdivided like the rest.
+  // Connects two random points on the path directly; the new section is subdivided like the rest.
   bool shortcut() {
     const int n = int(path_.q.size());
     int i = random_.below(n - 1), j = random_.below(n - 1);
@@ -115,7 +115,7 @@ class Refiner {
     return points;
   }
 
-  // Straighten one joint's motion between two vertices and leave the others as they are (Geraerts and Overmars 2007).
+  // Straightens one joint's motion between two vertices and keeps that of the others (Geraerts and Overmars 2007).
   bool partial_shortcut() {
     const int n = int(path_.q.size());
     int i = random_.below(n), j = random_.below(n);
@@ -130,8 +130,8 @@ class Refiner {
     return replace(i, j, points);
   }
 
-  // Straighten a stretch in joint space as far as the tool can stay where it is: a redundant arm wanders otherwise, and
-  // no shortcut mends that where the tool's own detour is what keeps the impact low.
+  // Straightens a section in joint space as far as the tool can stay in place. Otherwise a redundant arm wanders, and
+  // no shortcut fixes that if the tool's own detour keeps the impact low.
   bool posture_shortcut() {
     const int n = int(path_.q.size());
     int i = random_.below(n), j = random_.below(n);
@@ -149,8 +149,8 @@ class Refiner {
     return replace(i, j, points);
   }
 
-  // Move a vertex, or a window of vertices by a smooth bump, within the limits. Of several random displacements the one
-  // is tried at which the vertex looks cheapest: its impact costs a fraction of that of two edges.
+  // Moves a vertex, or a window of vertices by a smooth bump, within the limits. Of several random displacements, it
+  // tries the one with the lowest estimated cost: the impact at the vertex costs a fraction of that of two edges.
   bool perturb(int reach) {
     const int n = int(path_.q.size()), centre = 1 + random_.below(n - 2);
     const int first = std::max(0, centre - reach - 1), last = std::min(n - 1, centre + reach + 1);
@@ -167,7 +167,7 @@ class Refiner {
     return replace(first, last, points);
   }
 
-  // Where the vertex ends when the tool moves a little in a random direction; a joint moves its tool by some 0.4 m/rad.
+  // The vertex after the tool moves a little in a random direction; a joint moves the tool by about 0.4 m/rad.
   bool tool_displacement(const Point& vertex, double sigma, double* q) {
     const double step[3] = {random_.normal() * sigma * 0.4, random_.normal() * sigma * 0.4,
                             random_.normal() * sigma * 0.4};
@@ -207,7 +207,7 @@ class Refiner {
     return out;
   }
 
-  // Pull a vertex towards the chord of its neighbours.
+  // Pulls a vertex towards the chord of its neighbours.
   bool straighten() {
     const int n = int(path_.q.size()), i = 1 + random_.below(n - 2);
     const Point middle = between(path_.q[size_t(i) - 1], path_.q[size_t(i) + 1], 0.5);

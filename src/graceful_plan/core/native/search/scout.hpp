@@ -1,6 +1,5 @@
-// A small roadmap between start and goals, thrown away after a few paths: which valleys of the impact lead there? Nodes
-// lie around an axis, edges are priced by the impact at rest at their ends and middle, and collisions are looked for
-// only on paths.
+// A small, short-lived roadmap between start and goals that finds corridors of low impact. Nodes lie around an axis,
+// the cost of edges uses the impact at rest at their ends and middle, and collisions are checked on paths only.
 #pragma once
 #include <algorithm>
 #include <queue>
@@ -14,8 +13,8 @@ class Scout {
   Scout(Space& space, Point start, std::vector<Point> goals, uint64_t seed)
       : space_(space), start_(std::move(start)), goals_(std::move(goals)), random_(seed) {}
 
-  // A new roadmap of so many nodes in a tube around an axis, its width relative to the distance between the axis' ends;
-  // `known` paths are part of it.
+  // Starts a roadmap of `nodes` nodes in a tube around an axis; `width`: relative to the distance between the ends of
+  // the axis. It includes the `known` paths.
   void begin(std::vector<Point> axis, const std::vector<std::vector<Point>>& known, double width, int nodes) {
     axis_ = std::move(axis), width_ = width, size_ = size_t(nodes);
     nodes_ = {start_};
@@ -27,7 +26,7 @@ class Scout {
     sampled_.clear(), pairs_.clear(), edges_.clear(), near_.clear();
     stage_ = kSample;
   }
-  // Some work, below a millisecond where impacts are cheap; true when there is a path.
+  // Does a little work, below a millisecond if impacts are cheap; returns true if there is a path.
   bool step() {
     if (stage_ == kSample)
       sample();
@@ -51,11 +50,11 @@ class Scout {
     Point q;
     double impact, promise;
   };
-  static constexpr int kChunk = 32;                  // of the work that one step does
-  static constexpr int kNeighbours = 10;             // of a node
-  static constexpr int kPaths = 4, kSearches = 200;  // until the roadmap is thrown away, whichever comes first
-  static constexpr double kLeastRadius = 0.1;        // of the tube, per joint [rad]
-  static constexpr double kRepulsion = 2.0;  // of the edges of a path that was found, so that the next one is another
+  static constexpr int kChunk = 32;                  // amount of work in one step
+  static constexpr int kNeighbours = 10;             // per node
+  static constexpr int kPaths = 4, kSearches = 200;  // paths found or searches made until the roadmap is dropped
+  static constexpr double kLeastRadius = 0.1;        // least radius of the tube, per joint [rad]
+  static constexpr double kRepulsion = 2.0;  // extra cost of the edges of found paths, so that the next path differs
 
   void price_nodes() {
     impact_.resize(nodes_.size());
@@ -76,7 +75,7 @@ class Scout {
     return q;
   }
 
-  // Twice as many free configurations as there will be nodes; the more promising ones stay.
+  // Samples twice as many free configurations as nodes, and keeps the more promising half.
   void sample() {
     std::vector<double> rows;
     std::vector<Point> fresh;
@@ -105,7 +104,7 @@ class Scout {
     stage_ = kPrice;
   }
 
-  // Each node with its nearest neighbours; then the impact at the middle of each edge.
+  // Connects each node to its nearest neighbours, then evaluates the impact at the middle of each edge.
   void price() {
     if (row_ < nodes_.size()) return connect();
     std::vector<double> rows;
@@ -144,7 +143,7 @@ class Scout {
     for (const auto& [a, b] : pairs_) edges_.push_back({int(a), int(b), 0.0, 0});
   }
 
-  // The cheapest path whose edges are not known to be blocked; true if all of it is free.
+  // Finds the cheapest path without known blocked edges; returns true if all of it is free.
   bool search() {
     const size_t n = nodes_.size();
     std::vector<double> cost(n, std::numeric_limits<double>::infinity());

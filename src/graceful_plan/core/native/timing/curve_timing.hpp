@@ -1,9 +1,9 @@
-// The fastest motion along a curve: limits of the joints, of what is felt where something is carried, and a surface
-// that stays below its rim.
+// The fastest motion along a curve within the limits of the joints, the limits on felt acceleration at carried objects,
+// and with the surface of a liquid below its rim.
 //
-// A surface swings beyond what is felt, how far depends on the curve: limits on what is felt come in levels, from the
-// boldest to the most careful, and a level that still swings too far is slowed down as a whole. What takes the least
-// time is the motion.
+// A surface swings beyond the felt direction, by an amount that depends on the curve. Limits on felt acceleration
+// therefore come in levels, from boldest to most careful; if the surface still swings too far at a level, the whole
+// motion is slowed down. The fastest motion of all levels is the result.
 #pragma once
 #include "core.hpp"
 #include "timing/felt.hpp"
@@ -22,18 +22,18 @@ class CurveTiming {
         velocity_(velocity),
         acceleration_(acceleration),
         profile_(std::move(velocity), std::move(acceleration)) {
-    if (levels_.empty()) levels_.emplace_back();  // nothing is felt
+    if (levels_.empty()) levels_.emplace_back();  // no felt limits
     for (const FeltLimit& limit : levels_.front()) rider_.push_back(core_->rider(limit.link, limit.point));
   }
 
-  // Where a limit does not even hold at rest, or the motion comes to a halt.
+  // A limit that does not hold even at rest, or the point where the motion comes to a halt.
   struct Trouble {
-    int limit = -1;    // which of a level; -1 for none
+    int limit = -1;    // index in a level; -1 for none
     size_t point = 0;  // of the curve
     bool any = false;
   };
 
-  // Time a curve through `q`, within so many further limits on each interval [n, further, 3], at a share of the speed.
+  // Times a curve through `q`, with further limits on each interval [n, further, 3], at a share of the speed.
   bool run(const CurveSamples& curve, const double* q, const double* limit, size_t further, double speed) {
     const std::vector<Box>& box = profile_.enter(curve);
     move(curve, q);
@@ -55,14 +55,15 @@ class CurveTiming {
     return true;
   }
   const Travel& motion() const { return best_; }
-  // Of the parameter at each point, before anything was slowed down; also of one that comes to a halt.
+  // Speed of the parameter at each point before any slowdown, also for a motion that comes to a halt.
   const std::vector<double>& speeds() const { return best_.t.empty() ? speed_ : best_speed_; }
   const Trouble& trouble() const { return trouble_; }
 
  private:
-  static constexpr double kRounding = 1e-9;   // reserve below the limits, for who evaluates the motion elsewhere
-  static constexpr double kLeastRoom = 1e-3;  // of gravity, by which a facet has to hold at rest
-  static constexpr double kSlowdown = 1.01;   // by how much a motion is slowed down at least
+  static constexpr double kRounding = 1e-9;  // relative reserve below the limits for rounding, when others evaluate the
+                                             // motion
+  static constexpr double kLeastRoom = 1e-3;  // of gravity: least reserve of a facet at rest
+  static constexpr double kSlowdown = 1.01;   // factor of each slowdown
   static constexpr int kMostSlowdowns = 310;
 
   struct Further {
@@ -70,7 +71,7 @@ class CurveTiming {
     size_t n;
   };
 
-  // How the points move that something is felt at: it is the same for all levels.
+  // Computes the motion of the points with felt limits, which is the same for all levels.
   void move(const CurveSamples& curve, const double* q) {
     const size_t n = curve.n, dim = curve.dim, riders = rider_.size();
     felt_.resize(riders), vessel_.resize(riders);
@@ -131,7 +132,7 @@ class CurveTiming {
     return true;
   }
 
-  // By what factor the motion has to be slowed down until nothing swings over its rim, or until it takes too long.
+  // Smallest slowdown at which no surface exceeds its rim, or at which the motion takes longer than `longest`.
   double slowdown(const CurveSamples& curve, const Level& level, double longest) const {
     const auto is_calm = [&](int slowdowns) {
       for (size_t l = 0; l < level.size(); ++l)

@@ -1,10 +1,10 @@
-// What is felt where something is carried, as limits on how fast a curve is travelled.
+// Limits on the felt acceleration at carried objects, as limits on the speed along a curve.
 //
 // At a point p of the robot that moves by p' per unit of the curve's parameter, the acceleration is p' u + p'' x:
-// linear in the parameter's acceleration u and squared speed x, like the joints' accelerations. What is felt there is
-// that acceleration less gravity. A facet v, a vector that turns with the robot, asks that v . (p' u + p'' x + g e_z)
-// <= room: facets around an axis without room hold what is felt inside a pyramid, which stands for a cone; those with
-// room hold a load below what a grasp can carry.
+// linear in the parameter's acceleration u and squared speed x, like the joints' accelerations. The felt acceleration
+// is this minus gravity. A facet v, a vector fixed to the link, requires v . (p' u + p'' x + g e_z) <= room. Facets
+// around an axis with room 0 confine the felt direction to a pyramid that stands for a cone; facets with room > 0 keep
+// the load on a grasp within its capacity.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -21,18 +21,18 @@ struct FeltLimit {
   int link;
   Vector3 point;                    // in the link
   std::vector<Vector3> facets;      // in the axes of the link
-  std::vector<double> size;         // of each facet
-  std::vector<double> room;         // of each facet [m/s^2]
+  std::vector<double> size;         // length of each facet
+  std::vector<double> room;         // limit of each facet [m/s^2]
   double gravity;                   // [m/s^2]
-  std::optional<SloshLimit> slosh;  // of what is carried there, if it has a surface
+  std::optional<SloshLimit> slosh;  // for contents with a surface
 };
 
-// How a point that something is felt at moves at an end of an interval, in the axes of its link.
+// Motion of a point with a felt limit at an end of an interval, in the axes of its link.
 struct FeltMotion {
   Vector3 velocity, bend, up;
 };
 
-// What each facet of a limit leaves to the motion; returns the least.
+// Computes the reserve of each facet at rest [m/s^2]; returns the least.
 inline double rests(const FeltLimit& limit, const Vector3& up, double* out) {
   double least = std::numeric_limits<double>::infinity();
   for (size_t f = 0; f < limit.facets.size(); ++f) {
@@ -42,9 +42,9 @@ inline double rests(const FeltLimit& limit, const Vector3& up, double* out) {
   return least;
 }
 
-// Add the facets of a limit at the beginning of the interval that is begun, or at its end, where the squared speed is
-// x + S u. Motions that are slowed down to a share of their speed afterwards may feel more before. Tags are those of
-// the first facet and, by twos, of the others.
+// Adds the facets of a limit at the beginning of the current interval, or at its end, where the squared speed is x + S
+// u. If the motion is slowed down afterwards to a share `speed`, the limits may be wider by 1/speed^2. Facet f has the
+// tag `tag` + 2 f.
 inline void add_facets(const FeltLimit& limit, const FeltMotion& at, const double* rests, double S, double speed,
                        size_t tag, CurveLimits& out) {
   const double per = 1 / (speed * speed);
@@ -52,7 +52,7 @@ inline void add_facets(const FeltLimit& limit, const FeltMotion& at, const doubl
   add3(velocity, S, at.bend);
   const double fast = std::sqrt(dot3(velocity, velocity)), bent = std::sqrt(dot3(at.bend, at.bend));
   const auto most = [&] { return fast * out.box().push + bent * out.box().squared; };
-  double felt = most();  // less and less, as other facets leave less
+  double felt = most();  // decreases as other facets tighten the box
   for (size_t f = 0; f < limit.facets.size(); ++f) {
     const double room = rests[f] * per;
     if (felt * limit.size[f] <= room) continue;

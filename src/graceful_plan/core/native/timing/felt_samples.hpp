@@ -1,6 +1,6 @@
-// What is felt along a curve at even samples, and the derivatives of what it does to the motion, for descents.
+// Felt acceleration at even samples of a curve, and derivatives of its limits on the motion, for descents.
 //
-// Derivatives p' and p'' are differences between samples, so that those of the limits need no more than Jacobians.
+// The derivatives p' and p'' are differences between samples, so derivatives of the limits need only Jacobians.
 #pragma once
 #include <algorithm>
 #include <vector>
@@ -12,7 +12,7 @@ namespace gp {
 
 class FeltSamples {
  public:
-  // Sloshing is left out where it is not to count.
+  // Without `slosh`, sloshing is not penalised.
   FeltSamples(const Space& space, std::vector<FeltLimit> limits, bool slosh) : limits_(std::move(limits)) {
     for (const FeltLimit& limit : limits_) {
       rider_.push_back(space.rider(limit.link, limit.point));
@@ -24,7 +24,7 @@ class FeltSamples {
   }
   bool empty() const { return limits_.empty(); }
 
-  // Enter the limits at both ends of every interval; samples are `step` apart.
+  // Adds the limits at both ends of every interval; samples are `step` apart.
   const CurveLimits& enter(Space& space, const std::vector<double>& q, double step, const std::vector<Box>& box) {
     samples_ = box.size() + 1, dim_ = q.size() / samples_, h_ = step;
     rows_.clear();
@@ -67,8 +67,8 @@ class FeltSamples {
     return rows_;
   }
 
-  // What sloshing is charged along the curve of the last enter(), travelled at squared speeds `x`, so long on each
-  // interval.
+  // Penalty for sloshing along the curve of the last enter(), travelled at squared speeds `x`, with duration `pause` of
+  // each interval.
   double slosh(const std::vector<double>& x, const std::vector<double>& pause) {
     double sum = 0;
     for (size_t l = 0; l < limits_.size(); ++l) {
@@ -91,7 +91,7 @@ class FeltSamples {
     return sum;
   }
 
-  // Derivatives of a weight times the last slosh(), added up; those with respect to q come with back().
+  // Adds derivatives of a weight times the last slosh(); back() adds those with respect to q.
   void back_slosh(const std::vector<double>& x, double weight, std::vector<double>& d_x, std::vector<double>& d_pause) {
     for (size_t l = 0; l < limits_.size(); ++l) {
       if (!swing_[l] || !swing_[l]->exceeds()) continue;
@@ -126,8 +126,8 @@ class FeltSamples {
     return slope_.data();
   }
 
-  // From derivatives with respect to the limits of the last enter(), and those of back_slosh(), to those with respect
-  // to q, added up.
+  // Maps derivatives with respect to the limits of the last enter(), and those of back_slosh(), to derivatives with
+  // respect to q, which it adds.
   void back(std::vector<double>& d_q) {
     by_motion_.assign(motion_.size(), {});
     for (size_t k = 0; k + 1 < samples_; ++k)
@@ -152,7 +152,7 @@ class FeltSamples {
   }
 
  private:
-  static constexpr double kLeastRoom = 0.02;  // of gravity: where the robot may not even rest, it crawls
+  static constexpr double kLeastRoom = 0.02;  // of gravity: where a limit does not hold at rest, the robot crawls
 
   LinkPoses poses(size_t k) const { return {&poses_[k * stride_]}; }
   // Acceleration of the parameter on an interval.
@@ -163,7 +163,7 @@ class FeltSamples {
   void back_motion(size_t l, size_t k) {
     const FeltMotion &by = by_motion_[l * samples_ + k], &motion = motion_[l * samples_ + k];
     if (is_zero(by.velocity) && is_zero(by.bend) && is_zero(by.up)) return;
-    // m = R^T w changes by R^T (w x z) as the link turns about z, and by . m by z . R (by x m).
+    // m = R^T w changes by R^T (w x z) as the link rotates about z, and by . m by z . R (by x m).
     Vector3 about = cross3(by.velocity, motion.velocity);
     add3(about, 1, cross3(by.bend, motion.bend)), add3(about, 1, cross3(by.up, motion.up));
     const LinkPoses at = poses(k);
@@ -172,7 +172,8 @@ class FeltSamples {
     back_differences(l, k, at.turned(link, by.velocity), at.turned(link, by.bend));
   }
 
-  // First differences to both sides, at the ends those of a parabola; second ones, at the ends those next to them.
+  // Central first differences, at the ends those of a parabola; second differences, at the ends those of their
+  // neighbours.
   struct Stencil {
     size_t at[3];
     double first[3], second[3];

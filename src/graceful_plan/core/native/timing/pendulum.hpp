@@ -1,4 +1,4 @@
-// A pendulum that hangs where something is felt: how the surface of a liquid answers, opposite to the bob.
+// A pendulum at a point with felt acceleration: a model of a liquid's surface, whose normal is opposite to the bob.
 #pragma once
 #include <cmath>
 
@@ -11,17 +11,17 @@ struct Pendulum {
   double drag;    // [1/s]
 };
 
-// Where the bob is, a unit direction, and how fast that changes; at rest before it is moved.
+// Unit direction d of the bob and its rate of change; at rest initially.
 struct Bob {
   Vector3 d{0, 0, -1}, rate{};
 
-  // A step of so many seconds, of first order; `pull` is what is felt there, reversed, by the length. Returns by how
-  // much the bob was shrunk back to unit length.
+  // A first-order step of h seconds. `pull`: negative felt acceleration, divided by the length. Returns the factor that
+  // scaled the bob back to unit length.
   double advance(const Vector3& pull, double h, double drag) {
     kick(pull, h, drag);
     return drift(h);
   }
-  // The same of second order, where `pull` is that in the middle of the step.
+  // A second-order step; `pull` is that at the middle of the step.
   void leap(const Vector3& pull, double h, double drag) {
     drift(0.5 * h);
     kick(pull, h, drag);

@@ -1,4 +1,4 @@
-// A point that rides on a link: where it is, how it moves along a curve, and what moves it.
+// A point on a link: its position, its motion along a curve, and the joints that move it.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -34,13 +34,13 @@ struct LinkPoses {
 };
 
 struct Rider {
-  struct Mover {  // a joint: about, or along, the z axis of its link
+  struct Mover {  // a joint about, or along, the z axis of its link
     size_t joint, link;
     bool slide;
   };
   size_t link;
   Vector3 point;              // in the link
-  std::vector<Mover> movers;  // from the base on
+  std::vector<Mover> movers;  // from the base outwards
 
   Vector3 at(const LinkPoses& poses) const {
     Vector3 p = poses.turned(link, point);
@@ -48,7 +48,7 @@ struct Rider {
     return p;
   }
 
-  // The first and second derivative of the point along a curve, from those of the joints.
+  // The first and second derivatives of the point along a curve, from those of the joints.
   void derive(const LinkPoses& poses, const Vector3& p, const double* slope, const double* bend, Vector3& first,
               Vector3& second) const {
     Vector3 turning{};
@@ -65,12 +65,12 @@ struct Rider {
       }
       add3(both, 1, turning);
       add3(first, s, J);
-      // Joints before it turn J, and it turns itself.
+      // J rotates with the joints before it and with the joint itself.
       add3(second, bend[mover.joint], J), add3(second, s, cross3(both, J));
     }
   }
 
-  // From derivatives with respect to where the point is, and to how the link is turned, to those of the joints.
+  // Maps derivatives with respect to the point's position and the link's rotation to those with respect to the joints.
   void pull_back(const LinkPoses& poses, const Vector3& p, const Vector3& d_p, const Vector3& d_turn,
                  double* d_q) const {
     for (const Mover& mover : movers) {

@@ -1,8 +1,8 @@
-// What a liquid does that is carried along a curve: a pendulum swung by what is felt, charged where its surface rises
-// above the rim, and the derivatives of that charge.
+// Sloshing of a liquid along a curve: a pendulum driven by the felt acceleration, a penalty where the surface rises
+// above the rim, and derivatives of the penalty.
 //
-// The pendulum is the one of pendulum.hpp, in steps that are shares of the intervals of the curve; derivatives come
-// from running them backwards.
+// The pendulum is that of pendulum.hpp; its steps are fractions of the curve's intervals. Derivatives are computed in
+// reverse mode.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -14,13 +14,13 @@ namespace gp {
 
 struct SloshLimit {
   Vector3 axis;       // of the vessel, in the link
-  double angle;       // between the axis and the surface's normal, at most
-  Pendulum pendulum;  // without length where the surface is across what is felt: something dry
+  double angle;       // largest angle between the axis and the surface's normal
+  Pendulum pendulum;  // length 0 if the surface stays perpendicular to the felt acceleration, as of dry contents
 };
 
 class Swing {
  public:
-  // Where the pendulum hangs, what is felt at both ends of each interval, and how long each takes.
+  // Inputs of the pendulum: axis of the vessel, felt acceleration at both ends of each interval, durations.
   struct Drive {
     std::vector<Vector3> axis;          // [n + 1], in W
     std::vector<Vector3> begun, ended;  // [n]
@@ -31,9 +31,9 @@ class Swing {
 
   explicit Swing(const SloshLimit& limit) : limit_(limit), least_(std::cos(limit.angle)) {}
 
-  // The penalty: what angles exceed the limit by, in units of kUnit times the limit, added up; squared up to a unit,
-  // then linear. Slowing a motion down until an angle is half as large takes sqrt(2) times as long, so it is worth
-  // about that: with ten times as steep a penalty, descents stayed where they began.
+  // The penalty: the excess of angles over the limit, in units of kUnit times the limit, quadratic up to one unit, then
+  // linear, and summed. Halving an angle by slowing down takes sqrt(2) times as long, so the penalty is of that order;
+  // with a penalty ten times as steep, descents did not move.
   double charge(const Drive& drive, double gravity) {
     const size_t n = drive.pause.size();
     steps_ = int((kSteps + n - 1) / n), step_share_ = 1.0 / steps_, per_ = -1 / limit_.pendulum.length;
@@ -56,12 +56,12 @@ class Swing {
     }
     return sum;
   }
-  // Whether the last charge was more than nothing.
+  // Whether the last penalty was above zero.
   bool exceeds() const {
     return std::any_of(excess_.begin(), excess_.end(), [](const Excess& excess) { return excess.slope != 0; });
   }
 
-  // Derivatives of the last charge, times a weight, added up.
+  // Adds derivatives of a weight times the last penalty.
   void back(const Drive& drive, double weight, Drive& out) const {
     const size_t n = drive.pause.size();
     Vector3 by_d{}, by_rate{};
@@ -95,12 +95,13 @@ class Swing {
   }
 
  private:
-  static constexpr size_t kSteps = 120;    // along the curve, at least
-  static constexpr int kAfter = 24;        // after its end: about two thirds of a period
-  static constexpr double kRest = 0.18;    // of the frequency's inverse, a step there
-  static constexpr double kLongest = 0.8;  // of it, any step: beyond, the pendulum would gain energy
-  static constexpr double kUnit = 0.3;     // of the limit
-  static constexpr double kKnee = 1.0;     // units beyond which the charge grows evenly
+  static constexpr size_t kSteps = 120;    // least number of steps along the curve
+  static constexpr int kAfter = 24;        // number of steps after its end: about two thirds of a period
+  static constexpr double kRest = 0.18;    // step length after the end [1/frequency]
+  static constexpr double kLongest = 0.8;  // longest step [1/frequency]; with longer ones the pendulum would gain
+                                           // energy
+  static constexpr double kUnit = 0.3;     // relative to the limit
+  static constexpr double kKnee = 1.0;     // units beyond which the penalty is linear
 
   struct State {  // before a step
     Vector3 d, rate, pull;
@@ -108,7 +109,7 @@ class Swing {
   };
   struct Excess {
     Vector3 d;
-    double slope;  // of the charge with respect to the cosine
+    double slope;  // of the penalty with respect to the cosine
   };
 
   double step_of(double pause) const { return std::min(pause / steps_, kLongest / frequency_); }
@@ -137,7 +138,7 @@ class Swing {
     state_.back().shrunk = bob.advance(pull, h, limit_.pendulum.drag);
   }
 
-  // From derivatives with respect to what a step leads to, to those of where it begins.
+  // Maps derivatives with respect to the state after a step to those with respect to the state before it.
   void retreat(const State& from, Vector3& by_d, Vector3& by_rate, Vector3& by_pull, double& by_h) const {
     const auto& [d, rate, pull, h, shrunk] = from;
     const double along = dot3(pull, d), drag = limit_.pendulum.drag;
@@ -168,9 +169,9 @@ class Swing {
   }
 
   SloshLimit limit_;
-  double least_;  // cosine of its angle
+  double least_;  // cosine of the largest angle
   int steps_ = 1;
-  double step_share_ = 1, per_ = -1;  // a step as a share of its interval; what is felt pulls so much [1/m]
+  double step_share_ = 1, per_ = -1;  // step as a share of its interval; pull per felt acceleration [1/m]
   double frequency_ = 1;
   std::vector<State> state_;
   std::vector<Excess> excess_;

@@ -1,11 +1,10 @@
-// How fast to go where on a curve: time-optimal path parametrisation by reachability analysis (TOPP-RA) between rests,
-// under symmetric limits of the joints' velocities and accelerations and other limits of that form, and the derivatives
-// of its result.
+// Time-optimal path parametrisation by reachability analysis (TOPP-RA) between stops, with symmetric limits of the
+// joints' velocities and accelerations and one-sided limits of the same form, and the derivatives of its result.
 //
-// With x the squared speed of the curve's parameter and u its acceleration, constant on each interval, every joint
-// acceleration slope u + bend x is linear in (u, x), and so is what is felt in a cup. Standing still is feasible
-// everywhere, so that the set of x from which the end can be reached is [0, beta]: both passes are a minimum over
-// linear functions, no general LP.
+// Let x be the squared speed of the curve's parameter and u its acceleration, constant on each interval. Every joint
+// acceleration slope u + bend x is linear in (u, x), and so is the felt acceleration of a cup. Rest is feasible
+// everywhere, so the set of x from which the end can be reached is [0, beta]. Both passes are therefore minima over
+// linear functions instead of general LPs.
 //
 // References:
 //   H. Pham and Q.-C. Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis",
@@ -18,26 +17,26 @@
 
 namespace gp {
 
-// A curve at both ends of each interval, since derivatives may differ from the left and the right.
+// A curve at both ends of each interval, since its derivatives may have jumps there.
 struct CurveSamples {
   size_t n;                    // intervals
   size_t dim;                  // joints
-  const double* step;          // [n] length of each interval, in terms of the parameter
+  const double* step;          // [n] length of each interval in the parameter
   const double *slope, *bend;  // [n, 2, dim] first and second derivative with respect to the parameter
-  const uint8_t* stop;         // [n + 1] where the motion has to rest
+  const uint8_t* stop;         // [n + 1] where the motion has to stop
 };
 
-// What the joints leave to an interval: |u| and x at its beginning are at most so much.
+// Bounds from the joints on an interval: largest |u|, and largest x at its beginning.
 struct Box {
   double push, squared;
 };
 
-// One-sided limits a u + b x <= c with c > 0, those of one interval after those of another, and of each interval those
-// that bound u from above before the others. Those that are never the tightest are left out.
+// One-sided limits a u + b x <= c with c > 0, sorted by interval; within an interval, upper bounds of u come first.
+// Limits that are never the tightest are dropped.
 class CurveLimits {
  public:
   struct Row {
-    double a, reach, tilt;  // u is at most reach - tilt x, or at least -(reach + tilt x) where a is below 0
+    double a, reach, tilt;  // u <= reach - tilt x if a > 0, u >= -(reach + tilt x) if a < 0
     size_t tag;
   };
   struct Slope {  // derivatives with respect to a, b and c
@@ -49,14 +48,14 @@ class CurveLimits {
   const std::vector<Row>& rows() const { return row_; }
   size_t first(size_t interval) const { return first_[interval]; }
   size_t middle(size_t interval) const { return middle_[interval]; }
-  // Rows that bound u from above, or from below, only beyond this are never the tightest.
+  // Upper (lower) bounds of u in rows beyond these values are never the tightest.
   double above(size_t interval) const { return bound_[interval].above; }
   double below(size_t interval) const { return bound_[interval].below; }
 
   void begin_interval(const Box& box) {
     above_ = below_ = box.push, squared_ = box.squared, upper_.clear(), lower_.clear();
   }
-  // What |u| and x are at most, as far as is known.
+  // Upper bounds of |u| and x, as far as known.
   Box box() const { return {std::max(above_, below_), squared_}; }
   void add(double a, double b, double c, size_t tag = 0) {
     if (std::abs(a) < kLeast) a = kLeast;
@@ -85,10 +84,10 @@ class CurveLimits {
   std::vector<size_t> first_{0}, middle_;
   std::vector<Bound> bound_;
   std::vector<Row> row_, upper_, lower_;
-  double above_ = 0, below_ = 0, squared_ = 0;  // of the interval that is begun
+  double above_ = 0, below_ = 0, squared_ = 0;  // of the current interval
 };
 
-struct CurveSlopes {  // derivatives with respect to slope, bend and limits, added up
+struct CurveSlopes {  // derivatives with respect to slope, bend and limits; added to
   double *slope, *bend;
   CurveLimits::Slope* limit = nullptr;
 };
@@ -98,7 +97,7 @@ class SpeedProfile {
   SpeedProfile(std::vector<double> velocity, std::vector<double> acceleration)
       : velocity_(std::move(velocity)), acceleration_(std::move(acceleration)) {}
 
-  // Take a curve, and tell what its joints leave to each interval.
+  // Takes a curve and returns the joints' bounds on each interval.
   const std::vector<Box>& enter(const CurveSamples& curve) {
     const size_t n = curve.n;
     joint_rows_ = 2 * curve.dim * n;
@@ -116,7 +115,7 @@ class SpeedProfile {
     return box_;
   }
 
-  // The largest squared speeds at the n + 1 points of the curve that was entered.
+  // The largest squared speeds at the n + 1 points of the curve of enter().
   const std::vector<double>& compute(const CurveSamples& curve, const CurveLimits& limits) {
     const size_t n = curve.n;
     add_limits(limits), activate(curve, limits);
@@ -128,7 +127,7 @@ class SpeedProfile {
     return x_;
   }
 
-  // Derivatives of something whose derivatives with respect to the squared speeds are `d_x`; of the last compute().
+  // Maps derivatives `d_x` with respect to the squared speeds of the last compute() to the curve and the limits.
   void back(const CurveSamples& curve, const CurveLimits& limits, std::vector<double>& d_x, const CurveSlopes& out) {
     const size_t n = curve.n;
     d_beta_.assign(n + 1, 0.0), d_reach_.assign(A_.size(), 0.0), d_tilt_.assign(A_.size(), 0.0);
@@ -157,12 +156,12 @@ class SpeedProfile {
   static constexpr double kUnbounded = 1e12, kLeast = CurveLimits::kLeast;
   static constexpr size_t kBeta = size_t(-1), kEnd = size_t(-1);
   enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain, kStill, kCorner };
-  struct Bound {  // what limits beta: a joint at one side, two rows, one row; of a corner the second may be kEnd
+  struct Bound {  // what limits beta: one end of a joint, two rows, or one row; a corner's second may be kEnd
     Kind kind = kFixed;
     size_t first = 0, second = 0;
   };
 
-  // A row that may be the tightest: u is at most reach - tilt x, or at least -(reach + tilt x).
+  // A row that may be the tightest: u <= reach - tilt x, or u >= -(reach + tilt x).
   struct Active {
     double reach, tilt;
     size_t row;
@@ -175,7 +174,7 @@ class SpeedProfile {
   Actives upper(size_t i) const { return {&active_[first_[2 * i]], &active_[first_[2 * i + 1]]}; }
   Actives lower(size_t i) const { return {&active_[first_[2 * i + 1]], &active_[first_[2 * i + 2]]}; }
 
-  // Joints bound u from both sides, the other limits from one.
+  // Joints bound u on both sides, other limits on one.
   void activate(const CurveSamples& curve, const CurveLimits& limits) {
     active_.clear(), first_.assign(1, 0);
     const auto add = [&](size_t i, double side, double bound, size_t first, size_t end) {
@@ -189,10 +188,10 @@ class SpeedProfile {
       add(i, 1, limits.above(i), limits.first(i), limits.middle(i));
       add(i, -1, limits.below(i), limits.middle(i), limits.first(i + 1));
     }
-    active_.push_back({});  // so that there is an end to point to
+    active_.push_back({});  // so that the last range has a valid end
   }
 
-  // Limits at the beginning of an interval, and at its end, where x + 2 step u holds.
+  // Limits at the beginning of an interval, and at its end, where the squared speed is x + 2 step u.
   void add_joints(const CurveSamples& curve, size_t i) {
     const size_t dim = curve.dim;
     const double *slope = curve.slope + 2 * dim * i, *bend = curve.bend + 2 * dim * i, S = 2 * curve.step[i];
@@ -235,13 +234,13 @@ class SpeedProfile {
     overturns_[i] = S * steepest > 1;
     if (overturns_[i])
       for (const Active& row : upper(i)) {
-        const double gain = 1 - S * row.tilt;  // not below rest within the interval
+        const double gain = 1 - S * row.tilt;  // x must not become negative within the interval
         if (gain < 0 && S * row.reach < beta_[i] * -gain) limit(i, S * row.reach / -gain, {kOverturn, row.row, 0});
       }
     if (floor > ceiling) part(i);
   }
-  // No lower bound of u may pass an upper one. Their gap is concave in x and open at rest, so that Newton's method from
-  // where it is closed comes down on its root, with the tightest row of each side at a time.
+  // Every lower bound of u must stay below every upper bound. Their gap is concave in x and positive at rest, so
+  // Newton's method from a closed gap descends to its root, using the tightest row of each side at a time.
   void part(size_t i) {
     for (size_t pair = 0; pair < A_.size(); ++pair) {
       double floor = -kUnbounded, ceiling = kUnbounded;
@@ -268,8 +267,8 @@ class SpeedProfile {
       if (gain > 0 && most < beta_[i] * gain) limit(i, most / gain, {kChain, row.row, 0});
     }
   }
-  // What an upper row says of the squared speed at the end of its interval: at most gain x + push, x that at its
-  // beginning. So does beta there, with a gain of 0.
+  // The upper bound gain x + push of the squared speed at an interval's end, with x that at its beginning. It comes
+  // from an upper row, or from beta at the end, with gain 0.
   struct Line {
     double gain, push;
     size_t row;
@@ -279,9 +278,9 @@ class SpeedProfile {
     if (r == kEnd) return {0, beta_[i + 1], kEnd};
     return {1 - 2 * curve.step[i] * tilt_[r], 2 * curve.step[i] * reach_[r], r};
   }
-  // Where to go as fast as can be now means to go slowly next, as where a row says next to nothing of u, less speed is
-  // better: as much as makes the sum of both speeds the greatest. Where that is depends continuously on the curve; the
-  // fastest next after the fastest now does not.
+  // If the largest speed now forces a low speed next, as where a row hardly depends on u, a lower speed is better: the
+  // one that maximises the sum of both. That optimum depends continuously on the curve, unlike the result of always
+  // taking the largest speed.
   void ease(const CurveSamples& curve, size_t i) {
     if (!overturns_[i]) return;
     Line now = line(curve, i, kEnd);
@@ -308,7 +307,7 @@ class SpeedProfile {
   }
   void go_on(const CurveSamples& curve, size_t i) {
     const double S = 2 * curve.step[i];
-    // At a corner, the steeper of its rows says the same, but with less precision.
+    // At a corner, the steeper row gives the same speed with less precision.
     const size_t steep = bound_[i].kind == kCorner && x_[i] >= beta_[i] ? bound_[i].first : kEnd;
     double best = beta_[i + 1];
     for (const Active& row : upper(i)) {
@@ -355,7 +354,7 @@ class SpeedProfile {
   void back_joints(const CurveSamples& curve, size_t i, const CurveSlopes& out) const {
     const size_t dim = curve.dim;
     for (size_t k = 0; k < 2 * dim; ++k) {
-      const size_t r = 2 * dim * i + k;  // slopes are laid out so too: the beginning's joints, then the end's
+      const size_t r = 2 * dim * i + k;  // slopes have the same layout: joints at the beginning, then at the end
       if (d_reach_[r] == 0 && d_tilt_[r] == 0) continue;
       const double d_A = by_a(r);
       out.slope[r] += d_A;
@@ -369,9 +368,9 @@ class SpeedProfile {
   std::vector<double> cap_, beta_, x_, d_beta_, d_reach_, d_tilt_;
   std::vector<Bound> cap_bound_, bound_;
   std::vector<Active> active_;
-  std::vector<size_t> first_;  // of the active rows of each interval, upper ones and lower ones by turns
+  std::vector<size_t> first_;  // into the active rows of each interval: upper ones, then lower ones
   std::vector<size_t> limited_;
-  std::vector<uint8_t> overturns_;  // whether going fast may mean to be below rest at the end of an interval
+  std::vector<uint8_t> overturns_;  // whether a high speed may force x below 0 at the end of an interval
   std::vector<Box> box_;
 };
 

@@ -1,4 +1,4 @@
-// Whether the contents of a vessel stay in it along a timed motion, sloshing included.
+// Whether the contents of a vessel stay in it along a timed motion, with sloshing.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -8,7 +8,7 @@
 
 namespace gp {
 
-// How a vessel moves along a curve: derivatives of a point of it at both ends of each interval, and its axis, in W.
+// Motion of a vessel along a curve: derivatives of a point at both ends of each interval, and its axis, in W.
 struct VesselMotion {
   struct Interval {
     Vector3 velocity[2], bend[2];
@@ -17,14 +17,14 @@ struct VesselMotion {
   std::vector<Vector3> axis;       // [n + 1]
 };
 
-// Whether the surface stays below its limit where the curve is travelled at squared speeds `x`, slowed down by a
-// factor, and for a while after its end.
+// Whether the surface stays within its limit if the curve is travelled at squared speeds `x`, slowed down by a factor,
+// and for some time after the end.
 inline bool stays_in(const SloshLimit& limit, double gravity, const CurveSamples& curve, const VesselMotion& vessel,
                      const std::vector<double>& x, double factor) {
   constexpr double kPhase =
-      0.03;  // of the pendulum's swing, in one step [rad]: with 0.06 the judge sees tall bottles spill
-  constexpr double kAfter = 0.5;      // [s]
-  constexpr double kMostSteps = 1e4;  // of an interval: by then it has come to rest
+      0.03;  // largest step of the pendulum's swing [rad]; with 0.06, the judge found spills of tall bottles
+  constexpr double kAfter = 0.5;      // time after the end [s]
+  constexpr double kMostSteps = 1e4;  // largest number of steps in an interval, after which the pendulum is at rest
   const double least = std::cos(limit.angle), slower = 1 / (factor * factor);
   const bool liquid = limit.pendulum.length > 0;
   const double longest = kPhase * std::sqrt(limit.pendulum.length / gravity);

@@ -1,5 +1,4 @@
-// From squared speeds along a curve to a timed motion: samples, between which it is the cubic that meets positions and
-// velocities at both ends.
+// From squared speeds along a curve to a timed motion: samples with positions and velocities, and cubics between them.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,7 +11,7 @@ namespace gp {
 struct Travel {
   std::vector<size_t> at;             // points of the curve that are samples
   std::vector<double> t, q, qd, qdd;  // [n], [n, dim]
-  double excess = 1;                  // times as long as limits between the samples ask for
+  double excess = 1;                  // factor on the duration that the limits between samples require
 
   double duration() const { return t.back(); }
   void stretch(double factor) {
@@ -22,7 +21,7 @@ struct Travel {
   }
 };
 
-// By what factor, at least 1, to stretch the time of n samples so that the cubics in between keep the limits.
+// Factor >= 1 on the times of n samples at which the cubics between them keep the limits.
 inline double cubics_excess(size_t n, size_t dim, const double* t, const double* q, const double* qd, const double* qdd,
                             const double* velocity, const double* acceleration) {
   double squared = 1, excess = 1;
@@ -34,7 +33,7 @@ inline double cubics_excess(size_t n, size_t dim, const double* t, const double*
       const double a0 = (6 * mean - 4 * v0 - 2 * v1) * per, a1 = (-6 * mean + 2 * v0 + 4 * v1) * per;
       const double push = std::max({std::abs(a0), std::abs(a1), std::abs(qdd[a])});
       if (push > squared * acceleration[j]) squared = push / acceleration[j];
-      // Within a piece the velocity peaks where the linear acceleration changes sign.
+      // Within a piece, the velocity peaks where the linear acceleration changes sign.
       const double crossing = a0 * a1 < 0 ? a0 / (a0 - a1) * h : 0.0;
       const double fast = std::max(std::abs(v0 + 0.5 * a0 * crossing), std::abs(v0));
       if (fast > excess * velocity[j]) excess = fast / velocity[j];
@@ -43,7 +42,7 @@ inline double cubics_excess(size_t n, size_t dim, const double* t, const double*
   return std::max(excess, std::sqrt(squared));
 }
 
-// Drop samples that come too soon after the one before [s]; where a motion rests they stay.
+// Drops samples that follow the one before in less than `shortest` [s]; samples at rest stay.
 inline std::vector<size_t> long_pieces(const std::vector<double>& t, const std::vector<uint8_t>& rests,
                                        double shortest) {
   std::vector<size_t> kept;
@@ -57,10 +56,10 @@ inline std::vector<size_t> long_pieces(const std::vector<double>& t, const std::
   return kept;
 }
 
-constexpr double kShortestPiece = 1e-5;  // [s]: no controller can tell the ends of shorter ones apart
+constexpr double kShortestPiece = 1e-5;  // [s]; controllers cannot resolve shorter pieces
 
-// Travel a curve at squared speeds `x`, with constant acceleration of the parameter on each interval. False where it
-// comes to a halt; `halted` is then the interval.
+// Travels a curve at squared speeds `x`, with constant acceleration of the parameter on each interval. Returns false if
+// the motion comes to a halt, with the interval in `halted`.
 inline bool travel(const CurveSamples& curve, const double* q, const std::vector<double>& x, Travel& out,
                    size_t& halted) {
   const size_t n = curve.n, dim = curve.dim;

@@ -1,12 +1,12 @@
-// The spill model: whom contents reach after a drop, and if they get out in the gripper. The specification, with the
-// letters used here, is in costs/models/spill. What is left out to save time is as in drop.hpp.
+// The spill model: entities that contents reach after a drop, or when they leave the container in the gripper.
+// costs/models/spill specifies the model and its letters. Shortcuts that save time are as in drop.hpp.
 
 // --- the container --------------------------------------------------------------------------------------------------
 
 struct Mouth {
-  Vec<D> o, axis;      // from c; the container's axis
-  D x, y, vx, vy, vz;  // m, vm
-  D up, speed2;        // p, sm2
+  Vec<D> o, axis;      // o: from c to the mouth; the container's axis
+  D x, y, vx, vy, vz;  // m and vm: place and velocity of the mouth
+  D up, speed2;        // p: smooth upward component of the axis; sm2: squared horizontal speed
 };
 
 static inline void pour(const SpillTables& spill, const Frame<D>& X, const Flight& flight, Mouth& mouth) {
@@ -18,7 +18,7 @@ static inline void pour(const SpillTables& spill, const Frame<D>& X, const Fligh
   mouth.speed2 = mouth.vx * mouth.vx + mouth.vy * mouth.vy;
 }
 
-// How full a tilted container is.
+// Fill level of a container, relative to its capacity at this tilt.
 struct Filling {
   D slope, lean, speed, x, fill, rho;
 
@@ -45,10 +45,10 @@ static inline D upon(const Surface& s, D x, D y, D a, D b, D inverse_scale) {
 }
 
 struct SpillLevel {
-  D u, hard, arrives, x, y;  // q, a, L; places from m
-  D flows, flow_x, flow_y;   // O, o above the level
-  D past, over;              // g, h
-  D lands, land_x, land_y;   // U, W
+  D u, hard, arrives, x, y;  // q, a, L: P of a hard impact, P of arriving, places from m
+  D flows, flow_x, flow_y;   // O, o: P that contents have run over an edge, and weighted place, above the level
+  D past, over;              // g, h: P of running past the level, P of running over its edges
+  D lands, land_x, land_y;   // U, W: P of landing on the level, and weighted place
 };
 
 static inline D impact_speed(const Flight& flight, double top) {
@@ -58,15 +58,16 @@ static inline D impact_speed(const Flight& flight, double top) {
 
 struct Spill {
   const SpillConstants& k;
-  D x, y, inverse_scale, rho;  // m
-  double inner;                // half sizes up to which a surface carries no puddle without an edge
+  D x, y, inverse_scale, rho;  // m: place of the mouth
+  double inner;                // ke R: distance to a surface's edges within which a puddle runs over
   SpillLevel level[kMaxSurfaces];
-  D sum[kMaxSurfaces + 1], sum_x[kMaxSurfaces + 1], sum_y[kMaxSurfaces + 1];  // of U and W over the levels above
-  D fallen[kMaxSurfaces], flown[kMaxSurfaces], stood[kMaxSurfaces];           // A, B, D
+  D sum[kMaxSurfaces + 1], sum_x[kMaxSurfaces + 1], sum_y[kMaxSurfaces + 1];  // sums of U and W over the levels above
+  D fallen[kMaxSurfaces], flown[kMaxSurfaces], stood[kMaxSurfaces];  // A, B, D: P of reaching a surface by landing, by
+                                                                     // flowing, by standing in the puddle
 
   explicit Spill(const SpillConstants& constants) : k(constants) {}
 
-  // `radius` of the puddle; `severity` as in drop_probability.
+  // `radius`: of the puddle; `severity`: as in drop_probability.
   void run(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, D radius,
            const double* severity) {
     const SpillTables& spill = drop.spill;

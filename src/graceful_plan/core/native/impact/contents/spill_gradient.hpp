@@ -1,11 +1,11 @@
-// The gradient of the spill model: spill.hpp backwards, written as drop_gradient.hpp.
+// The gradient of the spill model: spill.hpp in reverse mode, with the conventions of drop_gradient.hpp.
 
 struct MouthSlope {
   D x = {}, y = {}, vx = {}, vy = {}, vz = {}, up = {}, speed2 = {};
   Vec<D> axis = {D{}, D{}, D{}};
 };
 
-// Derivatives with respect to what all surfaces share.
+// Derivatives with respect to quantities that all surfaces share.
 struct SpillSlope {
   D x = {}, y = {}, inverse_scale = {}, rho = {};
   D lands[kMaxSurfaces + 1], land_x[kMaxSurfaces + 1], land_y[kMaxSurfaces + 1];  // U and W, per level
@@ -15,7 +15,7 @@ struct SpillSlope {
   }
 };
 
-// P that a point is within half sizes of a surface's centre, with its derivatives; x and y are those of W.
+// P that a point is within half sizes of a surface's centre, with derivatives; x and y are along the axes of W.
 struct Upon {
   D value = {}, x = {}, y = {}, half = {}, inverse_scale = {};
 
@@ -30,7 +30,7 @@ struct Upon {
   }
 };
 
-// --- what stands in the puddle --------------------------------------------------------------------------------------
+// --- surfaces in the puddle -----------------------------------------------------------------------------------------
 
 static inline void back_standing(const DropTables& drop, const Spill& spill, int i, D d_D, SpillSlope& d) {
   const SpillSurface& stands = drop.spill.surface[i];
@@ -47,7 +47,7 @@ static inline void back_standing(const DropTables& drop, const Spill& spill, int
   d.x += d_upon * upon.x, d.y += d_upon * upon.y;
   const D d_x = d_upon * upon.x * share, d_y = d_upon * upon.y * share;
   const D d_U = where(U < 1.0, d_D * upon.value, D{}) - d_x * x - d_y * y;
-  // Of sums over levels: differences here, summed up in back_spill.
+  // These are derivatives of sums over levels: differences here, summed up in back_spill.
   d.lands[stands.first] += d_U, d.land_x[stands.first] += d_x, d.land_y[stands.first] += d_y;
   d.lands[stands.end] -= d_U, d.land_x[stands.end] -= d_x, d.land_y[stands.end] -= d_y;
 }
@@ -58,11 +58,11 @@ struct FlowSlope {
   D flows = {}, x = {}, y = {};  // O and o
 };
 
-struct LevelSlope {  // of what arrives at, or lands on, a level: how much, and where
+struct LevelSlope {  // of contents that arrive at or land on a level: amount and place
   D amount, x, y;
 };
 
-struct ReachedSlope {  // A, B and what stands in the puddle, per surface
+struct ReachedSlope {  // A, B and D (surfaces in the puddle), per surface
   D fallen[kMaxSurfaces], flown[kMaxSurfaces], stood[kMaxSurfaces];
 };
 
@@ -94,7 +94,8 @@ static inline void back_over(const DropTables& drop, const Spill& spill, int l, 
   }
 }
 
-// d_flow: with respect to the state below the level, replaced by that above it. Returns that of what arrives.
+// d_flow: derivatives with respect to the state below the level, replaced by those above it. Returns those with respect
+// to the arriving contents.
 static inline LevelSlope back_flow(const DropTables& drop, const Spill& spill, int l, const ReachedSlope& reached,
                                    FlowSlope& d_flow, SpillSlope& d) {
   const SpillLevel& at = spill.level[l];
@@ -204,13 +205,14 @@ static inline D severest(const DropTables& drop, const Spill& spill, const doubl
   return impact;
 }
 
-// What gets out: with which probability, and the radius of its puddle, with the derivative with respect to that.
+// Contents that leave the container: the probability, the radius of their puddle, and the derivative with respect to
+// it.
 struct Outflow {
   const SpillConstants& k;
   D weight, rho, d_rho = {};
 };
 
-// The impact if it gets out; derivatives of that times its weight.
+// Returns the impact if contents leave; derivatives are those of the impact times its weight.
 static inline D back_spill(Backward& back, const Mouth& mouth, Outflow& out, const double* severity,
                            MouthSlope& d_mouth) {
   const DropTables& drop = back.drop;
@@ -233,7 +235,7 @@ static inline D back_spill(Backward& back, const Mouth& mouth, Outflow& out, con
   return impact;
 }
 
-// Returns the derivative with respect to a small turn of the object.
+// Returns the derivative with respect to a small rotation of the object.
 static inline Vec<D> back_pour(const Flight& flight, const Mouth& mouth, const MouthSlope& d, FlightSlope& d_flight) {
   const Vec<D> d_u = {d.vx + 2.0 * d.speed2 * mouth.vx, d.vy + 2.0 * d.speed2 * mouth.vy, d.vz};
   const D d_z = d.up * mouth.up * inverse_root(mouth.axis.z * mouth.axis.z + 0.01);

@@ -1,9 +1,9 @@
-// The inertial spill: what leaves a container when the robot stops by itself. The specification, with the letters used
-// here, is in costs/models/spill.
+// The inertial spill: contents that leave the container in a protective stop. costs/models/spill specifies the model
+// and its letters.
 
 // --- values ----------------------------------------------------------------------------------------------------------
 
-// What a container keeps whose axis has this cosine with the upward direction of what is felt in it.
+// The contents that a container keeps, given the cosine between its axis and the upward felt direction.
 struct Leaning {
   D root, up, slope, x, fill, fourth, kept;
 
@@ -17,7 +17,7 @@ struct Leaning {
   }
 };
 
-// e: P that all contents stay, but for what nobody notices.
+// e: P that all contents stay, except for a negligible amount.
 struct Staying {
   D exponent, value;
 
@@ -25,19 +25,19 @@ struct Staying {
       : exponent(logarithm(leaning.fill) * (1.0 / (kBeta * stop.spread))), value(reciprocal(1.0 + odds(exponent))) {}
 };
 
-// T: how long the robot needs to stop.
+// T: time that the robot needs to stop.
 static inline D stopping_time(const Tables& tables, const StopTables& stop, const D* qd) {
   D longest = {};
   for (int j = 0; j < tables.n_joint; ++j) longest = maximum(longest, absolute(qd[j]) * stop.slowness[j]);
   return longest;
 }
 
-constexpr double kLeastFelt = 1e-4;  // squared [m^2/s^4]
+constexpr double kLeastFelt = 1e-4;  // added to squared accelerations [m^2/s^4]
 
 struct Stop {
-  D time, rate;  // a = rate vm
+  D time, rate;  // a = rate vm: acceleration of the mouth
   Vec<D> felt;
-  D inverse, cosine;  // of |felt|; of the axis
+  D inverse, cosine;  // 1 / |felt|; cosine between the axis and the felt direction
   Leaning before, braked;
   Staying stayed, stays;
   D chance, lost, rho;
@@ -56,12 +56,11 @@ struct Stop {
     lost = relu(before.kept - braked.kept);
     rho = spill.radius * exponential(spill.power * logarithm(lost + kLeastLost));
   }
-  // What `inverse` is at rest: exactly then a stop changes nothing.
+  // The value of `inverse` at rest, so that a stop without acceleration changes nothing.
   static D still() { return inverse_root(D{} + (kGravity * kGravity + kLeastFelt)); }
 };
 
-// --- backwards, written as drop_gradient.hpp
-// ----------------------------------------------------------------------------
+// --- reverse mode, as in drop_gradient.hpp ---------------------------------------------------------------------------
 
 // Returns the derivative with respect to the cosine.
 static inline D back_leaning(const SpillTables& spill, const Leaning& leaning, D d_logarithm, D d_kept) {
@@ -78,7 +77,7 @@ static inline D back_stop(const SpillTables& spill, const StopTables& tables, co
                           D d_chance, D d_rho, MouthSlope& d_mouth) {
   const D d_out = where(stop.chance > 0.0, d_chance, D{});
   const D d_lost = where(stop.lost > 0.0, d_rho * stop.rho * spill.power * reciprocal(stop.lost + kLeastLost), D{});
-  // Of 1 - e'/e with respect to ln fill; exponents are held where nothing stays for certain.
+  // Derivative of 1 - e'/e with respect to ln fill; it is 0 where exponents are clamped.
   const D ratio = d_out * stop.stays.value * reciprocal(stop.stayed.value) * (1.0 / (kBeta * tables.spread));
   const auto slope = [&](const Staying& at) { return where(at.exponent < kHeld, ratio * (1.0 - at.value), D{}); };
   const D d_before = back_leaning(spill, stop.before, -slope(stop.stayed), d_lost),
@@ -94,7 +93,7 @@ static inline D back_stop(const SpillTables& spill, const StopTables& tables, co
   return -d_rate * stop.rate * stop.time * reciprocal(slowed);
 }
 
-// Of several joints that need equally long the first one counts.
+// If several joints need equally long, the first one counts.
 static inline void back_stopping_time(const Tables& tables, const StopTables& stop, const D* qd, D longest, D d_time,
                                       D* d_qd) {
   D open = d_time;

@@ -1,13 +1,13 @@
-// The drop model, first part: the state of the carried object when it is let go, and where it flies, up to the side of
-// something that is in its way. The specification, with the letters used here, is in costs/models/drop. It is compiled
-// for two precisions: D, and what is left out to save time (kTail, kHeld, kNothing), stand in kernels.cpp.
+// The drop model, first part: the state of the carried object at its release, and its flight up to a side in the way.
+// costs/models/drop specifies the model and its letters. The file is compiled for two precisions; kernels.cpp defines D
+// and the limits of shortcuts (kTail, kHeld, kNothing).
 
 constexpr double kGravity = 9.81;
 constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
 constexpr double kHalfRoot = 0.70710678118654752440;
-constexpr double kTouch = 0.008;  // how sharply a part passes the height of a top [m]
+constexpr double kTouch = 0.008;  // smoothing width for passing the height of a top (step 1 of the specification) [m]
 constexpr double kAbove =
-    -kTouch * (1.0 + kTail * kBeta);  // lower above a top than that, a part does not come down on it
+    -kTouch * (1.0 + kTail * kBeta);  // a part that is lower relative to a top does not land on it [m]
 constexpr double kLeastMass = 1e-6;
 
 // --- functions ------------------------------------------------------------------------------------------------------
@@ -25,16 +25,16 @@ static inline Vec<D> cross(const Vec<D>& a, const Vec<D>& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-// Where a noisy point may be within half sizes of a centre, given its place in their axes.
+// The lanes in which a noisy point may be within half sizes of a centre, given its place in their axes.
 template <class A> static inline auto may_be_within(const Point2& at, const A& a, const A& b, D inverse_scale) {
   return ((absolute(at.x) - a) * inverse_scale < kTail) & ((absolute(at.y) - b) * inverse_scale < kTail);
 }
 
-// e^x, held at what is nothing in a probability.
+// e^x, clamped from below where it is negligible in a probability.
 static inline D tail(D x) { return exponential(maximum(x, D{} - kHeld)); }
 static inline D odds(D x) { return tail(minimum(x, D{} + kHeld)); }
 
-// A product of probabilities with one division for all of them: no factor of `under` is below 1.
+// A product of probabilities with a single division; no factor of `under` is below 1.
 struct Chance {
   D over = D{} + 1.0, under = D{} + 1.0;
 
@@ -42,7 +42,7 @@ struct Chance {
   [[gnu::always_inline]] void within(D x, D A, D inverse_scale) {
     A = maximum(A, D{} + 1e-4);
     const D inside = (A - absolute(x)) * inverse_scale;
-    if (!any(inside < kTail)) return;  // certain: the ground, large tables
+    if (!any(inside < kTail)) return;  // certain, as over the ground or large tables
     const D f = odds(-inside), h = tail(-(absolute(x) + A) * inverse_scale);
     over *= 1.0 - f * h;
     under *= (1.0 + f) * (1.0 + h);
@@ -60,30 +60,30 @@ static inline D fall(D vz, D h) {
 // --- the state at release -------------------------------------------------------------------------------------------
 
 struct FlyingPart {
-  Vec<D> o, u;  // centre from c, velocity of it
-  D axis[9], bottom;
-  D stands;  // how much of the ground contact is its
+  Vec<D> o, u;        // o: from c to the part's centre; u: velocity of that centre
+  D axis[9], bottom;  // rotation Q, lowest point
+  D stands;           // the part's weight in the ground contact
 };
 
-// What the first side in its way does to the flight.
+// Effect of the first side in the way on the flight.
 struct SideStop {
-  D time = {}, x = {}, y = {}, chance = {};  // ts, p, E
-  D side = D{} - 1.0;                        // whose it is: twice the surface, one more if it lies across its y axis
+  D time = {}, x = {}, y = {}, chance = {};  // ts, p, E: time, loss of velocity, P of hitting the side
+  D side = D{} - 1.0;                        // 2 * surface for a side across its x axis, one more for its y axis
   D effect = {};
 
-  // Whether it is a side of a surface.
+  // Whether the side belongs to a surface.
   auto is_of(int surface) const { return (side == double(2 * surface)) | (side == double(2 * surface + 1)); }
 };
 
 struct Flight {
-  Vec<D> c, v, w;
+  Vec<D> c, v, w;  // centre of mass, its velocity, angular velocity
   SideStop stop;
   FlyingPart part[kMaxDropParts];
-  D low, high, highest_bottom, tilt, speed;
-  D turn_speed, late;  // |w|, and how much later than the lowest part another may be down, at most
+  D low, high, highest_bottom, tilt, speed;  // lowest and highest point; highest of the parts' lowest points
+  D turn_speed, late;                        // |w|, and the largest delay of another part after the lowest one
 };
 
-// How far a part reaches in a direction whose components in its axes are d.
+// Extent of a part in a direction, given as components d along the part's axes.
 static inline D reach(const DropPart& part, const D d[3]) {
   if (part.shape == kBall) return D{} + part.half[0];
   if (part.shape == kFlat)
@@ -145,11 +145,11 @@ static inline void release(const Tables& tables, const DropTables& drop, const F
   flight.tilt = tilt_of(drop.part[drop.main].shape, flight.part[drop.main].axis);
   flight.speed = square_root(flight.v.x * flight.v.x + flight.v.y * flight.v.y + 1e-4);
   flight.turn_speed = square_root(flight.w.x * flight.w.x + flight.w.y * flight.w.y + flight.w.z * flight.w.z + 1e-12);
-  // Heights differ by so much at most, and a square root of a sum is below the sum of the square roots.
+  // All heights differ by less, and sqrt(a + b) <= sqrt(a) + sqrt(b).
   flight.late = square_root((flight.highest_bottom - flight.low) * (2.0 / kGravity) + 1e-12);
 }
 
-// Where the centre of mass is so long after the release.
+// Place of the centre of mass at a time after the release.
 static inline Point2 travelled(const Flight& flight, D time) {
   const D pushed = relu(time - flight.stop.time);
   return {flight.c.x + flight.v.x * time + flight.stop.x * pushed,
@@ -158,16 +158,16 @@ static inline Point2 travelled(const Flight& flight, D time) {
 
 // --- 0. sides in the way --------------------------------------------------------------------------------------------
 
-constexpr double kSideTouch =
-    0.006;                          // how sharply the object is in front of a side, not above what that belongs to [m]
-constexpr double kSideTop = 0.067;  // how sharply it is below its upper edge, and above its lower one [m]
-constexpr double kSideWidth = 2.2360679774997896;  // of a step over noise of standard deviation 1: sqrt(5)
-constexpr double kSideLate = 0.067;                // how sharply it is there before it comes down [s]
-constexpr double kSideAfter = 0.15;                // how long after it has come down a side may still be in its way [s]
-constexpr double kSideSlow = 1e-3;                 // slower than that it gets nowhere [m/s]
-constexpr double kSideMoves = 0.1;                 // as fast as that it counts as flying towards a side [m/s]
+constexpr double kSideTouch = 0.006;  // smoothing width for being in front of a side instead of above its surface [m]
+constexpr double kSideTop =
+    0.067;  // smoothing width for being below the upper edge of a side and above the lower one [m]
+constexpr double kSideWidth = 2.2360679774997896;  // width of a step over noise of standard deviation 1: sqrt(5)
+constexpr double kSideLate = 0.067;                // smoothing width for reaching a side before landing [s]
+constexpr double kSideAfter = 0.15;                // time after landing in which a side may still be hit [s]
+constexpr double kSideSlow = 1e-3;                 // lower bound of speeds towards a side [m/s]
+constexpr double kSideMoves = 0.1;                 // speed that fully counts as flying towards a side [m/s]
 
-// From 0 at -1 to 1 at 1, and its derivative.
+// A smooth step from 0 at x = -1 to 1 at x = 1, and its derivative.
 struct Step {
   D value, slope;
 
@@ -177,11 +177,11 @@ struct Step {
   }
 };
 
-// How far the whole object reaches from its centre of mass, along a surface's axes.
+// Extent of the whole object from its centre of mass, along a surface's axes.
 struct Extents {
   int turn = -1;
   D low[2], high[2];
-  D lowest[2], highest[2];  // which parts these are of
+  D lowest[2], highest[2];  // the parts with these extents
 
   void turn_to(const DropTables& drop, const Flight& flight, const Surface& s) {
     if (turn == s.turn) return;
@@ -207,10 +207,10 @@ struct Extents {
   }
 };
 
-// How the object meets one of the two sides of a surface across its axis i that it flies towards.
+// How the object hits that side of a surface across its axis i towards which it flies.
 struct SideMeeting {
   D gap, speed, time;
-  D across, half, inverse_width, falls, height;  // once it is known that it may meet it at all
+  D across, half, inverse_width, falls, height;  // computed by detail() if a hit is possible
 
   SideMeeting(const Surface& s, const Extents& extents, int i, const D at[2], const D v[2]) {
     gap = where(v[i] < 0.0, at[i] + extents.low[i], -at[i] - extents.high[i]) - s.half[i];
@@ -246,7 +246,7 @@ static inline void find_stop(const DropTables& drop, Flight& flight) {
   const DropConstants& k = drop.constants;
   const D end = fall(flight.v.z, flight.low - drop.surface[drop.n_surface - 1].top) + (k.delay + kSideAfter);
   const D margin = drop.radius + kSideWidth * (k.position_spread + k.velocity_spread * end);
-  // From here to the end of the flight: its middle, and how far from it anything may be met.
+  // Bounds of the rest of the flight: its middle, and the distances from it within which a side may be hit.
   const D ahead_x = 0.5 * flight.v.x * end, ahead_y = 0.5 * flight.v.y * end;
   const D x = flight.c.x + ahead_x, y = flight.c.y + ahead_y;
   const D far_x = absolute(ahead_x) + margin, far_y = absolute(ahead_y) + margin;

@@ -1,6 +1,6 @@
-// The gradient of what a side in the way does to the flight: flight.hpp backwards; see drop_gradient.hpp.
+// The gradient of the effect of a side in the way: flight.hpp in reverse mode; see drop_gradient.hpp.
 
-// From derivatives with respect to how far the object reaches along a surface's axis, on both sides, to its parts'.
+// Maps derivatives with respect to the object's extents along a surface's axis to the parts.
 static inline void back_extents(Backward& back, const Extents& extents, const Surface& s, int i, D d_low, D d_high) {
   const double x = Extents::axis_x(s, i), y = Extents::axis_y(s, i);
   for (int p = 0; p < back.drop.n_part; ++p) {
@@ -11,7 +11,7 @@ static inline void back_extents(Backward& back, const Extents& extents, const Su
   }
 }
 
-// One meeting, in the lanes in which it is what stops the flight; `d` is zero in the others.
+// One side, in the lanes in which it stops the flight; `d` is zero in the others.
 static inline void back_meeting(Backward& back, const Extents& extents, int surface, int i, const StopSlope& d) {
   auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const DropConstants& k = drop.constants;

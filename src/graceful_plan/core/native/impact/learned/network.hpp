@@ -1,28 +1,28 @@
-// A network that multiplies the odds of each hit of the drop model by a learned factor; costs/models/drop/network.py
-// says how it is made, and names what it is told in the order in which it stands here.
+// A network that multiplies the odds of each hit of the drop model by a learned factor. costs/models/drop/network.py
+// describes its training, and its inputs in the order used here.
 
-constexpr double kCorrected = 1e-4;  // probabilities below that are left as they are
-constexpr double kRounded = 1e-4;    // square of the length over which distances from an axis are rounded off [m2]
-constexpr double kDeep = 10.0;       // inverse of a height of fall that is neither little nor much [1/m]
+constexpr double kCorrected = 1e-4;  // smaller probabilities are not corrected
+constexpr double kRounded = 1e-4;    // square of the length over which distances from an axis are rounded off [m^2]
+constexpr double kDeep = 10.0;       // inverse of a medium height of fall [1/m]
 
-// From all numbers to -1 to 1, and the derivative.
+// Maps all numbers to -1 to 1; with the derivative.
 static inline D squash(D x) { return x * inverse_root(1.0 + x * x); }
 static inline D squash_slope(D x) {
   const D r = inverse_root(1.0 + x * x);
   return r * r * r;
 }
 
-// P of a hit by the first contact, by a fall from there, and from the side: C, G, H.
+// C, G, H: P of a hit by the first contact, by the fall after it, and from the side.
 struct Hits {
   D contact, tumble, side;
 
   D any_of_them() const { return 1.0 - (1.0 - contact) * (1.0 - tumble) * (1.0 - side); }
 };
 
-// What a surface looks like to the object: what the network is told, and what that was made of.
+// Inputs of the network for one surface, and intermediate values.
 struct Sight {
   D told[kNetworkInputs];
-  D x, y, ax, ay;         // where the object comes down, in the surface's axes; smooth absolute values
+  D x, y, ax, ay;         // place of landing in the surface's axes; smooth absolute values
   D dx, dy, inverse_far;  // from there to the surface's centre, in W
   D beside_x, beside_y, drop_height, above_top, above_bottom;
 
@@ -50,10 +50,10 @@ struct Sight {
   }
 };
 
-// The network's answer for one surface, with what its way back needs.
+// The network's output for one surface, with values for the reverse pass.
 struct Answer {
-  D first[kMaxHidden], second[kMaxHidden], raw;  // before they are squashed
-  D log_factor;                                  // of the odds
+  D first[kMaxHidden], second[kMaxHidden], raw;  // before squash()
+  D log_factor;                                  // log of the factor on the odds
 
   Answer(const DropNetwork& net, int surface, const D told[kNetworkInputs]) {
     using T = Scalar<D>;
@@ -75,7 +75,7 @@ struct Answer {
   }
 };
 
-// P -> P f/(1 - P + P f): odds times f, which fades to 1 where there is hardly anything to correct.
+// P -> P f/(1 - P + P f): odds times f; f fades to 1 where P is close to kCorrected.
 struct Corrected {
   D fade, factor, inverse, value;
 
@@ -87,7 +87,7 @@ struct Corrected {
   }
 };
 
-// P of a hit of a surface, by the network if there is one.
+// P of a hit of a surface, corrected by the network if there is one.
 static inline D hit_of(const DropTables& drop, const Flight& flight, const Landing& landing, const Leaving& leaving,
                        int surface, const Hits& hits, D lower) {
   const D P = hits.any_of_them();

@@ -1,4 +1,4 @@
-// The gradient of what the network makes of hits: network.hpp backwards; see drop_gradient.hpp.
+// The gradient of the network's correction: network.hpp in reverse mode; see drop_gradient.hpp.
 
 struct HitSlope {
   D contact, tumble, side, lower;
@@ -14,7 +14,7 @@ static inline void back_any_of_them(const Hits& hits, D d, HitSlope& out) {
   out.side += d * (1.0 - hits.contact) * (1.0 - hits.tumble);
 }
 
-// With respect to what the network was told.
+// Derivatives with respect to the inputs of the network.
 static inline void back_answer(const DropNetwork& net, const Answer& answer, D d_log_factor, D d_told[kNetworkInputs]) {
   using T = Scalar<D>;
   const T *w1 = net.of<T>(), *w2 = w1 + net.hidden * kNetworkInputs, *b2 = w2 + net.hidden * net.hidden,
@@ -36,7 +36,7 @@ static inline void back_sight(Backward& back, const Sight& sight, const Leaving&
                               const D d[kNetworkInputs], LeavingSlope& d_leaving) {
   auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const double per_size = 1.0 / drop.size;
-  // Distances beside the surface: the greater one is told first.
+  // Distances beside the surface: the larger one is the first input.
   const auto x_first = squash(sight.beside_x) > squash(sight.beside_y);
   const D d_gx = where(x_first, d[0], d[1]), d_gy = where(x_first, d[1], d[0]);
   const D d_x = d_gx * squash_slope(sight.beside_x) * per_size * sight.x * reciprocal(sight.ax);
@@ -70,7 +70,7 @@ static inline void back_leaving(Backward& back, const Leaving& leaving, const Le
   d_landing.total -= leaving.share * (d.probability * leaving.probability + d.x * leaving.x + d.y * leaving.y);
 }
 
-// From the derivative with respect to P of a hit to those with respect to what it is made of.
+// Maps the derivative with respect to P of a hit to those with respect to its arguments.
 static inline HitSlope back_hit(Backward& back, const Leaving& leaving, int surface, const Hits& hits, D lower, D d,
                                 LeavingSlope& d_leaving) {
   const DropTables& drop = back.drop;

@@ -1,20 +1,20 @@
-// What an object that is dropped does to an entity that moves, for places and times of the entity side by side: D, G
-// and H of costs/models/moving/drops.py. What the fall itself is made of are the numbers of one state.
+// P that a dropped object hits a moving entity, for places and times of the entity side by side: D, G and H of
+// costs/models/moving/drops.py. The fall is that of one state.
 
 namespace moving {
 
-constexpr double kRoam = 0.3;        // from where it comes down to where it comes to rest, or to fall on [s]
-constexpr double kLevelSoft = 0.01;  // how sharply a level counts as no higher than the entity [m]
-constexpr double kSideSoft = 0.02;   // how sharply the object passes above or below it [m]
-constexpr double kStandsOn = 0.1;    // what is less than this above an entity's bottom is what it stands on [m]
+constexpr double kRoam = 0.3;        // time from landing to rest, or to falling off [s]; from the specification
+constexpr double kLevelSoft = 0.01;  // smoothing width for comparing a level's height with the entity's [m]
+constexpr double kSideSoft = 0.02;   // smoothing width for the object passing above or below the entity [m]
+constexpr double kStandsOn = 0.1;    // surfaces less than this above an entity's bottom support it [m]
 constexpr double kFar = 8.0;         // standard deviations beyond which nothing is hit
-constexpr double kCertain = 0.01;    // standard deviations below this need no more than one place [m]
-constexpr double kStill = 1e-9;      // what moves less has no direction [m]
-constexpr double kHardly = 1e-9;     // probability of a hit below which nobody asks whether the place is free
+constexpr double kCertain = 0.01;    // for smaller standard deviations one place is enough [m]
+constexpr double kStill = 1e-9;      // shorter moves have no direction [m]
+constexpr double kHardly = 1e-9;     // below this probability of a hit, places are not checked for being free
 
 // --- falls of states side by side -----------------------------------------------------------------------------------
 
-// A fall, and what has left each level and those above it and was not caught.
+// Falls side by side; per level, the P and drift of objects that have left it or a higher level and were not caught.
 struct Falling : Placed {
   const Fall fall;
   const Sweep sweep;
@@ -38,16 +38,17 @@ struct Falling : Placed {
   }
 };
 
-// One of them.
+// One lane of these falls.
 struct Dropped : Placed {
   double c[2], v[3], low, nothing, time, landed[2], rest[2], start[2];
   double fall_variance, side_variance, side_reach, side_top;
   struct {
     double o[2], u[2], axis[6], bottom, top;
   } part[kMaxDropParts];
-  double mass[kMaxSurfaces], times[kMaxSurfaces];                                      // per level
-  double left[kMaxSurfaces + 1], loose[kMaxSurfaces + 1], drift[kMaxSurfaces + 1][2];  // of those above each level
-  bool partly;  // whether P that it comes down on nothing is neither 0 nor 1
+  double mass[kMaxSurfaces], times[kMaxSurfaces];  // per level
+  double left[kMaxSurfaces + 1], loose[kMaxSurfaces + 1],
+      drift[kMaxSurfaces + 1][2];  // summed over the levels above each level
+  bool partly;                     // whether P of landing on nothing is neither 0 nor 1
 
   Dropped(const DropTables& drop, const Falling& of, int i) {
     const auto& [X_W, flight, landing] = of.fall;
@@ -82,10 +83,10 @@ struct Dropped : Placed {
   }
 };
 
-// --- what passes ----------------------------------------------------------------------------------------------------
+// --- relative motion ------------------------------------------------------------------------------------------------
 
-// An entity that keeps off its prediction by so many standard deviations; `cell`: of what is not known beyond that,
-// over that of the prediction.
+// An entity off its predicted path by the given numbers of standard deviations; `cell`: remaining standard deviation of
+// its place, relative to that of the prediction.
 struct Person {
   const MovingEntity& entity;
   D off_x, off_y;
@@ -108,12 +109,12 @@ struct Person {
   }
 };
 
-// Directions across which things pass each other. A disc has those along and across the move and halfway between; a
-// box has those of its own axes, and the one across the move.
+// Directions across which object and entity pass each other. A disc has those along and across the motion and halfway
+// between; a box has those of its axes, and the one across the motion.
 struct Directions {
   int n;
   D x[5], y[5];
-  D turn_x, turn_y;  // derivatives of the angle of the move with respect to it
+  D turn_x, turn_y;  // derivatives of the motion's angle with respect to the motion
 
   void set(const Outline& o, D move_x, D move_y) {
     const D square = move_x * move_x + move_y * move_y;
@@ -127,14 +128,14 @@ struct Directions {
     n = o.round ? 4 : 5;
     if (!o.round) x[4] = -ay, y[4] = ax;
   }
-  // How far the entity with a margin around it reaches in these.
+  // Extents of the entity with a margin in these directions.
   void reach(const Outline& o, D margin, D* out) const {
     for (int i = 0; i < n; ++i)
       out[i] = o.reach(o.cosine * x[i] + o.sine * y[i], o.cosine * y[i] - o.sine * x[i], margin);
   }
 };
 
-// Something goes from one place relative to the entity to another one, and meets it if it comes within reach.
+// Relative motion of the object from one place to another; it hits the entity if it comes within reach.
 struct Way {
   Point2 from, to;
   Directions u;
@@ -156,7 +157,7 @@ struct Way {
     }
     D P = chance.value();
     if (u.n == 5) {
-      // A fifth direction is not as independent of the others as they are of each other, but no less a bound.
+      // A fifth direction is not as independent of the others, but its P is still an upper bound.
       Chance fifth;
       D middle, half;
       interval(4, middle, half);
@@ -184,18 +185,19 @@ struct Meeting {
 };
 
 struct Hit {
-  D time, off_x, off_y;  // of the release, and how far off the prediction
+  D time, off_x, off_y;  // time of the release; offset from the prediction
   double cell;
   Outline outline;
-  D top, bottom, rise, turning;        // Z and B of the entity, and the rates of its height and yaw
-  D lower, down, fallen;               // W, T2, and when the object is at the entity's bottom
-  D passes, foremost;                  // D over the mass of what is lower, and the part that it is of
-  Directions across;                   // the flight
-  D higher;                            // how many levels are higher than the entity
-  D loose, left, meets, beyond, edge;  // B and M of these; the sweep, and past which wide top's edge it is
+  D top, bottom, rise, turning;  // Z and B of the entity; rates of its height and yaw
+  D lower, down, fallen;         // W, T2, and the time when the object is at the entity's bottom
+  D passes, foremost;            // P of a hit in flight, given that the object lands lower; the part that determines it
+  Directions across;             // of the flight
+  D higher;                      // number of levels higher than the entity
+  D loose, left, meets, beyond, edge;  // B_l, M_l; P of the sweep; P of falling past the wide top that covers most, and
+                                       // its index
   Point2 drift;
   Way falls, slides;
-  D over, beside;  // whether what slides is as high as the entity, and H over the mass that does not fly into it
+  D over, beside;  // P that the sliding object meets the outline; the same at the entity's height
   D D_, G, H, value;
 
   Person person(const Meeting& of) const { return {of.entity, off_x, off_y, cell}; }
@@ -212,7 +214,7 @@ struct Hit {
     value = minimum(relu(1.0 - (1.0 - D_) * (1.0 - G) * (1.0 - H)), D{} + 1.0);
   }
 
-  // Where part p of the object is relative to the entity while it flies past it; `first` and `last`: from when to when.
+  // Relative motion of part p during its flight past the entity; `first`, `last`: start and end times.
   Way past(const Meeting& of, int p, D& first, D& last) const {
     const DropConstants& k = of.drop.constants;
     const auto& part = of.fall.part[p];
@@ -238,12 +240,12 @@ struct Hit {
     return way;
   }
   D above_bottom(const Meeting& of, int p) const { return (of.fall.part[p].top - bottom) * (1.0 / kSideSoft); }
-  // P that what falls off comes down on the entity, and not on a wide top above it: past the edge of that.
+  // P that a falling object lands on the entity instead of a wide top above it, beyond the top's edge.
   D past_edge(const Meeting& of, int k, D level) const {
     const Edge edge(of, *this, k);
     return where(level < higher, relu(edge.whole() - edge.covered()), D{} + 1.0);
   }
-  // The object relative to the entity, and to a wide top that may hide that, in the axes of the top.
+  // The object relative to the entity and to a wide top that may cover the entity, in the axes of the top.
   struct Edge {
     D offset[2], reach[2], there[2], entity[2], low[2], high[2], inverse_scale;
     double half[2];
@@ -279,7 +281,7 @@ struct Hit {
       return any(hidden) ? where(hidden, covered_of(0).value * covered_of(1).value, D{}) : D{};
     }
   };
-  // Where it comes down that has left a support.
+  // Where an object that has left its support lands.
   Point2 comes_to(const Meeting& of) const {
     const D moved = of.drop.constants.drift * of.drop.size * reciprocal(loose + kLeastMass);
     return {of.fall.start[0] + drift.x * moved, of.fall.start[1] + drift.y * moved};
@@ -375,13 +377,13 @@ struct Hit {
 
 // --- where an entity may be -----------------------------------------------------------------------------------------
 
-// Pairs of a time and a place that stand for where it may be, W at a time.
+// Pairs of a time and a place that represent where an entity may be.
 struct Pairs {
   int n, blocks;
   double cell, share[kMaxPairs];
   D time[kMaxPairs], off_x[kMaxPairs], off_y[kMaxPairs];  // per block
 
-  // At a time if one is given, or along the predicted path.
+  // At a time if one is given, otherwise along the predicted path.
   Pairs(const MovingEntity& e, const MovingPlaces& places, const double* t) {
     const int times = t ? 1 : e.n_time;
     const double latest = t ? *t : e.time[times - 1];
@@ -404,7 +406,7 @@ struct Pairs {
   }
 };
 
-// Where P of a hit may be more than some 1e-6, by the state at the release alone.
+// Bounds the region where P of a hit may exceed about 1e-6, from the state at the release alone.
 struct Nearness {
   double c[2], duration, blur, speed, size;
 
@@ -435,7 +437,7 @@ struct Nearness {
   }
 };
 
-// Which of some places of an entity moving links, or what they carry, would touch before anything fails.
+// The places of an entity at which moving links or the carried object would touch it before any failure.
 static inline auto touched(const Tables& tables, const Frame<D>* X_W, int lane, const Person& who, D time,
                            double protrusion) {
   const MovingEntity& e = who.entity;
@@ -480,7 +482,7 @@ static inline auto touched(const Tables& tables, const Frame<D>* X_W, int lane, 
 
 // --- many states ----------------------------------------------------------------------------------------------------
 
-// One state's meeting with an entity: P of each pair, the share of each that is free, and their sum.
+// The hits of one state on an entity: P of each pair, the shares of pairs that are free, and the weighted sum.
 struct Encounter {
   Pairs pairs;
   Hit hit[kMaxPairs / kAbreast<D> + 1];
@@ -514,7 +516,7 @@ struct Encounter {
   }
 
  private:
-  // Nobody is where they would have been touched; if that is everywhere, nothing better is known.
+  // Drops pairs whose place the robot occupies; if all are occupied, the shares stay as they are.
   void clear(const Tables& tables, const MovingEntity& e, const Frame<D>* X_W, int lane, double protrusion) {
     bool free[kMaxPairs];
     int count = 0;
@@ -527,8 +529,8 @@ struct Encounter {
   }
 };
 
-// Visits every state and entity that may be hit; visit(lane, row, entity, encounter, dropped). At `t` if that is not
-// null. `start` and `finish` frame what is made of the states of one block: finish is only asked after start.
+// Visits every state and entity that may be hit: visit(lane, row, entity, encounter, dropped), at times `t` if not
+// null. `start` and `finish` enclose the visits of one block of states; without visits, neither is called.
 template <class Work>
 static inline void for_each_encounter(const Tables& tables, const DropTables& drop, const MovingPaths& paths,
                                       const MovingPlaces& places, const double* severity, const States& states,

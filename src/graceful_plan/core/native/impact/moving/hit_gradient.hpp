@@ -1,9 +1,9 @@
-// The gradient of P that an entity that moves is hit: hit.hpp backwards, down to the numbers of a fall; what these are
-// made of go on in drop_gradient.hpp.
+// The gradient of P that a moving entity is hit: hit.hpp in reverse mode, back to the quantities of a fall;
+// drop_gradient.hpp does the rest.
 
 namespace moving {
 
-// With respect to the numbers of a fall and to the time, for lanes that are summed at the end.
+// Derivatives with respect to the quantities of a fall and to the time, summed over lanes at the end.
 struct DroppedSlope {
   D v[3] = {}, low = {}, nothing = {}, time = {}, landed[2] = {}, rest[2] = {}, start[2] = {};
   D fall_variance = {}, side_variance = {}, side_reach = {}, side_top = {}, clock = {};
@@ -20,7 +20,8 @@ struct DroppedSlope {
   }
 };
 
-// With respect to a way: its ends, directions and reaches; and to turns of the move and of the entity.
+// Derivatives with respect to a relative motion: its ends, directions and extents; and to rotations of motion and
+// entity.
 struct WaySlope {
   Point2 from = {D{}, D{}}, to = {D{}, D{}};
   D x[5] = {}, y[5] = {}, reach[5] = {}, inverse_scale = {}, move = {}, yaw = {};
@@ -38,29 +39,29 @@ struct WaySlope {
     D after = d;
     for (int i = 4; i-- > 0;) add(way, i, of[i], before[i] * after), after *= of[i].value;
   }
-  // Reaches of the entity with a margin around it; returns the derivative with respect to that.
+  // Extents of the entity with a margin; returns the derivative with respect to the margin.
   D back_outline(const Way& way, const Outline& o, D margin) {
     D d_margin = {};
     for (int i = 0; i < way.u.n; ++i) {
       D d_turn;
       d_margin += back_reach_of(o, o.cosine * way.u.x[i] + o.sine * way.u.y[i],
                                 o.cosine * way.u.y[i] - o.sine * way.u.x[i], margin, reach[i], d_turn);
-      if (i < 4) continue;  // the others turn with it
+      if (i < 4) continue;  // the other directions turn with the entity
       move += d_turn, yaw -= d_turn;
     }
     return d_margin;
   }
-  // From directions to the move, whose derivatives are returned.
+  // Maps derivatives with respect to directions to those with respect to the motion, which it returns.
   Point2 back_directions(const Way& way) {
     const Directions& u = way.u;
     for (int i = 0; i < u.n; ++i) (u.n == 4 || i == 4 ? move : yaw) += y[i] * u.x[i] - x[i] * u.y[i];
     return {move * u.turn_x, move * u.turn_y};
   }
-  // Variance of the place, given the derivative with respect to 1 / (beta times its root).
+  // Derivative with respect to the variance of the place, given that with respect to 1 / (beta sqrt(variance)).
   static D variance(D inverse_scale, D d) {
     return -0.5 * kBeta * kBeta * inverse_scale * inverse_scale * inverse_scale * d;
   }
-  // Of an outline in a direction at an angle from its axis; d_turn: with respect to that angle.
+  // Extent of an outline in a direction (c, s) in its axes; d_turn: derivative with respect to the direction's angle.
   static D back_reach_of(const Outline& o, D c, D s, D margin, D d, D& d_turn) {
     d_turn = D{};
     if (o.round) return where(o.a + margin > 1e-4, d, D{});
@@ -108,7 +109,7 @@ struct HitBack {
   }
 
  private:
-  // Something at (x, y) relative to the entity at a time; returns the derivative with respect to that.
+  // A place relative to the entity at a time; returns the derivative with respect to the time.
   static D back_place(const Person::Place& at, const Point2& d) { return -(at.vx * d.x + at.vy * d.y); }
 
   void back_slide(D d) {
@@ -158,7 +159,7 @@ struct HitBack {
                   d_variance * who.variance(t).rate;
     slope.time += d_t, slope.clock += d_t;
   }
-  // Past the edges of wide tops.
+  // The parts of wide tops that do not cover the entity.
   void back_edges(D d, WaySlope& way, Point2& d_point) {
     for (int s = 0; s < of.drop.n_surface; ++s) {
       const auto mine = hit.edge == double(s);
@@ -186,7 +187,8 @@ struct HitBack {
     back_turned(s, {d_offset[0], d_offset[1]}, offset.x, offset.y);
     back_turned(s, {d_there[0], d_there[1]}, there.x, there.y);
     back_turned(s, {d_entity[0], d_entity[1]}, entity.x, entity.y);
-    // Ends of the way are the point less the entity's places: what is added to these goes to the point again.
+    // Ends of the relative motion are the point minus the entity's places, so derivatives added to them return to the
+    // point.
     const D between_x = 0.5 * (offset.x - entity.x), between_y = 0.5 * (offset.y - entity.y);
     way.from.x += between_x, way.to.x += between_x, way.from.y += between_y, way.to.y += between_y;
     d_point.x += there.x + entity.x, d_point.y += there.y + entity.y;
@@ -224,7 +226,7 @@ struct HitBack {
       d_yaw += d_way.yaw;
       back_times(p, way, d_way, first, last);
     }
-    // The move is that of the centre of mass relative to the entity until it comes down.
+    // The motion is that of the centre of mass relative to the entity until landing.
     const Person::Place now = who.at(hit.time), then = who.at(hit.time + hit.down);
     slope.v[0] += move_slope.x * hit.down, slope.v[1] += move_slope.y * hit.down;
     d_down += move_slope.x * (of.fall.v[0] - then.vx) + move_slope.y * (of.fall.v[1] - then.vy);
@@ -242,7 +244,7 @@ struct HitBack {
       }
     }
   }
-  // From the ends of a part's way to when it is there.
+  // Maps derivatives with respect to the ends of a part's motion to those with respect to its times.
   void back_times(int p, const Way& way, const WaySlope& d_way, D first, D last) {
     const DropConstants& k = of.drop.constants;
     const auto& part = of.fall.part[p];
@@ -285,7 +287,7 @@ struct HitBack {
   }
 };
 
-// Derivatives with respect to falls side by side, gathered state by state.
+// Derivatives with respect to falls side by side, collected state by state.
 struct FallingSlope : Placed {
   Backward back;
   SweepSlope d_sweep;
@@ -331,7 +333,7 @@ struct FallingSlope : Placed {
       loose[l][i] += s.loose[l], drift[l].x[i] += s.drift[l][0], drift[l].y[i] += s.drift[l][1];
   }
 
-  // To joints and their velocities.
+  // Maps derivatives to joints and their velocities.
   void finish(const Falling& falling, const D* qd, D* d_q, D* d_qd) {
     const DropTables& drop = back.drop;
     back_up();

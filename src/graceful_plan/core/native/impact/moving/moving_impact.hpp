@@ -1,4 +1,4 @@
-// What failures do to entities that move, with severities: what a motion is charged for them, and how near it comes.
+// Failures that hit moving entities, with severities: their impact along a motion, and gaps to the entities.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,20 +9,20 @@
 
 namespace gp {
 
-constexpr double kMaxTime = 1e9;  // on the clock of predictions [s]
+constexpr double kMaxTime = 1e9;  // largest time on the clock of predictions [s]
 
-// Rows by entity, and how many there are.
+// Rows by entity; *_start: first row of each entity, then the number of rows.
 struct MovingArrays {
   Integers round;
   Reals half;  // [n, 3]
-  Reals blur;  // [n, 2]: standard deviation of the place at first, and of the velocity
+  Reals blur;  // [n, 2]: standard deviation of the initial place, and of the velocity
   Integers knot_start;
   Reals knot;  // [n, 5]: t, x, y, z, yaw
   Integers time_start;
-  Reals time;  // that stand for a path where no time is known
+  Reals time;  // times that represent a path if no time is known
 };
 
-// Predicted paths of entities that move.
+// Predicted paths of moving entities.
 class MovingTable {
  public:
   explicit MovingTable(const MovingArrays& of) {
@@ -44,7 +44,7 @@ class MovingTable {
 
   const MovingPaths& paths() const { return paths_; }
   size_t size() const { return entity_.size(); }
-  // Where one is, how it is turned, and how uncertain that is, at a time.
+  // Place, yaw and position uncertainty of an entity at a time.
   struct Place {
     double x, y, z, yaw, spread;
   };
@@ -58,7 +58,7 @@ class MovingTable {
   }
 
  private:
-  // Checks the first of each entity, and after them how many there are; returns that.
+  // Checks the first row of each entity; returns the number of rows.
   static size_t parts(const Integers& start, size_t n) {
     require(start.size() == n + 1 && start.data()[0] == 0, "parts of moving entities");
     for (size_t e = 0; e < n; ++e) require(start.data()[e] < start.data()[e + 1], "parts of moving entities");
@@ -98,12 +98,12 @@ class MovingTable {
   MovingPaths paths_{};
 };
 
-// One way to fail: whom of those who move it hits.
+// One failure mode, and P that it hits moving entities.
 class MovingSource {
  public:
   virtual ~MovingSource() = default;
-  // P [n, n_entity] at times or, if `t` is null, along the paths; of those without severity it is 0, if severities are
-  // given.
+  // P [n, n_entity] at times or, if `t` is null, along the paths. If severities are given, P of entities without
+  // severity is 0.
   virtual void probability(const States&, const double* t, const double* severity, double* out) const = 0;
   // Adds the sum of P S, with its derivatives.
   virtual void slopes(const States&, const double* t, const double* severity, const MovingSlopes&) const = 0;
@@ -128,7 +128,7 @@ class MovingSource {
   const MovingTable& table_;
 };
 
-// What was carried is dropped.
+// The gripper drops the carried object.
 class MovingDrop final : public MovingSource {
  public:
   MovingDrop(const MovingTable& table, const DropModel& model, Reals places, double cell, double protrusion)
@@ -164,7 +164,7 @@ class MovingArm final : public MovingSource {
   }
 };
 
-// All that may go wrong, with severities.
+// All failure modes, with severities.
 class MovingImpact {
  public:
   MovingImpact(const Core& core, const MovingTable& table) : core_(core), table_(table) {}

@@ -1,12 +1,12 @@
-// How near links, and what they carry, are to entities that move: whom a collapsing arm reaches, a rule of thumb
-// (costs/models/moving), and the gap between the sound robot and the nearest of them.
+// Distances of links and the carried object to moving entities: P that a collapsing arm hits them, by a rule of thumb
+// (costs/models/moving), and the gap between the intact robot and the nearest entity.
 
 namespace moving {
 
-constexpr double kBodyReach = 0.15, kBodySpread = 0.1;  // of a collapsing arm, and how uncertain that is [m]
-constexpr double kPassesBelow = 0.02;                   // how sharply a link passes below somebody [m]
+constexpr double kBodyReach = 0.15, kBodySpread = 0.1;  // reach of a collapsing arm, and its spread [m]; not fitted
+constexpr double kPassesBelow = 0.02;                   // smoothing width for a link passing below an entity [m]
 
-// An entity where states side by side find it.
+// A moving entity at the times of the states side by side.
 struct Met {
   const MovingEntity& entity;
   D at[4], rate[4];
@@ -22,8 +22,8 @@ struct Met {
   }
 };
 
-// The spheres of moving links that may matter; look(bound, away) tells whether those in a sphere do, and
-// visit(sphere, away) is asked for each: `away` is from the entity's middle to their centres.
+// Visits spheres of moving links: look(bound, away) returns whether spheres within a bounding sphere may matter,
+// visit(sphere, away) is called for each of these. `away`: vector from the entity's middle to a centre.
 template <class Look, class Visit>
 static inline void for_each_sphere(const Tables& tables, const Frame<D>* X_W, const Met& met, Look look, Visit visit) {
   for (int g = 0; g < tables.n_group; ++g) {
@@ -39,7 +39,7 @@ static inline void for_each_sphere(const Tables& tables, const Frame<D>* X_W, co
   }
 }
 
-// Adds the derivatives of something by where a sphere is, one of those side by side.
+// Adds derivatives with respect to a sphere's centre in one lane, mapped to joints.
 static inline void add_sphere_slope(const Tables& tables, const Frame<D>* X_W, int lane, int sphere, const double* d,
                                     double* d_q) {
   const Group& group = tables.group[group_of(tables, sphere)];
@@ -76,7 +76,7 @@ struct Gap {
   }
 };
 
-// The least gap over entities [n], infinite where it is not below `wanted`; its derivatives unless d_q is null.
+// The least gap over entities [n], infinite unless below `wanted`, and its derivatives unless d_q is null.
 static void gaps(const Tables& tables, const MovingPaths& paths, const States& states, const double* t, double wanted,
                  double* out, double* d_q, double* d_t) {
   const size_t nq = size_t(tables.n_joint);
@@ -101,7 +101,7 @@ static void gaps(const Tables& tables, const MovingPaths& paths, const States& s
 struct Reached {
   D value = {}, sphere = D{} - 1.0;
 
-  // How far from the entity seen from above, 0 inside of it, and the direction in which that grows.
+  // Distance from the entity seen from above, 0 inside it, and its gradient.
   struct Beside {
     D far, x, y;
 
@@ -144,7 +144,7 @@ static inline Varying arm_spread(const MovingEntity& e, D t) {
   return {both, spread.value * spread.rate * reciprocal(both)};
 }
 
-// P that a collapsing arm reaches each entity [n, n_entity]; without times, the mean over its path.
+// P that a collapsing arm hits each entity [n, n_entity]; without times, the mean over the path.
 static void arm_probability(const Tables& tables, const MovingPaths& paths, const double* severity,
                             const States& states, const double* t, double* out) {
   for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {

@@ -1,8 +1,8 @@
-// Where an entity that moves is expected, for lanes of times, and from how far it is to be seen.
+// The predicted place of a moving entity at lanes of times, its outline, and distances to it.
 
 namespace moving {
 
-// The last knot that is not after a time, or the first one.
+// The last knot not after a time, or the first one.
 static inline int knot_before(const MovingEntity& e, double t) {
   int low = 0, high = e.n_knot;
   while (high - low > 1) {
@@ -12,7 +12,7 @@ static inline int knot_before(const MovingEntity& e, double t) {
   return low;
 }
 
-// Some of x, y, z and yaw, and their rates: an entity stands still before the first and after the last time.
+// Some of x, y, z and yaw, and their rates; the entity stands still before the first and after the last knot.
 template <int kFirst, int kCount> static inline void follow(const MovingEntity& e, D t, D* at, D* rate) {
   const double begin = e.knot[0].t, end = e.knot[e.n_knot - 1].t;
   const D held = minimum(maximum(t, D{} + begin), D{} + end);
@@ -38,7 +38,7 @@ struct Varying {
   D value, rate;
 };
 
-// Standard deviation of its place.
+// Standard deviation of the entity's place.
 static inline Varying spread_of(const MovingEntity& e, D t) {
   if (e.growth == 0) return {D{} + e.spread, D{}};
   const D grown = e.growth * relu(t - e.knot[0].t);
@@ -46,7 +46,7 @@ static inline Varying spread_of(const MovingEntity& e, D t) {
   return {value, e.growth * grown * reciprocal(value)};
 }
 
-// Its outline seen from above, turned; of a cylinder it does not matter how.
+// The entity's outline seen from above, with its yaw; cylinders ignore the yaw.
 struct Outline {
   bool round;
   double a, b;
@@ -56,18 +56,18 @@ struct Outline {
     round = e.round != 0, a = e.half[0], b = e.half[1], cosine = D{} + 1.0, sine = D{};
     if (!round) sine_cosine(yaw, sine, cosine);
   }
-  // How far it reaches with a margin in a direction whose components along its axes are given.
+  // Extent with a margin in a direction, given by components along the outline's axes.
   D reach(D x, D y, D margin) const {
     if (round) return maximum(a + margin, D{} + 1e-4);
     return maximum((a + margin) * absolute(x) + (b + margin) * absolute(y), D{} + 1e-4);
   }
 };
 
-// Signed distance of points from an upright box or cylinder, and its derivatives with respect to the point.
+// Signed distance of points to an upright box or cylinder, and its derivatives with respect to the point.
 struct Apart {
   D value, x, y, z;
 
-  // With respect to a turn of the entity about its middle, from which the point is (dx, dy) away.
+  // Derivative with respect to the entity's yaw; (dx, dy): from the entity's middle to the point.
   D turned(D dx, D dy) const { return x * dy - y * dx; }
 };
 
@@ -97,7 +97,7 @@ static inline Apart apart(const Outline& o, double half, D dx, D dy, D dz) {
   return out;
 }
 
-// A large thing without a destructor that may be needed, in memory that is there anyhow.
+// A large object that may be needed, built in preallocated memory; it has no destructor.
 struct Placed {
   static void* operator new(size_t, void* at) { return at; }
   static void operator delete(void*, void*) {}

@@ -1,4 +1,4 @@
-// Costs of a user's own: Python is asked for whole batches, and the core does the rest.
+// User-defined costs: Python evaluates whole batches, the core does the rest.
 #pragma once
 #include <algorithm>
 #include <utility>
@@ -7,17 +7,17 @@
 
 namespace gp {
 
-// Answers come from Python, which knows what they are integrated over:
+// The callbacks; Python decides what edges are integrated over:
 //   states(q) -> [n], slopes(q, qd) -> ([n], [n, nq], [n, nq]), edges(q0, q1) -> [n, 2],
 //   edge_slopes(q0, q1, step) -> ([n, 2], [n, nq], [n, nq]), motion(q, tangent) -> as slopes.
-// Without edge_slopes and motion (None), edges have no gradients, and V is the length.
+// If edge_slopes and motion are None, edges have no gradients, and V is the length.
 class OwnCost final : public Impact {
  public:
   struct Questions {
     nb::object states, slopes, edges, edge_slopes, motion;
   };
 
-  // `speed`: where time counts, that of the joints along edges.
+  // `speed`: of the joints along edges, for integrals over time.
   OwnCost(const Core& core, Questions ask, Measure measure, Reals speed)
       : Impact(core), ask_(std::move(ask)), measure_(measure), speed_(point(speed)) {
     require_positive(speed, size_t(core.tables().n_joint), "speed");

@@ -1,4 +1,4 @@
-// Costs of postures and of poses of the tool.
+// Costs of postures and of tool poses.
 #pragma once
 #include <algorithm>
 
@@ -32,10 +32,10 @@ class JointCost final : public StateCost {
   const Point centre_, scale_;
 };
 
-// Mean over joints of (torque / limit)^2, of the torques that hold the arm and its load up.
+// Mean over joints of (torque / limit)^2, with the torques that hold the arm and its load against gravity.
 class EnergyCost final : public StateCost {
  public:
-  // `inertia`: per frame mass, centre (3), inertia about it (9), as of the body model.
+  // `inertia`: per frame mass, centre (3), inertia about it (9), as in the body model.
   EnergyCost(const Core& core, const Reals& inertia, const Reals& limit) : StateCost(core), limit_(point(limit)) {
     const Tables& t = core.tables();
     require_positive(limit, joints(), "limits of joints");
@@ -72,7 +72,7 @@ class EnergyCost final : public StateCost {
   }
 
  private:
-  static constexpr double kStep = 1e-6;  // of a difference, in double precision [rad]
+  static constexpr double kStep = 1e-6;  // step of finite differences, in double precision [rad]
 
   double charged(const double* torque) const {
     double sum = 0;
@@ -86,12 +86,12 @@ class EnergyCost final : public StateCost {
   BodyTables tables_{};
 };
 
-// How far the tool is from a pose: (distance / unit)^2 of its position, and 2 (1 - cos angle) / unit^2 of its
-// orientation, the angle squared where it is small. A unit that is infinite leaves its part out.
+// Distance of the tool from a pose: (distance / unit)^2 for its position, and 2 (1 - cos angle) / unit^2 for its
+// orientation, which is the squared angle where small. An infinite unit disables its part.
 class PoseCost final : public StateCost {
  public:
-  // The position of the tool in its link, and the wanted position in W. Of a link that is turned by R, trace(R^T turn)
-  // is `full` where it is turned as wanted, and 2 (1 - cos angle) less elsewhere.
+  // The position of the tool in its link, and the wanted position in W. For a link rotated by R, trace(R^T turn) is
+  // `full` at the wanted orientation, and smaller by 2 (1 - cos angle) elsewhere.
   struct Wanted {
     int link;
     Reals tool, position, turn;
@@ -144,8 +144,8 @@ class PoseCost final : public StateCost {
   const double full_, per_distance_, per_angle_;
 };
 
-// (1 - w / least)^2 where that is short of `least`, of Yoshikawa's manipulability w = sqrt(det J J^T) of the tool, the
-// Jacobian of its position and turning [m and rad per rad].
+// (1 - w / least)^2 where w < least, with Yoshikawa's manipulability w = sqrt(det J J^T) of the tool; J is the Jacobian
+// of its position and rotation [m and rad per rad].
 //
 // References:
 //   T. Yoshikawa, "Manipulability of robotic mechanisms", IJRR 1985.
@@ -185,9 +185,9 @@ class ManipulabilityCost final : public StateCost {
   struct Column {
     double v[6];  // linear, then angular
   };
-  static constexpr double kDamping = 1e-12;  // of J J^T, so that it has an inverse
+  static constexpr double kDamping = 1e-12;  // added to J J^T, so that it can be inverted
 
-  // sqrt(det(J J^T)), and (J J^T)^-1 J, by a Cholesky factor.
+  // Returns sqrt(det(J J^T)) and computes B = (J J^T)^-1 J, by a Cholesky factor.
   static double manipulability(const std::vector<Column>& J, std::vector<Column>& B) {
     double L[6][6] = {}, w = 1;
     for (int r = 0; r < 6; ++r)
@@ -213,8 +213,8 @@ class ManipulabilityCost final : public StateCost {
     return w;
   }
 
-  // The derivative of ln w with respect to a joint: the sum of B times that of J. A joint turns the columns of those
-  // that follow it; of those before it, it moves the point.
+  // The derivative of ln w with respect to joint i: the sum of B times the derivative of J. The joint turns the columns
+  // of the joints beyond it; for those before it, it moves the point.
   static double turned(const std::vector<Column>& J, const std::vector<Column>& B, size_t i) {
     double sum = 0, d[3];
     for (size_t c = 0; c < J.size(); ++c) {

@@ -1,4 +1,4 @@
-// Costs that depend on where a robot is and on nothing else: what a user's cost is composed of.
+// Costs that depend on the configuration only; the terms of user-defined costs.
 #pragma once
 #include <algorithm>
 
@@ -6,7 +6,7 @@
 
 namespace gp {
 
-// Leaves say what states cost, with gradients; edges follow, by trapezoid sums over their length.
+// Subclasses define the cost of states and its gradient; edges are integrated over length by the trapezoid rule.
 class StateCost : public Impact {
  public:
   void states(const double* q, size_t n, double* impact) const override { charge(q, n, impact, nullptr); }
@@ -21,7 +21,7 @@ class StateCost : public Impact {
  protected:
   explicit StateCost(const Core& core) : Impact(core) {}
   size_t joints() const { return size_t(core_.tables().n_joint); }
-  // The value of each state and, unless it is null, its gradient.
+  // The value of each state and, unless `slope` is null, its gradient.
   virtual void charge(const double* q, size_t n, double* value, double* slope) const = 0;
 
  private:
@@ -60,8 +60,8 @@ class StateCost : public Impact {
   }
 };
 
-// How near a robot is to something: 1 - clearance / distance where that is positive, of the clearance that another core
-// sees, one with less to hit than what is planned with.
+// Cost of small clearance: max(0, 1 - clearance / distance). The clearance is that of another core, which has fewer
+// obstacles than the core of the planner.
 class ClearanceCost final : public StateCost {
  public:
   ClearanceCost(const Core& core, const Core& seen, double distance)
@@ -85,7 +85,7 @@ class ClearanceCost final : public StateCost {
   const double distance_;
 };
 
-// A sum with weights is made of these and of SumImpact.
+// A model times a factor; with SumImpact, it makes weighted sums.
 class ScaledImpact final : public Impact {
  public:
   ScaledImpact(const Impact& model, double factor) : Impact(model.core()), model_(model), factor_(factor) {
