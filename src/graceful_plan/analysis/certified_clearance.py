@@ -93,7 +93,7 @@ class _Stretches:
     lo: Float[Array, " n"]
     hi: Float[Array, " n"]
     first: Int[Array, " n"]
-    """Index of the initial stretch that each is a part of."""
+    """Index of the initial stretch that contains each one."""
     clearance: Float[Array, " n"]
     moved: Float[Array, " n"]
 

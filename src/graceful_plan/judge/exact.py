@@ -182,7 +182,7 @@ def motion_violations(
     """Return the collisions of a motion, and the samples that they refer to.
 
     Exact geometry checks every sample. With a bound of the clearance, it checks the samples that the bound does not
-    prove free, and one in `AUDITED` of the others. If one of those collides the bound is wrong, and exact geometry
+    prove free, and every `AUDITED`-th of the others. If any of those collides, the bound is wrong, and exact geometry
     checks all samples.
 
     Args:

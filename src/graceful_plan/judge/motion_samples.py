@@ -18,7 +18,7 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 ClearanceBound = Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
-"""Lower bound of the clearance of configurations [m]; all checked pairs are at least this far apart, if positive."""
+"""Lower bound of the clearance of configurations [m]: if positive, all checked pairs are at least this far apart."""
 
 PROVED = 2e-4
 """Least bound that proves a configuration free [m]: several times the rounding error of single precision, also for

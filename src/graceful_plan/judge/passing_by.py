@@ -38,7 +38,7 @@ _ROUNDING = 1e-6
 
 
 def is_moving(qd: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-    """Tell at which joint velocities a robot does not stand still."""
+    """Tell at which joint velocities a robot moves; see `_STANDING`."""
     return np.abs(qd).max(axis=1) > _STANDING
 
 

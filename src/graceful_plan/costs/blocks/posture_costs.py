@@ -88,7 +88,7 @@ class EnergyCost(NativeCost):
         torque: Torques with a cost of 1 [N m or N], one per joint; the limits of the model by default.
 
     Raises:
-        SettingError: If one is not a finite number > 0.
+        SettingError: If a torque is not a finite number > 0.
     """
 
     torque: tuple[float, ...] | None = None

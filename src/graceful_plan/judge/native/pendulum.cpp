@@ -46,7 +46,7 @@ struct Pendulum {
     const State k1 = slope(now, begin), k2 = slope(now + 0.5 * h * k1, middle);
     const State k3 = slope(now + 0.5 * h * k2, middle), k4 = slope(now + h * k3, end);
     State next = now + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4);
-    next.bob = 1.0 / std::sqrt(dot(next.bob, next.bob)) * next.bob;  // project the integration error off the sphere
+    next.bob = 1.0 / std::sqrt(dot(next.bob, next.bob)) * next.bob;  // back onto the unit sphere
     next.rate = next.rate - dot(next.rate, next.bob) * next.bob;
     return next;
   }

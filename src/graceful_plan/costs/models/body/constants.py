@@ -81,7 +81,7 @@ class BodySettings(YamlTable):
     """Constants of the body model.
 
     Raises:
-        SettingError: If one is not finite or out of its range.
+        SettingError: If a constant is not finite or out of its range.
     """
 
     shipped_file = Path(__file__).parent / "body.yaml"

@@ -37,7 +37,7 @@ class DropConstants:
     """Constants for one class of objects; some lengths are in units of the object's `size`.
 
     Raises:
-        SettingError: If one is not finite or out of its range.
+        SettingError: If a constant is not finite or out of its range.
     """
 
     delay: float

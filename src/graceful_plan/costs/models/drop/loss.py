@@ -48,7 +48,7 @@ class LossTables:
 @per_scene(most=4)
 def loss_tables(scene: Scene, fragility: FragilityTable) -> LossTables:
     """Return the tables of a scene with a carried object; targets as in `DropTables`."""
-    assert scene.carried is not None  # the model asks for tables only then
+    assert scene.carried is not None  # tables are only built for a carried object
     own = fragility.of_carried(scene.components["carried"].component_class)
     categories = [entity.category for entity in scene.entities.values()]
     struck = [fragility.of("" if k < 0 else categories[k]) for k in drop_tables(scene).target_entity]

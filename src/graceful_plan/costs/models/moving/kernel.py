@@ -29,7 +29,7 @@ MOST_PLACES = 16
 """Largest number of places for a predicted path."""
 _SPACING = 0.1, 0.25  # least and greatest distance between places [m]
 _ASKED = 512  # sampled states that decide whether an entity can be hit at a place
-_NEGLIGIBLE = 1e-4  # probability below which a place is dropped
+_NEGLIGIBLE = 1e-4  # probability below which a place is ignored
 
 
 def moving_kernels(

@@ -26,7 +26,7 @@ class SpillConstants:
     """Constants for one use (see `USES`); puddle lengths are relative to the radius of a puddle of all contents.
 
     Raises:
-        SettingError: If one is not finite or out of its range.
+        SettingError: If a constant is not finite or out of its range.
     """
 
     position_spread: float
@@ -65,7 +65,7 @@ class StopSettings(YamlTable):
     """Constants of the protective stop and its effect on contents; the shipped ones are in `stop.yaml`.
 
     Raises:
-        SettingError: If one is not finite or out of its range.
+        SettingError: If a constant is not finite or out of its range.
     """
 
     shipped_file = Path(__file__).parent / "stop.yaml"

@@ -173,7 +173,7 @@ def _near(
 
 
 def _stands(tables: DropTables) -> Int[Array, "target 2"]:
-    level = tables.target_height[tables.level_start[:-1], 1]  # falls from each level to the next
+    level = tables.target_height[tables.level_start[:-1], 1]  # decreases from level to level
     bottom, top = tables.target_height.T
     first = (level[None] >= (top - FLAT)[:, None]).sum(axis=1)
     end = (level[None] > (bottom - STANDS)[:, None]).sum(axis=1)
