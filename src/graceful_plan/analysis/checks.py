@@ -41,8 +41,8 @@ def interaction_probability(
     Args:
         scene: The scene; components and entities are in its order.
         q: Configurations [rad or m].
-        model: An interaction model or its name; by default "aabb", Algorithm 1 of the paper. The default of
-            `ImpactCost` is another one, "footprint".
+        model: An interaction model or its name; by default "aabb", Algorithm 1 of the paper. That of `ImpactCost` is
+            another one, "footprint".
         qd: Joint velocities [rad/s or m/s], for models that use them; at rest if None.
 
     Raises:
