@@ -93,7 +93,7 @@ class DropConstants:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DropSettings(YamlTable):
-    """Constants of the drop model by class of the carried object, see `drop_tables.SHAPE_CLASSES`."""
+    """Constants of the drop model by class of the carried object; see `SHAPE_CLASSES`."""
 
     shipped_file = Path(__file__).parent / "drop.yaml"
     kind = "drop models"
