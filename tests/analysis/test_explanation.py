@@ -259,7 +259,7 @@ def test_standing_still_costs_nothing_but_a_waypoint_does(task):
 
 
 def test_other_costs_do_not_tell_who_is_hit(task, result):
-    with pytest.raises(SettingError, match=r"objective.impact = Own\(\).* who is hit"):
+    with pytest.raises(SettingError, match=r"objective.impact = Own\(\).* resolve entities"):
         gp.explain(result, task.scene, gp.Objective(impact=Own()))
 
 

@@ -20,7 +20,7 @@ wave = np.sin(t[:, None] * np.ones(len(start)))
 turn = np.cos(t[:, None] * np.ones(len(start)))
 motion = gp.Trajectory(t, start + {far} * wave, {far} * turn, -{far} * wave, scene.joints)
 verdict = gp.verify(motion, scene)
-assert not verdict.passed and "not looked at" in verdict.checks["collision"].detail, verdict
+assert not verdict.passed and "not checked" in verdict.checks["collision"].detail, verdict
 for ask in (gp.evaluate, gp.explain):
     for given in (motion, gp.Path(motion.q)):
         try:

@@ -1,1 +1,1 @@
-"""What users ask about states and motions."""
+"""Analyses of states and motions: clearance, risk, explanations, sensitivity and certificates."""

@@ -1,9 +1,9 @@
-r"""What can be promised of a motion: clearance between samples, and how much shorter it might be.
+r"""Certificates of a motion: clearance between samples, and a lower bound of the path length.
 
 * The clearance is certified: see `certified_clearance`.
-* The lower bound is proven: no path is shorter than the distance to the nearest goal. To a pose of the tool, none is
-  shorter than the tool's distance and turn by the arm's greatest levers. Impact is never negative, so it bounds J, too,
-  but where impact counts it is far below what is possible: a gap is told at w = 0 only.
+* The lower bound is proven: no path is shorter than the distance to the nearest goal. To reach a pose, the tool has to
+  translate and rotate; the bound divides both amounts by the arm's greatest levers. Impact is never negative, so the
+  bound holds for J, too. Where impact contributes to J the bound is loose; hence the gap is reported at w = 0 only.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ def certify(
     *,
     goal: PoseGoal | ArrayLike | None = None,
 ) -> Certificate:
-    """Say what can be promised of a motion; takes some milliseconds.
+    """Certify the clearance of a motion and bound its length from below; takes a few milliseconds.
 
     Args:
-        motion: A result with a trajectory, a path, a trajectory, or an array of configurations [n, nq]. Of a result the
-            trajectory is certified to be clear, and the gap is that of the cost in the result.
-        scene: The scene, with what is carried attached.
-        objective: What was minimised; the default `Objective()` if None.
-        goal: Where the motion might have ended instead: configurations or a pose. By default nowhere else.
+        motion: A result with a trajectory, a path, a trajectory, or an array of configurations [n, nq]. For a result,
+            the clearance is that of the trajectory, and the gap uses the cost in the result.
+        scene: The scene, with the carried object attached.
+        objective: The objective of the search; the default `Objective()` if None.
+        goal: Alternative goals of the motion: configurations or a pose. By default only its own end.
 
     Raises:
         SettingError: If a result has no trajectory.
@@ -67,7 +67,7 @@ def certify(
 
 
 def lower_bound(start: Float[Array, " nq"], goal: PoseGoal | ArrayLike, objective: SceneObjective) -> float | None:
-    """Return a length that no path to a goal undercuts [rad]; None if the motion cost is not the length."""
+    """Compute a lower bound of the length of paths to a goal [rad]; None if the motion cost is not the length."""
     if not objective.motion_is_length:
         return None
     if isinstance(goal, PoseGoal):
@@ -87,7 +87,7 @@ def _least_to_pose(start: Float[Array, " nq"], goal: PoseGoal, kernels: Kernels)
 
 
 def _tool_levers(robot: RobotArrays) -> tuple[Float[Array, " nq"], int]:
-    """Bound the distance of the tool from each joint's axis in all configurations, 1 for a slide; count the hinges."""
+    """Bound the tool's distance from each joint axis in all configurations (1 for a slide), and count the hinges."""
     levers, hinges = np.zeros(len(robot.lower)), 0
     link, beyond = robot.tool_link, float(np.linalg.norm(robot.X_LT[:3, 3]))
     while link >= 0:

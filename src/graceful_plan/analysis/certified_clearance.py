@@ -1,12 +1,13 @@
-r"""A lower bound of the clearance along a whole motion, what lies between samples included.
+r"""A lower bound of the clearance along a whole motion, between samples included.
 
-Conservative advancement on the fast checker: within a stretch whose middle has clearance c, no point of the robot comes
-closer than c less what it moves from the middle on. With joint k moving by at most h_k, that is
+This is conservative advancement on the fast checker. Within a stretch whose midpoint has clearance c, the clearance is
+at least c - m, where m bounds the displacement of any point of the robot from its position at the midpoint. If joint k
+moves by at most h_k,
 
 .. math:: m = \sum_k L_k h_k, \qquad L_k = l_k + \sum_{j\ \mathrm{beyond}\ k} L_j h_j
 
-where l_k is the distance of the point from the axis of hinge k in the middle; L_k = 1 for a slide. Stretches are halved
-where the bound is not good enough yet, so that the effort goes to the tightest places.
+where l_k is the distance of the point from the axis of hinge k at the midpoint; L_k = 1 for a slide. Only stretches
+whose bound is not yet good enough are halved, so the effort goes to the tightest places.
 """
 
 from __future__ import annotations
@@ -26,26 +27,26 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 ROUNDING = 2e-5
-"""What single precision may add to a clearance [m]: an arm's lengths to seven digits, summed along it."""
+"""Largest error of a clearance from single precision [m]: arm lengths to seven digits, summed along the arm."""
 TOLERANCE = 0.002
-"""The bound is driven this close to the least clearance sampled [m], or to half of that if it is less."""
+"""Refinement stops once the bound is this close to the least sampled clearance [m], or to half of it if less."""
 _FINEST, _FINEST_BLOCKED = 2e-5, 5e-4
-"""Stretches in which nothing moves farther are not halved any more [m]: those with free and with blocked middles."""
+"""Least motion of a stretch that is still halved [m], for midpoints that are free and for those in collision."""
 _FIRST = 48
-"""Stretches to begin with."""
+"""Number of initial stretches."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class ClearanceBound:
-    """What is known of the clearance along a motion.
+    """Bounds of the clearance along a motion.
 
     | field       | meaning                                                                       | unit     |
     |-------------|-------------------------------------------------------------------------------|----------|
-    | bound       | nothing comes closer anywhere, by the fast checker's spheres                  | m        |
-    | sampled     | least clearance that was seen                                                 | m        |
-    | uncertified | stretches for which no clearance of at least 0 was shown                      | s or rad |
-    | evaluations | configurations asked for                                                      |          |
+    | bound       | lower bound of the clearance along the whole motion, by the fast checker      | m        |
+    | sampled     | least sampled clearance                                                       | m        |
+    | uncertified | stretches not proven to have a clearance of at least 0                        | s or rad |
+    | evaluations | number of evaluated configurations                                            |          |
     """
 
     bound: float
@@ -61,9 +62,9 @@ def certified_clearance(
 
     Args:
         motion: A path, straight between its vertices, or a trajectory.
-        kernels: The scene's.
-        tolerance: Stop when the bound is this close to the least clearance sampled [m].
-        most: Configurations to ask for before it stops with what it has.
+        kernels: The kernels of the scene.
+        tolerance: Stop when the bound is this close to the least sampled clearance [m].
+        most: Number of evaluated configurations after which refinement stops.
     """
     way = _Way(motion, kernels)
     known = way.beginning()
@@ -87,12 +88,12 @@ def certified_clearance(
 @final
 @dataclass(frozen=True, eq=False)
 class _Stretches:
-    """Stretches of a motion, the clearance in their middles and how far anything moves from there on [m]."""
+    """Stretches of a motion, with the clearance and the greatest displacement of any point from their midpoints [m]."""
 
     lo: Float[Array, " n"]
     hi: Float[Array, " n"]
     first: Int[Array, " n"]
-    """The stretch of the beginning that each is a part of."""
+    """Index of the initial stretch that contains each one."""
     clearance: Float[Array, " n"]
     moved: Float[Array, " n"]
 
@@ -101,7 +102,7 @@ class _Stretches:
         return self.clearance - self.moved - ROUNDING
 
     def wanting(self, tolerance: float) -> Bool[Array, " n"]:
-        """Tell which to halve: those that hold down the bound, and those not shown to be free though they may be."""
+        """Select the stretches to halve: those that limit the bound and those that may be free but are unproven."""
         least = float(self.clearance.min())
         wanted = least - min(tolerance, 0.5 * least if least > 0.0 else tolerance) - ROUNDING
         may_be_free = (self.bound < 0.0) & (self.clearance > -self.moved)
@@ -118,7 +119,7 @@ class _Stretches:
 
 @final
 class _Way:
-    """A motion by how far the robot has come along it: joint travel weighed with rough levers."""
+    """A motion parametrised by its progress: joint travel weighted with rough levers [m]."""
 
     def __init__(self, motion: Path | Trajectory, kernels: Kernels) -> None:
         self.motion, self.kernels = motion, kernels
@@ -134,17 +135,17 @@ class _Way:
         self._levers = levers.of(kernels.link_poses(q), turns)
 
     def beginning(self) -> _Stretches:
-        """Cut the whole motion into stretches."""
+        """Return the initial stretches, which cover the whole motion."""
         return self._stretches(self._lo, self._hi, np.arange(len(self._lo)))
 
     def halves(self, whole: _Stretches) -> _Stretches:
-        """Look at both halves of some stretches."""
+        """Evaluate both halves of some stretches."""
         middle = 0.5 * (whole.lo + whole.hi)
         lo, hi = np.concatenate([whole.lo, middle]), np.concatenate([middle, whole.hi])
         return self._stretches(lo, hi, np.tile(whole.first, 2))
 
     def merged(self, lo: Float[Array, " n"], hi: Float[Array, " n"]) -> tuple[tuple[float, float], ...]:
-        """Join stretches that touch; in seconds or radians."""
+        """Join adjacent stretches and return their bounds in seconds (trajectory) or radians (path)."""
         found: list[list[float]] = []
         for i in np.argsort(lo):
             if found and lo[i] <= found[-1][1] + 1e-12:
@@ -156,14 +157,14 @@ class _Way:
 
     def _stretches(self, lo: Float[Array, " n"], hi: Float[Array, " n"], first: Int[Array, " n"]) -> _Stretches:
         q, turns = self._middle(lo, hi)
-        # The levers of the whole hold in each of its parts.
+        # The levers of an initial stretch hold in all of its parts.
         moved = np.matmul(turns[:, None, :], self._levers[first])[:, 0].max(axis=1, initial=0.0)
         return _Stretches(lo, hi, first, self.kernels.clearance(q), moved)
 
     def _middle(
         self, lo: Float[Array, " n"], hi: Float[Array, " n"]
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """Return the configurations in the middle, and how far each joint moves at most from there."""
+        """Return the configurations at the midpoints, and the greatest displacement of each joint from there."""
         middle = self._places(0.5 * (lo + hi))
         before, here, after = (self._travel_at(place) for place in (self._places(lo), middle, self._places(hi)))
         return at_places(self.motion, middle).q, np.maximum(here - before, after - here)
@@ -179,15 +180,15 @@ class _Way:
 
 @final
 class _Levers:
-    """Bounds on how far what rides on the links moves when joints do.
+    """Bounds on the motion of each link, with everything attached to it, per unit of joint motion.
 
-    Planned joints form a chain, so that of two links the farther one moves against the other by no more than that.
+    Planned joints form a chain. So the bound for the farther link of a pair also bounds their relative motion.
     """
 
     def __init__(self, robot: RobotArrays) -> None:
         parents, joints = robot.parent.tolist(), robot.joint.tolist()
         above: list[list[int]] = []
-        for link, parent in enumerate(parents):  # parents come first
+        for link, parent in enumerate(parents):  # parents precede their children
             above.append([link, *(above[parent] if parent >= 0 else [])])
         self._link = np.array([link for link in range(len(joints)) if joints[link] >= 0], dtype=int)
         self._joint = robot.joint[self._link]
@@ -198,20 +199,20 @@ class _Levers:
         self._carries = np.array(carries, dtype=bool).reshape(len(self._link), len(self._group))
 
     def of(self, X_WL: Float[Array, "n link 4 4"], turns: Float[Array, "*n nq"]) -> Float[Array, "n nq group"]:
-        """Bound how far a link moves per turn of each joint, as long as none turns by more than `turns` from here."""
+        """Bound each link's motion per unit of each joint, if joint k moves by at most `turns[k]` from here."""
         turns = np.broadcast_to(turns, (len(X_WL), turns.shape[-1]))
         X_WG = X_WL[:, self._group]
         p_WG = np.einsum("ngab,gb->nga", X_WG[..., :3, :3], self._ball[:, :3]) + X_WG[..., :3, 3]
         levers = np.zeros((len(X_WL), turns.shape[1], len(self._group)))
         moved = np.zeros((len(X_WL), len(self._group)))
-        for i in range(len(self._link) - 1, -1, -1):  # from the far end on
+        for i in range(len(self._link) - 1, -1, -1):  # from the tip to the base
             lever = np.ones_like(moved) if self._slide[i] else self._distance(p_WG, X_WL[:, self._link[i]]) + moved
             levers[:, self._joint[i]] = lever = np.where(self._carries[i], lever, 0.0)
             moved = moved + lever * turns[:, self._joint[i], None]
         return levers
 
     def _distance(self, p_WG: Float[Array, "n group 3"], X_WJ: Float[Array, "n 4 4"]) -> Float[Array, "n group"]:
-        """Bound the distance of all of each link's ball from the axis of a joint, which is the z axis of its link."""
+        """Bound the distance of any point of each link's bounding sphere from a joint axis, the z axis of its link."""
         r = p_WG - X_WJ[:, None, :3, 3]
         along = np.einsum("nga,na->ng", r, X_WJ[:, :3, 2])
         return np.sqrt(np.maximum(np.einsum("nga,nga->ng", r, r) - along**2, 0.0)) + self._ball[:, 3]

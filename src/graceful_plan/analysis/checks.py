@@ -1,4 +1,4 @@
-"""Quick questions about configurations of a scene."""
+"""Clearance and interaction probabilities of single configurations."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ Array = np.ndarray
 
 
 def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
-    """Signed clearance of the fast checker [m]: the least over surroundings and self, positive is free.
+    """Compute the signed clearance of the fast checker [m], to the surroundings and to the robot itself.
 
-    Spheres cover robot and carried object, so that a positive value is a lower bound of the true clearance, by less
-    than 1 cm; infinite where there is nothing to hit. It counts all pairs that `plan` and `verify` test: where it is
-    positive, they find no collision. What rides on one link, such as the carried object and the link behind the
-    gripper, keeps its distance in all configurations: apart it is not counted, overlapping it makes all negative.
+    Positive is free; infinite where there is nothing to hit. Spheres cover the robot and the carried object, so a
+    positive value is a lower bound of the true clearance, less than 1 cm below it. All pairs that `plan` and `verify`
+    test are counted: where the value is positive, they find no collision. A pair on one link, such as the carried
+    object and the link behind the gripper, keeps its distance in all configurations: it is ignored if it is apart, and
+    makes every value negative if it overlaps.
 
     Raises:
         ShapeError: If the last axis of q is not the number of joints.
@@ -35,14 +36,14 @@ def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
 def interaction_probability(
     scene: Scene, q: ArrayLike, model: str | InteractionModel = "aabb", qd: ArrayLike | None = None
 ) -> Float[Array, "*batch component entity"]:
-    """Probability that each component hits each entity, given that the robot fails at q.
+    """Compute the probability that each component hits each entity, given that the robot fails at q.
 
     Args:
         scene: The scene; components and entities are in its order.
         q: Configurations [rad or m].
         model: An interaction model or its name; by default "aabb", Algorithm 1 of the paper. That of `ImpactCost` is
             another one, "footprint".
-        qd: Joint velocities [rad/s or m/s], for models that ask for them; at rest if None.
+        qd: Joint velocities [rad/s or m/s], for models that use them; at rest if None.
 
     Raises:
         ShapeError: If q or qd do not fit the scene's joints or each other.

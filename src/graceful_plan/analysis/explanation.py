@@ -1,7 +1,7 @@
-"""Where the impact of a motion comes from: who is hit, by what, after which kind of failure, along which stretch.
+"""Explain the impact of a motion: which entity is hit, by which component, after which failure, along which stretch.
 
-An explanation takes apart what `Objective` charges: it reads the same states with the same weights, so that its parts
-add up to the impact of the breakdown.
+An explanation decomposes the cost of `Objective`. It reads the same states with the same weights, so its parts add up
+to the impact of the cost breakdown.
 """
 
 from __future__ import annotations
@@ -28,64 +28,64 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 STRETCH = 0.9
-"""Share of a contribution that lies on the stretch that is named for it."""
+"""Share of a contribution that lies on its reported stretch."""
 _MEASURES = {
     "length": "severity expected at a failure, times radians of motion",
     "time": "severity expected at a failure, times seconds of motion",
     "waypoints": "severity expected at a failure, summed over waypoints",
 }
 _ROUNDING = 1e-9
-"""Relative difference up to which two sums are the same."""
+"""Relative tolerance for two sums to count as equal."""
 _SHOWN = 12
-"""Rows in the text; the others are added up in the last one."""
+"""Number of rows in the text; all others are added up in the last one."""
 _FAULTS_SHOWN = 2
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contribution:
-    """One part of the impact: a component of the robot that hits an entity after one kind of failure."""
+    """One part of the impact: a component of the robot hits an entity after one kind of failure."""
 
     event: str
-    """What happens, in words."""
+    """The event in words."""
     entity: str
     component: str
     source: str
-    """What goes wrong, one of `InteractionModel.sources`."""
+    """Kind of failure, from `InteractionModel.sources`."""
     faults: Mapping[str, float]
-    """Which faults are behind it, the most likely one first, with shares that add up to 1; empty if that is unknown."""
+    """Faults that cause it, the most likely first, with shares that sum to 1; empty if unknown."""
     impact: float
     share: float
     """Share of the total impact, in [0, 1]."""
     begin: float
-    """Where the shortest stretch begins on which `STRETCH` of this part accrues [rad]."""
+    """Begin of the shortest stretch that holds `STRETCH` of this part, as joint-space length from the start [rad]."""
     end: float
     worst: float
-    """Where it is most likely [rad]."""
+    """Where its probability is highest, as joint-space length from the start [rad]."""
     begin_time: float | None
-    """The same places in time [s]; None on a path without times."""
+    """`begin`, `end` and `worst` as times [s]; None on a path without times."""
     end_time: float | None
     worst_time: float | None
     severity: float
     probability: float
-    """P at the worst place, given a failure there."""
+    """P at the worst state, given a failure there."""
     position: tuple[float, float, float]
-    """Where the carried object (the tool, if nothing is carried) is at the worst place, in W [m]."""
+    """Position of the carried object (of the tool, if nothing is carried) at the worst state, in W [m]."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Explanation:
-    """The impact of a motion, along it and by what causes it.
+    """The impact along a motion, and its contributions by cause.
 
     | field         | meaning                                                        | unit | shape         |
     |---------------|----------------------------------------------------------------|------|---------------|
     | cost          | breakdown by the objective                                     |      |               |
-    | exposure      | what the impact is integrated over: length, time, waypoints    |      |               |
+    | exposure      | integration variable of the impact: length, time, waypoints    |      |               |
     | entities      | names of the entities                                          |      | entity        |
     | place         | joint-space length from the start at each state                | rad  | n             |
     | time          | time of each state; None on a path                             | s    | n             |
-    | weight        | exposure that each state stands for                            |      | n             |
+    | weight        | integration weight of each state                               |      | n             |
     | by_entity     | impact density: P S per unit of exposure, given a failure      |      | n entity      |
     | contributions | parts of the impact, largest first                             |      |               |
     """
@@ -125,7 +125,7 @@ class Explanation:
         return documents.to_json(self.to_document())
 
     def __str__(self) -> str:
-        """Say in plain words what the largest parts are."""
+        """Describe the largest contributions in plain words."""
         if not self.contributions:
             return "impact 0: whatever fails, nothing is hit that matters"
         shown, rest = self.contributions[:_SHOWN], self.contributions[_SHOWN:]
@@ -146,24 +146,24 @@ def explain(
     *,
     start_time: float = 0.0,
 ) -> Explanation:
-    """Take the impact of a motion apart.
+    """Decompose the impact of a motion into its contributions.
 
     Args:
-        motion: What to explain; of the result of a plan, its trajectory, which its cost is that of.
-        scene: The scene, with what is carried attached.
-        objective: What charges it; the default `Objective()` if None.
-        start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
+        motion: The motion. Of a `PlanResult`, its trajectory.
+        scene: The scene, with the carried object attached.
+        objective: The objective that evaluates the motion; the default `Objective()` if None.
+        start_time: Offset from the trajectory's times to the clock of the scene's predictions [s].
 
     Raises:
         CostError: If the sources of the interaction model do not add up to its probability.
-        PlanningFailed: If the result of a plan has no path.
-        SettingError: If the objective's impact is not an `ImpactCost`, which alone tells entities and components, or
-            the start time is not finite.
+        PlanningFailed: If the result of a plan has no trajectory.
+        SettingError: If the objective's impact is not an `ImpactCost`, the only cost that resolves entities and
+            components, or the start time is not finite.
         ShapeError: If the motion does not fit the scene.
     """
     objective = objective or Objective()
     if not isinstance(objective.impact, ImpactCost):
-        raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
+        raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not resolve entities")
     if not (is_real(start_time) and np.isfinite(start_time)):
         raise SettingError("start_time", start_time, "a finite time [s]")
     if isinstance(motion, PlanResult):
@@ -195,7 +195,7 @@ def explain(
 
 @final
 class _Along:
-    """The charged states of a motion with where and when they are."""
+    """The evaluated states of a motion, with their places and times."""
 
     def __init__(self, charged: ChargedStates, motion: Path | Trajectory) -> None:
         points = motion.path if isinstance(motion, Trajectory) else motion
@@ -210,7 +210,7 @@ class _Along:
         return None if self.time is None else float(self.time[index])
 
     def position(self, index: int) -> tuple[float, float, float]:
-        """Where the object, or else the tool, is in W [m]."""
+        """Position of the carried object, or else of the tool, in W [m]."""
         poses = self.batch.tool_poses if self.batch.scene.carried is None else self.batch.object_poses
         x, y, z = poses[index, :3, 3].tolist()
         return x, y, z
@@ -273,15 +273,15 @@ def _normalised(weights: Mapping[str, float]) -> Mapping[str, float]:
 
 
 def shortest_stretch(place: Float[Array, " n"], mass: Float[Array, " n"], share: float) -> tuple[int, int]:
-    """Return the first and the last state of the shortest stretch that holds a share of all mass.
+    """Return the first and the last state of the shortest stretch that holds a share of the total mass.
 
     Args:
-        place: Where the states are, not descending.
-        mass: What each holds, at least 0, not all 0.
-        share: In (0, 1].
+        place: Positions of the states, not decreasing.
+        mass: Mass of each state, at least 0, not all 0.
+        share: Share of the total, in (0, 1].
     """
     total = np.concatenate([[0.0], np.cumsum(mass)])
-    needed = share * total[-1] * (1.0 - 1e-12)  # rounding must not ask for more than there is
+    needed = share * total[-1] * (1.0 - 1e-12)  # rounding must not require more than the total
     last = np.searchsorted(total[1:], total[:-1] + needed)
     starts = np.flatnonzero(last < len(place))
     first = int(starts[np.argmin(place[last[starts]] - place[starts])])
@@ -304,7 +304,7 @@ _PHRASES: Mapping[str, Mapping[str, str]] = {
         "contents": "contents of {object} onto {entity}",
     },
 }
-"""What happens, by source and component."""
+"""Event in words, by source and component."""
 
 
 def _phrase(source: str, component: str, carried: Carried | None, entity: str) -> str:

@@ -1,7 +1,7 @@
-"""The carried object without the robot: the same scene with three slides that put the object anywhere.
+"""The carried object without the robot: a scene in which three slides put the object anywhere.
 
-What depends on where the object is and how it moves, and on nothing else of the robot, is asked there: q is the place
-of its centre of mass in W [m], qd its velocity [m/s].
+Quantities that depend only on the position and velocity of the object are evaluated in this scene: q is the position of
+its centre of mass in W [m], qd its velocity [m/s].
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _NAME = "object_gantry"
-_RANGE = 1000.0  # of the slides, either way [m]
-_NO_ONE = 1 << 30  # a bit of the collision masks that nothing else has
+_RANGE = 1000.0  # of the slides, in both directions [m]
+_NO_ONE = 1 << 30  # a collision bit that no other geom has
 
 
 def gantry_scene(scene: Scene, R_WO: ArrayLike) -> Scene:
-    """Return the scene with three slides, along x, y and z of W, that hold the object, in place of the robot.
+    """Return the scene with the robot replaced by three slides, along x, y and z of W, that hold the object.
 
-    Entities, severities, contents and obstacles are those of the scene; the robot does not collide any more.
+    Entities, severities, contents and obstacles are those of the scene; the robot no longer collides.
 
     Args:
-        scene: With an object in the gripper.
-        R_WO: How the object is turned.
+        scene: A scene with an object in the gripper.
+        R_WO: Orientation of the object.
 
     Raises:
         ShapeError: If nothing is carried.
@@ -60,7 +60,7 @@ def gantry_scene(scene: Scene, R_WO: ArrayLike) -> Scene:
 
 
 def centre_of_mass(scene: Scene) -> Float[Array, " 3"]:
-    """Return the centre of mass of the carried object with all that rides on it, in its body's frame O [m]."""
+    """Return the centre of mass of the carried object and everything attached to it, in its body frame O [m]."""
     assert scene.carried is not None
     data = scene.data_at(scene.model.qpos0[scene.qpos_adr])
     body = scene.model.body(scene.carried.body).id
@@ -77,14 +77,14 @@ def _spec(scene: Scene) -> mujoco.MjSpec:
     for pair in list(spec.pairs):
         if {pair.geomname1, pair.geomname2} & mine:
             spec.delete(pair)
-    for key in list(spec.keys):  # they know nothing of the slides
+    for key in list(spec.keys):  # keyframes do not fit the slides
         spec.delete(key)
     body = spec.worldbody.add_body(name=_NAME)
     for name, axis in (("x", [1, 0, 0]), ("y", [0, 1, 0]), ("z", [0, 0, 1])):
         body.add_joint(
             name=f"{_NAME}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, limited=True, range=[-_RANGE, _RANGE]
         )
-    # A component needs a geom that collides; this one touches nothing.
+    # A component needs a colliding geom; this one touches nothing.
     body.add_geom(name=_NAME, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-3, 0, 0], contype=_NO_ONE, conaffinity=0)
     body.add_site(name=_NAME)
     return spec

@@ -1,7 +1,7 @@
-"""The distribution of the impact of a failure at a state: entities added up by convolution; see `risk` for what it is.
+"""Distribution of the impact of a failure at a state: independent entities are convolved; `risk` has the definition.
 
-Distributions are over all sums of severities that are possible: for each entity, of any of the components that harm it.
-If they are too many, they are on an even grid, and what falls between two of its values is split between them.
+The support holds all possible sums of severities: for each entity, of any of the components that harm it. If there are
+too many sums, the support is an even grid, and mass that falls between two grid points is split between them.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _MOST_SUMS = 1024
-"""Different sums of severities up to which distributions are exact; also the number of grid points beyond."""
+"""Largest number of distinct sums of severities for an exact distribution; also the number of grid points otherwise."""
 _IMPOSSIBLE = 1e-9
-"""Probabilities of harm to an entity that do not count."""
-_CHUNK = 256  # states that are worked on at once
+"""Probability of harm to an entity up to which it is ignored."""
+_CHUNK = 256  # states per batch
 
 
 @final
 class _Move(NamedTuple):
-    """Part of what adding a severity to a sum does: a share of the mass at some values goes to others, each its own."""
+    """One step of adding a severity to all sums: a share of the mass at each origin moves to its own target."""
 
     origin: Int[Array, " k"] | slice
     target: Int[Array, " k"] | slice
@@ -38,7 +38,7 @@ class _Move(NamedTuple):
 
 @final
 class _Kind(NamedTuple):
-    """A kind of failure: its probability, given a failure, and P(L >= s) given this kind, by entity."""
+    """A kind of failure: its probability given a failure, and P(L >= s) given this kind, by entity."""
 
     weight: float
     at_least: list[Float[Array, "n _"]]
@@ -49,18 +49,18 @@ class HarmLaw:
     """Distributions of the impact at states, in one scene.
 
     Args:
-        cost: The impact cost; only interaction models tell whom a failure hits.
+        cost: The impact cost; only interaction models resolve entities.
         scene: The scene.
-        most_sums: Different sums of severities up to which distributions are exact, and grid points beyond.
+        most_sums: Largest number of distinct sums for an exact distribution, and number of grid points otherwise.
 
     Attributes:
-        value: Impacts that are possible, increasing from 0.
-        exact: Whether all sums of severities are among the values.
+        value: Possible impacts, increasing from 0.
+        exact: Whether the values hold all sums of severities.
     """
 
     def __init__(self, cost: Cost, scene: Scene, most_sums: int | None = None) -> None:
         if not isinstance(cost, ImpactCost):
-            raise SettingError("impact", cost, "an ImpactCost, which knows whom a failure hits")
+            raise SettingError("impact", cost, "an ImpactCost, which resolves entities")
         self._cost = cost
         severity = cost.hazard_severity(scene)
         self._entities = np.flatnonzero(severity.max(axis=0, initial=0.0) > 0.0)
@@ -70,7 +70,7 @@ class HarmLaw:
         self._moves = {s: _moves(self.value, s, self.exact) for levels in self._levels for s in levels.tolist()}
 
     def states(self, batch: StateBatch) -> Float[Array, "n atom"]:
-        """Probability of each value, given a failure at each state."""
+        """Compute the probability of each value, given a failure at each state."""
         kinds = self._kinds(batch)
         mass = np.tile(self._harmless(kinds), (len(batch), 1))
         for weight, at_least in kinds:
@@ -80,7 +80,7 @@ class HarmLaw:
     def mixture(
         self, batch: StateBatch, weight: Float[Array, " n"]
     ) -> tuple[Float[Array, " atom"], Float[Array, " entity"]]:
-        """Weighted sum of the distributions at states, and the worst that may happen to each entity at any of them."""
+        """Return the weighted sum of the distributions at states, and the worst possible impact on each entity."""
         kinds = self._kinds(batch)
         mass = self._harmless(kinds) * weight.sum()
         worst = np.zeros(len(self._entities))
@@ -94,16 +94,16 @@ class HarmLaw:
         return mass, worst
 
     def _harmless(self, kinds: Sequence[_Kind]) -> Float[Array, " atom"]:
-        """What is left of the probability of a failure when it is none of these kinds."""
+        """Return the probability that a failure is of none of these kinds, as a point mass at 0."""
         return (1.0 - sum(kind.weight for kind in kinds)) * (self.value == 0.0)
 
     def _kinds(self, batch: StateBatch) -> list[_Kind]:
-        """Return the kinds of failure that the model tells apart, or one for all."""
+        """Return the kinds of failure that the model resolves, or a single kind for all."""
         shares = {name: np.asarray(share)[:, :, self._entities] for name, share in self._cost.sources(batch).items()}
         if not all(np.all(np.isfinite(share)) for share in shares.values()):
             raise NonFiniteCostError(self._cost, "probability() returned a NaN or an infinity")
         weights = {name: sum(faults.values()) for name, faults in self._cost.interaction.fault_shares().items()}
-        excess = max(1.0, sum(weights.values()))  # of faults that are like two kinds at once
+        excess = max(1.0, sum(weights.values()))  # some faults act like two kinds at once
         weights = {name: weight / excess for name, weight in weights.items()}
         shares = {name: share for name, share in shares.items() if share.any()}
         if all(weights.get(name, 0.0) > 0.0 for name in shares):
@@ -114,13 +114,13 @@ class HarmLaw:
         """Return P(L >= s) for each entity that can be harmed and each of its sums of severities s, increasing.
 
         Args:
-            shares: Probabilities of causes that exclude each other; at least one.
+            shares: Probabilities of mutually exclusive causes; at least one.
         """
         found = []
         for e, (levels, (subsets, sums)) in enumerate(zip(self._levels, self._subsets, strict=True)):
             reached = np.zeros((len(shares[0]), len(levels)))
             for share in shares:
-                # Components strike together: with the least likely one of some, all of these do.
+                # Components strike together: all of a subset do with the probability of its least likely one.
                 together = np.stack([share[:, list(subset), e].min(axis=1) for subset in subsets], axis=1)
                 for k, s in enumerate(levels):
                     reached[:, k] += together[:, sums >= s].max(axis=1)
@@ -128,11 +128,11 @@ class HarmLaw:
         return found
 
     def _convolved(self, at_least: Sequence[Float[Array, "n _"]], n: int) -> Float[Array, "n atom"]:
-        """Add up independent entities, one after the other."""
+        """Convolve independent entities, one after the other."""
         mass = np.zeros((n, len(self.value)))
         mass[:, 0] = 1.0
         for levels, reached in zip(self._levels, at_least, strict=True):
-            # Most states are out of reach of most entities.
+            # Most entities are out of reach at most states.
             rows = np.flatnonzero(reached[:, 0] > _IMPOSSIBLE)
             if not len(rows):
                 continue
@@ -147,30 +147,30 @@ class HarmLaw:
 
 
 def _subsets(severity: Float[Array, " component"]) -> tuple[list[tuple[int, ...]], Float[Array, " subset"]]:
-    """Return all sets of components that have a severity, and the sums of theirs."""
+    """Return all non-empty sets of components with a severity > 0, and the sum of severities of each."""
     members = np.flatnonzero(severity > 0.0).tolist()
     subsets = [subset for size in range(1, len(members) + 1) for subset in combinations(members, size)]
     return subsets, np.round([severity[list(subset)].sum() for subset in subsets], 9)
 
 
 def _sums(levels: Sequence[Float[Array, " _"]], most: int) -> tuple[Float[Array, " atom"], bool]:
-    """Return all sums of one level, or none, of each entity; an even grid over their range if they are too many."""
+    """Return all sums of at most one level per entity, or an even grid over their range if there are too many."""
     value = np.zeros(1)
     for severities in levels:
         sums = np.add.outer(np.append(0.0, severities), value).ravel()
         value = np.unique(np.round(sums, 9))
         if len(value) > most:
             step = sum(float(column.max()) for column in levels) / (most - 1)
-            # Splitting may lift a sum by a step for each entity.
+            # Splitting may raise a sum by one step per entity.
             return step * np.arange(most + len(levels)), False
     return value, True
 
 
 def _moves(value: Float[Array, " atom"], s: float, exact: bool) -> list[_Move]:
-    """Return where the mass at each value goes when `s` is added; no two values go to the same place in one move."""
+    """Return where the mass at each value goes when `s` is added; within one move all targets are distinct."""
     if exact:
         target = np.searchsorted(value, value + s - 1e-9 * value[-1])
-        # Values whose sum with s is not among the values have no mass: they hold s already.
+        # Values whose sum with s is not in the support already include s and have no mass.
         origin = np.flatnonzero(np.isclose(value[np.minimum(target, len(value) - 1)], value + s, rtol=1e-9, atol=0.0))
         return [_Move(origin, target[origin], 1.0)]
     step = value[1]

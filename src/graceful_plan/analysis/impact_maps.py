@@ -1,8 +1,8 @@
-"""Where it would do how much harm if the carried object were let go: the impact of a drop over the workspace.
+"""Maps of the impact of a drop over the workspace: the expected harm if the carried object is let go at each place.
 
-The robot is not in it, neither as an obstacle nor as something that falls: the object is put everywhere at the same
-height and turned the same way (`gantry_scene`), and the interaction model says what it hits from there. Entities that
-move are not in it either.
+The robot is left out, both as an obstacle and as a falling component: the object is placed everywhere at one height and
+in one orientation (`gantry_scene`), and the interaction model predicts which entities it hits. Moving entities are left
+out, too.
 """
 
 from __future__ import annotations
@@ -36,35 +36,35 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 DIRECTIONS = 8
-"""Directions of motion over which a map is averaged if none is given."""
+"""Number of directions of motion over which a map is averaged if no direction is given."""
 _MOST = 1000.0
-"""Height [m] and speed [m/s]; the kernels take no more."""
+"""Largest height [m] and speed [m/s] that the kernels accept."""
 MAX_CELLS = 1_000_000
 _MARGIN = 0.2  # around entities [m]
-_FAR_BELOW = 0.3  # the surface; what is lower does not widen the map [m]
-_OVERLAP = 0.001  # of the object with something, from which a cell is blocked [m]
-_STANDS = 0.01  # a bottom so near to a top stands on it [m]
-_CHUNK = 20_000  # states that are asked about at once
+_FAR_BELOW = 0.3  # entities farther below the surface do not widen the map [m]
+_OVERLAP = 0.001  # penetration of the object from which a cell is blocked [m]
+_STANDS = 0.01  # largest distance from a bottom to the top that it stands on [m]
+_CHUNK = 20_000  # states per batch
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpactMap:
-    """Expected impact of letting the carried object go, over places of its centre of mass seen from above.
+    """Expected impact of letting the carried object go, over positions of its centre of mass in the xy plane.
 
     | field     | meaning                                                                     | unit | shape         |
     |-----------|-----------------------------------------------------------------------------|------|---------------|
     | x         | centres of the cells                                                        | m    | nx            |
     | y         | centres of the cells                                                        | m    | ny            |
-    | impact    | sum of P S given that the object is let go; NaN where it cannot be          |      | ny nx         |
-    | by_entity | the same by entity                                                          |      | ny nx entity  |
+    | impact    | sum of P S given that the object is let go; NaN where the cell is blocked   |      | ny nx         |
+    | by_entity | impact by entity                                                            |      | ny nx entity  |
     | entities  | names of the entities, and of the object itself if its own loss counts      |      | entity        |
     | carried   | name of the object                                                          |      |               |
-    | surface   | height in W above which `height` counts                                     | m    |               |
+    | surface   | height in W from which `height` is measured                                 | m    |               |
     | height    | of the object's lowest point above the surface                              | m    |               |
     | speed     | horizontal speed of the object                                              | m/s  |               |
     | direction | of motion, from x towards y; None: the mean over `DIRECTIONS` even ones     | rad  |               |
-    | rotation  | R_WO, how the object is turned                                              |      | 3 3           |
+    | rotation  | R_WO, orientation of the object                                             |      | 3 3           |
     """
 
     x: Float[Array, " nx"]
@@ -81,7 +81,7 @@ class ImpactMap:
 
     @property
     def blocked(self) -> Bool[Array, "ny nx"]:
-        """Cells in which the object would overlap something."""
+        """Cells in which the object would penetrate something."""
         return np.isnan(self.impact)
 
     def to_document(self) -> dict[str, Any]:
@@ -103,11 +103,11 @@ class ImpactMap:
         }
 
     def to_json(self) -> str:
-        """Return `to_document()` as JSON text; cells in which the object cannot be are null."""
+        """Return `to_document()` as JSON text; blocked cells are null."""
         return documents.to_json(self.to_document())
 
     def __str__(self) -> str:
-        """Say where it is worst, for each entity that is in danger somewhere."""
+        """Describe the worst place, in total and for each entity that can be harmed."""
         how = f"at {self.speed:g} m/s" if self.speed else "at rest"
         size = f"{len(self.x)} x {len(self.y)} cells, {self.blocked.sum()} of them blocked"
         title = f"{self.carried} let go {how}, {self.height:g} m above z = {self.surface:.3f} m: {size}"
@@ -135,30 +135,30 @@ def impact_map(
     bounds: Sequence[float] | None = None,
     resolution: float = 0.02,
 ) -> ImpactMap:
-    """Compute what it would do to let the carried object go, at many places.
+    """Compute the expected impact of letting the carried object go, over a grid of positions.
 
     Args:
-        scene: With an object in the gripper.
-        impact: What counts, and the model that says what is hit; by default the drop model. Components that do not fall
-            add nothing.
-        height: Of the object's lowest point above the surface, everywhere the same [m].
-        speed: Horizontal speed of the object [m/s]; it does not turn.
-        direction: Of that speed [rad], from x towards y; the mean over `DIRECTIONS` directions if None.
-        q: Configuration that says how the object is turned; if None, as it stands in the scene.
-        surface: Height in W [m] above which `height` counts; if None, the top on which most things stand.
-        bounds: Least x, greatest x, least y and greatest y of the map [m]; if None, around the entities that are not
-            far below the surface, as far as the arm can reach.
-        resolution: Width of a cell [m], at least approximately.
+        scene: A scene with an object in the gripper.
+        impact: The impact cost with its interaction model; the drop model by default. Components that do not fall
+            contribute nothing.
+        height: Height of the object's lowest point above the surface in all cells [m].
+        speed: Horizontal speed of the object [m/s]; it does not rotate.
+        direction: Direction of that speed [rad], from x towards y; the mean over `DIRECTIONS` directions if None.
+        q: Configuration that defines the object's orientation; if None, that of its body in the model.
+        surface: Height in W [m] from which `height` is measured; if None, the top on which most things stand.
+        bounds: Least x, greatest x, least y and greatest y of the map [m]. If None, the map covers all entities that
+            are not far below the surface, within the reach of the arm.
+        resolution: Approximate width of a cell [m].
 
     Raises:
         ShapeError: If nothing is carried, or q or bounds have another shape.
-        SettingError: If a setting is outside of its range, or the impact is not an `ImpactCost`.
+        SettingError: If a setting is out of range, or the impact is not an `ImpactCost`.
     """
     if scene.carried is None:
         raise ShapeError("scene.carried", (), "a scene with a carried object; see Scene.attach")
     impact = ImpactCost(model="footprint") if impact is None else impact
     if not isinstance(impact, ImpactCost):
-        raise SettingError("impact", impact, "an ImpactCost: other costs do not tell who is hit")
+        raise SettingError("impact", impact, "an ImpactCost: other costs do not resolve entities")
     for name, value in (("height", height), ("speed", speed)):
         if not (is_real(value) and 0.0 <= value <= _MOST):
             raise SettingError(name, value, f"a finite number of at least 0 and at most {_MOST:g}")
@@ -197,7 +197,7 @@ def impact_map(
 
 
 def _rotation(scene: Scene, q: ArrayLike | None) -> Float[Array, "3 3"]:
-    """R_WO at a configuration, or as the object stands in the model."""
+    """R_WO at a configuration, or that of the body in the model."""
     assert scene.carried is not None  # checked by the caller
     body = scene.model.body(scene.carried.body).id
     if q is not None:
@@ -220,7 +220,7 @@ def _lowest(gantry: Scene) -> float:
 
 
 def _surface(tables: DropTables) -> float:
-    """Return the height of the top on which most surfaces stand; the higher one of two.
+    """Return the height of the top on which most surfaces stand; of two with as many, the higher one.
 
     Raises:
         SettingError: If nothing stands on anything.
@@ -250,7 +250,7 @@ def _bounds(scene: Scene, tables: DropTables, surface: float) -> tuple[float, fl
         raise SettingError("bounds", None, "least and greatest x, least and greatest y [m]: no entities are so high")
     extent = _extent(tables)[mine] + _MARGIN
     low, high = (tables.target_centre[mine] - extent).min(axis=0), (tables.target_centre[mine] + extent).max(axis=0)
-    if not compile_scene(scene).robot.slide.any():  # the reach of slides says nothing about x and y
+    if not compile_scene(scene).robot.slide.any():  # the reach of slides does not bound x and y
         model = scene.model
         base = scene.data_at(model.qpos0[scene.qpos_adr]).xanchor[model.joint(scene.joints[0]).id, :2]
         low, high = np.maximum(low, base - reach(scene)[0]), np.minimum(high, base + reach(scene)[0])
@@ -273,7 +273,7 @@ def _cells(bounds: Sequence[float], resolution: float) -> tuple[Float[Array, " n
 
 
 def _blocked(gantry: Scene, places: Float[Array, "cell 3"]) -> Bool[Array, " cell"]:
-    """Tell at which places the object overlaps something; where the fast checker has doubts, MuJoCo decides."""
+    """Tell at which positions the object penetrates something; MuJoCo decides where the fast checker cannot."""
     doubtful = np.flatnonzero(~(clearance(gantry, places) > 0.0))
     blocked = np.zeros(len(places), dtype=bool)
     for touch in Judge(gantry).touches(places[doubtful]):
@@ -288,7 +288,7 @@ def _blocked(gantry: Scene, places: Float[Array, "cell 3"]) -> Bool[Array, " cel
 def _mean_impact(
     gantry: Scene, impact: ImpactCost, places: Float[Array, "cell 3"], speed: float, angles: Float[Array, " direction"]
 ) -> Float[Array, "cell entity"]:
-    """Mean impact over directions of motion, by entity."""
+    """Compute the mean impact over directions of motion, by entity."""
     falls = np.array([name in FALLING for name in gantry.components])
     severity = impact.severity(gantry) * falls[:, None]
     own = impact.own(gantry)
@@ -306,19 +306,19 @@ def _mean_impact(
 
 
 def _let_go(interaction: InteractionModel, batch: StateBatch) -> Float[Array, "n component entity"]:
-    """P given that the gripper lets go, even if the model knows of other failures."""
+    """Compute P given that the gripper lets go, also for models with other kinds of failure."""
     weight = _drops(interaction)
     return interaction.probability(batch) if weight is None else interaction.sources(batch)["drop"] / weight
 
 
 def _lost(interaction: InteractionModel, batch: StateBatch, fragility: FragilityTable) -> Float[Array, " n"]:
-    """P that the object itself is damaged, given the same."""
+    """Compute the probability that the object itself is damaged, given that the gripper lets go."""
     lost, weight = interaction.own_loss(batch, fragility), _drops(interaction)
     return np.asarray(sum(lost.values())) if weight is None else lost["drop"] / weight
 
 
 def _drops(interaction: InteractionModel) -> float | None:
-    """Weight of drops among the failures; None if the model does not tell any apart."""
+    """Weight of drops among the failures; None if the model does not resolve kinds of failure."""
     faults = interaction.fault_shares().get("drop")
     weight = None if faults is None else math.fsum(faults.values())
     if weight is not None and not weight > 0.0:

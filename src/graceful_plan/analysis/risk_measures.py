@@ -1,24 +1,25 @@
-r"""Risk: how bad the consequences of a failure can be, not only how bad they are on average.
+r"""Risk: the distribution of the impact of a failure, and measures of its tail.
 
-Given that the robot fails once, at a moment that is uniform over a motion, the impact is a random number: the sum over
-components and entities of the severities of what happens. `risk` computes its distribution from an interaction model:
+Given that the robot fails once, at a moment uniform over a motion, the impact is a random variable: the sum over
+components and entities of the severities of the harm done. `risk` computes its distribution from an interaction model:
 
-* The failure is of one kind (the gripper lets go, a motor dies): `InteractionModel.sources`, weighted as its
-  `fault_shares` say. A model without weights has one kind, of which its sources exclude each other.
+* The failure is of one kind (the gripper lets go, a motor dies): `InteractionModel.sources`, weighted by
+  `fault_shares`. A model without weights has a single kind, whose sources are mutually exclusive.
 * Given the state and the kind, entities are hit independently of one another. That is an assumption: an object that
   breaks the first glass may well break the next, or be stopped by it.
-* What several components do to an entity adds up, as in the planner's impact, which therefore is the mean of this
-  distribution. What has one cause happens together, a mug falls with its coffee:
+* Severities of several components that hit one entity add up, as in the planner's impact, which therefore is the mean
+  of this distribution. Components with a common cause strike together, as a mug falls with its coffee:
 
   .. math:: P(L_e \ge s) = \max_{C:\ \sum_{c \in C} S_{ce} \ge s} \ \min_{c \in C} P_{ce}
 
-* The impact at a state is the sum of these, by convolution, mixed over kinds; over the motion, mixed over its states.
+* The impact at a state is the sum over entities, by convolution, mixed over kinds. The impact of the motion is the
+  mixture over its states.
 
-The distribution is exact for the states that are looked at if there are few sums of severities. Otherwise it is on a
-grid, where a value between two grid points is split between them: that keeps the mean, and errs towards more spread.
+The distribution is exact for the evaluated states if there are few distinct sums of severities. Otherwise it is on a
+grid: a value between two grid points is split between them, which keeps the mean and can only increase the spread.
 
-CVaR at a level (0.9, say) is the mean over the worst 1 - level (a tenth) of failures; VaR is the least value that a
-share `level` of failures does not exceed. Others call 1 - level the level.
+CVaR at a level (say 0.9) is the mean over the worst 1 - level (a tenth) of failures; VaR is the least value that a
+share `level` of failures does not exceed. Some authors call 1 - level the level.
 
 References:
     R. T. Rockafellar, S. Uryasev, "Optimization of conditional value-at-risk", Journal of Risk 2 (2000).
@@ -49,26 +50,26 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 NEGLIGIBLE = 1e-3
-"""Probability, given a failure, up to which an impact does not count for the worst case."""
+"""Probability, given a failure, up to which an impact is ignored for the worst case."""
 MEASURES = ("expectation", "cvar", "worst")
-"""Words for what to make of a distribution of impact."""
+"""Names of the risk measures."""
 _MOMENTS = (100, 4000)
-"""Least and greatest number of moments at which a trajectory may fail."""
+"""Least and greatest number of sampled failure times of a trajectory."""
 
 
 @final
 @dataclass(frozen=True)
 class RiskMeasure:
-    """One number for a distribution of impact.
+    """A risk measure: one number for a distribution of impact.
 
     Args:
-        kind: "expectation"; "cvar", the mean of the worst 1 - level; "worst", the greatest impact that is reached or
+        kind: "expectation"; "cvar", the mean of the worst 1 - level; or "worst", the greatest impact that is reached or
             exceeded with a probability of more than `NEGLIGIBLE`.
-        level: Of "cvar", in [0, 1); 0 is the expectation.
+        level: Level of "cvar", in [0, 1); 0 gives the expectation.
 
     Raises:
         UnknownNameError: If there is no such measure.
-        SettingError: If the level is outside of its range.
+        SettingError: If the level is out of range.
     """
 
     kind: str = "cvar"
@@ -80,7 +81,7 @@ class RiskMeasure:
         check_level(self.level)
 
     def of(self, value: Float[Array, " atom"], probability: Float[Array, "*batch atom"]) -> Float[Array, "*batch"]:
-        """Evaluate distributions over the same increasing values; probabilities of each sum to 1."""
+        """Evaluate distributions over common increasing values; the probabilities of each sum to 1."""
         if self.kind == "expectation":
             return np.asarray(probability @ value)
         if self.kind == "worst":
@@ -92,24 +93,24 @@ class RiskMeasure:
 def conditional_value_at_risk(
     value: Float[Array, " atom"], probability: Float[Array, "*batch atom"], level: float
 ) -> Float[Array, "*batch"]:
-    """Return the mean of the worst 1 - level of distributions over the same increasing values."""
+    """Return the mean of the worst 1 - level of distributions over common increasing values."""
     tail = 1.0 - level
     above = np.minimum(np.cumsum(probability[..., ::-1], axis=-1), tail)
-    above[..., -1] = tail  # what rounding leaves over has the least value
+    above[..., -1] = tail  # the rounding error goes to the least value
     return np.asarray(np.diff(above, axis=-1, prepend=0.0) @ value[::-1] / tail)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Risk:
-    """The distribution of the impact of a failure that happens.
+    """The distribution of the impact, given a failure.
 
     Args:
-        value: Impacts that are possible, increasing from 0.
-        probability: Of each, given that a failure happens; they sum to 1.
-        level: Of `var` and `cvar`, in [0, 1).
+        value: Possible impacts, increasing from 0.
+        probability: Probability of each value, given a failure; they sum to 1.
+        level: Level of `var` and `cvar`, in [0, 1).
         conceivable: Greatest impact that the model does not rule out, however unlikely.
-        exact: Whether there was no need of a grid.
+        exact: Whether the distribution is exact rather than on a grid.
     """
 
     value: Float[Array, " atom"]
@@ -120,7 +121,7 @@ class Risk:
 
     @cached_property
     def expected(self) -> float:
-        """Mean impact, that which the planner charges."""
+        """Mean impact, which is the planner's impact."""
         return float(self.value @ self.probability)
 
     @cached_property
@@ -145,7 +146,7 @@ class Risk:
         return float(self.probability[0])
 
     def exceeding(self, impact: float | ArrayLike) -> Float[Array, "*batch"]:
-        """Probability that a failure does more harm than `impact`.
+        """Compute the probability that the impact of a failure exceeds `impact`.
 
         Raises:
             SettingError: If it is NaN.
@@ -191,17 +192,17 @@ def risk(
     """Compute the distribution of impact, given that the robot fails once along a motion.
 
     Args:
-        motion: A trajectory, which fails at a time uniform over its duration, at the velocity that it has then; or a
-            path or configurations [n, nq], which fail at a moment uniform over the time that it will take.
-        scene: The scene, with what is carried attached.
-        impact: Interaction model and components; those of plain `Objective()` if None.
-        level: Of VaR and CVaR, in [0, 1): 0.9 is for the worst tenth.
-        speed: In (0, 1]: at what fraction of the velocity limits a path is travelled; see `evaluate`.
-        start_time: What to add to a trajectory's times to have those of entities that move [s]; see `evaluate`.
+        motion: A trajectory, which fails at a time uniform over its duration, with the velocity at that time. Or a path
+            or configurations [n, nq], which fail at a moment uniform over the time that the path will take.
+        scene: The scene, with the carried object attached.
+        impact: Interaction model and components; those of the default `Objective()` if None.
+        level: Level of VaR and CVaR, in [0, 1): 0.9 is for the worst tenth.
+        speed: Fraction of the velocity limits at which a path is travelled, in (0, 1]; see `evaluate`.
+        start_time: Offset from a trajectory's times to the clock of the moving entities [s]; see `evaluate`.
 
     Raises:
         ShapeError: If the motion does not fit the scene.
-        SettingError: If a setting makes no sense, or `impact` has no interaction model.
+        SettingError: If a setting is invalid, or `impact` has no interaction model.
     """
     check_level(level)
     if not (is_real(start_time) and np.isfinite(start_time)):
@@ -212,7 +213,7 @@ def risk(
     law = HarmLaw(cost, scene)
     objective = Objective(impact=cost).bind(scene, (speed, speed))
     points = motion if isinstance(motion, Path | Trajectory) else Path(finite_array("motion", motion, ndim=2))
-    charged = objective.charged_states(points)  # also refuses what does not fit the scene
+    charged = objective.charged_states(points)  # also rejects motions that do not fit the scene
     if isinstance(points, Trajectory):
         batch, weight = _moments(points, scene, start_time)
     elif charged.weight.sum() > 0.0:
@@ -233,7 +234,7 @@ def check_level(level: object) -> None:
 
 
 def _moments(trajectory: Trajectory, scene: Scene, start_time: float) -> tuple[StateBatch, Float[Array, " n"]]:
-    """Return states in the middle of even steps of time."""
+    """Return states at the midpoints of equal time steps."""
     least, most = _MOMENTS
     n = int(np.clip(np.ceil(trajectory.path.length / COST_STEP), least, most))
     times = trajectory.t[0] + (np.arange(n) + 0.5) / n * trajectory.duration

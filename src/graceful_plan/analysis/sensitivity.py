@@ -1,12 +1,12 @@
-r"""Does the choice of a path hang on severities that nobody knows well?
+r"""Sensitivity of costs and rankings of paths to the severities, which are rough estimates.
 
-Severities are estimates. Here each entity's is multiplied by a factor of its own,
+Each entity's severity is multiplied by a random factor,
 
 .. math:: \tilde S_e = S_e \, e^{\sigma z_e}, \qquad z_e \sim N(0, 1) \text{ independent},
 
-again and again, and paths are ranked anew. The factor is that of the entity, the same for all components: what is
-uncertain is above all what the thing is worth. Its median is 1, its mean :math:`e^{\sigma^2 / 2}`. The exposure of each
-path to each entity is computed once; the rest is linear algebra. All paths are seen under the same factors.
+and the paths are ranked for each draw. All components share the factor of an entity, because the main uncertainty is
+its value. The median of the factor is 1, its mean :math:`e^{\sigma^2 / 2}`. The exposure of each path to each entity is
+computed once; the rest is linear algebra. All paths are compared under the same draws.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 INTERVAL = (0.025, 0.975)
-"""Quantiles between which intervals lie."""
+"""Quantiles that bound the reported intervals."""
 _MOST = 10_000_000  # draws times entities
 _EQUAL = 1e-9  # costs that differ by less than this, relative to the greatest, are equal
 
@@ -39,7 +39,7 @@ _EQUAL = 1e-9  # costs that differ by less than this, relative to the greatest, 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeveritySensitivity:
-    """What happens to costs and ranks of some paths when severities change. Made by `severity_sensitivity`.
+    """Costs and ranks of paths under random severities; made by `severity_sensitivity`.
 
     Intervals hold 95 % of the draws. Paths of equal cost share their rank, the mean of their places; the best has 1.
 
@@ -48,18 +48,18 @@ class SeveritySensitivity:
     | names           | names of the paths                                                     | path   |
     | spread          | standard deviation of the logarithms of the factors                    |        |
     | motion          | V of each path                                                         | path   |
-    | impact          | S of each path with severities as they are                             | path   |
-    | total           | J = V + w S with severities as they are                                | path   |
-    | impact_interval | S under other severities                                               | path 2 |
-    | total_interval  | J under other severities                                               | path 2 |
-    | best            | probability that the path has the least J; equal ones share it         | path   |
-    | least_impact    | the same for S                                                         | path   |
-    | rank            | by J with severities as they are                                       | path   |
-    | rank_interval   | by J under other severities                                            | path 2 |
-    | tau             | Kendall's tau of the ranking by J with that of severities as they are  | draw   |
-    | tau_impact      | the same for S                                                         | draw   |
+    | impact          | S of each path with the nominal severities                             | path   |
+    | total           | J = V + w S with the nominal severities                                | path   |
+    | impact_interval | interval of S over the draws                                           | path 2 |
+    | total_interval  | interval of J over the draws                                           | path 2 |
+    | best            | probability that the path has the least J; ties are shared equally     | path   |
+    | least_impact    | probability that the path has the least S; ties are shared equally     | path   |
+    | rank            | rank by J with the nominal severities                                  | path   |
+    | rank_interval   | interval of the rank by J over the draws                               | path 2 |
+    | tau             | Kendall's tau between the rankings by J: of the draw and nominal       | draw   |
+    | tau_impact      | Kendall's tau between the rankings by S: of the draw and nominal       | draw   |
 
-    Kendall's tau is over those pairs of paths that differ with severities as they are; 1 if there are none.
+    Kendall's tau counts the pairs of paths that differ with the nominal severities; 1 if there are none.
     """
 
     names: tuple[str, ...]
@@ -109,18 +109,18 @@ def severity_sensitivity(
     n: int = 1000,
     seed: int = 0,
 ) -> SeveritySensitivity:
-    """Tell how costs and ranks of paths change if every severity is off by a random factor.
+    """Compute how costs and ranks of paths vary if every severity is off by a random factor.
 
     Args:
         paths: Paths, trajectories or arrays of configurations [n, nq], by name or in a sequence.
-        scene: The scene, with what is carried attached.
-        objective: What ranks them; the default `Objective()` if None. Its impact has to be an `ImpactCost`.
-        spread: Standard deviation of the logarithm of each entity's factor; 0.5 is a factor of 0.6 to 1.6 mostly.
+        scene: The scene, with the carried object attached.
+        objective: The objective that ranks them; the default `Objective()` if None. Its impact must be an `ImpactCost`.
+        spread: Standard deviation of the logarithm of each entity's factor; 0.5 mostly gives factors of 0.6 to 1.6.
         n: Number of draws.
-        seed: Of the draws.
+        seed: Seed of the draws.
 
     Raises:
-        SettingError: If there is no path, a setting makes no sense, or the impact is not one of severities.
+        SettingError: If there is no path, a setting is invalid, or the impact is not an `ImpactCost`.
         ShapeError: If a path does not fit the scene.
 
     Example:
@@ -162,18 +162,18 @@ def sensitivity_to(
     by_entity: Float[Array, "path entity"],
     factors: Float[Array, "draw entity"],
 ) -> SeveritySensitivity:
-    """Tell how costs and ranks change with the severities of entities.
+    """Compute how costs and ranks vary with given factors of the severities.
 
     Args:
         names: Names of the paths.
         spread: Standard deviation of the logarithms of the factors, for the record.
         motion: V of each path.
         w: Safety weight.
-        by_entity: Each entity's share in S of each path.
-        factors: By which severities are multiplied.
+        by_entity: Contribution of each entity to S of each path.
+        factors: Factors of the severities.
     """
     impact = by_entity.sum(axis=1)
-    # Not a matrix product: that of two identical paths may differ in its rounding.
+    # Not a matrix product, in which identical paths may get different rounding errors.
     impacts = np.stack([(factors * row).sum(axis=1) for row in by_entity], axis=1)
     total, totals = motion + w * impact, motion + w * impacts
     ranks = _ranks(totals)

@@ -1,20 +1,20 @@
-r"""Whether a contact does damage: by the energy that it comes with, and by how easily the entity is damaged.
+r"""Probability that a contact does damage, from its energy and the entity's fragility.
 
 The carried object arrives at the height of an entity's top with the kinetic energy
 
 .. math:: E = m g \max(h, 0) + \tfrac{1}{2} m \lVert v \rVert^2
 
-with its mass m, the height h of its lowest point above that top, and the velocity v of its centre of mass when the
-robot fails. Only a part of E acts along the normal at the point of touch: objects turn, bounce and roll before they
-touch most things. With the part :math:`e^{-X}`, X exponential with mean b, and log-normal fragility,
+with its mass m, the height h of its lowest point above that top, and the velocity v of its centre of mass at the
+failure onset. Only a part of E acts along the contact normal: objects turn, bounce and roll before they touch most
+things. With the part :math:`e^{-X}`, X exponential with mean b, and log-normal fragility,
 
 .. math:: P(\mathrm{damage}) = P\left( Z \sigma + X \le a \right)
     = \Phi\left(\frac{a}{\sigma}\right)
     - e^{-\frac{a}{b} + \frac{\sigma^2}{2 b^2}} \, \Phi\left(\frac{a}{\sigma} - \frac{\sigma}{b}\right),
     \qquad a = \ln \frac{E}{E_{50}}
 
-The body is taken to arrive with the same log-normal energy wherever it fails, and contents to do harm by wetting,
-whatever the energy. A held object that is carried into something by a falling arm counts as if it were dropped.
+The energy of the body is log-normal, with the same parameters for every failure. Contents do harm by wetting, whatever
+their energy. A held object that a falling arm carries into something counts as if it were dropped.
 """
 
 from __future__ import annotations
@@ -47,20 +47,20 @@ BODY_ENERGY = 0.5
 """Median energy of the robot's body [J]. Measured: 0.52 in 641 touches after 5400 severe failures of single drives,
 sensors and power along the same motions."""
 BODY_SPREAD = 2.5
-"""Standard deviation of its logarithm, from the same touches."""
+"""Standard deviation of the logarithm of the body's energy, from the same touches."""
 
 _GRAVITY = 9.81
-_KNOTS = 1000  # of each half of a curve, so close that straight lines are right to 1e-4
+_KNOTS = 1000  # in each half of a curve; linear interpolation is then accurate to 1e-4
 
 
 @final
 @dataclass(frozen=True)
 class Damage(NativeModel):
-    """P(component damages entity | failure): those of a model of contacts, times P(damage | contact). No native kernel.
+    """P(component damages entity | failure): P(contact) of a contact model times P(damage | contact). No native kernel.
 
     Args:
-        contact: The model of contacts.
-        fragility: How easily things are damaged.
+        contact: The contact model.
+        fragility: Fragilities of the entities.
     """
 
     contact: InteractionModel
@@ -68,7 +68,7 @@ class Damage(NativeModel):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Those of the model of contacts."""
+        """Components of the contact model."""
         return self.contact.components
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
@@ -76,25 +76,25 @@ class Damage(NativeModel):
         return self.contact.probability(batch) * damage_probability(batch, self.fragility)
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
-        """Return the same by what goes wrong, as the model of contacts has it."""
+        """Return the probabilities by source, as resolved by the contact model."""
         damage = damage_probability(batch, self.fragility)
         return {name: share * damage for name, share in self.contact.sources(batch).items()}
 
     @property
     def knows_own_loss(self) -> bool:
-        """Whether the model of contacts does."""
+        """Whether the contact model knows the own loss."""
         return self.contact.knows_own_loss
 
     def own_loss(self, batch: StateBatch, fragility: FragilityTable) -> Mapping[str, Float[Array, " n"]]:
-        """Return that of the model of contacts, which is about damage in any case."""
+        """Return the own loss of the contact model, which is about damage in any case."""
         return self.contact.own_loss(batch, fragility)
 
     def moving(self) -> MovingModel:
-        """Return that of the model of contacts: of entities that move, every contact counts."""
+        """Return that of the contact model: for moving entities, every contact counts."""
         return moving_model(self.contact)
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
-        """Return which faults are behind each of the sources."""
+        """Return the faults behind each source, with their weights."""
         return self.contact.fault_shares()
 
 
@@ -117,12 +117,12 @@ def damage_probability(batch: StateBatch, table: FragilityTable) -> Float[Array,
 
 
 def arrival_energy(batch: StateBatch) -> Float[Array, "n entity"]:
-    """Return the kinetic energy E of the carried object at the height of each entity's top, if it is let go [J].
+    """Compute the kinetic energy E of the carried object at the height of each entity's top, if it is let go [J].
 
     Raises:
         ShapeError: If nothing is carried.
     """
-    batch.object_poses  # noqa: B018  refuses a scene without a carried object
+    batch.object_poses  # noqa: B018  raises for a scene without a carried object
     tables = drop_tables(batch.scene)
     state = release(batch, tables)
     low = heights(state, tables)[0].min(axis=1)
@@ -131,12 +131,12 @@ def arrival_energy(batch: StateBatch) -> Float[Array, "n entity"]:
 
 
 def damaged_by_carried(energy: Float[Array, " n"], fragility: Fragility) -> Float[Array, " n"]:
-    """Return the probability that the carried object does damage when it arrives with some energies [J]."""
+    """Compute the probability that the carried object does damage if it arrives with the given energies [J]."""
     return np.interp(np.log(np.maximum(energy, np.finfo(float).tiny)), *_curve(fragility), left=0.0)
 
 
 def damaged_by_body(fragility: Fragility) -> float:
-    """Return the probability that the robot's body does damage when it touches something."""
+    """Compute the probability that the robot's body does damage when it touches an entity."""
     wider = math.hypot(fragility.spread, BODY_SPREAD)
     return Fragility(fragility.median, fragility.wetted, wider).probability(BODY_ENERGY)
 
@@ -160,7 +160,7 @@ def _log_normal(z: float) -> float:
 
 
 def _tops(scene: Scene, tables: DropTables) -> Float[Array, " entity"]:
-    """Height of the highest point of each entity [m]; of one without geoms that collide, out of reach."""
+    """Height of the highest point of each entity [m]; infinite for entities without colliding geoms."""
     top = np.full(len(scene.entities), np.inf)
     for entity in range(len(top)):
         own = tables.target_height[tables.target_entity == entity, 1]

@@ -1,8 +1,8 @@
 """The cost contract: a density over states, integrated along a path by `Objective`.
 
-A cost is a small frozen object with one method, `state`. It is handed a `StateBatch` and returns one number per state:
-what it costs to be there, per unit of path length (or time, see `Objective.exposure`). No registration is needed: pass
-the object as `Objective(motion=...)` or `Objective(impact=...)`.
+A cost is a small frozen object with one method, `state`. It takes a `StateBatch` and returns one number per state: the
+cost of being there, per unit of path length (or time, see `Objective.exposure`). No registration is needed: pass the
+object as `Objective(motion=...)` or `Objective(impact=...)`.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ Array = np.ndarray
 T = TypeVar("T")
 
 AHEAD = 0.1 * np.arange(1, 11)
-"""Times after a state at which the motion to come is told [s]."""
+"""Times after a state for which `StateBatch.ahead` gives the upcoming configurations [s]."""
 
 
-class Contract(ABC):  # noqa: B024  what is abstract is up to each contract
-    """Base of what users implement. A class that is `@final` cannot be extended, also where no type checker looks.
+class Contract(ABC):  # noqa: B024  each contract declares its own abstract methods
+    """Base of the classes that users implement; a `@final` subclass cannot be extended, even without a type checker.
 
-    Planners take shortcuts for costs that they know, which would pass by what a subclass overrides.
+    Planners take shortcuts for costs that they know. These shortcuts would bypass the overrides of a subclass.
     """
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -41,7 +41,7 @@ class Contract(ABC):  # noqa: B024  what is abstract is up to each contract
             if base.__dict__.get("__final__", False):
                 raise TypeError(
                     f"{cls.__name__} cannot extend {base.__name__}, which is final: "
-                    "write a gp.Cost or a gp.InteractionModel of your own that holds one; see docs/extending.md"
+                    "write your own gp.Cost or gp.InteractionModel that holds one; see docs/extending.md"
                 )
 
 
@@ -50,13 +50,13 @@ _Ahead: TypeAlias = Array | Callable[[], Array] | None
 
 @final
 class Kept:
-    """What costs compute once for some states, whatever the time."""
+    """Cache of intermediate results for some states, independent of time."""
 
     def __init__(self) -> None:
         self._made: dict[tuple[type, Hashable], object] = {}
 
     def get(self, kind: type[T], key: Hashable, make: Callable[[], T]) -> T:
-        """Return what was made of this kind for this key; it is made the first time."""
+        """Return the cached value of this kind for this key; `make` computes it the first time."""
         found = self._made.get((kind, key))
         if not isinstance(found, kind):
             found = self._made[kind, key] = make()
@@ -65,16 +65,16 @@ class Kept:
 
 @final
 class StateBatch:
-    """States of a moving robot, with everything that costs ask for computed once, when asked.
+    """States of a moving robot, with derived quantities that are computed lazily and once.
 
     Args:
-        scene: The scene that they are in.
+        scene: The scene.
         q: Configurations [rad or m].
         direction: Unit direction of motion in joint space; zero where the robot is at rest.
         speed: Joint-space speed along `direction` [rad/s]; zero by default.
-        time: When the robot is there, on the clock of the scene's predictions [s]; None if that is not known.
-        ahead: Where the robot will be `AHEAD` later [rad or m], if it does not fail, or what computes that once it is
-            asked for; None if it is not known.
+        time: Time of each state on the clock of the scene's predictions [s]; None if unknown.
+        ahead: Configurations at the times `AHEAD` after each state [rad or m], if the robot does not fail, or a
+            function that computes them; None if unknown.
     """
 
     def __init__(
@@ -103,8 +103,8 @@ class StateBatch:
         return len(self.q)
 
     def __getitem__(self, rows: slice) -> StateBatch:
-        """Return some of the states."""
-        if rows.start == 0 and rows.stop >= len(self):  # with what is kept of them
+        """Return a slice of the states."""
+        if rows.start == 0 and rows.stop >= len(self):  # keeps the cache
             return self
         time = None if self.time is None else self.time[rows]
         return StateBatch(self.scene, self.q[rows], self.direction[rows], self.speed[rows], time, self._ahead_of(rows))
@@ -114,7 +114,7 @@ class StateBatch:
 
     @cached_property
     def ahead(self) -> Float[Array, "n step nq"] | None:
-        """Where the robot will be `AHEAD` later [rad or m], if it does not fail; None if that is not known."""
+        """Configurations at the times `AHEAD` after each state [rad or m], without a failure; None if unknown."""
         found = self._ahead() if callable(self._ahead) else self._ahead
         if found is not None and found.shape != (len(self.q), len(AHEAD), self.q.shape[1]):
             raise ShapeError("ahead", found.shape, f"({len(self.q)}, {len(AHEAD)}, {self.q.shape[1]})")
@@ -160,16 +160,16 @@ class StateBatch:
 
     @cached_property
     def clearance(self) -> Float[Array, " n"]:
-        """Signed clearance to surroundings and self, whichever is nearer [m]."""
+        """Signed clearance to surroundings or self, whichever is nearer [m]."""
         return self.compiled.kernels.clearance(self.q)
 
     def clearance_to(self, to: str) -> Float[Array, " n"]:
-        """Signed clearance to one thing [m]; infinite where there is nothing to hit.
+        """Compute the signed clearance to one target [m]; infinite where there is nothing to hit.
 
-        It is that of the spheres that cover robot and carried object: never more than the true one outside.
+        The clearance is that of the spheres that cover robot and carried object; it never exceeds a positive true one.
 
         Args:
-            to: "surroundings" for all that is not the robot; "self" for links, and the carried object, among
+            to: "surroundings" for everything except the robot; "self" for links, and the carried object, among
                 themselves; or the name of an entity, where it stands still.
 
         Raises:
@@ -178,10 +178,10 @@ class StateBatch:
         return self.kept.get(np.ndarray, ("clearance", to), lambda: self._only(to).clearance(self.q))
 
     def clearance_gradient_to(self, to: str) -> Float[Array, "n nq"]:
-        """Derivative of `clearance_to` with respect to q [m/rad], that of the nearest pair; 0 where it is infinite.
+        """Compute the gradient of `clearance_to` in q [m/rad], that of the nearest pair; 0 where it is infinite.
 
         Args:
-            to: As in `clearance_to`.
+            to: See `clearance_to`.
 
         Raises:
             UnknownNameError: If there is no such entity in the scene.
@@ -193,17 +193,16 @@ class StateBatch:
 
 
 class Cost(Contract):
-    """Base of all costs: a frozen object with `state`, and `gradient` if it can.
+    """Base of all costs: a frozen object with `state`, and optionally `gradient`.
 
-    Costs add up, with factors: `impact + 2.0 * clearance` is a cost.
+    Costs can be added and scaled: `impact + 2.0 * clearance` is a cost.
     """
 
     @abstractmethod
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return the cost density at each state.
 
-        Laws: finite and never negative; each entry depends on its own state alone; the same input gives the same
-        output.
+        Laws: finite and never negative; each entry depends on its own state only; deterministic.
         """
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
@@ -225,10 +224,10 @@ class Cost(Contract):
 @final
 @dataclass(frozen=True)
 class SumCost(Cost):
-    """A sum of costs with factors; it runs in the core if all of them do, and has a gradient if all of them have.
+    """A weighted sum of costs; it runs in the core if all of them do, and has a gradient if all of them have.
 
     Args:
-        terms: Factors, at least 0, and costs.
+        terms: Pairs of a factor >= 0 and a cost.
 
     Raises:
         SettingError: If a factor is not a finite number >= 0.
@@ -248,7 +247,7 @@ class SumCost(Cost):
         return np.sum([factor * checked_state(cost, batch) for factor, cost in self.terms], axis=0)
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
-        """Return the derivative of `state` with respect to q, or None if one of the costs has none."""
+        """Return the derivative of `state` with respect to q, or None if any cost has none."""
         found = [(factor, cost.gradient(batch)) for factor, cost in self.terms]
         known = [factor * np.asarray(gradient) for factor, gradient in found if gradient is not None]
         return np.sum(known, axis=0) if len(known) == len(found) else None
@@ -264,7 +263,7 @@ class NonFiniteCostError(CostError):
 
 
 def checked_state(cost: Cost, batch: StateBatch) -> Float[Array, " n"]:
-    """Evaluate a cost and hold it to its contract.
+    """Evaluate a cost and check its result against the contract.
 
     Raises:
         CostError: If it returns the wrong shape or a negative number.
@@ -288,7 +287,7 @@ def moving_batch(
     qd: Float[Array, "n nq"] | None,
     times: Float[Array, " n"] | None = None,
 ) -> StateBatch:
-    """Return states with these joint velocities, at rest without any, at these times [s] if they are known."""
+    """Return states with these joint velocities (at rest if None), at these times [s] if they are known."""
     if qd is None:
         return StateBatch(scene, q, time=times)
     speed = np.linalg.norm(qd, axis=1)

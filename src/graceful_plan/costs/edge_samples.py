@@ -1,4 +1,4 @@
-"""Samples of straight edges: integrals along them, and the derivatives of these with respect to both ends."""
+"""Samples of straight edges: integrals along edges, and their derivatives with respect to both ends."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Array = np.ndarray
 
 @final
 class EdgeSamples:
-    """Evenly spaced samples of many edges in one batch, both ends of each included, with trapezoid weights.
+    """Evenly spaced samples of many edges in one batch, including both ends of each, with trapezoid weights.
 
-    Their speeds are by turns the first and the second of `paces`, times that of the slowest joint at its limit.
+    Speeds alternate between the two `paces`, each a fraction of the speed at which the first joint reaches its limit.
     """
 
     def __init__(
@@ -47,12 +47,12 @@ class EdgeSamples:
         self._delta, self._velocity, self._paces = delta, velocity, paces
 
     def weights(self, measure: Float[Array, " n"]) -> Float[Array, " m"]:
-        """Trapezoid weight of each sample when each edge measures `measure`."""
+        """Compute the trapezoid weight of each sample for edges with these measures."""
         ends = (self._piece == 0) | (self._piece == self._pieces[self.edge])
         return np.where(ends, 0.5, 1.0) * (measure / self._pieces)[self.edge]
 
     def integral(self, values: Float[Array, "..."], measure: Float[Array, " n"]) -> Float[Array, "..."]:
-        """Integral of sampled values over each edge; of several values a sample, of each of them."""
+        """Integrate sampled values over each edge; trailing axes of the values are kept."""
         if len(self.first) == 0:
             return np.zeros((0, *values.shape[1:]))
         weight = self.weights(measure).reshape(-1, *(1,) * (values.ndim - 1))
@@ -61,13 +61,13 @@ class EdgeSamples:
     def integral_slopes(
         self, slopes: tuple[Float[Array, " m"], Float[Array, "m nq"], Float[Array, "m nq"]], *, by_length: bool
     ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """Integral over length or over time, and its derivatives with respect to both ends of each edge.
+        """Integrate over length or time, with derivatives with respect to both ends of each edge.
 
-        An edge without length has none; they are given as 0.
+        The derivatives of an edge without length are undefined; they are returned as 0.
 
         Args:
-            slopes: Of each sample the value and its derivatives with respect to q and to the joint velocities.
-            by_length: Whether to integrate over length.
+            slopes: Value of each sample, and its derivatives with respect to q and to the joint velocities.
+            by_length: Whether to integrate over length instead of time.
         """
         value, d_q, d_qd = slopes
         measure = self.length if by_length else self.duration
@@ -76,7 +76,7 @@ class EdgeSamples:
         d_q0, d_q1 = self.integral((1.0 - share) * d_q, measure), self.integral(share * d_q, measure)
         moves = self.length > 0.0
         delta, length = self._delta[moves], self.length[moves, None]
-        # The slowest joint sets the time: its sign over its limit is the derivative of the time at full speed.
+        # The joint that reaches its limit first sets the duration; d(duration)/d(delta) is its sign over its limit.
         slowest = np.argmax(np.abs(delta) / self._velocity, axis=1)
         rows = np.arange(len(delta))
         fastest = np.zeros_like(delta)

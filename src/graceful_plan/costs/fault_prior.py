@@ -1,19 +1,18 @@
-r"""Which failures to fear: how often each fault happens, and what the robot does then.
+r"""Fault priors: the rate of each fault, and the generators (kinds of failure) that it triggers.
 
-A fault (a dead motor, a weak grip) is described by its rate. Interaction models know only a few *generators*, ways in
-which a failure goes on. A table of effects says with which probability a fault f acts like which of them: :math:`d_f`
-that the object is dropped, :math:`s_f` that contents get out of a container that is still held or that the robot stops
-by itself, which may spill them, :math:`a_{fg}` that
-the arm goes astray like generator g. Arm and gripper may fail together: when all power is gone, the arm falls and the
-object, too. With the probability :math:`p_f` of each fault,
+A fault (a dead motor, a weak grip) has a rate. Interaction models know only a few *generators*, kinds of failure. A
+table of effects holds the probability that a fault f acts like each generator: :math:`d_f` that the object is dropped;
+:math:`s_f` that contents leave a container that is still held, or that the robot stops by itself, which may spill them;
+:math:`a_{fg}` that the arm moves like generator g. Arm and gripper may fail together: when all power is lost, both the
+arm and the object fall. With the probability :math:`p_f` of each fault,
 
 .. math:: w_{drop} = \sum_f p_f d_f, \qquad w_{spill} = \sum_f p_f (1 - d_f) s_f, \qquad w_g = \sum_f p_f a_{fg}
 
-are the probabilities of the generators, and :math:`h_g = \sum_f p_f (1 - d_f) a_{fg}` that of an arm astray that still
-holds what it carried.
+are the probabilities of the generators, and :math:`h_g = \sum_f p_f (1 - d_f) a_{fg}` that of a failing arm that still
+holds the carried object.
 
-Rates of the presets are in `faults.yaml`, effects in `fault_effects.yaml`; both say where they come from. The faults
-have the names that FailBench gives them; a fault of one's own needs a row of effects of its own.
+Rates of the presets are in `faults.yaml`, effects in `fault_effects.yaml`; both files state their sources. Faults have
+the names that FailBench uses; a user-defined fault needs its own row of effects.
 """
 
 from __future__ import annotations
@@ -31,28 +30,28 @@ from graceful_plan.regular_file import path_of
 from graceful_plan.yaml_file import Block, read_yaml
 
 FAILURES = ("drop", "spill", "collapse", "joint", "stuck", "stray")
-"""What can go wrong: the gripper lets go; the contents get out of a container that is held; no joint is powered; one
-joint is not powered; one joint is frozen while the others go on; the arm goes off its path."""
+"""Kinds of failure: the gripper lets go; contents leave a container that is held; no joint is powered; one joint is not
+powered; one joint is frozen while the others move on; the arm deviates from its path."""
 GENERATORS = (*FAILURES, "stop")
-"""What can happen: what can go wrong, and that the robot stops by itself."""
+"""Kinds of failure, and the robot's protective stop."""
 REACTIONS: Mapping[str, Mapping[str, float]] = MappingProxyType({"protective_stop": MappingProxyType({"stop": 1.0})})
-"""Effects of what the robot does on purpose, whatever the degree: what they are, not what was fitted."""
+"""Effects of deliberate reactions of the robot, for every degree; they are known, not fitted."""
 ARM = ("collapse", "joint", "stuck", "stray")
-"""Those that are about the arm; they exclude one another."""
+"""Generators of the arm; they are mutually exclusive."""
 DEGREES = ("minor", "moderate", "severe", "critical")
-"""How bad a fault can be, as in FailBench."""
+"""Degrees of severity of a fault, as in FailBench."""
 
 _RATES = Path(__file__).parent / "faults.yaml"
 _EFFECTS = Path(__file__).parent / "fault_effects.yaml"
 _ROUNDING = 1e-9
 _IN_THE_HAND = ("spill", "stop")
-"""What matters for contents only if the object is not dropped."""
+"""Generators that affect the contents only if the object is not dropped."""
 
 _Table = Mapping[str, Mapping[str, float]]
 
 
 def shipped_effects(degree: str = "severe") -> _Table:
-    """Return the shipped effects of faults of some degree: by fault, then by generator.
+    """Return the shipped effects of faults of a degree: by fault, then by generator.
 
     Raises:
         UnknownNameError: If the table does not have this degree.
@@ -63,18 +62,19 @@ def shipped_effects(degree: str = "severe") -> _Table:
 @final
 @dataclass(frozen=True)
 class FaultPrior:
-    """How often each fault happens, and what comes of it.
+    """Rates and effects of faults.
 
     Args:
-        rates: Rate of each fault [1/h]; those that are left out never happen. Only their ratios matter for what
-            happens given that something does.
-        effects: By fault, then by generator: the probability that the fault acts like it; of "spill", if the object
-            is not dropped. Faults that it does not name are unknown. The shipped ones for severe faults by default.
-        name: What to call it.
+        rates: Rate of each fault [1/h]; faults without a rate never happen. Probabilities given a failure depend only
+            on the ratios of the rates.
+        effects: Probability that a fault acts like a generator, by fault, then by generator. That of "spill" is given
+            that the object is not dropped. Rates may only name faults of this table. Default: the shipped effects of
+            severe faults.
+        name: Name of the prior.
 
     Raises:
         UnknownNameError: If a fault or a generator does not exist.
-        SettingError: If a rate is negative or not finite, no fault ever happens, or effects are no probabilities.
+        SettingError: If a rate is negative or not finite, all rates are 0, or an effect is not a probability.
 
     Example:
         >>> prior = FaultPrior({"weak_grip": 0.5, "power_loss": 0.05})
@@ -114,8 +114,8 @@ class FaultPrior:
         """Return a prior that comes with the library: "drop_only", "arm" or "service_robot".
 
         Args:
-            name: Which.
-            degree: How bad the faults are when they happen.
+            name: Name of the preset.
+            degree: Degree of the faults; see `DEGREES`.
 
         Raises:
             UnknownNameError: If there is no such preset, or no effects for the degree.
@@ -126,17 +126,17 @@ class FaultPrior:
     def load(cls, file: str | Path, name: str | None = None, *, degree: str = "severe") -> FaultPrior:
         """Read a prior from a YAML file laid out like `faults.yaml`.
 
-        It may also have `effects`, as in `fault_effects.yaml`; its rows replace shipped ones or add to them.
+        The file may also have `effects`, as in `fault_effects.yaml`; its rows replace shipped ones or add to them.
 
         Args:
             file: The file.
-            name: Which of its presets; None if there is only one.
-            degree: How bad the faults are when they happen.
+            name: Name of the preset in the file; None if there is only one.
+            degree: Degree of the faults; see `DEGREES`.
 
         Raises:
-            SceneError: If the file is broken or has a wrong value, with the line.
-            UnknownNameError: If it has no such preset, or no effects for the degree.
-            SettingError: If it has several presets, and none is named.
+            SceneError: If the file is malformed or has an invalid value, with the line.
+            UnknownNameError: If the file has no such preset, or no effects for the degree.
+            SettingError: If the file has several presets and `name` is None.
         """
         root = _versioned(read_yaml(path_of(file)), "presets", "effects")
         own, shipped = root.get("effects"), _shipped_effects()
@@ -162,7 +162,7 @@ class FaultPrior:
         return self._probabilities
 
     def weights(self) -> Mapping[str, float]:
-        """Return the probability of each generator, given that a fault happens. Some faults are like two at once."""
+        """Return the probability of each generator, given that a fault happens. Some faults act like two at once."""
         return self._weights
 
     def held_weights(self) -> Mapping[str, float]:
@@ -170,13 +170,13 @@ class FaultPrior:
         return self._held_weights
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
-        """Return what each fault contributes to the weight of each generator: by generator, then by fault.
+        """Return the contribution of each fault to the weight of each generator: by generator, then by fault.
 
         Faults that contribute nothing are left out.
         """
         return self._fault_shares
 
-    # Asked several times for every motion that is charged.
+    # Cached, because every evaluation of a motion reads them several times.
 
     @cached_property
     def _probabilities(self) -> Mapping[str, float]:

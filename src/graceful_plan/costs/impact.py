@@ -1,4 +1,4 @@
-"""Failure impact: who is hit if the robot fails here, times how bad that is."""
+"""Impact of a failure: the probability that each entity is hit times the severity."""
 
 from __future__ import annotations
 
@@ -27,37 +27,38 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 MODELS: dict[str, type[InteractionModel]] = {"aabb": BoxOverlap, "footprint": Footprint}
-"""Interaction models by the word that selects them in `ImpactCost(model=...)`."""
+"""Interaction models by the name that selects them in `ImpactCost(model=...)`."""
 CONSEQUENCES = ("contact", "energy")
-"""Words for what counts in `ImpactCost(consequence=...)`."""
+"""Names of the consequences in `ImpactCost(consequence=...)`."""
 OF_MODEL = ("those of the model",)
-"""Stands for components that are not given: none at all is something else."""
+"""Default of `ImpactCost.components`; an empty tuple means no components at all."""
 
 
 def _struck_itself(scene: Scene) -> Float[Array, " component"]:
-    """1 for the component that harms the carried object itself: it is the object."""
+    """Return 1 for the component that represents the carried object itself, 0 for all others."""
     return np.array([float(name == "carried") for name in scene.components])
 
 
 @final
 @dataclass(frozen=True)
 class ImpactCost(Cost):
-    """I(q) = sum over components and entities, also those that move, of P S.
+    """I(q): the sum of P S over components and entities, including moving entities.
 
     P is the probability of a contact, or that of damage, where a hard contact counts more than a soft one. The latter
     has neither gradient nor native kernel: planners fall back to NumPy and do far fewer iterations in the same time.
 
-    One of the entities is the carried object itself, under its own name: S says how bad its loss is (row "carried" of
-    the table of severities), P is that its fall damages it, by the height of the fall and by what it comes down on.
+    The carried object itself counts as an entity, under its own name. Its S is the severity of its loss (row "carried"
+    of the table of severities). Its P is the probability that its fall damages it, which depends on the height of the
+    fall and on the surface that it lands on.
 
     Args:
-        model: An interaction model, or the word for one of `MODELS`.
-        components: Which parts of the robot count: "body", "carried", "contents"; by default those that the model
-            says (`InteractionModel.components`); () for none. Those that a scene does not have contribute nothing.
-        consequence: What P is about: "contact"; "energy", damage by the energy of the contact and the shipped table of
-            fragilities (`costs.consequence`); or a table of one's own.
-        own_loss: Whether the loss of the carried object itself counts, with models that know of it; Algorithm 1 does
-            not. By the shipped table of fragilities, or that which `consequence` is.
+        model: An interaction model, or its name in `MODELS`.
+        components: Components of the robot that count: "body", "carried", "contents". The default is
+            `InteractionModel.components`; () is none. Components that a scene does not have contribute nothing.
+        consequence: The event that P is about: "contact"; "energy", damage by the energy of the contact with the
+            shipped table of fragilities (`costs.consequence`); or another table of fragilities.
+        own_loss: Whether the loss of the carried object itself counts, with models that support it; Algorithm 1 does
+            not. Its fragility is that of `consequence` if that is a table, or else that of the shipped table.
 
     Raises:
         UnknownNameError: If there is no such model, component or consequence.
@@ -88,14 +89,14 @@ class ImpactCost(Cost):
 
     @cached_property
     def interaction(self) -> InteractionModel:
-        """The interaction model; where damage counts, one whose probabilities are those of damage."""
+        """The interaction model; with a consequence of damage, one whose probabilities are those of damage."""
         contact = MODELS[self.model]() if isinstance(self.model, str) else self.model
         if self.consequence == "contact":
             return contact
         return Damage(contact, self.fragility)
 
     def severity(self, scene: Scene) -> Float[Array, "component entity"]:
-        """S of each of the scene's components against each entity, zero for components that do not count."""
+        """Return S of each of the scene's components against each entity, zero for components that do not count."""
         counted = self.counted(scene)
         rows = [
             [entity.severity[name] if name in counted else 0.0 for entity in scene.entities.values()]
@@ -104,29 +105,29 @@ class ImpactCost(Cost):
         return np.array(rows, dtype=np.float64).reshape(len(scene.components), len(scene.entities))
 
     def counted(self, scene: Scene) -> tuple[str, ...]:
-        """Components that count in a scene: those asked for; if they are the default ones, the body of what drives."""
+        """Return the components that count in a scene; with the default ones, also the body of a mobile base."""
         drives = scene.base is not None and "body" in scene.components and "body" not in self.components
         return (*self.components, "body") if drives and self._default else self.components
 
     @property
     def _default(self) -> bool:
-        """Whether the components are those of a model that knows how a base fails."""
+        """Whether `components` are the defaults of a model that includes failures of the base."""
         model = self.interaction
         return isinstance(model, Footprint) and self.components == model.components
 
     def counts_own_loss(self, scene: Scene) -> bool:
-        """Whether the loss of the carried object itself is one of the hazards."""
+        """Tell whether the loss of the carried object itself counts."""
         carried = scene.carried is not None and "carried" in self.components
         return self.own_loss and carried and self.interaction.knows_own_loss
 
     def hazards(self, scene: Scene) -> tuple[str, ...]:
-        """Names of all whose harm counts: entities, entities that move, and last the carried object itself."""
+        """Return the names of all that may be harmed: entities, moving entities, last the carried object itself."""
         if scene.carried is None or not self.counts_own_loss(scene):
             return scene.hazards
         return (*scene.hazards, scene.carried.body)
 
     def hazard_severity(self, scene: Scene) -> Float[Array, "component hazard"]:
-        """S of each component against each of `hazards`; the object itself is harmed by the component "carried"."""
+        """Return S by component and name in `hazards`; only the component "carried" harms the object itself."""
         counted = self.counted(scene)
         moving = [
             [severity[name] if name in counted else 0.0 for severity in scene.moving_severity.values()]
@@ -139,7 +140,7 @@ class ImpactCost(Cost):
         return np.concatenate(parts, axis=1)
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component hazard"]:
-        """P of each component against each of `hazards`, given a failure at each state."""
+        """Compute P of each component against each of `hazards`, given a failure at each state."""
         parts, scene = [self.interaction.probability(batch)], batch.scene
         if scene.moving:
             parts.append(np.asarray(sum(moving_model(self.interaction).sources(batch, self.counted(scene)).values())))
@@ -148,7 +149,7 @@ class ImpactCost(Cost):
         return np.concatenate(parts, axis=2)
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component hazard"]]:
-        """Return `probability` by what goes wrong."""
+        """Return `probability` by kind of failure."""
         scene = batch.scene
         parts = [(self.interaction.sources(batch), len(scene.entities))]
         if scene.moving:
@@ -162,25 +163,25 @@ class ImpactCost(Cost):
         }
 
     def _own_sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component 1"]]:
-        """P that the carried object itself is damaged, by what goes wrong."""
+        """Compute P that the carried object itself is damaged, by kind of failure."""
         found, row = self.interaction.own_loss(batch, self.fragility), _struck_itself(batch.scene)
         return {name: P[:, None, None] * row[:, None] for name, P in found.items()}
 
     @property
     def fragility(self) -> FragilityTable:
-        """How easily things are damaged."""
+        """Table of fragilities."""
         return FragilityTable.shipped() if isinstance(self.consequence, str) else self.consequence
 
     def own(self, scene: Scene) -> OwnLoss | None:
-        """What the loss of the carried object itself counts in a scene, None if it does not."""
+        """Return severity and fragility of the carried object's own loss in a scene, None if it does not count."""
         return OwnLoss(scene.own_severity, self.fragility) if self.counts_own_loss(scene) else None
 
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Expected severity given a failure at each state."""
+        """Return the expected severity given a failure at each state."""
         return np.einsum("nce,ce->n", self.probability(batch), self.hazard_severity(batch.scene))
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
-        """Derivative of the expected severity with respect to q at constant velocity, None if the model has none."""
+        """Return the gradient of the expected severity in q at constant velocity, None if the model has none."""
         model, scene = self.interaction, batch.scene
         if isinstance(model, NativeModel):
             found = self.gradients(batch)
@@ -190,22 +191,22 @@ class ImpactCost(Cost):
         return model.gradient(batch, self.severity(scene))
 
     def gradients(self, batch: StateBatch) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """Derivatives with respect to q and to the joint velocities [s/rad], None if the model has none."""
+        """Return derivatives with respect to q and to the joint velocities [s/rad], None if the model has none."""
         model = self.interaction
         if batch.scene.moving or not isinstance(model, NativeModel):
             return None
         return model.gradients(batch, self.severity(batch.scene), self.own(batch.scene))
 
     def widened(self, metres: float) -> ImpactCost | None:
-        """Return a cost that smears hits by so much more, None if there is none; see `NativeModel.widened`."""
+        """Return a cost with hits blurred by a standard deviation [m], None without one; see `NativeModel.widened`."""
         model = self.interaction
         wide = model.widened(metres) if isinstance(model, NativeModel) else None
         return None if wide is None else replace(self, model=wide)
 
     def kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
-        """Return the native kernel that computes the same, None if there is none; see `NativeModel.kernel`.
+        """Return the native kernel of this cost, None if there is none; see `NativeModel.kernel`.
 
-        Of entities that move it is only close: see `MovingModel.kernels`.
+        For moving entities it is an approximation; see `MovingModel.kernels`.
         """
         still = self.still_kernel(scene, paces)
         if still is None or not scene.moving:
@@ -214,7 +215,7 @@ class ImpactCost(Cost):
         return None if moving is None else reduce(add, moving, still)
 
     def still_kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
-        """Return the native kernel of what stands still and of the carried object itself, None if there is none."""
+        """Return the native kernel without moving entities, None if there is none; it includes the own loss."""
         model = self.interaction
         return (
             model.kernel(scene, self.severity(scene), paces, self.own(scene))
@@ -223,12 +224,12 @@ class ImpactCost(Cost):
         )
 
     def moving_impact(self, scene: Scene, *, rough: bool = False) -> _native.MovingImpact:
-        """Return the part of moving entities at times, in the core; roughly for descents and searches."""
+        """Return the native impact on moving entities as a function of time; `rough` is for descents and searches."""
         return moving_model(self.interaction).impact(scene, self._moving_severity(scene), rough=rough)
 
     def _moving_severity(self, scene: Scene) -> Float[Array, "component moving"]:
         return self.hazard_severity(scene)[:, len(scene.entities) : len(scene.hazards)]
 
     def is_published(self) -> bool:
-        """Whether this is the published model, Algorithm 1, which a verdict can recompute on its own."""
+        """Tell whether this is the published model, Algorithm 1, which a verdict can recompute independently."""
         return isinstance(self.interaction, BoxOverlap)

@@ -1,4 +1,4 @@
-"""The interaction model contract: who is hit, given that the robot fails here and now."""
+"""The interaction model contract: the probability that each entity is hit, given a failure at a state."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ Array = np.ndarray
 
 
 class InteractionModel(Contract):
-    """Base of all interaction models: a frozen object with `probability`; `gradient` if it can, `sources` if it knows.
+    """Base of all interaction models: a frozen object with `probability`, and optionally `gradient` and `sources`.
 
-    One that knows what a failure does to the carried object itself has `knows_own_loss` and `own_loss`, too.
+    A model that predicts damage to the carried object itself also has `knows_own_loss` and `own_loss`.
 
-    Entities that move are left to `ImpactCost`.
+    `ImpactCost` handles moving entities separately.
     """
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Components that count in an `ImpactCost` unless it says otherwise."""
+        """Components that count in an `ImpactCost` by default."""
         return "carried", "contents"
 
     @abstractmethod
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return P(component hits entity | failure) for each state, in the scene's order of components and entities.
 
-        Laws: in [0, 1]; each state on its own; independent of severities.
+        Laws: in [0, 1]; each entry depends on its own state only; independent of severities.
         """
 
     def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
@@ -40,24 +40,24 @@ class InteractionModel(Contract):
         return None
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
-        """Return `probability` by what goes wrong; the shares add up to it. A model need not tell sources apart."""
+        """Return `probability` by kind of failure; the shares add up to it. By default a single kind, "failure"."""
         return {"failure": self.probability(batch)}
 
     @property
     def knows_own_loss(self) -> bool:
-        """Whether there is something in `own_loss`."""
+        """Whether `own_loss` returns anything."""
         return False
 
     def own_loss(self, batch: StateBatch, fragility: FragilityTable) -> Mapping[str, Float[Array, " n"]]:
-        """Return P(the carried object itself is damaged | failure) for each state, by what goes wrong as in `sources`.
+        """Return P(the carried object itself is damaged | failure) for each state, by kind of failure as in `sources`.
 
         Args:
-            batch: The states, in a scene in which something is carried.
-            fragility: How easily.
+            batch: The states, in a scene with a carried object.
+            fragility: Table of fragilities.
         """
         del batch, fragility
         return {}
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
-        """Return which faults are behind each of the `sources`, with their weights; a model need not know any."""
+        """Return the faults behind each of the `sources`, with their weights; empty if the model has no fault prior."""
         return {}

@@ -1,4 +1,4 @@
-"""Motion costs: what it takes to move, whether or not anything fails."""
+"""Motion costs: the cost of moving without failures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class JointLength(Cost):
     """Euclidean length in joint space [rad], optionally with a weight per joint.
 
     Args:
-        weights: Factor on each joint's motion, positive; None weighs all alike.
+        weights: Factor on each joint's motion, positive; None for equal weights of 1.
     """
 
     weights: tuple[float, ...] | None = None
@@ -32,7 +32,7 @@ class JointLength(Cost):
             raise SettingError("weights", self.weights, "positive numbers, one per joint")
 
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Length per unit of unweighted length: 1 without weights."""
+        """Return the weighted length per unit of length: 1 without weights."""
         if self.weights is None:
             return np.ones(len(batch))
         if len(self.weights) != batch.q.shape[1]:
@@ -40,5 +40,5 @@ class JointLength(Cost):
         return np.linalg.norm(batch.direction * np.asarray(self.weights), axis=1)
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"]:
-        """Zero: the density does not depend on where the robot is."""
+        """Return zero: the density does not depend on the configuration."""
         return np.zeros_like(batch.q)

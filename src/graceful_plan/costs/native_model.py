@@ -1,4 +1,4 @@
-"""What the interaction models of this library can do beyond their contract: run in the native core."""
+"""Base of the interaction models of this library, which run in the native core."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True)
 class OwnLoss:
-    """What the loss of the carried object itself counts, and how easily it is damaged."""
+    """Severity of the loss of the carried object itself, and the table of fragilities."""
 
     severity: float
     fragility: FragilityTable
 
 
 class NativeModel(InteractionModel):
-    """Base of the models that the library brings; what one cannot do it answers with None."""
+    """Base of the library's models; unsupported methods return None."""
 
     def kernel(
         self,
@@ -41,9 +41,10 @@ class NativeModel(InteractionModel):
 
         With `own`, the loss of the carried object itself counts.
 
-        Along an edge, samples are by turns at the two paces: shares of the velocity at which one joint is at its limit.
+        Samples along an edge alternate between the two paces: fractions of the speed at which one joint is at its
+        velocity limit.
 
-        Law: the same as from `probability` and `own_loss`, to rounding.
+        Law: equal to the sums from `probability` and `own_loss`, up to rounding.
         """
         del scene, severity, paces, own
         return None
@@ -51,20 +52,20 @@ class NativeModel(InteractionModel):
     def gradients(
         self, batch: StateBatch, severity: Float[Array, "component entity"], own: OwnLoss | None = None
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """Return the derivatives of the same with respect to q and to the joint velocities, None if there are none."""
+        """Return the derivatives of that sum with respect to q and to the joint velocities, None if unsupported."""
         del batch, severity, own
         return None
 
     def widened(self, metres: float) -> NativeModel | None:
-        """Return a model that smears hits by so much more, None if there is none; for descents from coarse to fine."""
+        """Return a model with hits blurred by a standard deviation [m], None if unsupported; for descents."""
         del metres
         return None
 
     def moving(self) -> MovingModel:
-        """Return the model for entities that move."""
+        """Return the model for moving entities."""
         return MovingModel()
 
 
 def moving_model(model: InteractionModel) -> MovingModel:
-    """Return the model for entities that move; of a user's own model, every failure is both a drop and a collapse."""
+    """Return the model for moving entities; for a user's model, every failure is both a drop and a collapse."""
     return model.moving() if isinstance(model, NativeModel) else MovingModel()

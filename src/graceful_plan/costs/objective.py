@@ -1,12 +1,12 @@
-r"""The objective J = V + w S, and how a path is charged for it.
+r"""The objective J = V + w S, and its evaluation along paths and trajectories.
 
 .. math:: J = V + w\, S \qquad V = \int m(q)\, ds, \quad S = \int I(q, \dot q)\, dt
 
-ds is joint-space length. Failures come with time, so that S is what a failure at any moment does, summed over the
-moments of the motion: times the rate of failures it is the expected harm of executing the motion. A trajectory has its
-times and velocities. A path has none: its edges are charged as if each were travelled with one joint at its velocity
-limit, a lower bound of the time that stays additive over edges. Searches charge edges at the paces of real motions
-(`search_paces`). Integrals are trapezoid sums with sub-steps of at most `COST_STEP`.
+ds is joint-space length. Failures have a rate in time, so S integrates the impact over the times of the motion: S times
+the failure rate is the expected harm of executing the motion. A trajectory has times and velocities. A path has none:
+each edge is evaluated as if travelled with one joint at its velocity limit, a lower bound of the time that is additive
+over edges. Searches evaluate edges at the paces of real motions (`search_paces`). Integrals are trapezoid sums with
+sub-steps of at most `COST_STEP`.
 """
 
 from __future__ import annotations
@@ -37,31 +37,31 @@ Array = np.ndarray
 
 
 MAX_WEIGHT = 1e9
-"""Greatest safety weight; beyond, the motion drowns in the rounding of the impact."""
+"""Greatest safety weight; beyond it, V is lost in the rounding error of w S."""
 DEFAULT_WEIGHT = 0.3
-"""Safety weight by default. Over the bundled tasks, predicted harm per executed task falls by a median of 4.2 for 11 %
-more duration; at 0.1 it is 2.9 for 4 %, at 1 4.4 for 14 %. See `benchmarks/`, prevention, for what was observed."""
+"""Default safety weight. Over the bundled tasks, predicted harm per executed task falls by a median factor of 4.2 for
+11 % more duration; at 0.1 it is 2.9 for 4 %, at 1 4.4 for 14 %. Observed: see `benchmarks/`, prevention."""
 MEAN_PACE = 0.7
-"""Mean share of the velocity limits over the time of a motion that is retimed at full speed: 0.71 on the bundled tasks,
-0.36 at half speed."""
+"""Time average of the fraction of the velocity limits in motions retimed at full speed: 0.71 on the bundled tasks, 0.36
+at half speed."""
 AT_LIMITS = (1.0, 1.0)
-"""Paces of a path of which nothing is known: the slowest joint of each edge at its limit."""
+"""Paces of a path without times: the slowest joint of each edge at its limit."""
 EXPOSURES = ("time", "length", "waypoints")
-"""Words for what the impact is integrated over."""
+"""Names of the integration variables of the impact."""
 FARTHEST = 1000.0
-"""What positions and velocities of joints may be; the core refuses more. Cubics between odd samples overshoot."""
+"""Largest position and velocity of a joint that the core accepts. Cubics between odd samples may overshoot it."""
 MOST_STATES = 150_000
-"""States that one path is charged at."""
+"""Largest number of states at which one path is evaluated."""
 _AT_A_TIME = 20_000
-"""States whose probabilities are in memory at a time."""
+"""Number of states whose probabilities are in memory at a time."""
 PACE_SPREAD = 0.42
-"""Standard deviation of that share, relative to its mean."""
+"""Standard deviation of the fraction in `MEAN_PACE`, relative to its mean."""
 
 
 def search_paces(speed: float = 1.0) -> tuple[float, float]:
-    """Return two paces that stand for the spread of velocities along a motion at a share of the velocity limits.
+    """Return two paces that represent the spread of velocities along a motion at a fraction of the velocity limits.
 
-    With one alone, paths are found along which an object that flies on at just that velocity lands in a gap.
+    A single pace would favour paths along which an object that flies on at just that velocity lands in a gap.
     """
     return speed * MEAN_PACE * (1.0 - PACE_SPREAD), speed * MEAN_PACE * (1.0 + PACE_SPREAD)
 
@@ -69,16 +69,16 @@ def search_paces(speed: float = 1.0) -> tuple[float, float]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Objective:
-    """What to minimise.
+    """The objective J = V + w S to minimise.
 
     Args:
-        motion: Cost of moving, a density over length.
-        impact: Cost of failing, a density over the exposure.
-        w: Safety weight, at least 0; 0 is an ordinary planner. How many radians of joint motion it is worth to spare
-            one second in which a failure would do harm of severity 1.
-        exposure: What the impact is integrated over: "time" [s], of a trajectory as it is timed; or, to reproduce
-            others, "length" [rad] and "waypoints", the paper's plain sum over vertices (of a trajectory, over its
-            samples), start included.
+        motion: Motion cost m, a density over length.
+        impact: Impact I of a failure, a density over the exposure.
+        w: Safety weight, at least 0; 0 is an ordinary planner. It is the joint motion [rad] that is worth spending to
+            avoid one second in which a failure would do harm of severity 1.
+        exposure: Integration variable of the impact: "time" [s], from the timing of a trajectory. To reproduce other
+            work: "length" [rad], or "waypoints", the paper's plain sum over vertices (of a trajectory, over its
+            samples), including the start.
     """
 
     motion: Cost = JointLength()
@@ -96,15 +96,15 @@ class Objective:
                 raise SettingError(name, cost, "a graceful_plan.Cost")
 
     def with_weight(self, w: float) -> Objective:
-        """The same objective with another safety weight."""
+        """Return the same objective with another safety weight."""
         return replace(self, w=w)
 
     def bind(self, scene: Scene, paces: tuple[float, float] = AT_LIMITS) -> SceneObjective:
-        """Make it ready to evaluate edges in a scene.
+        """Bind the objective to a scene, to evaluate edges.
 
         Args:
             scene: The scene.
-            paces: Shares of the velocity at which one joint is at its limit, by turns those of an edge's samples.
+            paces: Alternating paces of an edge's samples: fractions of the speed at which one joint is at its limit.
         """
         return SceneObjective(self, scene, paces)
 
@@ -112,19 +112,19 @@ class Objective:
 @final
 @dataclass(frozen=True, eq=False)
 class ChargedStates:
-    """States at which a motion is charged for its impact: the integral is the sum of weight times density."""
+    """States at which a motion is evaluated; the integral of the impact is the sum of weight times density."""
 
     batch: StateBatch
     weight: Float[Array, " n"]
-    """Exposure that each stands for: [rad], [s], or 1 if the exposure is waypoints."""
+    """Integration weight of each state: [rad], [s], or 1 if the exposure is waypoints."""
     place: Float[Array, " n"]
-    """Where each is, in numbers of vertices or samples of the motion from its start; fractions lie in between."""
+    """Position of each state as an index of vertices or samples of the motion; fractional in between."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class AmongMoving:
-    """Native impact of states at times: of what stands still, and of entities that move, exactly and roughly."""
+    """Native impact of states at given times: of static entities, and of moving ones, exact and approximate."""
 
     still: ImpactKernel
     moving: _native.MovingImpact
@@ -133,7 +133,7 @@ class AmongMoving:
 
 @final
 class SceneObjective:
-    """An objective in a scene: what planners see (`BoundObjective`), and the breakdown of whole paths."""
+    """An objective in a scene: the planners' interface (`BoundObjective`), and the breakdown of whole paths."""
 
     def __init__(self, objective: Objective, scene: Scene, paces: tuple[float, float] = AT_LIMITS) -> None:
         self.objective, self.scene, self.paces = objective, scene, paces
@@ -146,17 +146,17 @@ class SceneObjective:
 
     @property
     def motion_is_length(self) -> bool:
-        """Whether V is the joint-space length, so that distances bound J from below."""
+        """Whether V is the joint-space length, so that distances are lower bounds of J."""
         return self.objective.motion == JointLength()
 
     @property
     def pace(self) -> float:
-        """Mean share of the velocity limits at which edges are travelled."""
+        """Mean fraction of the velocity limits at which edges are travelled."""
         return 0.5 * sum(self.paces)
 
     @cached_property
     def kernel(self) -> ImpactKernel | None:
-        """The native kernel that computes the edge costs, None if there is none."""
+        """The native kernel of the edge costs, None if there is none."""
         exposure = self.objective.exposure
         if not self.motion_is_length or exposure == "waypoints":
             return None
@@ -167,7 +167,7 @@ class SceneObjective:
 
     @cached_property
     def among_moving(self) -> AmongMoving | None:
-        """What motions are charged at their times where entities move; None if nothing moves or Python computes it."""
+        """The native impact at times in a scene with moving entities; None without them or without a native impact."""
         impact = self.objective.impact
         if not (self.scene.moving and isinstance(impact, ImpactCost) and self.objective.exposure != "waypoints"):
             return None
@@ -177,17 +177,17 @@ class SceneObjective:
         return AmongMoving(still, *(impact.moving_impact(self.scene, rough=rough) for rough in (False, True)))
 
     def states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None = None) -> Float[Array, " n"]:
-        """Impact given a failure at each state, at rest without joint velocities [rad/s or m/s]."""
+        """Compute the impact given a failure at each state, with joint velocities [rad/s or m/s], at rest if None."""
         if qd is None and self.kernel is not None:
             return self.kernel.states(q)
         return checked_state(self.objective.impact, moving_batch(self.scene, q, qd))
 
     def quick_states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Impact of states that move, by the kernel if there is one: close where somebody walks, else the same."""
+        """Compute the impact of moving states, by the kernel if there is one; approximate with moving entities."""
         return self.states(q, qd) if self.kernel is None else self.kernel.moving_states(q, qd)
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
-        """V and S of straight edges from `q0` to `q1`."""
+        """Compute V and S of straight edges from `q0` to `q1`."""
         if self.kernel is not None:
             return self.kernel.edges(q0, q1)
         samples = self.samples(q0, q1)
@@ -201,15 +201,15 @@ class SceneObjective:
     def edge_gradients(
         self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP
     ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """`edges`, and the derivatives of V + w S of each edge with respect to `q0` and `q1`; see `ImpactKernel`.
+        """Compute `edges`, and the derivatives of V + w S of each edge with respect to `q0` and `q1`.
 
-        None without a native kernel that has derivatives, unless the costs have gradients of their own. An edge without
-        length has none; they are given as 0.
+        None without a native kernel that has derivatives (see `ImpactKernel`), unless the costs have gradients. The
+        derivatives of an edge without length are undefined; they are returned as 0.
 
         Args:
-            q0: Where the edges begin.
-            q1: Where they end.
-            step: Largest distance between samples [rad]; `edges` takes `COST_STEP`.
+            q0: Starts of the edges.
+            q1: Ends of the edges.
+            step: Largest distance between samples [rad]; `edges` uses `COST_STEP`.
         """
         if self.kernel is None and not (self.impact_slopes.has_gradient and self.motion_slopes.has_gradient):
             return None
@@ -227,7 +227,7 @@ class SceneObjective:
     def impact_gradients(
         self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP
     ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """`edges`, and the derivatives of S alone, for costs without a kernel: slopes of all states in one batch."""
+        """Compute `edges`, and the derivatives of S alone, for costs without a kernel, in one batch of states."""
         samples = self.samples(q0, q1, step)
         motion = samples.length if self.motion_is_length else self._motion_gradients(samples)[0]
         if self.objective.exposure == "waypoints":
@@ -246,13 +246,13 @@ class SceneObjective:
     ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]]:
         """Return the motion cost of states along a path, with derivatives with respect to q and to the tangents.
 
-        They are travelled as edges are; see `EdgeSamples`.
+        The velocities are those of edges; see `EdgeSamples`.
         """
         length = np.linalg.norm(tangent, axis=1, keepdims=True)
         at_limit = np.max(np.abs(tangent) / self.scene.limits.velocity, axis=1, keepdims=True)
         rate = np.divide(self.pace, at_limit, out=np.zeros_like(at_limit), where=at_limit > 0.0)
         value, d_q, d_qd = self.motion_slopes(q, rate * tangent)
-        # Along the tangent nothing changes: the speed is what the slowest joint allows.
+        # The length of the tangent does not matter: the joint that reaches its limit first sets the speed.
         along = np.divide(tangent, length, out=np.zeros_like(tangent), where=length > 0.0)
         d_tangent = rate * d_qd
         return value, d_q, d_tangent - np.sum(d_tangent * along, axis=1, keepdims=True) * along
@@ -268,10 +268,10 @@ class SceneObjective:
         return CostSlopes(self.objective.motion, self.scene)
 
     def descended(self) -> SceneObjective | None:
-        """Return the objective in a form along which whole motions can descend; None if there is none.
+        """Return an equivalent objective that supports descents of whole motions; None if there is none.
 
-        It is itself, and length alone where no impact counts. Where something moves, only native impacts know the times
-        of a motion, or are close enough without them.
+        This is the objective itself, or the length alone if the impact has no weight. In scenes with moving entities,
+        the impact has to be native: others neither know the times of a motion nor approximate well without them.
         """
         if self.w == 0.0 and self.motion_is_length:
             return Objective(impact=ImpactCost(model="aabb"), w=0.0).bind(self.scene, self.paces)
@@ -280,9 +280,9 @@ class SceneObjective:
         return self if native or timed or not self.scene.moving else None
 
     def widened(self, metres: float) -> SceneObjective | None:
-        """Return the objective with hits smeared by so much more, None if its impact has no such form.
+        """Return the objective with hits blurred by a standard deviation [m], None if its impact does not support it.
 
-        A descent that begins wide feels hazards from afar; costs are only true at the width of the objective itself.
+        A descent from a wide blur has gradients far from the entities; reported costs use the objective itself.
 
         Raises:
             SettingError: If the width is not a positive number.
@@ -294,7 +294,7 @@ class SceneObjective:
         return None if wide is None else replace(self.objective, impact=wide).bind(self.scene, self.paces)
 
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
-        """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
+        """Compute the cost of a whole path or trajectory, with its impact by entity and component."""
         motion, impact = self._motion(self._points(path)), self.objective.impact
         if isinstance(impact, ImpactCost) and not impact.hazards(self.scene):
             nothing = dict.fromkeys(self.scene.components, 0.0)
@@ -303,7 +303,7 @@ class SceneObjective:
         return self._breakdown(motion, charged.batch, charged.weight)
 
     def charged_states(self, path: Path | Trajectory, start_time: float = 0.0) -> ChargedStates:
-        """Return the states at which a path, or a trajectory, is charged for its impact: sums over them are integrals.
+        """Return the states at which a path or trajectory is evaluated, with weights: sums over them are integrals.
 
         Only a trajectory's states have times, whatever the exposure: those of its samples plus `start_time` [s].
 
@@ -337,7 +337,7 @@ class SceneObjective:
             raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
         states = float(np.sum(points.segment_lengths)) / COST_STEP + len(points)
         if states > MOST_STATES:
-            expected = f"at most {MOST_STATES}, every {COST_STEP} rad: charge it in parts"
+            expected = f"at most {MOST_STATES}, every {COST_STEP} rad: evaluate it in parts"
             raise SettingError("states of the path", int(min(states, 1e18)), expected)
         return points
 
@@ -367,13 +367,13 @@ class SceneObjective:
 def trajectory_batch(
     scene: Scene, trajectory: Trajectory, t: Float[Array, " n"], times: Float[Array, " n"] | None = None
 ) -> StateBatch:
-    """Return the states of a trajectory at some of its times [s], with the motion to come.
+    """Return the states of a trajectory at some of its times [s], with the motion ahead.
 
     Args:
         scene: The scene.
         trajectory: The trajectory.
-        t: On its own clock.
-        times: The same on the clock of the scene's predictions, if they are known.
+        t: Times on the clock of the trajectory.
+        times: The same times on the clock of the scene's predictions, if known.
     """
     state = trajectory.at(t)
     found = moving_batch(scene, state.q, state.qd, times)
@@ -394,7 +394,7 @@ def _check_size(*parts: Float[Array, "..."]) -> None:
 
 
 def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by_length: bool) -> ChargedStates:
-    """Return states no farther apart than `COST_STEP` at their own velocities, with trapezoid weights [s, or rad]."""
+    """Return states at most `COST_STEP` apart at their own velocities, with trapezoid weights [s, or rad]."""
     pieces = np.maximum(1, np.ceil(trajectory.path.segment_lengths / COST_STEP)).astype(int)
     piece = np.repeat(np.arange(len(pieces)), pieces)
     first = np.cumsum(pieces) - pieces
@@ -420,21 +420,21 @@ def evaluate(
 ) -> CostBreakdown:
     """Compute the cost of any path, from any planner.
 
-    Entities that move are met where they are at the times of a trajectory, whatever the exposure; a path without times
-    meets them anywhere along their predicted paths.
+    For a trajectory, moving entities are at their predicted positions at its times, whatever the exposure. For a path
+    without times, they are anywhere along their predicted paths.
 
     Args:
         path: A path, a trajectory, or an array of configurations [n, nq].
-        scene: The scene, with what is carried attached.
-        objective: What to compute; the default `Objective()` if None.
-        start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
-        speed: In (0, 1]: at what fraction of the velocity limits a path without times is travelled.
+        scene: The scene, with the carried object attached.
+        objective: The objective to evaluate; the default `Objective()` if None.
+        start_time: Offset from the trajectory's times to the clock of the scene's predictions [s].
+        speed: Fraction of the velocity limits at which a path without times is travelled, in (0, 1].
 
     Raises:
         ShapeError: If the path does not fit the scene.
         CostError: If a cost breaks its contract.
-        SettingError: If the start time is not finite, the speed not in its range, or the path so long that it has more
-            than `MOST_STATES` states.
+        SettingError: If the start time is not finite, the speed is out of range, or the path needs more than
+            `MOST_STATES` states.
     """
     if not (is_real(start_time) and np.isfinite(start_time)):
         raise SettingError("start_time", start_time, "a finite time [s]")

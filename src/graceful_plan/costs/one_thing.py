@@ -1,4 +1,4 @@
-"""Kernels that see one thing to hit: the surroundings, the robot itself, or an entity."""
+"""Collision kernels restricted to one target: the surroundings, the robot itself, or one entity."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ SURROUNDINGS, SELF = "surroundings", "self"
 
 @per_scene
 def kernels_of_one_thing(scene: Scene, to: str) -> Kernels:
-    """Return kernels that see nothing but one thing to hit.
+    """Return collision kernels that ignore everything but one target.
 
     Args:
-        scene: Robot and surroundings.
+        scene: The scene.
         to: "surroundings", "self", or the name of an entity.
 
     Raises:
         UnknownNameError: If there is no such entity in the scene.
     """
     if to not in (SURROUNDINGS, SELF) and to not in scene.entities:
-        raise UnknownNameError("thing to keep clear of", to, [SURROUNDINGS, SELF, *scene.entities])
+        raise UnknownNameError("clearance target", to, [SURROUNDINGS, SELF, *scene.entities])
     compiled = compile_scene(scene)
     robot, world = compiled.robot, compiled.world
     if to == SELF:
@@ -44,7 +44,7 @@ def kernels_of_one_thing(scene: Scene, to: str) -> Kernels:
 
 
 def _some(world: WorldArrays, rows: Int[Array, " row"]) -> WorldArrays:
-    """Keep some of the obstacles."""
+    """Return the given obstacles only."""
     starts, ends = world.hull_start[:-1][rows], world.hull_start[1:][rows]
     triangles = [world.triangles[first:end] for first, end in zip(starts, ends, strict=True)]
     return WorldArrays(

@@ -1,4 +1,4 @@
-"""Costs at states that move, with their derivatives: what optimisers and descents follow, whoever wrote the cost."""
+"""Costs of moving states with derivatives, for optimisers and descents; any user's cost works."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 DIFFERENCE = 1e-3
-"""How far a state is moved for a difference [rad or rad/s]: single precision of the kernels (1e-7 of a metre) leaves
-1e-4 of a slope of a metre a radian, and curvature on the scale of 0.1 rad leaves 5e-3 of it."""
+"""Step of the finite differences [rad or rad/s]. Single precision of the kernels (1e-7 m) causes an error of 1e-4 of a
+slope of 1 m/rad; curvature on the scale of 0.1 rad causes 5e-3."""
 _PROBED = 32
-"""Random states at which a cost is asked whether velocities matter to it."""
+"""Number of random states that test whether a cost depends on velocity."""
 
 
 @final
 class CostSlopes:
-    """A cost in a scene, with its derivatives: by its own gradient if it has one, else by differences.
+    """A cost in a scene, with its derivatives: by its own gradient if it has one, else by finite differences.
 
-    Differences move all states in one batch, a joint at a time. Calls never overlap, since a cost may mind.
+    Differences displace all states in one batch, one joint at a time. Calls are serialised, since a cost need not be
+    thread-safe.
 
     Args:
         cost: The cost.
@@ -40,13 +41,13 @@ class CostSlopes:
 
     @cached_property
     def has_gradient(self) -> bool:
-        """Whether the cost knows its derivative with respect to q."""
+        """Whether the cost has a gradient in q."""
         with self._lock:
             return self.cost.gradient(StateBatch(self.scene, self.scene.limits.position.mean(axis=1)[None])) is not None
 
     @cached_property
     def asks_for_velocity(self) -> bool:
-        """Whether the cost depends on how the robot moves, as far as some random states tell."""
+        """Whether the cost depends on velocity, tested at random states."""
         rng = np.random.default_rng(0)
         lower, upper = self.scene.limits.position.T
         q = rng.uniform(lower, upper, (_PROBED, len(lower)))
@@ -85,7 +86,7 @@ class CostSlopes:
         self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], *, by_q: bool
     ) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
         n, nq = q.shape
-        # Away from the nearer limit, so that no state is asked for that no robot can take.
+        # Away from the nearer limit, so that no state is outside of the limits.
         middle = self.scene.limits.position.mean(axis=1)
         sign = np.where(q > middle, -1.0, 1.0) if by_q else np.ones_like(q)
         moved = np.zeros((nq + 1, n, nq))

@@ -1,4 +1,4 @@
-"""A scene, and an objective in it, without moving entities."""
+"""A scene and its objective without moving entities."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from graceful_plan.scene.scene import Scene
 
 @per_scene
 def as_if_nobody_moved(scene: Scene) -> Scene:
-    """Return a scene without those who move, the same in every call: compiling it takes as long as a short call."""
+    """Return the scene without moving entities, cached because compiling it takes as long as a short planning call."""
     return scene.without_moving()
 
 

@@ -1,1 +1,1 @@
-"""Judges of motions: exact geometry, and nothing that planners use."""
+"""The judge, an independent checker of motions: exact geometry, no code shared with the planners."""

@@ -1,4 +1,4 @@
-"""The judge's pendulum, compiled; `rule_checks` is its typed face."""
+"""The judge's pendulum, compiled; `rule_checks` has the typed interface."""
 
 import numpy as np
 from numpy.typing import NDArray

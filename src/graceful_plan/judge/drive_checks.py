@@ -1,4 +1,4 @@
-"""Whether a base rolls along a motion, and within its limits: from the motion's own cubics, between its samples too."""
+"""Checks that a mobile base rolls and keeps its drive limits, from the cubics of the motion, also between samples."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 SIDEWAYS = 1e-3
-"""Greatest speed across the heading [m/s]; wheels that stand on the floor give as much."""
+"""Greatest sideways speed [m/s]; wheels on a floor slip by as much."""
 _MISSED = 1e-2
-"""Share of a limit that may be missed between the samples that a motion was timed at."""
+"""Relative tolerance of a limit between the samples that a motion was timed at."""
 _BETWEEN = 5
-"""Moments on each piece of a motion, its ends among them."""
+"""Number of evaluated times on each piece of a motion, including its ends."""
 _ASKEW = 1e-3
-"""How far an edge of a path may lead across the heading, or bend while it turns [m]."""
+"""Largest sideways displacement, and largest bulge while turning, on an edge of a path [m]."""
 
 
 def drive_checks(motion: Path | Trajectory, base: DiffDrive) -> Mapping[str, Check]:

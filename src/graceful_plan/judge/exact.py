@@ -1,8 +1,8 @@
-"""MuJoCo's exact geometry as the judge of configurations and paths.
+"""Exact collision checks of configurations and motions with MuJoCo.
 
-Nothing here is shared with the kernels that planners use: other geometry, other kinematics, other code. MuJoCo's
-collision detection runs on a private copy of the scene's model that tests only what matters: the robot and the object
-it carries, against everything and themselves.
+This module shares nothing with the planners' kernels: geometry, kinematics and code differ. MuJoCo's collision
+detection runs on a private copy of the scene's model that tests only the relevant pairs: the robot and the carried
+object against everything and against themselves.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ Array = np.ndarray
 _LOG = logging.getLogger(__name__)
 
 DEEPEST_SUPPORT = 0.003
-"""How deep [m] a carried object may sink into its support at the ends of a path."""
+"""Largest penetration of a carried object into its support at the ends of a path [m]."""
 _NEAR = 0.05
-"""From which distance on things are not near [m]: farther than spheres stick out."""
+"""Largest distance that `nearest_pair` reports [m]; covering spheres protrude less than that."""
 _FEW, _BLOCK = 32, 4096
-"""Configurations below which each is placed alone, and above which not all are placed in advance."""
+"""Number of configurations below which poses are computed one by one, and the block size above."""
 _GRAZE = 1e-6
-"""Contacts of an object with its support that are shallower [m] are rounding, wherever they are on the path."""
+"""Penetration of an object into its support up to which a contact counts as rounding, anywhere on the path [m]."""
 
 
 class Touch(NamedTuple):
@@ -51,7 +51,7 @@ class Touch(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Two geoms that overlap, by name, and how deep [m]."""
+    """Two geoms that overlap, by name, and their penetration depth [m]."""
 
     first: str
     second: str
@@ -60,7 +60,7 @@ class Contact(NamedTuple):
 
 @dataclass(frozen=True)
 class Collision:
-    """Where a motion first collides."""
+    """First collision of a motion."""
 
     q: Float[Array, " nq"]
     at: float
@@ -69,7 +69,7 @@ class Collision:
 
 
 class Judge:
-    """Exact collision checks in one scene. Uses MuJoCo state of the thread that makes it: one per thread."""
+    """Exact collision checks in one scene. Uses MuJoCo data of the creating thread: create one instance per thread."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -79,14 +79,14 @@ class Judge:
         self._placement = prepared.placements.of(scene)
 
     def touches(self, q: Float[Array, "n nq"], start: int = 0) -> Iterator[Touch]:
-        """Yield what overlaps in each configuration, in order; allowed contacts at the ends are in it, others are not.
+        """Yield overlaps of checked pairs in each configuration, in order; includes contacts allowed only at the ends.
 
         Args:
             q: Configurations.
-            start: What to call the first one.
+            start: Index of the first one.
         """
         model, place = self._placement.model, self._placement.place
-        with within_memory("looking for contacts"):  # around the loop: it takes as long as a look does
+        with within_memory("looking for contacts"):  # outside of the loop: entering it takes as long as a check
             for sample, (configuration, X_WO) in enumerate(zip(q, self._carried_poses(q), strict=True), start):
                 data = place(configuration, X_WO)
                 mujoco.mj_collision(model, data)
@@ -98,7 +98,7 @@ class Judge:
                             yield Touch(sample, min(a, b), max(a, b), distance)
 
     def _carried_poses(self, q: Float[Array, "n nq"]) -> Iterator[Float[Array, "4 4"] | None]:
-        """Yield where the carried object is in each configuration; None where `Placement` finds that out itself."""
+        """Yield the pose of the carried object in each configuration; None where `Placement` computes it itself."""
         if self.scene.carried is None or len(q) < _FEW:
             yield from (None for _ in q)
             return
@@ -107,13 +107,13 @@ class Judge:
             yield from known.poses(q[begin : begin + _BLOCK], known.held[[1]])[0]
 
     def is_violation(self, touch: Touch, *, at_end: bool) -> bool:
-        """Whether a touch is a collision, given whether it belongs to the stretch of contact at an end of the path."""
+        """Tell whether a touch is a collision, given whether it is in the contact stretch at an end of the path."""
         if not self._ends[touch.first, touch.second]:
             return True
         return -touch.distance > (DEEPEST_SUPPORT if at_end else _GRAZE)
 
     def violations(self, touches: list[Touch], samples: int) -> list[Touch]:
-        """Tell collisions from allowed contacts: such a pair may touch in one unbroken stretch at either end."""
+        """Return the touches that are collisions: allowed pairs may touch in one unbroken stretch at either end."""
         at_end = np.zeros(samples, dtype=bool)
         found = []
         for pair in {(t.first, t.second) for t in touches}:
@@ -128,7 +128,7 @@ class Judge:
         return sorted(found)
 
     def named(self, touch: Touch) -> Contact:
-        """Put a touch in words, what moves first."""
+        """Describe a touch by the names of its geoms, the moving one first."""
         first, second = (geom_label(self.scene.model, geom) for geom in (touch.first, touch.second))
         if touch.first not in self._movers:
             first, second = second, first
@@ -136,11 +136,11 @@ class Judge:
 
 
 def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True) -> list[Contact]:
-    """Return what collides in one configuration, deepest first; empty if it is free.
+    """Return the collisions in one configuration, deepest first; empty if it is free.
 
     Args:
         q: The configuration.
-        scene: Where.
+        scene: The scene.
         at_end: Whether it is the start or the goal, where a carried object may stand on its support.
     """
     judge = Judge(scene)
@@ -152,11 +152,11 @@ def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True)
 
 
 def nearest_pair(q: Float[Array, " nq"], scene: Scene) -> Contact | None:
-    """Return what is nearest to each other of all that may not touch, what moves first; None if nothing is near.
+    """Return the nearest checked pair, the moving geom first; None if all are at least `_NEAR` apart.
 
     Args:
         q: The configuration.
-        scene: Where.
+        scene: The scene.
     """
     judge, data = Judge(scene), scene.data_at(q)
     pairs = scene.collision_pairs().tolist()
@@ -169,7 +169,7 @@ def nearest_pair(q: Float[Array, " nq"], scene: Scene) -> Contact | None:
 
 
 def exactly_free(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:
-    """Tell which configurations may be the start or the goal: nothing collides, but for allowed contacts at an end."""
+    """Tell which configurations are valid starts or goals: no collisions except for contacts allowed at an end."""
     judge, free = Judge(scene), np.ones(len(q), dtype=bool)
     for touch in judge.touches(q):
         free[touch.sample] &= not judge.is_violation(touch, at_end=True)
@@ -179,23 +179,24 @@ def exactly_free(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:
 def motion_violations(
     motion: Path | Trajectory, scene: Scene, step: float, clearance: ClearanceBound | None = None
 ) -> tuple[list[Touch], MotionSamples]:
-    """Return the collisions of a motion, and the samples that they are numbered by.
+    """Return the collisions of a motion, and the samples that they refer to.
 
-    Exact geometry looks at every sample, or at those that a bound of the clearance leaves open, and at one in `AUDITED`
-    of the others. If that one touches anything the bound is wrong: then exact geometry looks at everything.
+    Exact geometry checks every sample. With a bound of the clearance, it checks the samples that the bound does not
+    prove free, and every `AUDITED`-th of the others. If any of those collides, the bound is wrong, and exact geometry
+    checks all samples.
 
     Args:
-        motion: What is to be checked.
-        scene: Where.
+        motion: The motion to check.
+        scene: The scene.
         step: No point of the robot moves farther than this between two samples [m].
-        clearance: Proves configurations free.
+        clearance: A lower bound that proves configurations free.
     """
     judge = Judge(scene)
     samples = motion_samples(motion, scene, step, clearance)
     looked_at = np.flatnonzero(~samples.proved | (np.arange(len(samples.q)) % AUDITED == AUDITED - 1))
     touches = [touch._replace(sample=int(looked_at[touch.sample])) for touch in judge.touches(samples.q[looked_at])]
     if any(samples.proved[touch.sample] for touch in touches):
-        _LOG.error("spheres that prove a configuration free are wrong; the whole motion is looked at exactly")
+        _LOG.error("the clearance bound is wrong: it proves colliding samples free; all samples are checked exactly")
         return motion_violations(motion, scene, step)
     return judge.violations(touches, len(samples.q)), samples
 
@@ -203,7 +204,7 @@ def motion_violations(
 def first_collision(
     motion: Path | Trajectory, scene: Scene, step: float = 0.002, clearance: ClearanceBound | None = None
 ) -> Collision | None:
-    """Return where a motion first collides, None if it is free; the arguments are those of `motion_violations`."""
+    """Return the first collision of a motion, None if it is free; for the arguments see `motion_violations`."""
     judge = Judge(scene)
     violations, samples = motion_violations(motion, scene, step, clearance)
     if not violations:

@@ -1,8 +1,8 @@
-"""Poses of a scene in many configurations at once: the judge's forward kinematics, a product of exponentials in NumPy.
+"""The judge's forward kinematics for many configurations at once: a product of exponentials in NumPy.
 
-MuJoCo places everything once, with all planned joints at 0, and tells the axis of each joint there. The planned joints
-are hinges and slides in a row from the world to the tool, so what the first k of them carry moves by the product of
-their k rigid motions about these axes. Other joints stay where the scene holds them.
+MuJoCo computes all poses once, with all planned joints at 0, and the axis of each joint there. The planned joints are
+hinges and slides in a chain from the world to the tool. So the k-th link moves by the product of the first k rigid
+motions about these axes. Other joints stay where the scene holds them.
 
 References:
     R. W. Brockett, "Robotic manipulators and the product of exponentials formula", 1984.
@@ -25,16 +25,16 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _BLOCK = 512
-"""Configurations at once: their matrices fit into a core's own cache."""
+"""Configurations per block: their matrices fit into the cache of a core."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frames:
-    """Frames that ride on links; link k is what the first k planned joints move, link 0 stands still.
+    """Frames attached to links; the first k planned joints move link k, link 0 is fixed.
 
     | field | meaning                                     | shape     |
     |-------|---------------------------------------------|-----------|
-    | link  | on which each frame rides                   | frame     |
+    | link  | link of each frame                          | frame     |
     | X_WF  | its pose with all planned joints at 0 [m]   | frame 4 4 |
     """
 
@@ -42,19 +42,19 @@ class Frames:
     X_WF: Float[Array, "frame 4 4"]
 
     def __getitem__(self, chosen: Sequence[int] | Int[Array, " some"]) -> Frames:
-        """Return some of the frames."""
+        """Return the given frames."""
         rows = np.asarray(chosen, dtype=int)
         return Frames(link=self.link[rows], X_WF=self.X_WF[rows])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Kinematics:
-    """Forward kinematics of one scene, carried object included; made by `kinematics`.
+    """Forward kinematics of one scene, including the carried object; made by `kinematics`.
 
     | field  | meaning                                                                        | shape   |
     |--------|--------------------------------------------------------------------------------|---------|
-    | slides | which planned joints are slides, the others are hinges                         | nq      |
-    | motion | rows that 1, sin q and cos q of a hinge, or 1, q and 0 of a slide multiply:    | nq 3 16 |
+    | slides | whether each planned joint is a slide rather than a hinge                      | nq      |
+    | motion | coefficients of 1, sin q and cos q for a hinge, or of 1, q and 0 for a slide;  | nq 3 16 |
     |        | their sum is the joint's motion in W as a 4 x 4 matrix                         |         |
     | axes   | columns: a point on each joint's axis [m] and its direction, at 0              | nq 4 2  |
     | geoms  | frames of the model's geoms                                                    |         |
@@ -68,7 +68,7 @@ class Kinematics:
     held: Frames
 
     def links(self, q: Float[Array, "n nq"]) -> Iterator[Float[Array, "n 4 4"]]:
-        """Yield how far each link has moved in W since all planned joints were at 0, from link 0 to link nq."""
+        """Yield the rigid motion of each link in W relative to all planned joints at 0, from link 0 to link nq."""
         factors = np.empty((q.shape[1], len(q), 3))
         factors[..., 0] = 1.0
         np.sin(q.T, out=factors[..., 1])
@@ -106,7 +106,7 @@ def kinematics(scene: Scene) -> Kinematics:
     joints = [model.joint(name).id for name in scene.joints]
     tool = model.site(scene.tool).id
     link = np.bincount(model.jnt_bodyid[joints], minlength=model.nbody)
-    for body, parent in enumerate(model.body_parentid.tolist()):  # parents come first, the world is its own
+    for body, parent in enumerate(model.body_parentid.tolist()):  # parents precede children; the world is its own
         link[body] += link[parent]
     held = Frames(link=link[model.site_bodyid[[tool]]], X_WF=_matrices(data.site_xpos[[tool]], data.site_xmat[[tool]]))
     if scene.carried is not None:

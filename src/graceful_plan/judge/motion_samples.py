@@ -1,4 +1,4 @@
-"""Configurations along a motion, so dense that no point of the robot moves far between two of them."""
+"""Configurations along a motion, dense enough that no point of the robot moves far between two of them."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 ClearanceBound = Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
-"""Proves clearance: where it is positive, nothing that may not touch is nearer to each other than so much [m]."""
+"""Lower bound of the clearance of configurations [m]: if positive, all checked pairs are at least this far apart."""
 
 PROVED = 2e-4
-"""What a bound has to exceed to count [m]: several times the rounding of single precision, even of joints that have
-turned many times."""
+"""Least bound that proves a configuration free [m]: several times the rounding error of single precision, also for
+joints after many turns."""
 AUDITED = 64
-"""One in so many configurations that are proved free is looked at all the same."""
+"""One in this many configurations that are proved free is checked exactly, too."""
 _STRIDE = 8
-"""From one sample that a bound is asked for to the next: of bare arms' motions that proves six in seven samples."""
+"""Stride of the samples at which the bound is evaluated first; for bare arms these prove six in seven samples."""
 _STRETCH = 0.05
-"""How far any point moves at most on the stretches that a motion is cut into first [m]."""
+"""Largest displacement of any point on the stretches into which a motion is first cut [m]."""
 _NEIGHBOURHOOD = 0.3
-"""How far it moves between the centres of neighbourhoods in each of which one bound on levers is used [m]: with 0.3
-instead of 0.1 a motion is sampled in two thirds of the time, and there are 14 % more samples."""
+"""Largest displacement of any point between the centres of neighbourhoods, each with a single bound on levers [m]. With
+0.3 instead of 0.1, sampling takes two thirds of the time and gives 14 % more samples."""
 _FARTHEST = 0.5 * (_NEIGHBOURHOOD + _STRETCH)
 
 
 @dataclass(frozen=True, eq=False)
 class MotionSamples:
-    """Configurations along a path or a trajectory, both ends included."""
+    """Configurations along a path or a trajectory, including both ends."""
 
     q: Float[Array, "sample nq"]
     at: Float[Array, " sample"]
     """Time [s] on a trajectory, path length [rad] on a path."""
     proved: Bool[Array, " sample"]
-    """Which of them a bound of the clearance proves free of contact; none without one."""
+    """Whether a bound of the clearance proves each sample free of contact; all False without a bound."""
 
     @classmethod
     def of(cls, q: Float[Array, "sample nq"], at: Float[Array, " sample"]) -> MotionSamples:
-        """Return samples of which nothing is proved."""
+        """Return samples none of which is proved free."""
         return cls(q, at, np.zeros(len(q), dtype=bool))
 
 
@@ -57,10 +57,10 @@ def motion_samples(
     """Sample a motion so that no point of the robot or the carried object moves farther than `step` [m] in between.
 
     Args:
-        motion: What to sample.
-        scene: Where.
-        step: How densely [m].
-        clearance: Tells which of the samples are free; they are the same with it and without.
+        motion: The motion to sample.
+        scene: The scene.
+        step: Largest displacement of any point between two samples [m].
+        clearance: Lower bound that marks samples as proved free; it does not change the samples.
     """
     if len(motion) == 1:
         at = motion.t if isinstance(motion, Trajectory) else np.zeros(1)
@@ -77,32 +77,32 @@ def motion_samples(
 def _levers_along(
     motion: Path | Trajectory, coarse: Float[Array, " end"], moved: Float[Array, " stretch"], scene: Scene
 ) -> Float[Array, "stretch nq"]:
-    """Bound levers on stretches of a motion, those of one neighbourhood together.
+    """Bound levers on stretches of a motion, with common bounds for each neighbourhood.
 
     Args:
         motion: The motion.
-        coarse: Where stretches begin and end, in fractional pieces.
-        moved: How far any point moves on each of them at most [m].
-        scene: Where.
+        coarse: Ends of the stretches, in fractional pieces.
+        moved: Bound of the displacement of any point on each stretch [m].
+        scene: The scene.
     """
     done = np.append(0.0, np.cumsum(moved))
-    # The middle of a stretch is within half a neighbourhood of its centre, and its ends half a stretch farther.
+    # The midpoint of a stretch is within half a neighbourhood of its centre, and its ends half a stretch farther.
     hood = (0.5 * (done[:-1] + done[1:]) / _NEIGHBOURHOOD).astype(int)
     centres = np.minimum((np.arange(hood[-1] + 1) + 0.5) * _NEIGHBOURHOOD, done[-1])
     return _levers_near(at_places(motion, np.interp(centres, done, coarse)).q, scene)[hood]
 
 
 def _proved(samples: MotionSamples, step: float, clearance: ClearanceBound | None) -> MotionSamples:
-    """Prove samples by the clearance of one in `_STRIDE` of them, and by their own where that leaves anything open.
+    """Mark samples as proved free: first from the clearance of every `_STRIDE`-th sample, then from their own.
 
-    Between neighbouring samples no point moves farther than `step` [m], so two that approach each other do by twice
-    that at most.
+    No point moves farther than `step` [m] between neighbouring samples, so the distance of two points changes by at
+    most twice that.
     """
     if clearance is None:
         return samples
     last, away = len(samples.q) - 1, 2.0 * step * np.arange(_STRIDE + 1.0)
     known = clearance(samples.q[np.append(np.arange(0, last, _STRIDE), last)])
-    # One row for each stretch between them; of the last one, which may be shorter, too much is taken off.
+    # One row per stretch between them; for the last one, which may be shorter, this subtracts too much.
     least = np.maximum(known[:-1, None] - away[:-1], known[1:, None] - away[:0:-1])
     proved = np.append(least.ravel()[:last], known[-1]) > PROVED
     doubtful = np.flatnonzero(~proved)
@@ -111,12 +111,12 @@ def _proved(samples: MotionSamples, step: float, clearance: ClearanceBound | Non
 
 
 def joint_travel(motion: Path | Trajectory) -> Float[Array, "piece nq"]:
-    """Bound how far each joint travels on each piece between samples or vertices."""
+    """Bound the travel of each joint on each piece between samples or vertices."""
     if isinstance(motion, Path):
         return np.abs(np.diff(motion.q, axis=0))
     h = np.diff(motion.t)[:, None]
     a0, a1 = motion.piece_accelerations
-    # The velocity is quadratic on a piece; its ends and the change that the accelerations allow bound it.
+    # The velocity is quadratic on a piece; its end values plus the change from the accelerations bound it.
     fastest = np.maximum(np.abs(motion.qd[:-1]), np.abs(motion.qd[1:]))
     return h * (fastest + np.where(a0 * a1 < 0.0, 0.5 * h * np.minimum(np.abs(a0), np.abs(a1)), 0.0))
 
@@ -136,7 +136,7 @@ def at_places(motion: Path | Trajectory, place: Float[Array, " sample"]) -> Moti
 def _levers_near(q: Float[Array, "n nq"], scene: Scene) -> Float[Array, "n nq"]:
     """Bound distances from the joints' axes, as `reach` does, but only in the neighbourhood of each configuration.
 
-    There no point is farther than `_FARTHEST` from where it is in that configuration.
+    In that neighbourhood no point is farther than `_FARTHEST` from its position in the configuration.
     """
     known, moved = kinematics(scene), _moved_geoms(scene)
     links, nq = np.stack(list(known.links(q))), q.shape[1]
@@ -156,11 +156,11 @@ class _MovedGeoms:
     """Geoms that planned joints move."""
 
     link: Int[Array, " geom"]
-    """How many of the joints, from the base on, move each of them."""
+    """Number of planned joints, from the base, that move each geom."""
     centre: Float[Array, "geom 4 1"]
-    """With all planned joints at 0, and a 1 behind [m]."""
+    """Centre with all planned joints at 0, in homogeneous coordinates [m]."""
     radius: Float[Array, "nq geom"]
-    """Of the bounding sphere [m]; without end downwards where a joint does not move the geom."""
+    """Radius of the bounding sphere [m]; -inf where a joint does not move the geom."""
 
 
 @per_layout
@@ -175,7 +175,7 @@ def _moved_geoms(scene: Scene) -> _MovedGeoms:
 def _subdivided(
     ends: Float[Array, " end"] | Int[Array, " end"], moved: Float[Array, " piece"], step: float
 ) -> Float[Array, " sample"]:
-    """Return the ends of pieces and, between them, those of even parts on which nothing moves more than `step`."""
+    """Return the ends of pieces and, between them, those of equal parts on which nothing moves more than `step`."""
     begin = np.zeros(len(ends))
     np.cumsum(np.maximum(1.0, np.ceil(moved / step)), out=begin[1:])
     return np.interp(np.arange(begin[-1] + 1.0), begin, ends)
@@ -183,9 +183,9 @@ def _subdivided(
 
 @per_layout
 def reach(scene: Scene) -> Float[Array, " nq"]:
-    """Bound how far any moving point is from each planned joint's axis, in every configuration.
+    """Bound the distance of any moving point from each planned joint's axis, over all configurations.
 
-    A hinge that turns by dq moves no point farther than reach * dq; of a slide the reach is 1.
+    A hinge that turns by dq moves no point farther than reach * dq; the reach of a slide is 1.
     """
     model = scene.model
     held: tuple[int, float] | None = None
@@ -205,14 +205,14 @@ def reach(scene: Scene) -> Float[Array, " nq"]:
 
 
 def _radii(model: mujoco.MjModel, held: tuple[int, float] | None = None) -> Float[Array, " body"]:
-    """Bound for each body how far from its origin anything on it and on its descendants can be.
+    """Bound, for each body, the distance of any point on it and its descendants from its origin.
 
     Args:
         model: The model.
-        held: A body, and a radius around its origin in which something else rides along.
+        held: A body, and the radius around its origin of an object attached to it.
     """
     radius = np.zeros(model.nbody)
-    for body in range(model.nbody - 1, 0, -1):  # children come after their parents
+    for body in range(model.nbody - 1, 0, -1):  # children have higher ids than their parents
         geoms = slice(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
         own = np.linalg.norm(model.geom_pos[geoms], axis=1) + model.geom_rbound[geoms] if geoms.start >= 0 else []
         radius[body] = max(radius[body], np.max(own, initial=0.0))

@@ -1,4 +1,4 @@
-"""The judge of poses on the way: does a motion pass them all, in their order, and when?"""
+"""Checks that a motion passes its via configurations and via poses in order, and when."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 NEAR = 1e-4
-"""Largest joint error [rad or m] with which a configuration counts as passed: a tenth of a millimetre at a metre."""
+"""Largest joint error with which a configuration counts as passed [rad or m]: 0.1 mm at a distance of 1 m."""
 _NARROWED = 60
-"""Steps of the golden section, which narrow a time down to rounding."""
+"""Number of golden-section steps, which narrow a time down to rounding."""
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
 def passing(
     trajectory: Trajectory, via: Sequence[Float[Array, " nq"] | PoseGoal], scene: Scene, *, step: float = 0.002
 ) -> tuple[Check, tuple[float, ...]]:
-    """Judge whether a motion passes configurations and poses of the tool in their order.
+    """Check whether a motion passes configurations and tool poses in order.
 
     Args:
-        trajectory: What is to be judged.
-        via: What it should pass: configurations to within `NEAR`, poses to within their tolerances.
-        scene: Where.
+        trajectory: The trajectory to check.
+        via: Configurations to pass to within `NEAR`, and poses to pass to within their tolerances.
+        scene: The scene.
         step: No point of the robot moves farther than this between two samples [m].
 
     Returns:
-        The check, and the times at which they are passed [s]; its worst value is in shares of the tolerance.
+        The check, whose worst value is relative to the tolerance, and the times at which they are passed [s].
     """
     samples = motion_samples(trajectory, scene, step)
     worst, since, times = 0.0, float(trajectory.t[0]), []
@@ -53,7 +53,7 @@ def passing(
 
 
 def _error(one: Float[Array, " nq"] | PoseGoal, scene: Scene) -> Callable[[Float[Array, " nq"]], float]:
-    """Return the error of a configuration, in shares of the tolerance."""
+    """Return a function that computes the error of a configuration relative to the tolerance."""
     if not isinstance(one, PoseGoal):
         return lambda q: float(np.abs(q - one).max()) / NEAR
     placement = own_placement(scene)
@@ -74,7 +74,7 @@ def _first(
     at: Float[Array, " sample"],
     since: float,
 ) -> tuple[float, float]:
-    """Return the first time from `since` on when an error is within its tolerance, else the best, and the error."""
+    """Return the first time from `since` at which the error is within its tolerance, else the best, and the error."""
     later = at > since
     t = np.append(since, at[later])
     errors = np.array([error(x) for x in (trajectory.at(np.array(since)).q, *q[later])])
@@ -90,7 +90,7 @@ def _first(
 
 
 def _narrowed(value: Callable[[float], float], lower: float, upper: float) -> tuple[float, float]:
-    """Return where a function with one valley is least, and how much that is (golden section)."""
+    """Return the minimiser and minimum of a unimodal function (golden section)."""
     for _ in range(_NARROWED):
         a, b = upper - _GOLDEN * (upper - lower), lower + _GOLDEN * (upper - lower)
         lower, upper = (lower, b) if value(a) <= value(b) else (a, upper)

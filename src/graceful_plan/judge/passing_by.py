@@ -1,7 +1,7 @@
-"""Whether a robot that drives into nobody who moves: where they are predicted to be, with exact geometry.
+"""Checks that a mobile robot does not drive into moving entities at their predicted positions, with exact geometry.
 
-Only what the robot does counts, be it that it drives, turns in place or moves its arm: while it stands still, others
-may walk into it. Places are those of the prediction; its spread is part of the impact, not of this check.
+Only times at which the robot moves count, whether it drives, turns in place or moves its arm: while it stands still,
+entities may walk into it. The spread of the predicted positions is part of the impact, not of this check.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ Array = np.ndarray
 _STANDING = 0.01
 """Speed of every joint below which a robot stands still [m/s or rad/s]."""
 _STEP = 0.02
-"""How far robot and others move at most between two looks [m]."""
+"""Largest displacement of robot and entities between two evaluated times [m]."""
 _MOST = 20_000
 _FAR = 1.0
 """Clearance beyond which it is not measured [m]."""
 _PARTS = 4
-"""Spheres that cover a geom."""
+"""Number of spheres that cover a geom."""
 _ROUNDING = 1e-6
-"""Of distances between shapes [m]: MuJoCo's are iterated."""
+"""Error of distances between shapes, which MuJoCo computes iteratively [m]."""
 
 
 def is_moving(qd: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-    """Tell at which velocities of its joints a robot does not stand still."""
+    """Tell at which joint velocities a robot moves; see `_STANDING`."""
     return np.abs(qd).max(axis=1) > _STANDING
 
 
 def passing_check(motion: Trajectory, scene: Scene) -> Check:
-    """Check a trajectory at its own times; the worst is the least clearance to somebody who moves [m].
+    """Check a trajectory at its own times; the worst value is the least clearance to a moving entity [m].
 
-    Bounds from spheres decide which geoms are measured and when: exact distances are those alone that can be the least,
-    or the first overlap.
+    Bounds from spheres select the pairs and times to measure: only those that can have the least distance or the first
+    overlap are measured exactly.
     """
     t = _times(motion, scene)
     state = motion.at(t)
@@ -66,7 +66,7 @@ def passing_check(motion: Trajectory, scene: Scene) -> Check:
         if distance < worst:
             worst, whom = distance, names[pairs.entity[k]]
     if worst >= 0.0:
-        told = f"{worst:.3g} m to {whom!r}" if whom else f"more than {_FAR:g} m to everybody"
+        told = f"{worst:.3g} m to {whom!r}" if whom else f"more than {_FAR:g} m to all moving entities"
         return Check(passed=True, worst=worst, detail=told)
     overlaps = np.flatnonzero(pairs.least < 0.0)
     by_time = overlaps[np.argsort(pairs.row[overlaps], kind="stable")].tolist()
@@ -77,13 +77,13 @@ def passing_check(motion: Trajectory, scene: Scene) -> Check:
 
 @dataclass(frozen=True, eq=False)
 class _NearPairs:
-    """Moments at which a geom of the robot may be nearer to an entity than `_FAR`, and than all others are."""
+    """Pairs of a time and a robot geom that may be nearer to an entity than `_FAR` and than all other pairs."""
 
     row: Int[Array, " pair"]
-    """Which of the moments."""
+    """Index of the time."""
     entity: Int[Array, " pair"]
     geom: Int[Array, " pair"]
-    """Of the robot."""
+    """Id of the robot's geom."""
     least: Float[Array, " pair"]
     """Lower bound of the distance [m]."""
     X_WG: Float[Array, "pair 4 4"]
@@ -93,7 +93,7 @@ class _NearPairs:
 
 
 def _near_pairs(scene: Scene, t: Float[Array, " n"], q: Float[Array, "n nq"], ruler: _Ruler) -> _NearPairs:
-    """Return what may be nearer than what is nearest by bounding spheres, which is measured."""
+    """Return the pairs that may be nearer than the measured distance of the nearest pair by bounding spheres."""
     own, known = np.array(_robot_geoms(scene), dtype=int), kinematics(scene)
     poses = known.poses(q, known.geoms[own])
     spheres = _covers(scene)
@@ -123,7 +123,7 @@ def _near_pairs(scene: Scene, t: Float[Array, " n"], q: Float[Array, "n nq"], ru
 
 
 class _Ruler:
-    """MuJoCo's distances from entities that move, of geoms that are told where they are. One per thread."""
+    """MuJoCo's distances between robot geoms at given poses and moving entities. Create one instance per thread."""
 
     def __init__(self, scene: Scene) -> None:
         self._model = model = _with_walkers(scene)
@@ -131,7 +131,7 @@ class _Ruler:
         self._geom = {name: int(model.body_geomadr[model.body(name).id]) for name in scene.moving}
 
     def distance(self, geom: int, X_WG: Float[Array, "4 4"], entity: str, X_WE: Float[Array, "4 4"]) -> float:
-        """Return a signed distance, as far as it is below `_FAR` [m]."""
+        """Return a signed distance, at most `_FAR` [m]."""
         other = self._geom[entity]
         for each, X in ((geom, X_WG), (other, X_WE)):
             self._data.geom_xpos[each], self._data.geom_xmat[each] = X[:3, 3], X[:3, :3].ravel()
@@ -160,7 +160,7 @@ def _to_upright(
 
 @dataclass(frozen=True, eq=False)
 class _Covers:
-    """Spheres that cover the geoms of the robot, in the frames of these."""
+    """Spheres that cover the geoms of the robot, in the frames of the geoms."""
 
     centre: Float[Array, "geom sphere 3"]
     radius: Float[Array, "geom 1"]
@@ -180,7 +180,7 @@ def _covers(scene: Scene) -> _Covers:
 
 
 def _times(motion: Trajectory, scene: Scene) -> Float[Array, " n"]:
-    """Return times close enough that nobody moves far between them [s]."""
+    """Return times dense enough that neither robot nor entities move far between them [s]."""
     walks = max(entity.top_speed for entity in scene.moving.values())
     drives = float(np.linalg.norm(motion.qd[:, :2], axis=1).max(initial=0.0))
     n = int(np.clip(np.ceil(motion.duration * (walks + drives) / _STEP), 1, _MOST))
@@ -194,7 +194,7 @@ def _robot_geoms(scene: Scene) -> tuple[int, ...]:
 
 @per_scene
 def _with_walkers(scene: Scene) -> mujoco.MjModel:
-    """Return the scene's model with a body for each entity that moves, behind all others."""
+    """Return the scene's model with a body for each moving entity, after all others."""
     spec = scene.spec.copy()
     for entity in scene.moving.values():
         pose = np.eye(4)

@@ -1,4 +1,4 @@
-"""What the judge prepares once per layout of a scene: pairs of geoms to look at, and MuJoCo's data to look with."""
+"""Data that the judge prepares once per layout of a scene: pairs of geoms to check, and MuJoCo data for the checks."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ _MAX_GROUPS = 31
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Filters:
-    """What may touch what."""
+    """Geom pairs to check, and matching collision masks."""
 
     checked: Bool[Array, "geom geom"]
-    """Pairs that may not touch."""
+    """Pairs that must not touch."""
     ends: Bool[Array, "geom geom"]
-    """Those of them that may at the ends of a path."""
+    """Checked pairs that may touch at the ends of a path."""
     movers: frozenset[int]
-    """Geoms of the robot and what it carries."""
+    """Geoms of the robot and the carried object."""
     contype: Int[Array, " geom"]
     conaffinity: Int[Array, " geom"]
-    """Masks of a model that tests few pairs needlessly."""
+    """Collision masks of a model in which MuJoCo tests few unnecessary pairs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """What judges of scenes of one layout share."""
+    """Data shared by the judges of all scenes of one layout."""
 
     filters: Filters
     placements: PlacementPool
-    """With these masks."""
+    """Placements with these masks."""
 
 
 @per_layout
 def prepare(scene: Scene) -> Prepared:
-    """Return what judges of scenes share that differ only by where things around the robot stand; made once."""
+    """Return the data shared by judges of scenes that differ only in the positions of surroundings; cached."""
     with within_memory(f"judging scene {scene.name!r} with {scene.model.ngeom} geoms"):
         filters = _filters(scene)
         return Prepared(filters=filters, placements=PlacementPool((filters.contype, filters.conaffinity)))
@@ -65,11 +65,11 @@ def _filters(scene: Scene) -> Filters:
 
 
 def _masks(model: mujoco.MjModel, checked: Bool[Array, "geom geom"]) -> tuple[Int[Array, " geom"], Int[Array, " geom"]]:
-    """Return collision masks under which pairs that need no check are not tested, as far as bits last.
+    """Return collision masks that exclude pairs without a check, as long as there are enough bits.
 
-    Geoms with the same partners share a bit of `conaffinity`; a geom has in `contype` the bits of its partners.
+    Geoms with the same partners share a bit of `conaffinity`; the `contype` of a geom has the bits of its partners.
     """
-    # By their bytes: sorting the rows of thousands of geoms takes ten seconds.
+    # Grouped by their bytes: sorting the rows of thousands of geoms takes ten seconds.
     groups: dict[bytes, int] = {}
     group = [groups.setdefault(row.tobytes(), len(groups)) for row in np.packbits(checked, axis=1)]
     if len(groups) > _MAX_GROUPS:
@@ -81,5 +81,5 @@ def _masks(model: mujoco.MjModel, checked: Bool[Array, "geom geom"]) -> tuple[In
 
 
 def own_placement(scene: Scene) -> Placement:
-    """Return this thread's placement in a scene: for who reads what it needs before anybody else is asked."""
+    """Return this thread's placement in a scene, whose data is valid until the next call of `place`."""
     return prepare(scene).placements.of(scene)

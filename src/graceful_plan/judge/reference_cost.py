@@ -1,12 +1,12 @@
-"""The published objective once more, slowly: Algorithm 1 of the paper and joint-space length, in plain NumPy on MuJoCo.
+"""An independent, slow implementation of the published objective: Algorithm 1 and joint-space length, in NumPy.
 
-The judge recomputes a planner's cost of that kind with this, and tests compare the kernels with it. It shares no code
-with either.
+The judge recomputes a planner's cost with it, and tests compare the kernels with it. It shares no code with either.
+Poses come from the judge's own kinematics.
 
 References:
-    T. Nguyen et al., "Failing Gracefully", Algorithm 1. Differs from it in: P is clipped at 1, since the overlap of
-    stacked geoms counts more than once, which would make it more than certain; a body of less than 1e-6 mm^2 seen from
-    above has P = 0, which would be 0 / 0.
+    T. Nguyen et al., "Failing Gracefully", Algorithm 1. Differs from it in: P is clipped at 1, which it could exceed,
+    since the overlap of stacked geoms counts more than once; a body with a ground area of less than 1e-6 mm^2 has
+    P = 0, which would be 0 / 0.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ Array = np.ndarray
 EXPOSURES = ("time", "length", "waypoints")
 
 _LEAST_AREA = 1e-12
-"""Of a body seen from above [m^2]."""
+"""Ground area of a body below which P is 0 [m^2]."""
 
 
 def reference_probability(
     scene: Scene, q: Float[Array, "n nq"], components: Sequence[str] | None = None
 ) -> Float[Array, "n component entity"]:
-    """Compute Algorithm 1: how likely each entity is hit by each component when it fails in each configuration.
+    """Compute P of Algorithm 1: the probability that each component hits each entity, given a failure at each state.
 
-    Every geom is replaced by its axis-aligned box in W. A component's boxes have the ground area A_r in all, those of
-    an entity A_e, and all pairs of them overlap by A_overlap, seen from above. P is the larger one of
-    A_overlap / A_r and A_overlap / A_e if the lowest point of the component is above the highest of the entity, or if
-    the heights from lowest to highest point of both overlap; otherwise it is 0.
+    Every geom is replaced by its axis-aligned box in W. A_r is the total ground area of the boxes of a component, A_e
+    that of an entity, and A_overlap the total overlap of all pairs in top view. If the lowest point of the component is
+    above the highest of the entity, or if the heights from lowest to highest point of both overlap, P is the maximum of
+    A_overlap / A_r and A_overlap / A_e; otherwise it is 0.
 
     Args:
-        scene: Where.
+        scene: The scene.
         q: Configurations.
         components: Names of components; all of the scene's by default.
     """
     names = list(scene.components) if components is None else list(components)
     P = np.zeros((len(q), len(names), len(scene.entities)))
-    # Entities stand still while the robot moves, so one configuration shows them as well as any.
+    # Entities are static, so one configuration is enough.
     entities = [_boxes(scene, q[:1], entity.geoms) for entity in scene.entities.values()]
     for j, name in enumerate(names):
         component = _boxes(scene, q, scene.components[name].geoms)
@@ -66,7 +66,7 @@ class _Boxes:
 
     @property
     def area(self) -> Float[Array, " n"]:
-        """Ground area of all of them [m^2]."""
+        """Total ground area of the boxes [m^2]."""
         return np.prod((self.upper - self.lower)[..., :2], axis=-1).sum(axis=1)
 
 
@@ -97,9 +97,9 @@ def reference_cost(
 
     Args:
         motion: A path, or a trajectory (along its curve, not along straight lines between samples).
-        scene: Where.
+        scene: The scene.
         w: Safety weight.
-        components: Components whose failure counts; those that the scene does not have are left out.
+        components: Components whose failure counts; those that the scene does not have are ignored.
         exposure: Integrate over "time" or "length", or sum over "waypoints". A path is timed at the joints' velocity
             limits.
         step: Longest piece of the trapezoid rule [rad].
@@ -145,7 +145,7 @@ def _points(
 
 
 def _boxes(scene: Scene, q: Float[Array, "n nq"], geoms: Sequence[int]) -> _Boxes:
-    """Place the boxes of some geoms."""
+    """Return the boxes of some geoms in W."""
     chosen, known = np.array(geoms, dtype=int), kinematics(scene)
     box, X_WG = scene.model.geom_aabb[chosen], known.poses(q, known.geoms[chosen]).transpose(1, 0, 2, 3)
     R_WG = X_WG[..., :3, :3]

@@ -1,7 +1,7 @@
-"""Whether a motion keeps its constraints, by means that planners do not use.
+"""Checks of constraints along a motion, with methods that planners do not use.
 
-Where frames are comes from the judge's own kinematics, how they move from finite differences of the timed motion, and
-how a liquid answers from a pendulum that is swung along it.
+Poses come from the judge's own kinematics, velocities and accelerations from finite differences of the timed motion,
+and the response of a liquid from a pendulum driven by it.
 """
 
 from __future__ import annotations
@@ -39,29 +39,29 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _DT = (0.002, 0.004)
-"""Least and most between two samples of a trajectory [s]. Accelerations of joints are linear on a piece, which half of
-the shortest one resolves; the fastest surfaces swing with 5 Hz."""
+"""Least and greatest time between two samples of a trajectory [s]. Joint accelerations are linear on a piece, which
+half of the shortest piece resolves; the fastest liquid surfaces swing at 5 Hz."""
 _SHORT = 1000
-"""Intervals of a trajectory above which it is long."""
+"""Number of intervals above which a trajectory counts as long."""
 _SPACING = 0.004
-"""Between two configurations of a path [rad]."""
+"""Distance between two configurations of a path [rad]."""
 _STRIDE = 8
-"""Samples from one distance between meshes to the next."""
+"""Stride of the samples at which mesh distances are measured."""
 _ANGLE, _LENGTH, _SPEED = 1e-4, 1e-4, 1e-3
-"""What a rule may be missed by: [rad], [m], share of the limit."""
+"""Tolerances of the constraints: [rad], [m], relative to the limit."""
 _LOAD = 1e-3
-"""Share of what a grasp carries, or of the slope on which something stands, that may be missed."""
+"""Relative tolerance of the load of a grasp, and of the slope on which an object stands."""
 _UPSIDE = 0.5 * np.pi - 1e-6
-"""Beyond any slope on which something stands [rad]."""
+"""Clamp of the slope angle, beyond any slope on which an object stands [rad]."""
 _ROUNDING = 1e-9
-"""Of positions [m]."""
+"""Rounding error of positions [m]."""
 _SETTLES = 0.5
-"""How long a liquid is followed after the end [s]."""
+"""Time for which a liquid is simulated after the end [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameMotion:
-    """Where tool and carried object are along a motion."""
+    """Poses of tool and carried object along a motion."""
 
     scene: Scene
     q: Float[Array, "n nq"]
@@ -71,7 +71,7 @@ class FrameMotion:
 
     @classmethod
     def along(cls, motion: Path | Trajectory, scene: Scene) -> FrameMotion:
-        """Sample a motion evenly."""
+        """Sample a motion at equal steps."""
         if isinstance(motion, Trajectory):
             shortest = float(np.diff(motion.t).min(initial=np.inf))
             dt = min(max(0.5 * shortest, motion.duration / _SHORT, _DT[0]), _DT[1])
@@ -85,18 +85,18 @@ class FrameMotion:
 
     @cached_property
     def poses(self) -> dict[str, Float[Array, "n 4 4"]]:
-        """Poses in W of the frames "tool" and, where something is carried, "object" [m]."""
+        """Poses in W of the frames "tool" and, if something is carried, "object" [m]."""
         known = kinematics(self.scene)
         poses = known.poses(self.q, known.held)
         return dict(zip(FRAMES, poses, strict=False))
 
     @cached_property
     def dt(self) -> float:
-        """Time between two samples [s]; they are even."""
+        """Time between two samples, which is constant [s]."""
         return float(self.at[-1] - self.at[0]) / (len(self.at) - 1)
 
     def felt(self, point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
-        """Return what is felt at a point of the carried object, in W [m/s^2]: acceleration less gravity."""
+        """Return the felt acceleration (acceleration minus gravity) at a point of the carried object, in W [m/s^2]."""
         felt = np.zeros((len(self.q), 3))
         if self.timed and len(felt) > 2:
             p = _at(self.poses["object"], point)
@@ -133,7 +133,7 @@ def _check(rule: Rule, frames: FrameMotion) -> Check:
     if isinstance(rule, DistanceRule):
         few = frames.at[::_STRIDE]
         near = rule.metres - _distances(frames.scene, frames.q[::_STRIDE], rule.entity, rule.metres)
-        return _limit(near, few, _LENGTH, f"how much too near {rule.entity!r} [m]")
+        return _limit(near, few, _LENGTH, f"distance below the minimum to {rule.entity!r} [m]")
     if isinstance(rule, SpeedRule):
         return _speed(rule, frames)
     if isinstance(rule, CustomRule):
@@ -169,13 +169,13 @@ def _contents(rule: ContentsRule, frames: FrameMotion) -> Check:
         if vessel.repose == 0.0 and felt[0].any():
             felt = _swung(felt, vessel, frames.dt)
     left = np.minimum(vessel.capacity(_angle(axis, felt)) / vessel.volume, 1.0)
-    return _limit(1.0 - left, t, 1.0 - rule.part, "share of the contents that the surface leaves above the rim")
+    return _limit(1.0 - left, t, 1.0 - rule.part, "share of the contents above the rim")
 
 
 def _swung(felt: Float[Array, "n xyz"], vessel: Vessel, dt: float) -> Float[Array, "n xyz"]:
-    """Return the normal of a liquid's surface: opposite to a pendulum with the first mode's frequency and damping.
+    """Compute the normal of a liquid surface: opposite to a pendulum with the first mode's frequency and damping.
 
-    Its bob is pulled against what is felt, `felt` [m/s^2], at even times `dt` apart [s].
+    The bob is pulled against the felt acceleration `felt` [m/s^2], sampled at equal time steps `dt` [s].
     """
     R, gravity = vessel.radius, float(np.linalg.norm(felt[0]))
     depth = vessel.volume / (np.pi * R**2)
@@ -185,18 +185,18 @@ def _swung(felt: Float[Array, "n xyz"], vessel: Vessel, dt: float) -> Float[Arra
 
 
 def _felt_by(frames: FrameMotion, point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
-    """Return what is felt at a point of the carried object, in its frame [m/s^2]."""
+    """Return the felt acceleration at a point of the carried object, in its frame [m/s^2]."""
     return np.einsum("nji,nj->ni", frames.poses["object"][:, :3, :3], frames.felt(point))
 
 
 def _grip(rule: GripRule, frames: FrameMotion) -> Check:
-    """Follow the load on each pad: tangential force and torsion over what friction carries at its pressing force."""
+    """Compute the load on each pad: tangential force and torsion relative to the friction at its normal force."""
     grip = rule.grip
     felt = _felt_by(frames, grip.p_BC)
     pushed, first, second = grip.mass * grip.axes @ felt.T
     about = grip.mass * grip.axes @ cross_matrix(grip.p_GC) @ felt.T
     h = float(grip.half[0])
-    # What pressure does not carry about an axis across, friction does, to opposite sides on both pads.
+    # Moments about the axes across that pressure cannot bear are borne by friction, opposite on the two pads.
     aside, load = np.zeros((2, len(felt))), np.zeros(len(felt))
     for k in (1, 2):
         if grip.pressed[k - 1]:
@@ -208,24 +208,24 @@ def _grip(rule: GripRule, frames: FrameMotion) -> Check:
         slips = np.square(0.5 * first + side * aside[1]) + np.square(0.5 * second - side * aside[0])
         presses = np.maximum(0.5 * grip.force + side * pushed, 1e-9 * grip.force)
         load = np.maximum(load, np.sqrt(slips / grip.friction**2 + turned) / presses)
-    return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load on a pad, as a share of what it carries")
+    return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load on a pad, relative to its capacity")
 
 
 def _stands(rule: StandsRule, frames: FrameMotion) -> Check:
     felt = _felt_by(frames, np.array(rule.point))
     slope = np.tan(np.minimum(_angle(felt, np.array(rule.axis)), _UPSIDE))
     slides = rule.friction < rule.support
-    detail = f"slope of what is felt where it {'slides' if slides else 'tips'} first"
+    detail = f"slope of the felt acceleration; the object {'slides' if slides else 'tips'} first"
     return _limit(slope, frames.at, min(rule.friction, rule.support) * (1.0 + _LOAD), detail)
 
 
 def _distances(scene: Scene, q: Float[Array, "n nq"], entity: str, most: float) -> Float[Array, " n"]:
-    """Return the exact distance of robot and carried object from an entity, as far as it is below `most` [m]."""
+    """Compute the exact distance of robot and carried object from an entity, clamped to `most` [m]."""
     model, known = scene.model, kinematics(scene)
     mine = [g for name in ("body", "carried") if name in scene.components for g in scene.components[name].geoms]
     others = list(scene.entities[entity].geoms)
     p = known.poses(q, known.geoms[mine]).transpose(1, 0, 2, 3)[..., None, :3, 3] - known.geoms.X_WF[others, :3, 3]
-    # Bounding spheres, less a rounding: what they leave farther than `most` is not measured.
+    # Bounding spheres, less a rounding error: pairs that they keep farther apart than `most` are not measured.
     spheres = model.geom_rbound[mine][:, None] + model.geom_rbound[others]
     apart = np.sqrt(np.square(p).sum(axis=-1)) - spheres - _ROUNDING
     nearest, place, line = np.full(len(q), most), own_placement(scene).place, np.zeros(6)
@@ -240,18 +240,18 @@ def _distances(scene: Scene, q: Float[Array, "n nq"], entity: str, most: float) 
 
 def _limit(values: Float[Array, " n"], at: Float[Array, " n"], limit: float, detail: str) -> Check:
     worst = float(values.max())
-    bad = np.flatnonzero(~(values <= limit))  # what is no number is bad
+    bad = np.flatnonzero(~(values <= limit))  # a NaN violates the limit, too
     first = float(at[bad[0]]) if len(bad) else None
     return Check(passed=not len(bad), worst=worst, limit=limit, first=first, detail=detail)
 
 
 def _at(X: Float[Array, "n 4 4"], point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
-    """Return where a point of a moving frame is [m]."""
+    """Return the positions of a point of a moving frame [m]."""
     return (X.reshape(-1, 4) @ np.append(point, 1.0)).reshape(-1, 4)[:, :3]
 
 
 def _along(X: Float[Array, "n 4 4"], axis: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
-    """Return where an axis of a moving frame points."""
+    """Return the directions of an axis of a moving frame."""
     return (X.reshape(-1, 4) @ np.append(axis, 0.0)).reshape(-1, 4)[:, :3]
 
 

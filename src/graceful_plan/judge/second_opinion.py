@@ -1,4 +1,4 @@
-"""A second opinion on collisions, by python-fcl: other narrow-phase algorithms on the same geometry."""
+"""A second opinion on collisions, from python-fcl: other narrow-phase algorithms on the same geometry."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _SHALLOWEST = 1e-4
-"""Overlaps shallower than this [m] are within what two iterative algorithms may differ by."""
+"""Penetration up to which two iterative algorithms may disagree [m]."""
 _GEOM = mujoco.mjtGeom
 
 
 def opinion_of_fcl(samples: MotionSamples, scene: Scene) -> Check:
-    """Check configurations for collision by python-fcl, under the same rules about allowed contacts."""
+    """Check configurations for collision with python-fcl, under the same rules about allowed contacts."""
     judge = Judge(scene)
     touches = fcl_touches(samples.q, scene)
     violations = [t for t in judge.violations(touches, len(samples.q)) if -t.distance > _SHALLOWEST]
@@ -60,7 +60,7 @@ def fcl_touches(q: Float[Array, "n nq"], scene: Scene) -> list[Touch]:
 
 
 def _near(model: mujoco.MjModel, data: mujoco.MjData, pairs: Int[Array, "pair 2"]) -> list[list[int]]:
-    """Return the pairs whose bounding spheres overlap; a plane, which has none, is near to everything."""
+    """Return the pairs whose bounding spheres overlap; a plane has none and is always included."""
     a, b = pairs.T
     radius = np.where(model.geom_type == _GEOM.mjGEOM_PLANE, np.inf, model.geom_rbound)
     distance = np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b], axis=1)
@@ -68,7 +68,7 @@ def _near(model: mujoco.MjModel, data: mujoco.MjData, pairs: Int[Array, "pair 2"
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> Any:
-    """Build a geom's shape for fcl, in the geom's own frame."""
+    """Build the fcl shape of a geom, in the geom's frame."""
     import fcl
 
     size = model.geom_size[geom]
@@ -96,7 +96,7 @@ def _hull(model: mujoco.MjModel, mesh: int) -> Any:
     vertices = model.mesh_vert[begin : begin + int(model.mesh_vertnum[mesh])].astype(float)
     hull = ConvexHull(vertices)
     triangles = hull.simplices.copy()
-    # Qhull does not orient its triangles; fcl wants them counter-clockwise from outside.
+    # Qhull does not orient its triangles; fcl requires them counter-clockwise from outside.
     corners = vertices[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flipped = np.einsum("ij,ij->i", normal, hull.equations[:, :3]) < 0.0

@@ -1,7 +1,7 @@
-"""The judge of straight motions: how far is the tool from its line, and from the orientation it should have there?
+"""Checks of straight tool motions: distance of the tool from its line, and from the prescribed orientation there.
 
-It shares nothing with what plans them: poses are the judge's own, orientations quaternions, and where on the line a
-pose belongs is found from the pose alone, whatever its time.
+They share nothing with the planner of such motions: poses come from the judge's own kinematics, orientations are
+quaternions, and the place of a pose on the line follows from the pose alone, not from its time.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ Array = np.ndarray
 def straightness(
     motion: Path | Trajectory, goal: PoseGoal, scene: Scene, *, deviation: float, angle: float, step: float = 0.002
 ) -> Mapping[str, Check]:
-    """Judge how straight the tool goes from where it is at the start to a pose.
+    """Check how straight the tool moves from its initial pose to a goal pose.
 
     Args:
-        motion: What is to be judged.
-        goal: Where the line ends. With free yaw only the tool's z axis counts.
-        scene: Where.
+        motion: The motion to check.
+        goal: Pose at the end of the line. With free yaw only the tool's z axis counts.
+        scene: The scene.
         deviation: Largest distance of the tool's origin from the line [m].
-        angle: Largest angle between the tool's orientation and the one due there [rad].
+        angle: Largest angle between the tool's orientation and the one prescribed there [rad].
         step: No point of the robot moves farther than this between two samples [m].
 
     Returns:
@@ -58,7 +58,7 @@ def straightness(
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """From one pose to another: position and quaternion at the start, translation and rotation vector in W."""
+    """A straight motion between poses: position and quaternion at the start, translation and rotation vector in W."""
 
     p: Float[Array, " 3"]
     quat: Float[Array, " 4"]
@@ -102,7 +102,7 @@ class _Line:
     def shares(
         self, p: Float[Array, "n 3"], quat: Float[Array, "n 4"], weights: tuple[float, float]
     ) -> Float[Array, " n"]:
-        """Where on the line each pose belongs: the place of least error, distance and angle on the scale of weights."""
+        """Return the place on the line of least weighted error for each pose, in [0, 1]."""
         by_way, by_turn = (w * v for w, v in zip(weights, (self.translation, self.rotation), strict=True))
         total = float(by_way @ by_way + by_turn @ by_turn)
         if total == 0.0:
@@ -111,7 +111,7 @@ class _Line:
         return np.clip((weights[0] * (p - self.p) @ by_way + weights[1] * turned @ by_turn) / total, 0.0, 1.0)
 
     def _turned(self, quat: Float[Array, "n 4"]) -> Float[Array, "n 3"]:
-        """Rotation vector in W from the first orientation to each; with free yaw, only about the line's own axis."""
+        """Return the rotation vector in W from the first orientation to each; with free yaw, about the line's axis."""
         if not self.free_yaw:
             return np.stack([_rotation_between(self.quat, one) for one in quat])
         angle = float(np.linalg.norm(self.rotation))
@@ -124,7 +124,7 @@ class _Line:
 
 
 def _rotation_between(first: Float[Array, " 4"], last: Float[Array, " 4"]) -> Float[Array, " 3"]:
-    """Rotation vector in W [rad], at most half a turn."""
+    """Return the rotation vector in W, at most half a turn [rad]."""
     turn, vector = np.empty(4), np.empty(3)
     mujoco.mju_mulQuat(turn, last, first * [1.0, -1.0, -1.0, -1.0])
     mujoco.mju_quat2Vel(vector, turn, 1.0)
@@ -132,7 +132,7 @@ def _rotation_between(first: Float[Array, " 4"], last: Float[Array, " 4"]) -> Fl
 
 
 def _conjugated(quat: Float[Array, " 4"], vector: Float[Array, " 3"]) -> Float[Array, " 3"]:
-    """Return a vector in the frame of the quaternion instead of W, as MuJoCo integrates rotations."""
+    """Express a vector of W in the frame of the quaternion, as MuJoCo integrates rotations."""
     own = np.empty(3)
     mujoco.mju_rotVecQuat(own, vector, quat * [1.0, -1.0, -1.0, -1.0])
     return own

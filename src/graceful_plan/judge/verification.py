@@ -1,8 +1,8 @@
-"""The independent judge: is a motion free of collision, within limits, and from start to goal?
+"""The judge, an independent checker: is a motion free of collision, within limits, and from start to goal?
 
-It takes arrays and a scene and believes nothing else. Geometry is MuJoCo's own (`exact`), on request with python-fcl
-beside it. What a motion costs is verified for Algorithm 1 alone, by a slow implementation that shares nothing with the
-kernels (`reference_cost`); no other model, the default one included, has a second implementation here.
+Its only inputs are arrays and a scene. Geometry is MuJoCo's own (`exact`), optionally also python-fcl's. The cost of a
+motion is verified for Algorithm 1 only, by a slow implementation that shares no code with the kernels
+(`reference_cost`); no other model, including the default one, has a second implementation here.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 LIMIT_TOLERANCE = 1e-6
-"""Absolute on positions and end points [rad or m], relative on velocities and accelerations."""
+"""Tolerance: absolute for positions and end points [rad or m], relative for velocities and accelerations."""
 STEP = 0.002
-"""How far any point moves at most between two checks of collision, unless somebody asks for another distance [m]."""
+"""Default for the largest displacement of any point between two collision checks [m]."""
 MOST_SAMPLES = 300_000
-"""Configurations that one verdict rests on at most: half a minute of exact geometry, and some hundred metres."""
+"""Largest number of configurations of one verdict: half a minute of exact geometry, and a few hundred metres."""
 _ROUNDINGS = 32.0
-"""Roundings of positions by which the acceleration of a piece may be off, times the square of its length."""
+"""Rounding error of a piece's acceleration times the square of its duration, in roundings of positions."""
 _OVERRATED, _SECONDS_EACH = 3.0, 0.004
-"""By how much the reach of a joint is larger than its levers, about; between two samples for constraints [s]."""
+"""Typical ratio of the reach of a joint to its levers; time between two samples for constraints [s]."""
 COST_TOLERANCE = 0.01
-"""Relative; two ways to integrate a discontinuous impact differ by less than that at the steps in use."""
+"""Relative tolerance; two integrations of a discontinuous impact differ by less at the steps in use."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """How closely `plan` has motions looked at.
+    """Settings of the checks that `plan` runs on motions.
 
     | field      | meaning                                                                    | unit |
     |------------|----------------------------------------------------------------------------|------|
-    | step       | how far any point moves at most between two checks of collision            | m    |
-    | everywhere | exact geometry at every sample, also where spheres prove that it is free   |      |
+    | step       | largest displacement of any point between two collision checks             | m    |
+    | everywhere | exact geometry at every sample, even where spheres prove that it is free   |      |
     """
 
     step: float = STEP
@@ -85,30 +85,30 @@ def verify(
     clearance: ClearanceBound | None = None,
     second_opinion: bool = False,
 ) -> Verdict:
-    """Judge a path or a trajectory.
+    """Check a path or a trajectory.
 
     Args:
-        motion: What is to be judged.
-        scene: Where.
-        start: Where it should begin, if that is to be checked.
-        goal: Where it should end: a configuration, several to choose from, or a pose.
-        cost: The cost that is claimed of it by Algorithm 1, `ImpactCost("aabb")`, if that is to be recomputed. Leave it
-            out for any other model: the claim would be compared with Algorithm 1 all the same.
-        cost_path: The path that the cost is claimed of, if not the motion itself.
+        motion: The motion to check.
+        scene: The scene.
+        start: Required start configuration; None to skip the check.
+        goal: Required end: a configuration, several alternatives, or a pose; None to skip the check.
+        cost: Claimed cost of the motion by Algorithm 1, `ImpactCost("aabb")`, to be recomputed; None to skip the check.
+            Do not pass the cost of any other model: it would be compared with Algorithm 1 all the same.
+        cost_path: The path of the claimed cost, if it is not the motion itself.
         components: Components whose impact is in that cost.
-        exposure: How that cost integrates impact.
-        constraints: What has to hold along the motion; by default that contents stay in the vessel that is carried.
-        step: No point of the robot moves farther than this between two checks of collision [m].
-        clearance: Proves configurations free, such as `compile_scene(scene).kernels.clearance`: exact geometry then
-            looks where that leaves anything open, and at a few others. By default it looks everywhere.
-        second_opinion: Whether to ask python-fcl too, every 10 steps.
+        exposure: Integration variable of the impact in that cost.
+        constraints: Constraints along the motion; by default, contents have to stay in a carried vessel.
+        step: No point of the robot moves farther than this between two collision checks [m].
+        clearance: Lower bound that proves configurations free, such as `compile_scene(scene).kernels.clearance`. Exact
+            geometry then checks only configurations that it does not prove free, and a few others. Default: all.
+        second_opinion: Whether python-fcl also checks for collisions, every 10 steps.
 
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
-        "consistency" and "rest"; "contents" where they are to stay in a vessel, and one for each other constraint, such
-        as "upright"; of bases "rolling", "drive_limits" and, where somebody moves, "passing_by", which warns; and
-        "start", "goal", "cost", "second_opinion" where asked for. Without "cost" among them, nothing is said about what
-        the motion costs.
+        "consistency" and "rest"; "contents" if they have to stay in a vessel, and one for each other constraint, such
+        as "upright"; for bases "rolling", "drive_limits" and, with moving entities, "passing_by", which only warns;
+        and "start", "goal", "cost", "second_opinion" if requested. Without "cost", the verdict does not cover the cost
+        of the motion.
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.
@@ -161,16 +161,16 @@ def verify(
 
 
 def _too_long(motion: Path | Trajectory, scene: Scene, step: float) -> Check | None:
-    """Return a check that fails if more configurations would have to be looked at than there is time and memory for."""
+    """Return a failed check if the number of configurations to check exceeds `MOST_SAMPLES`, else None."""
     if len(motion) == 1:
         return None
-    # No point moves farther than this; how far it does move is known once levers are, which takes samples itself.
+    # No point moves farther than this. A closer bound needs the levers, which requires samples itself.
     samples = float((joint_travel(motion) @ reach(scene)).sum()) / step / _OVERRATED + len(motion)
     seconds = motion.duration if isinstance(motion, Trajectory) else 0.0
     most = max(samples, seconds / _SECONDS_EACH)
     if most <= MOST_SAMPLES:
         return None
-    told = f"not looked at: about {most:.3g} configurations; at most {MOST_SAMPLES} are: judge it in parts"
+    told = f"not checked: about {most:.3g} configurations, at most {MOST_SAMPLES} are allowed: check it in parts"
     return Check(passed=False, worst=-np.inf, detail=told)
 
 
@@ -199,14 +199,14 @@ def _position(samples: MotionSamples, motion: Path | Trajectory, scene: Scene) -
         q, at = motion.q, np.append(0.0, np.cumsum(motion.segment_lengths))
     excess = np.maximum(lower - q, q - upper)
     if excess.max() > LIMIT_TOLERANCE:
-        # The samples for collisions are close together, and tell when it begins.
+        # The samples for collisions are dense and show when the violation begins.
         beyond = np.maximum(lower - samples.q, samples.q - upper)
         excess, at = np.concatenate([excess, beyond]), np.append(np.full(len(q), np.nan), samples.at)
     return _limit_check(excess, at, scene.joints, LIMIT_TOLERANCE, "beyond its position limit [rad or m]")
 
 
 def _turning_points(trajectory: Trajectory) -> tuple[Float[Array, "n nq"], Float[Array, " n"]]:
-    """Return the samples and where joints turn round between them, with their times [s]: no joint is ever beyond these.
+    """Return the samples and the turning points of joints between them, with times [s]; they bound all positions.
 
     A row of turning points holds one of each joint, at its own time; the time of the row is that of the piece.
     """
@@ -215,7 +215,7 @@ def _turning_points(trajectory: Trajectory) -> tuple[Float[Array, "n nq"], Float
     h = np.diff(trajectory.t)[:, None]
     a0, a1 = trajectory.piece_accelerations
     v0, jerk = trajectory.qd[:-1], (a1 - a0) / h
-    # The roots of v0 + a0 u + jerk u^2 / 2, by the form that cancels nothing.
+    # The roots of v0 + a0 u + jerk u^2 / 2, in the form without cancellation.
     sum_ = -(a0 + np.copysign(np.sqrt(np.maximum(a0**2 - 2.0 * jerk * v0, 0.0)), a0))
     turning = []
     for above, below in ((sum_, jerk), (2.0 * v0, sum_)):
@@ -226,15 +226,15 @@ def _turning_points(trajectory: Trajectory) -> tuple[Float[Array, "n nq"], Float
 
 
 def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
-    """Check samples, and the extremes of the cubics between them, which are what a trajectory is."""
+    """Check the samples and the extremes of the cubics between them."""
     velocity, acceleration = scene.limits.velocity, scene.limits.acceleration
     h = np.diff(trajectory.t)[:, None]
     v0, v1 = trajectory.qd[:-1], trajectory.qd[1:]
     mean_velocity, mean_acceleration = np.diff(trajectory.q, axis=0) / h, np.diff(trajectory.qd, axis=0) / h
-    # Rest to rest with full acceleration in between covers h^2 a / 4, more than which q cannot stray from the mean.
+    # The largest deviation of q from the mean is h^2 a / 4: from rest to rest with full acceleration in between.
     stray = (mean_velocity - 0.5 * (v0 + v1)) / h / (0.25 * acceleration)
     a0, a1 = trajectory.piece_accelerations
-    # On short pieces positions are too coarse to tell accelerations; what they may be off is taken off.
+    # On short pieces, rounding of positions dominates the accelerations; its bound is subtracted.
     largest = np.abs(trajectory.q).max(axis=0, initial=1.0)
     rounding = _ROUNDINGS * np.finfo(float).eps * largest / h**2
     steepest = np.maximum(np.maximum(np.abs(a0), np.abs(a1)) - rounding, np.abs(mean_acceleration))
@@ -251,7 +251,7 @@ def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
         "velocity_limits": of(trajectory.qd, _fastest_between(trajectory), velocity, "of its velocity limit"),
         "acceleration_limits": of(trajectory.qdd, steepest, acceleration, "of its acceleration limit"),
         "consistency": _limit_check(
-            np.abs(stray), pieces, scene.joints, most, "of what positions may stray from velocities"
+            np.abs(stray), pieces, scene.joints, most, "of the allowed deviation of positions from velocities"
         ),
         "rest": _limit_check(ends, t[[0, -1]], scene.joints, LIMIT_TOLERANCE, "speed [rad/s or m/s] at an end"),
     }
@@ -284,7 +284,7 @@ def _limit_check(
 def _end_point(
     q: Float[Array, " nq"], wanted: Float[Array, "end nq"], at: float, endless: Bool[Array, " nq"] | None = None
 ) -> Check:
-    """Check that a motion is at one of some configurations; whole turns of endless joints make no difference."""
+    """Check that a configuration equals one of several; whole turns of endless joints make no difference."""
     away = wanted - q
     if endless is not None:
         away = np.where(endless, np.remainder(away + np.pi, 2.0 * np.pi) - np.pi, away)
@@ -309,7 +309,7 @@ def _cost(
     cost: CostBreakdown, motion: Path | Trajectory, scene: Scene, components: Sequence[str], exposure: str
 ) -> Check:
     own = reference_cost(motion, scene, w=cost.w, components=components, exposure=exposure)
-    # With a small weight the impact would hardly be checked, yet it is reported.
+    # At least 1, since a small weight would hardly check the impact, which is reported, too.
     w = max(cost.w, 1.0)
     expected, claimed = own.motion + w * own.impact, cost.motion + w * cost.impact
     parts = max(abs(sum(x.values()) - cost.impact) for x in (cost.impact_by_entity, cost.impact_by_component))

@@ -226,7 +226,7 @@ def test_settings_are_checked(make: Callable[[], gp.Cost], message: str) -> None
 
 def test_what_does_not_fit_a_scene_is_named(scene: gp.Scene) -> None:
     with pytest.raises(
-        UnknownNameError, match=r"unknown thing to keep clear of 'lamp'; valid: .*laptop.*self, stapler, surround"
+        UnknownNameError, match=r"unknown clearance target 'lamp'; valid: .*laptop.*self, stapler, surround"
     ):
         values(gp.ClearanceCost(to="lamp"), scene, states(scene, 1))
     with pytest.raises(ShapeError, match=r"EnergyCost\.torque has shape \(2,\)"):

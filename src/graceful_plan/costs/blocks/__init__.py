@@ -1,1 +1,1 @@
-"""Costs to compose: each runs in the core, has a gradient, and adds up with others and with the impact of failures."""
+"""Composable costs: each runs in the core, has a gradient, and adds up with other costs and with the impact."""

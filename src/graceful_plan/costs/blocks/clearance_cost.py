@@ -1,4 +1,4 @@
-"""How near a robot comes to what stands around it, to itself, or to somebody."""
+"""Cost of low clearance to the surroundings, to the robot itself or to one entity."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from graceful_plan.scene.scene import Scene
 @final
 @dataclass(frozen=True)
 class ClearanceCost(NativeCost):
-    r"""Charges for every state that is nearer to something than wanted.
+    r"""Penalises states whose clearance is below a desired distance.
 
     .. math:: \max(0, 1 - d / D)
 
-    with d the signed clearance of the spheres that cover robot and carried object, and D the distance: 0 from there on,
-    1 at contact. It looks at what stands still; where entities move to is not known of a state.
+    with d the signed clearance of the spheres that cover robot and carried object, and D the distance: the cost is 1 at
+    contact and 0 from D on. Only static obstacles and entities count, since a state does not hold the time.
 
     Args:
-        distance: Clearance from which on nothing is charged [m], > 0.
-        to: What clearance is of: "surroundings" for all that is not the robot; "self" for links, and the carried
-            object, among themselves; or the name of an entity.
+        distance: Clearance from which on the cost is 0 [m], > 0.
+        to: Reference of the clearance: "surroundings" for everything except the robot; "self" for links, and the
+            carried object, among themselves; or the name of an entity.
 
     Raises:
         SettingError: If the distance is not a finite number > 0.
@@ -43,7 +43,7 @@ class ClearanceCost(NativeCost):
             raise SettingError("distance", self.distance, "a finite number > 0 [m]")
 
     def kernel(self, scene: Scene) -> ImpactKernel:
-        """Make what computes the cost in a scene.
+        """Return the native kernel of this cost in a scene.
 
         Raises:
             UnknownNameError: If there is no such entity in the scene.

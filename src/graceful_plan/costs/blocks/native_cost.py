@@ -1,4 +1,4 @@
-"""What the costs to compose have in common: they run in the core, alone and in sums."""
+"""Base of the composable costs: they run in the core, alone and in sums."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _MOST_KERNELS = 32
-"""Kept for a scene: who tries one distance after the other must not fill the memory."""
+"""Number of kernels kept for a scene, so that trying many settings does not exhaust memory."""
 
 
 class NativeCost(Cost):
-    """Base of costs of where the robot is, however it moves, that run in the core."""
+    """Base of costs that run in the core and depend on the configuration alone, not on the velocity."""
 
     @abstractmethod
     def kernel(self, scene: Scene) -> ImpactKernel:
-        """Make what computes the cost in a scene."""
+        """Return the native kernel of this cost in a scene."""
 
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return the cost density at each state."""
@@ -44,17 +44,17 @@ def _kernel(scene: Scene, cost: NativeCost) -> ImpactKernel:
 
 @per_scene(most=_MOST_KERNELS)
 def _impact_kernel(scene: Scene, cost: ImpactCost, paces: tuple[float, float]) -> ImpactKernel | None:
-    """Keep kernels of costs that words stand for: every call of `plan` asks for those of the same one or two."""
+    """Return a cached kernel of a cost given by model names, since every call of `plan` uses the same one or two."""
     return cost.kernel(scene, paces)
 
 
 def native_kernel(cost: Cost, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
-    """Return what computes a cost in the core, None if Python has to.
+    """Return the native kernel of a cost, None if the cost has to run in Python.
 
     Args:
-        cost: One of this library, or a sum of such.
+        cost: A cost of this library, or a sum of such.
         scene: The scene.
-        paces: As of `NativeModel.kernel`.
+        paces: See `NativeModel.kernel`.
     """
     if isinstance(cost, ImpactCost):
         named = isinstance(cost.model, str) and isinstance(cost.consequence, str)

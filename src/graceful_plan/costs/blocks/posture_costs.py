@@ -1,4 +1,4 @@
-"""Costs of postures, and of where the tool is."""
+"""Costs of the robot's posture and of the tool's pose."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _TURNS = 6
-"""Joints that a tool needs to be moved and turned any way."""
+"""Number of joints that a tool needs for arbitrary translation and rotation."""
 
 
 @final
 @dataclass(frozen=True)
 class JointCost(NativeCost):
-    """Charges for being far from a posture: the mean over joints of ((q - centre) / scale)^2.
+    """Penalises the distance from a posture: the mean over joints of ((q - centre) / scale)^2.
 
-    By default the distance from the joints' limits [Liegeois1977]: 0 where all are in the middle of their ranges, 1
-    where all are at a limit.
+    By default it keeps joints away from their limits [Liegeois1977]: 0 where all joints are in the middle of their
+    ranges, 1 where all are at a limit.
 
     Args:
         centre: The posture [rad or m], one number per joint; the middle of the ranges by default.
-        scale: The offset that is charged 1 [rad or m], one number or one per joint; half of the ranges by default.
+        scale: Offset with a cost of 1 [rad or m], one number or one per joint; half of the ranges by default.
 
     Raises:
         SettingError: If the posture is not finite, or a scale not a finite number > 0.
@@ -58,7 +58,7 @@ class JointCost(NativeCost):
                 raise SettingError("scale", self.scale, "a finite number > 0, or one per joint")
 
     def kernel(self, scene: Scene) -> ImpactKernel:
-        """Make what computes the cost in a scene.
+        """Return the native kernel of this cost in a scene.
 
         Raises:
             ShapeError: If posture or scales are not one number per joint.
@@ -78,17 +78,17 @@ class JointCost(NativeCost):
 @final
 @dataclass(frozen=True)
 class EnergyCost(NativeCost):
-    """Charges for holding the arm up: the mean over joints of (torque / limit)^2.
+    """Penalises the torques that hold the arm up: the mean over joints of (torque / limit)^2.
 
-    The torques are those of the weight of links and load. Drives lose about the square of their torque as heat, so that
-    the integral over time is in proportion to what a slow motion takes; what acceleration takes is not known of a
-    state, see `optimise_trajectory` for that.
+    The torques are those of the weight of links and load. Drives lose about the square of their torque as heat, so the
+    integral over time is proportional to the energy of a slow motion. The torques of acceleration are not included,
+    because a state has no acceleration; see `optimise_trajectory`.
 
     Args:
-        torque: Torques that are charged 1 [N m or N], one per joint; the limits of the model by default.
+        torque: Torques with a cost of 1 [N m or N], one per joint; the limits of the model by default.
 
     Raises:
-        SettingError: If one is not a finite number > 0.
+        SettingError: If a torque is not a finite number > 0.
     """
 
     torque: tuple[float, ...] | None = None
@@ -100,11 +100,11 @@ class EnergyCost(NativeCost):
                 raise SettingError("torque", self.torque, "finite numbers > 0, one per joint")
 
     def kernel(self, scene: Scene) -> ImpactKernel:
-        """Make what computes the cost in a scene.
+        """Return the native kernel of this cost in a scene.
 
         Raises:
             ShapeError: If torques are not one number per joint.
-            UnsupportedError: If none are given, and the model limits not all of them.
+            UnsupportedError: If no torques are given, and the model does not limit all of them.
         """
         limit = scene.limits.torque if self.torque is None else np.array(self.torque)
         if len(limit) != len(scene.joints):
@@ -124,16 +124,16 @@ class EnergyCost(NativeCost):
 @final
 @dataclass(frozen=True)
 class PoseCost(NativeCost):
-    r"""Charges for the tool's being far from a pose, with offset p and angle \theta between.
+    r"""Penalises the distance of the tool from a pose, with offset p and angle \theta between the two.
 
     .. math:: (|p| / D)^2 + 2 (1 - \cos \theta) / A^2
 
-    The second part is the angle squared, where it is small, over A squared.
+    For small angles, the second part is about (\theta / A)^2.
 
     Args:
-        goal: The pose; its tolerances do not count. With `free_yaw`, the angle is that between the tools' z axes.
-        distance: Offset D that is charged 1 [m]; None to leave the position out.
-        angle: Angle A that is charged about 1 [rad]; None to leave the orientation out.
+        goal: The pose; its tolerances are ignored. With `free_yaw`, the angle is that between the tools' z axes.
+        distance: Offset D with a cost of 1 [m]; None to ignore the position.
+        angle: Angle A with a cost of about 1 [rad]; None to ignore the orientation.
 
     Raises:
         SettingError: If both parts are left out, or one is not a finite number > 0.
@@ -152,10 +152,10 @@ class PoseCost(NativeCost):
             raise SettingError("distance", None, "a number, where the angle is left out too")
 
     def kernel(self, scene: Scene) -> ImpactKernel:
-        """Make what computes the cost in a scene."""
+        """Return the native kernel of this cost in a scene."""
         compiled = compile_scene(scene)
         robot, X_WT = compiled.robot, self.goal.X_WT
-        # trace(R_WT^T R) = 1 + 2 cos(angle); of the z axes alone, twice their product, it is 2 cos(angle).
+        # trace(R_WT^T R) = 1 + 2 cos(angle); for z axes alone, twice their product is 2 cos(angle).
         counts = np.diag([0.0, 0.0, 2.0]) if self.goal.free_yaw else np.eye(3)
         native = _native.PoseCost(
             compiled.kernels.core,
@@ -173,14 +173,14 @@ class PoseCost(NativeCost):
 @final
 @dataclass(frozen=True)
 class ManipulabilityCost(NativeCost):
-    r"""Charges for postures near singular ones, where the tool cannot be moved or turned some way.
+    r"""Penalises postures near singularities, where the tool cannot translate or rotate in some direction.
 
     .. math:: \max(0, 1 - w / w_0)^2, \qquad w = \sqrt{\det J J^T}
 
-    with J the Jacobian of the tool's position [m] and turning [rad].
+    with J the Jacobian of the tool's translation [m] and rotation [rad].
 
     Args:
-        least: Manipulability from which on nothing is charged, > 0. A Panda at its ready posture has 0.08.
+        least: Manipulability w_0 from which on the cost is 0, > 0. A Panda at its ready posture has 0.08.
 
     Raises:
         SettingError: If it is not a finite number > 0.
@@ -196,10 +196,10 @@ class ManipulabilityCost(NativeCost):
             raise SettingError("least", self.least, "a finite number > 0")
 
     def kernel(self, scene: Scene) -> ImpactKernel:
-        """Make what computes the cost in a scene.
+        """Return the native kernel of this cost in a scene.
 
         Raises:
-            UnsupportedError: If the tool has less than six joints: it is singular everywhere.
+            UnsupportedError: If fewer than six joints move the tool: it is singular everywhere.
         """
         compiled = compile_scene(scene)
         robot, chain = compiled.robot, _chain(compiled.robot)
@@ -216,7 +216,7 @@ class ManipulabilityCost(NativeCost):
 
 
 def _chain(robot: RobotArrays) -> list[int]:
-    """Joints from the base to the tool."""
+    """Return the joints from the base to the tool."""
     found: list[int] = []
     link = robot.tool_link
     while link >= 0:

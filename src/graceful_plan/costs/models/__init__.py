@@ -1,1 +1,1 @@
-"""Interaction models, a folder each: who is hit if the robot fails here."""
+"""Interaction models, one folder each: the probability that each entity is hit, given a failure at a state."""

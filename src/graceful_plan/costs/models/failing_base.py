@@ -1,4 +1,4 @@
-"""The contract of a model of failing bases, which interaction models mix with those of gripper and arm."""
+"""The contract of models of failing bases; interaction models mix them with failures of gripper and arm."""
 
 from __future__ import annotations
 
@@ -17,59 +17,59 @@ Array = np.ndarray
 
 
 class FailingBase(ABC):
-    """How bases that drive fail, and what they then hit. Frozen and hashable."""
+    """Model of a failing mobile base and the entities that it hits. Frozen and hashable."""
 
     @property
     @abstractmethod
     def share(self) -> float:
-        """P that it is the base that fails, given a failure of a robot that has an arm besides."""
+        """P that the base fails, given a failure of a robot with base and arm."""
 
     @abstractmethod
     def of_base(self, scene: Scene) -> float:
-        """Return P that it is the base that fails, given a failure of a scene's robot."""
+        """Return P that the base fails, given a failure of the scene's robot."""
 
     @abstractmethod
     def of_cargo(self, scene: Scene) -> float:
-        """Return P that it is gripper or arm, or that a base without an arm throws off what stands on it."""
+        """Return P that gripper or arm fails, or that a base without an arm throws off its cargo."""
 
     @abstractmethod
     def worth(self, speed: float) -> float:
-        """Return the share of a severity that a hit by the base at a speed [m/s] is worth."""
+        """Return the factor of the severity for a hit by the base at a speed [m/s]."""
 
     @abstractmethod
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
-        """Return P(the base hits entity | it fails), times what the hit is worth; zero but for the body."""
+        """Return P(the base hits entity | it fails), times the factor `worth`; zero except for the body."""
 
     @abstractmethod
     def meeting(self, scene: Scene) -> _native.MovingSource:
-        """Return the same in the core, for entities that move."""
+        """Return the native model of hits on moving entities."""
 
     def roughly(self) -> FailingBase:
-        """Return a model that is close and faster, for descents and searches; by default the same."""
+        """Return a faster approximation of this model, for descents and searches; by default the model itself."""
         return self
 
     @abstractmethod
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
     ) -> ImpactKernel:
-        """Return the native kernel for sums of P S: see `NativeModel.kernel`."""
+        """Return the native kernel for sums of P S; see `NativeModel.kernel`."""
 
     @abstractmethod
     def gradients(
         self, batch: StateBatch, severity: Float[Array, "component entity"]
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """Return its derivatives with respect to q and to the joint velocities."""
+        """Return the derivatives of sums of P S with respect to q and to the joint velocities."""
 
 
 def failing_base(scene: Scene, chosen: FailingBase | None = None) -> FailingBase | None:
-    """Return how the base of a scene's robot fails; None for a robot without one.
+    """Return the model of the failing base of a scene's robot; None for a robot without a base.
 
     Args:
-        scene: Where.
+        scene: The scene.
         chosen: The model to use; by default the shipped one.
 
     Raises:
-        UnsupportedError: If there is a base, and the room that has the shipped model is not installed.
+        UnsupportedError: If there is a base, but the package with the shipped model is not installed.
     """
     if scene.base is None or chosen is not None:
         return chosen if scene.base is not None else None

@@ -1,4 +1,4 @@
-"""Ranges of the constants of models."""
+"""Range checks of model constants."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from graceful_plan.exceptions import SettingError
 
 
 def check_ranges(values: Mapping[str, float], *, positive: Collection[str], not_negative: Collection[str]) -> None:
-    """Refuse constants that are not finite, or out of their range.
+    """Check that constants are finite and within their ranges.
 
     Raises:
-        SettingError: For the first of them.
+        SettingError: For the first constant that is not.
     """
     for name, value in values.items():
         if not math.isfinite(value):

@@ -1,5 +1,5 @@
-// The judge's pendulum: how the surface of a liquid answers to what is felt. The judge shares no code with what it
-// judges, so this is a module of its own, and the recurrence another one (classical Runge-Kutta).
+// The judge's pendulum model of a liquid surface under apparent gravity. The judge shares no code with the planners, so
+// this is a separate module with another integrator (classical Runge-Kutta).
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -13,10 +13,10 @@ namespace nb = nanobind;
 
 namespace {
 
-// Longest step of the integration [s]: at 60 rad/s, half a centimetre under 2 g, a step errs by a millionth of the
-// swing.
+// Longest step of the integration [s]: for a pendulum of half a centimetre (60 rad/s) under 2 g, the error of a step is
+// a millionth of the swing.
 constexpr double kStep = 0.0025;
-constexpr double kLongestSample = 1.0;  // between two felt accelerations [s]: longer ones tell nothing of a surface
+constexpr double kLongestSample = 1.0;  // largest time between samples of apparent gravity [s]
 
 struct Vector {
   double x, y, z;
@@ -35,7 +35,7 @@ State operator*(double s, State a) { return {s * a.bob, s * a.rate}; }
 struct Pendulum {
   double length, drag;  // [m], [1/s]
 
-  // The bob is pulled against what is felt [m/s^2]; the last term keeps it on the unit sphere.
+  // The bob is pulled against the felt acceleration [m/s^2]; the last term keeps it on the unit sphere.
   State slope(State now, Vector felt) const {
     const Vector pull = (-1.0 / length) * felt;
     const double inward = dot(pull, now.bob) + dot(now.rate, now.rate);
@@ -46,7 +46,7 @@ struct Pendulum {
     const State k1 = slope(now, begin), k2 = slope(now + 0.5 * h * k1, middle);
     const State k3 = slope(now + 0.5 * h * k2, middle), k4 = slope(now + h * k3, end);
     State next = now + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4);
-    next.bob = 1.0 / std::sqrt(dot(next.bob, next.bob)) * next.bob;  // rounding and truncation leave the sphere
+    next.bob = 1.0 / std::sqrt(dot(next.bob, next.bob)) * next.bob;  // back onto the unit sphere
     next.rate = next.rate - dot(next.rate, next.bob) * next.bob;
     return next;
   }

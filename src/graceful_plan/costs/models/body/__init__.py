@@ -1,1 +1,1 @@
-"""What a failing arm strikes."""
+"""The body model: contacts of a failing arm."""

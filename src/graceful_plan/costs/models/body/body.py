@@ -1,26 +1,27 @@
-r"""The body model: what the arm and what it still holds hit if its joints fail here, at this velocity.
+"""The body model: entities that the arm and the carried object hit if joints fail at this state.
 
-For each way to fail a few failed configurations are found; the least distance that the arm (or the object) has to an
-entity in any of them tells how likely it is hit. Ways to fail, "modes":
+For each failure mode, the model computes a few configurations after the failure. The least distance of the arm (or of
+the carried object) to an entity in any of them determines the probability of a hit. Modes:
 
 - *collapse*: no joint has power until brakes hold them; rigid-body dynamics under gravity.
-- *joint j*: joint j has no power and falls; the others go on.
-- *stuck j*: joint j stays where it is; the others go on.
-- *stray*: the arm goes on, but not quite where it should.
+- *joint j*: joint j has no power and falls; the others move on.
+- *stuck j*: joint j stays where it is; the others move on.
+- *stray*: the arm moves on, but deviates from its path.
 
-What the others do is the motion to come. Where a trajectory is known it is given as `ahead`; where there is only a
-state, joints go on along their velocity and soon stop. Stuck joints do harm late, at the end of a motion that is
-carried out with a wrong joint: without `ahead` hardly any of that can be foreseen.
+The working joints follow the motion ahead. If a trajectory is known it is given as `ahead`; for a single state, joints
+move on along their velocity and soon stop. Stuck joints do harm late, at the end of a motion that is completed with a
+wrong joint: without `ahead` the model predicts hardly any of that.
 
-What an arm meets stops it, also what could be pushed away, since most of it stands on something: what lies deeper
-counts as farther. A joint without power yields instead: it rests on what it meets while the others go on.
+Obstacles stop the arm, even those that could be pushed away, since most of them stand on something. Hence penetration
+at earlier configurations adds to later distances. A joint without power yields instead: it rests on an obstacle while
+the others move on.
 
 Specification
 -------------
 Everything is in double precision, z is up, g = 9.81. Tables: `BodyTables`; constants: `BodySettings`. Spheres,
 obstacles and their signed distances are those of collision checking (`RobotArrays`, `WorldArrays`, stored in single
-precision, computed in double). The native kernel (native/body.hpp) follows this text. What planners are charged, sums
-of P S, is computed in single precision: `SINGLE` says how close it is.
+precision, computed in double). The native kernel (native/body.hpp) follows this text. Planners use sums of P S in
+single precision; `SINGLE` is the error.
 
 .. code-block:: text
 
@@ -30,13 +31,13 @@ of P S, is computed in single precision: `SINGLE` says how close it is.
       soft(v, u) = sign(v) max(|v| - u, 0)
       move(x, v, v') : y = x + h (v + v')/2;  v <- 0 if y is out of the joint's range, else v';  x <- y clamped to it
 
-    Motion to come: r_0 = q;  r_k = ahead_k, or q + T (1 - exp(-k h/T)) qd, clamped to the joints' ranges
+    Motion ahead: r_0 = q;  r_k = ahead_k, or q + T (1 - exp(-k h/T)) qd, clamped to the joints' ranges
 
     Failed configurations x_0 = q, x_1, ..
       collapse : h = brake_time/5, v = qd; five times
                    v' = soft((M + h D)^-1 (M v - h G), h f_i/(M + h D)_ii);  move every joint
                  D: damping on the diagonal, f: dry friction
-                 x_6 = x_5 + tb v, clamped: the brakes bite
+                 x_6 = x_5 + tb v, clamped: the brakes engage
       joint j  : h = step, v = qd_j, z_0 = q_j, M as at q;  K times, G as at x_(k-1):
                    s = 1/(M_jj + h (damping_j + resistance))
                    v' = soft((M_jj v - h G_j) s, h f_j s);  move joint j from z_(k-1) to z_k
@@ -44,26 +45,26 @@ of P S, is computed in single precision: `SINGLE` says how close it is.
                    where b_k > b_(k-1) + tolerance, it rests on something: z_k <- z_(k-1), v <- 0, b_k <- b_(k-1)
       stuck j  : x_k = r_k but for joint j, which is at q_j
       stray    : x_k = r_k
-      Where ahead is not known, stuck and stray look at the end of the motion only: x_0, x_K. Both can hardly be
-      foreseen then, and what lies between adds nothing.
+      Without ahead, stuck and stray evaluate only x_0 and x_K: both are hardly predictable then, and the configurations
+      in between add nothing.
 
     Distances: of a row (body, carried) at x_k to an entity
       d_k = min over the row's spheres and the entity's geoms that they may hit of the signed distance
       b_k = max over earlier configurations and x_k, all rows, all obstacles of -(signed distance), 0
       d = min over k of d_k + gain max(b_(k-1) - tolerance, 0),   b_(-1) = 0;  gain, tolerance: by generator
       s(u) = 1/(1 + exp(u));  P = max(0, s((d - offset)/spread) - s(U))/(1 - s(U)),  U = 8,  by generator and row;
-        0 for entities without geoms: nothing is hit that is farther than U spreads from where a hit is even
+        0 for entities without geoms. P is 0 beyond U spreads from the offset
 
     Together: of generators "joint" and "stuck", the mean over joints
 
-Derivatives of the impact are those of the nearest spheres, pushed along the normals of what they are near, through the
-motion to come and the falls above. How inertia changes with q, how the joints of a collapsing arm move each other and
-how contacts stop a fall are left out, so that they only nearly are those of the impact: good for descents.
+Derivatives of the impact are those of the nearest spheres along their contact normals, through the motion ahead and the
+falls above. They neglect how inertia changes with q, how the joints of a collapsing arm are coupled and how contacts
+stop a fall. So they are approximate, but good enough for descents.
 
-What searches and descents are charged is rough: of joints that fall, only the step at three fifths and the last one are
-looked at; hits that are worth less than a small share of the worst that may happen do not count (s(U) is that share);
-edges are sampled every 0.2 rad, and motions that descend at 32 states, with straight lines between. `SEARCHED` says how
-close sums along motions are. What a call returns is charged in full.
+Searches and descents use a rough impact. Of falling joints, only the step at three fifths and the last one are
+evaluated. Hits below a small share of the worst possible impact are ignored (s(U) is that share). Edges are sampled
+every 0.2 rad, and motions in a descent at 32 states, with linear interpolation. `SEARCHED` is the error of sums along
+motions. Returned motions are evaluated in full.
 
 References:
     Own work, fitted to rollouts in MuJoCo; see the head of `body.yaml`. Composite inertias: Featherstone, "Rigid Body
@@ -92,19 +93,19 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 FAR = 8.0
-"""U: spreads beyond which nothing is hit."""
+"""U: number of spreads beyond which P is 0."""
 SINGLE = 1e-4
-"""Relative error of sums of P S in single precision; found to be 6e-5 at most in bundled scenes."""
+"""Bound of the relative error of sums of P S in single precision; at most 6e-5 measured in bundled scenes."""
 SEARCHED = 0.16
-"""Error of sums of P S along motions as descents take them, relative to their mean over motions: its root mean square,
-0.03 to 0.15 in bundled scenes. Of edges of 1 rad, as searches take them, up to half as much again."""
+"""Error of sums of P S along motions in descents: root mean square relative to their mean over motions. Measured: 0.03
+to 0.15 in bundled scenes. For edges of 1 rad, as in searches, up to half as much again."""
 _MOTION = ("brake_time", "brake_stop", "step", "carry_on")
 
 
 @final
 @dataclass(frozen=True)
 class BodyModel:
-    """P that the arm and what it holds hit each entity, by way to fail.
+    """P that the arm and the carried object hit each entity, by failure mode.
 
     Args:
         settings: Constants; the shipped ones by default.
@@ -115,15 +116,15 @@ class BodyModel:
     def distances(
         self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
     ) -> Float[Array, "n mode row entity"]:
-        """Return d [m] for each way to fail, see `mode_names`, rows as in `ROWS`; no more than what has P = 0.
+        """Compute d [m] for each mode (see `mode_names`) and row of `ROWS`; clamped at the distance where P is 0.
 
         Args:
             batch: States at which the robot fails.
-            ahead: Where the robot would be 1, 2, .. times `settings.step` later; None to go on along the velocity.
+            ahead: Configurations 1, 2, .. times `settings.step` after each state; None to move on along the velocity.
 
         Raises:
             ShapeError: If `ahead` is not one path for each state.
-            SettingError: If it is too long.
+            SettingError: If `ahead` has too many steps.
         """
         scene, nq = batch.scene, batch.q.shape[1]
         known = None if ahead is None else _checked(ahead, len(batch), nq)
@@ -137,13 +138,13 @@ class BodyModel:
     def modes(
         self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
     ) -> Float[Array, "n mode row entity"]:
-        """Return P for each way to fail; see `distances`."""
+        """Compute P for each failure mode; see `distances`."""
         return chance(self.distances(batch, ahead), *mode_margins(self.settings, batch.q.shape[1]))
 
     def probability(
         self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
     ) -> Float[Array, "n generator row entity"]:
-        """Return P for each of `GENERATORS`, joints being equally likely to fail; see `modes`."""
+        """Compute P for each of `GENERATORS`, with equally likely joints; see `modes`."""
         n = batch.q.shape[1]
         P = self.modes(batch, ahead)
         return np.stack([P[:, 0], P[:, 1 : n + 1].mean(axis=1), P[:, n + 1 : -1].mean(axis=1), P[:, -1]], axis=1)
@@ -151,14 +152,14 @@ class BodyModel:
     def impact(
         self, batch: StateBatch, severity: Float[Array, "component entity"], weights: Float[Array, "generator row"]
     ) -> Float[Array, " n"]:
-        """Return sums of weights P S, with weights for each of `ROWS`; other components do not count."""
+        """Compute sums of weights P S, with weights for each of `ROWS`; other components do not count."""
         native = native_model(batch.scene, self.settings)
         return native.impact(*_harm(batch.scene, severity, weights), _reals(batch.q), _reals(batch.qd))
 
     def impact_gradient(
         self, batch: StateBatch, severity: Float[Array, "component entity"], weights: Float[Array, "generator row"]
     ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """Return `impact`, and nearly its derivatives with respect to q and to the joint velocities; see above."""
+        """Compute `impact` and its approximate derivatives in q and in the joint velocities; see above."""
         native = native_model(batch.scene, self.settings)
         return native.gradient(*_harm(batch.scene, severity, weights), _reals(batch.q), _reals(batch.qd))
 
@@ -176,7 +177,7 @@ class BodyModel:
 
 
 def mode_margins(settings: BodySettings, nq: int) -> tuple[Float[Array, "mode row"], Float[Array, "mode row"]]:
-    """Return offset and spread of each way to fail [m]."""
+    """Return offset and spread of each failure mode [m]."""
     generators = ("collapse", *("joint",) * nq, *("stuck",) * nq, "stray")
     margins = [[settings.margin(generator, row) for row in ROWS] for generator in generators]
     offset, spread = (np.array([[getattr(m, name) for m in rows] for rows in margins]) for name in ("offset", "spread"))
@@ -186,23 +187,23 @@ def mode_margins(settings: BodySettings, nq: int) -> tuple[Float[Array, "mode ro
 def chance(
     d: Float[Array, "n mode row entity"], offset: Float[Array, "mode row"], spread: Float[Array, "mode row"]
 ) -> Float[Array, "n mode row entity"]:
-    """Return the probability of a hit at a distance [m]."""
+    """Compute the probability of a hit at a distance [m]."""
     least = 1.0 / (1.0 + np.exp(FAR))
     scaled = np.clip((d - offset[..., None]) / spread[..., None], -60.0, FAR)
     return np.maximum(1.0 / (1.0 + np.exp(scaled)) - least, 0.0) / (1.0 - least)
 
 
 def mode_names(scene: Scene) -> tuple[str, ...]:
-    """Return the ways to fail in the order of `BodyModel.modes`: "collapse", "joint/..", "stuck/..", "stray"."""
+    """Return the failure modes in the order of `BodyModel.modes`: "collapse", "joint/..", "stuck/..", "stray"."""
     return ("collapse", *(f"joint/{j}" for j in scene.joints), *(f"stuck/{j}" for j in scene.joints), "stray")
 
 
 def mode_weights(weights: Float[Array, "generator row"], nq: int) -> Float[Array, "mode row"]:
-    """Spread weights of `GENERATORS` over ways to fail; those of joints are shared evenly.
+    """Spread weights of `GENERATORS` over failure modes; those of joints are shared evenly.
 
     Raises:
         ShapeError: If there is not one for each generator and each of `ROWS`.
-        SettingError: If one is negative.
+        SettingError: If a weight is negative.
     """
     values = finite_array("weights", weights)
     if values.shape != (len(GENERATORS), len(ROWS)):
@@ -223,7 +224,7 @@ def _checked(ahead: Array, n: int, nq: int) -> Float[Array, "n step nq"]:
 
 
 def _harm(scene: Scene, severity: Array, weights: Array) -> tuple[Float[Array, "mode row"], Float[Array, "row entity"]]:
-    """Return what the core takes: how much each way to fail counts, and whom it hits."""
+    """Return weights by failure mode and severities by entity, as the core takes them."""
     rows = _severity(scene, severity)
     return _reals(mode_weights(weights, len(scene.joints))[:, : len(rows)]), rows
 
@@ -242,12 +243,12 @@ def _severity(scene: Scene, severity: Array) -> Float[Array, "row entity"]:
 
 @per_scene(most=4)
 def native_model(scene: Scene, settings: BodySettings) -> _native.BodyModel:
-    """Return the model in the core."""
+    """Return the native model; cached per scene."""
     return native_model_of(scene, settings, compile_scene(scene).kernels)
 
 
 def native_model_of(scene: Scene, settings: BodySettings, kernels: Kernels) -> _native.BodyModel:
-    """Return the model with kernels of one's own choice."""
+    """Return the native model with the given kernels."""
     compiled, tables = compile_scene(scene), body_tables(scene)
     n_frame = len(tables.mass)
     resistance = np.full(len(tables.lower), settings.resistance)

@@ -1,6 +1,6 @@
-"""Constants of the body model: what they are, and how to read them from YAML.
+"""Constants of the body model, and their YAML format.
 
-The shipped ones are `body.yaml`; its head says what they were fitted to.
+The shipped values are in `body.yaml`; its head states the data that they were fitted to.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.yaml_file import Block, YamlTable
 
 GENERATORS = ("collapse", "joint", "stuck", "stray")
-"""What may happen to the arm, in this order: no joint has power; one has none; one is frozen; it goes astray."""
+"""Kinds of arm failure, in this order: no joint has power; one has none; one is frozen; the arm leaves its path."""
 MOTION = (
     "brake_time",
     "brake_stop",
@@ -25,7 +25,7 @@ MOTION = (
     "steps",
     "carry_on",
 )
-"""Constants of how the arm moves; the others are margins."""
+"""Constants of the arm's motion; the others are margins."""
 _POSITIVE = ("step",)
 _BETA = math.sqrt(3.0) / math.pi  # scale of a logistic distribution with standard deviation 1
 _NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on")
@@ -34,16 +34,16 @@ _NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on")
 @final
 @dataclass(frozen=True, kw_only=True)
 class Margin:
-    """How a distance becomes a probability: 1/(1 + exp((d - offset)/spread)).
+    """Map from distance to probability: 1/(1 + exp((d - offset)/spread)).
 
     Raises:
         SettingError: If the offset is not finite or the spread is not positive.
     """
 
     offset: float
-    """Distance at which a hit is as likely as not [m]."""
+    """Distance at which the probability of a hit is 1/2 [m]."""
     spread: float
-    """Scale of the logistic distribution around it [m]."""
+    """Scale of the logistic distribution around `offset` [m]."""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.offset):
@@ -55,7 +55,7 @@ class Margin:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """Margins of the arm itself and of what it holds, and how far things that are met stop it.
+    """Margins of the arm and of the carried object, and the effect of earlier contacts.
 
     Raises:
         SettingError: If a constant is not finite or the gain is negative.
@@ -64,9 +64,9 @@ class Margins:
     body: Margin
     carried: Margin
     stop_gain: float
-    """How much farther things become per depth in something that was met before."""
+    """Distance added per depth of penetration at earlier configurations [m/m]."""
     stop_tolerance: float
-    """Depth from which it counts [m]."""
+    """Depth from which penetration counts [m]."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.stop_gain < math.inf:
@@ -81,7 +81,7 @@ class BodySettings(YamlTable):
     """Constants of the body model.
 
     Raises:
-        SettingError: If one is not finite or out of its range.
+        SettingError: If a constant is not finite or out of its range.
     """
 
     shipped_file = Path(__file__).parent / "body.yaml"
@@ -89,17 +89,17 @@ class BodySettings(YamlTable):
     keys = ("provenance", "motion", "margins")
 
     brake_time: float
-    """Time after which brakes hold all joints when the power fails [s]; how long the arm falls if there are none."""
+    """Time after which brakes hold all joints when the power fails [s]; without brakes, how long the arm falls."""
     brake_stop: float
-    """tb: joints move on by tb times their velocity while the brakes bite [s]."""
+    """tb: joints move on by tb times their velocity while the brakes engage [s]."""
     resistance: float
-    """Viscous resistance of a dead motor, besides that of the joint [N m s/rad]."""
+    """Viscous resistance of a dead motor, in addition to that of the joint [N m s/rad]."""
     step: float
-    """h: time between two configurations that are looked at [s]."""
+    """h: time between two evaluated configurations [s]."""
     steps: int
-    """K: how many of them there are where the motion to come is not known."""
+    """K: number of evaluated configurations if the motion ahead is unknown."""
     carry_on: float
-    """T: joints that work go on for T times their velocity, where the motion to come is not known [s]."""
+    """T: working joints move on by T times their velocity if the motion ahead is unknown [s]."""
     collapse: Margins
     joint: Margins
     stuck: Margins
@@ -113,7 +113,7 @@ class BodySettings(YamlTable):
 
     @classmethod
     def parsed(cls, root: Block) -> BodySettings:
-        """Make them of the values in a file."""
+        """Construct from the values in a file."""
         motion, margins = root["motion"], root["margins"]
         motion.only(*MOTION)
         margins.only(*GENERATORS)
@@ -135,7 +135,7 @@ class BodySettings(YamlTable):
         return getattr(getattr(self, generator), row)
 
     def widened(self, metres: float) -> BodySettings:
-        """Return constants with distances uncertain by so much more (a standard deviation)."""
+        """Return constants whose distances are uncertain by an additional standard deviation [m]."""
         wide: dict[str, Margins] = {}
         for name in GENERATORS:
             own: Margins = getattr(self, name)

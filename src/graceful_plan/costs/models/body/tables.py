@@ -1,6 +1,6 @@
-"""What the body model knows about a scene: inertias, drives, and which sphere may meet whose geom.
+"""Scene data of the body model: inertias, drives, and the entity of each obstacle.
 
-Frames: W world, F a frame of the arm: 0 is the base, k + 1 rides on planned joint k.
+Frames: W world, F a frame of the arm: 0 is the base, k + 1 moves with planned joint k.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 ROWS = ("body", "carried")
-"""Components that the model knows, in this order."""
+"""Components that the model supports, in this order."""
 
 
 @final
@@ -28,7 +28,7 @@ class BodyTables:
 
     | field      | meaning                                                                | unit        | shape     |
     |------------|------------------------------------------------------------------------|-------------|-----------|
-    | mass       | of all that rides on a frame, what is carried included                 | kg          | frame     |
+    | mass       | of all bodies on a frame, including the carried object                 | kg          | frame     |
     | centre     | centre of mass in F                                                    | m           | frame 3   |
     | inertia    | about that centre, in the axes of F                                    | kg m^2      | frame 3 3 |
     | lower      | lower position limit                                                   | rad         | nq        |
@@ -58,7 +58,7 @@ class BodyTables:
 
 @per_scene
 def body_tables(scene: Scene) -> BodyTables:
-    """Return the tables of a scene; they are made once.
+    """Return the tables of a scene; they are cached per scene.
 
     Raises:
         UnsupportedError: If the scene cannot be compiled.
@@ -99,7 +99,7 @@ def _rows(scene: Scene) -> Int[Array, " link"]:
 
 
 def _inertias(scene: Scene) -> tuple[Float[Array, " frame"], Float[Array, "frame 3"], Float[Array, "frame 3 3"]]:
-    """Lump all bodies that ride on each frame together; the fingers as they are held."""
+    """Compute the composite inertia of all bodies on each frame, with the fingers at their held position."""
     model, n_frame = scene.model, len(scene.joints) + 1
     reference = model.qpos0[scene.qpos_adr].astype(float)
     data = scene.data_at(reference)
@@ -112,7 +112,7 @@ def _inertias(scene: Scene) -> tuple[Float[Array, " frame"], Float[Array, "frame
     mass, moment, second = np.zeros(n_frame), np.zeros((n_frame, 3)), np.zeros((n_frame, 3, 3))
     for body in sorted(moving):
         frame, m = frame_of[body], float(model.body_mass[body])
-        if frame == 0 or m == 0.0:  # what does not move
+        if frame == 0 or m == 0.0:  # the base does not move
             continue
         R_WF, p_WF = X_WF[frame, :3, :3], X_WF[frame, :3, 3]
         R = R_WF.T @ data.ximat[body].reshape(3, 3)
@@ -125,10 +125,10 @@ def _inertias(scene: Scene) -> tuple[Float[Array, " frame"], Float[Array, "frame
 
 
 def _spread(p: Float[Array, " 3"]) -> Float[Array, "3 3"]:
-    """Inertia of a unit mass at p about the origin."""
+    """Return the inertia of a unit mass at p about the origin."""
     return np.dot(p, p) * np.eye(3) - np.outer(p, p)
 
 
 def native_rows(tables: BodyTables, sphere_link: Int[Array, " sphere"]) -> Int[Array, " group"]:
-    """Return the rows of the links that have spheres, which is how the core numbers groups."""
+    """Return the rows of the links that have spheres; the core numbers groups of spheres in this order."""
     return tables.link_row[np.unique(sphere_link)]

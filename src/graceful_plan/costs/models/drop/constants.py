@@ -1,6 +1,6 @@
-"""Constants of the drop model: what they are, and how to read them from YAML.
+"""Constants of the drop model, and their YAML format.
 
-The shipped ones are `drop.yaml`; its head says what they were fitted to.
+The shipped values are in `drop.yaml`; its head states the data that they were fitted to.
 """
 
 from __future__ import annotations
@@ -34,54 +34,54 @@ _NOT_NEGATIVE = ("delay", "height_spread", "carry_spread", "side_spread", "size_
 @final
 @dataclass(frozen=True, kw_only=True)
 class DropConstants:
-    """Constants for one class of objects; lengths that scale with the object are in units of its `size`.
+    """Constants for one class of objects; some lengths are in units of the object's `size`.
 
     Raises:
-        SettingError: If one is not finite or out of its range.
+        SettingError: If a constant is not finite or out of its range.
     """
 
     delay: float
-    """How long the gripper carries on after it lets go [s]."""
+    """Time that the gripper still carries the object along after it starts to let go [s]."""
     velocity_spread: float
     """sv: standard deviation of the release velocity [m/s]."""
     height_spread: float
-    """ch: spread on the ground per height of fall [m/m]."""
+    """ch: standard deviation of the landing point per height of fall [m/m]."""
     carry_spread: float
-    """cv: spread on the ground per speed [s]."""
+    """cv: standard deviation of the landing point per speed [s]."""
     side_spread: float
-    """cl: spread of where it comes to rest [size]."""
+    """cl: standard deviation of the resting place [size]."""
     side_reach: float
-    """kl: how far it reaches beside the place where it comes down [size]; negative if it stays in its shadow."""
+    """kl: lateral reach around the landing place [size]; negative if it stays within the object's outline."""
     side_height: float
-    """sh: how sharply it passes under things [m]."""
+    """sh: smoothing width of the height below which the object passes under a target [m]."""
     catch: float
-    """P that a wide top under its path ends a fall."""
+    """P that a wide top below its path ends a fall."""
     leave_tilt: float
-    """gti: how much a tilt at release helps it leave its support."""
+    """gti: effect of a tilt at release on leaving the support."""
     position_spread: float
-    """s0: standard deviation of the place of release [m]."""
+    """s0: standard deviation of the release position [m]."""
     size_spread: float
-    """ct: spread of a fall [size]."""
+    """ct: standard deviation of a fall from a support [size]."""
     tumble_reach: float
-    """kb: how far it reaches around its centre while it tumbles [size]."""
+    """kb: reach around the centre while tumbling [size]."""
     catch_margin: float
-    """kc: how far inside of a top (if negative) its centre has to be to end a fall [size]."""
+    """kc: margin by which a top is widened (or narrowed, if negative) for ending a fall [size]."""
     leave: float
-    """g0: how readily it leaves a support whose edge is under its centre."""
+    """g0: tendency to leave a support whose edge is below the centre of mass."""
     leave_offset: float
-    """gd: how much a support beside its centre helps."""
+    """gd: effect of a lateral offset between support and centre of mass on leaving."""
     leave_narrow: float
-    """gt: how much a narrow support helps."""
+    """gt: effect of a narrow support on leaving."""
     leave_speed: float
-    """gv: how much speed helps [s/m]."""
+    """gv: effect of horizontal speed on leaving [s/m]."""
     drift: float
-    """How far it moves off its support [size]."""
+    """Distance by which the object moves off its support [size]."""
     carry: float
-    """ks: how far it moves on per speed while it falls off [s]."""
+    """ks: further displacement per speed while falling off a support [s]."""
     slide: float
-    """ksl: how far it moves on per speed where it comes down [s]."""
+    """ksl: further displacement per speed after landing [s]."""
     topple_reach: float
-    """tk: how much farther it reaches to the side if it does not stay where it comes down [size]."""
+    """tk: additional lateral reach if the object does not stay where it lands [size]."""
 
     def __post_init__(self) -> None:
         values = {constant.name: getattr(self, constant.name) for constant in fields(self)}
@@ -93,7 +93,7 @@ class DropConstants:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DropSettings(YamlTable):
-    """Constants of the drop model by class of the carried object, see `drop_tables.SHAPE_CLASSES`."""
+    """Constants of the drop model by class of the carried object; see `SHAPE_CLASSES`."""
 
     shipped_file = Path(__file__).parent / "drop.yaml"
     kind = "drop models"
@@ -106,14 +106,14 @@ class DropSettings(YamlTable):
 
     @classmethod
     def parsed(cls, root: Block) -> DropSettings:
-        """Make them of the values in a file."""
+        """Construct from the values in a file."""
         shared, classes = root["shared"].numbers_by_name(*SHARED), root["classes"]
         classes.only(*SHAPE_CLASSES)
         own = tuple(constant.name for constant in fields(DropConstants) if constant.name not in SHARED)
         return cls(**{name: DropConstants(**shared, **classes[name].numbers_by_name(*own)) for name in SHAPE_CLASSES})
 
     def widened(self, metres: float) -> DropSettings:
-        """Return constants with the place of release uncertain by so much more: a footprint with softer edges."""
+        """Return constants with additional uncertainty of the release position: a standard deviation [m]."""
         every = {name: getattr(self, name) for name in SHAPE_CLASSES}
         return DropSettings(
             **{

@@ -1,7 +1,7 @@
-"""Bodies of very many boxes, such as point clouds, as the few surfaces that they look like from above.
+"""Simplification of bodies with very many boxes, such as point clouds, to a few surfaces for the drop model.
 
-The drop model looks at every surface in every state, so it takes a body of a thousand boxes for what a coarse map of
-its tops shows: cells of equal height are joined.
+The drop model evaluates every surface in every state. A body of a thousand boxes is therefore replaced by a coarse
+height map of its tops, in which cells of equal height are joined.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from graceful_plan.scene.sensed.boxes import joined
 Array = np.ndarray
 
 CROWD = 24
-"""Surfaces of one body that are kept as they are."""
+"""Number of surfaces up to which a body is kept as it is."""
 _MOST, _LEAST = 192, 12
-"""Surfaces that are left of all crowds together, and of one at least may be."""
+"""Surface budget of all crowds together, and the least budget of one crowd."""
 _WIDTH = 0.04
-"""Of a cell, the first that is tried [m]: a little less than what is usually carried."""
+"""Initial width of a cell [m]: a little less than a typical carried object."""
 _COARSER = 1.4
 _STEP = 0.01
-"""Tops are rounded up to whole ones of these, to begin with [m]."""
+"""Initial resolution of the height of tops, which are rounded up [m]."""
 
 
 def simplified(
     boxes: Float[Array, "target 11"], body: Int[Array, " target"]
 ) -> tuple[Float[Array, "kept 11"], Int[Array, " kept"]]:
-    """Return surfaces where crowds are replaced, and of which of the given ones each is or stands for.
+    """Return surfaces with crowds simplified, and for each the index of the original surface that it represents.
 
     Args:
-        boxes: Rows as `drop_tables` has them: centre, axis, half sizes, diagonal, carrying half sizes, bottom, top.
-        body: That each belongs to.
+        boxes: Rows as in `drop_tables`: centre, axis, half sizes, diagonal, supporting half sizes, bottom, top.
+        body: Body of each surface.
     """
     bodies, counts = np.unique(body, return_counts=True)
     crowds = bodies[counts > CROWD].tolist()
@@ -61,7 +61,7 @@ def _map(boxes: Float[Array, "target 11"], width: float, step: float) -> Float[A
     corner = (centre - reach).min(axis=0)
     cells = np.maximum(1, np.ceil(((centre + reach).max(axis=0) - corner) / width - 1e-9)).astype(int)
     highest, lowest = np.full(cells, -np.inf), np.full(cells, np.inf)
-    # Cells whose middle a box covers, or the one that it stands in.
+    # A box covers the cells whose centres it contains, or else the cell that contains its own centre.
     first = np.ceil((centre - reach - corner) / width - 0.5).astype(int)
     last = np.floor((centre + reach - corner) / width - 0.5).astype(int) + 1
     own = np.clip(((centre - corner) / width).astype(int), 0, cells - 1)

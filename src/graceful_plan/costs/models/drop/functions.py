@@ -1,4 +1,4 @@
-"""Functions that the drop models share, vectorised; the specification, the docstring of the package, defines them."""
+"""Vectorised functions shared by the drop models; the docstring of the package specifies them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GRAVITY = 9.81
 BETA = np.sqrt(3.0) / np.pi
 """Scale of a logistic distribution with standard deviation 1."""
 _EXPONENT = 300.0
-_SOFT = 0.01  # over which heights and margins at zero are rounded off [m]
+_SOFT = 0.01  # smoothing width of heights and margins around zero [m]
 
 
 def step(u: Array) -> Array:
@@ -21,7 +21,7 @@ def step(u: Array) -> Array:
 
 
 def smooth_step(x: Array) -> Array:
-    """c: from 0 at -1 to 1 at 1; if x has w in its denominator, the noise has the standard deviation w/sqrt(5)."""
+    """c: smooth step from 0 at -1 to 1 at 1; for x = d/w it models noise with a standard deviation of w/sqrt(5)."""
     t = np.clip(0.5 + 0.5 * x, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
@@ -35,17 +35,17 @@ def box(x: Array, A: Array, s: Array | float) -> Array:
 
 
 def positive(x: Array) -> Array:
-    """Return x above 0, 0 below, rounded off in between."""
+    """Return max(x, 0), smoothed around 0."""
     return 0.5 * (x + np.sqrt(x * x + _SOFT**2))
 
 
 def fall_time(vz: Array, h: Array) -> Array:
-    """Time to fall from height h [m] with vertical velocity vz [m/s]; short below 0 [s]."""
+    """Compute the time to fall from height h [m] with vertical velocity vz [m/s]; close to 0 for h < 0 [s]."""
     return (vz + np.sqrt(vz * vz + 2.0 * GRAVITY * positive(h))) / GRAVITY
 
 
 def part_reach(axes: Array, half: Array, kind: int, u: Array) -> Array:
-    """How far a part (axes [n 3 3]) reaches in unit directions u [target 3] or [n target 3] of W: [n target]."""
+    """Compute the reach of a part (axes [n 3 3]) along unit vectors u [target 3] or [n target 3] in W: [n target]."""
     if kind == BALL:
         return np.full((len(axes), u.shape[-2]), half[0])
     along = u @ axes

@@ -30,16 +30,16 @@ Array = np.ndarray
 CONSTANTS: tuple[str, ...] = tuple(_native.drop_constants())
 """Names of the constants in the order in which the core takes them."""
 SPILL_CONSTANTS: tuple[str, ...] = tuple(_native.spill_constants())
-"""The same for the spill model."""
+"""Names of the constants of the spill model, in the order of the core."""
 ROWS = ("carried", *USES, "stopped")
-"""Rows of probabilities and severities: the object after a drop; contents after a drop; contents that get out while the
-gripper holds; contents that a stop of the robot spills."""
+"""Rows of probabilities and severities: the object after a drop; contents after a drop; contents that leave a held
+container; contents spilled by a protective stop."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StopTables:
-    """How a robot stops by itself: constants, and the greatest accelerations of its joints [rad/s^2]."""
+    """Protective stop of the robot: constants, and the greatest accelerations of its joints [rad/s^2]."""
 
     settings: StopSettings
     acceleration: Float[Array, " nq"]
@@ -47,24 +47,24 @@ class StopTables:
 
 @final
 class DropKernel:
-    """The drop model of one scene in which something is carried, and the spill model if it has contents.
+    """The drop model of one scene with a carried object, and the spill model if it has contents.
 
-    Probabilities have the rows `ROWS`; without contents, theirs are zero. Rows without severity cost no time. The loss
-    of the object itself stands apart.
+    Probabilities have the rows `ROWS`; without contents, their rows are zero. Rows without severity are not computed.
+    The loss of the object itself is a separate value.
 
     Args:
-        tables: Those of the scene.
-        constants: Those for the class of what is carried.
-        kernels: Those of the scene.
-        speed: Joint velocities [rad/s], one of which is reached along an edge.
-        n_entity: How many entities the scene has.
+        tables: Drop tables of the scene.
+        constants: Constants for the class of the carried object.
+        kernels: Kernels of the scene.
+        speed: Velocity limits of the joints [rad/s]; at pace 1, an edge is travelled with one joint at its limit.
+        n_entity: Number of entities in the scene.
         contents: Tables and constants of the spill model if there are contents.
-        loss: How easily the object itself is damaged; never, by default.
-        stop: How the robot stops by itself; that spills nothing, by default.
-        network: What corrects the hits of the object; nothing, by default.
+        loss: Fragility of the object itself; no damage by default.
+        stop: Protective stop of the robot; by default it spills nothing.
+        network: Correction of the object's hits; none by default.
 
     Raises:
-        UnsupportedError: If there is more of something than the core holds.
+        UnsupportedError: If a capacity of the core is exceeded.
     """
 
     def __init__(
@@ -127,17 +127,17 @@ class DropKernel:
         )
 
     def of(self, batch: StateBatch) -> tuple[Float[Array, "n row entity"], Float[Array, " n"]]:
-        """Return `probability` and `own_loss` of some states; both are computed at once, and once."""
+        """Return `probability` and `own_loss` of a batch of states; computed together and cached in the batch."""
         found = batch.kept.get(np.ndarray, self, lambda: self._all(batch.q, batch.qd)[0])
         return found[:, :-1].reshape(len(batch), len(ROWS), self.n_entity), found[:, -1]
 
     def probability(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch row entity"]:
-        """P that the object or contents reach each entity, at q with joint velocities qd [rad/s], at rest if None."""
+        """Compute P that object or contents reach each entity, with joint velocities qd [rad/s], at rest if None."""
         found, batch = self._all(q, qd)
         return found[:, :-1].reshape(*batch, len(ROWS), self.n_entity)
 
     def sights(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch target told"]:
-        """What a network is told of every surface, see `network.TOLD`, and last the P of a hit that it is to correct.
+        """Return the network inputs of every surface (see `network.TOLD`), and last the uncorrected P of a hit.
 
         All is zero for surfaces of obstacles.
         """
@@ -146,18 +146,18 @@ class DropKernel:
         return found.reshape(*batch, *found.shape[1:])
 
     def own_loss(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch"]:
-        """P that the fall damages the object itself, at q with joint velocities qd [rad/s], at rest if None."""
+        """Compute P that the fall damages the object itself, with joint velocities qd [rad/s], at rest if None."""
         found, batch = self._all(q, qd)
         return found[:, -1].reshape(batch)
 
     def impact(
         self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None, *, own: float = 0.0
     ) -> Float[Array, "*batch"]:
-        """Sum of P S over rows and entities and of the object itself; weights of what goes wrong belong into S.
+        """Compute the sum of P S over rows and entities, plus the own loss; S includes the weights of the failures.
 
         Args:
             q: Configurations.
-            severity: S of entities.
+            severity: S of each row against each entity.
             qd: Joint velocities [rad/s], at rest if None.
             own: S of the loss of the object itself.
         """
@@ -167,9 +167,9 @@ class DropKernel:
     def gradient(
         self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None, *, own: float = 0.0
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:
-        """Sum of P S, as `impact`, with its derivatives with respect to q [1/rad] and to qd [s/rad].
+        """Compute `impact` with its derivatives with respect to q [1/rad] and to qd [s/rad].
 
-        Where two surfaces of an entity or two parts of the object are equally likely, the derivative is that of one.
+        If two surfaces of an entity or two parts of the object are equally likely, the derivative is that of one.
         """
         flat, rates, batch = self._states(q, qd)
         impact, d_q, d_qd = self.native.gradient(self.severities(severity, own), flat, rates)
@@ -178,22 +178,22 @@ class DropKernel:
     def with_severity(
         self, severity: Float[Array, "row entity"], paces: tuple[float, float] = (1.0, 1.0), *, own: float = 0.0
     ) -> ImpactKernel:
-        """Return the impact with these severities, for planners; edges are travelled at these shares of `speed`."""
+        """Return the kernel of the impact with these severities, for planners; `paces` are fractions of `speed`."""
         return ImpactKernel(self.kernels, _native.DropImpact(self.native, self.severities(severity, own), *paces))
 
     def severities(self, severity: Float[Array, "row entity"], own: float = 0.0) -> Float[Array, " all"]:
         """Return severities in one row, as the core takes them: those of entities, then that of the object itself.
 
         Raises:
-            NonFiniteError: If one is not finite.
-            ShapeError: If they are not by row and entity.
+            NonFiniteError: If a severity is not finite.
+            ShapeError: If the shape is not (row, entity).
         """
         if np.shape(severity) != (len(ROWS), self.n_entity):
             raise ShapeError("severity", np.shape(severity), f"({len(ROWS)}, {self.n_entity})")
         return _reals(finite_array("severity", np.append(np.ravel(severity), own)))
 
     def _all(self, q: ArrayLike, qd: ArrayLike | None) -> tuple[Float[Array, "n hazard"], tuple[int, ...]]:
-        """P of each row and entity, and last that of the loss of the object itself; and the batch axes."""
+        """Return P of each row and entity, last that of the own loss, and the batch axes."""
         flat, rates, batch = self._states(q, qd)
         return self.native.probability(flat, rates), batch
 
@@ -213,18 +213,18 @@ def drop_kernel(
     stop: StopSettings | None = None,
     network: DropNetwork | None = None,
 ) -> DropKernel:
-    """Return both models of a scene in which something is carried; they are made once per set of constants.
+    """Return the drop and spill kernel of a scene with a carried object; cached per set of constants.
 
     Args:
-        scene: Where.
-        settings: Of the drop model.
-        spill: Of the spill model; the shipped ones by default.
-        fragility: How easily things are damaged, the object itself among them; the shipped table by default.
-        stop: How the robot stops by itself; the shipped constants by default.
-        network: What corrects the hits of the object; nothing, by default.
+        scene: The scene.
+        settings: Constants of the drop model.
+        spill: Constants of the spill model; the shipped ones by default.
+        fragility: Table of fragilities, including the carried object's; the shipped table by default.
+        stop: Constants of the protective stop; the shipped ones by default.
+        network: Correction of the object's hits; none by default.
 
     Raises:
-        UnsupportedError: If the core cannot represent it.
+        UnsupportedError: If the core cannot represent the scene.
     """
     constants = settings.of(drop_tables(scene).shape_class)
     spill = SpillSettings.shipped() if spill is None else spill
@@ -255,7 +255,7 @@ def _kernel(
 
 
 def _targets(tables: DropTables) -> Float[Array, "target 12"]:
-    """Rows of centre, axis, half sizes, diagonal, carrying half sizes, bottom and top, fixed."""
+    """Return rows of centre, axis, half sizes, diagonal, supporting half sizes, bottom and top, fixed."""
     columns = (
         tables.target_centre,
         tables.target_axis,

@@ -1,7 +1,7 @@
-"""Where a dropped object comes down first, and what leaves it again: steps 0 to 3 of the drop model, in NumPy.
+"""Landing of a dropped object and its falls from there: steps 0 to 3 of the drop model, in NumPy.
 
-Entities that move ask for it, since the core knows no times. Symbols as in the specification, the docstring of the
-package.
+The treatment of moving entities needs these steps, since the core knows no times. Symbols are those of the
+specification in the docstring of the package.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from graceful_plan.costs.models.drop.tables import DropTables
 
 Array = np.ndarray
 
-_TOUCH = 0.008  # how sharply a part passes the height of a top [m]
-_LOWEST = 0.012  # parts whose bottoms are this near to the lowest one stand on the ground with it [m]
+_TOUCH = 0.008  # smoothing width of the height at which a part reaches a top [m]
+_LOWEST = 0.012  # parts with bottoms this close to the lowest one support the object, too [m]
 _LEAST_AREA = 1e-6  # [m2]
 _LEAST_MOMENT = 1e-5  # [m2]
 LEAST_MASS = 1e-6
-WIDE = 0.1  # narrower half of a top that ends half of the falls that one of no width does not [m]
+WIDE = 0.1  # narrower half size at which the probability of ending a fall is halfway between `catch` and 1 [m]
 
 
 # --- the first contact and the support --------------------------------------------------------------------------------
@@ -35,7 +35,7 @@ WIDE = 0.1  # narrower half of a top that ends half of the falls that one of no 
 def _overlap(
     targets: Targets, constants: DropConstants, state: Release, shape: Shape, stop: SideStop
 ) -> Float[Array, "n target"]:
-    """D: P that the object is over a target when it passes the height of its top."""
+    """D: P that the object overlaps a target in top view when it reaches the height of its top."""
     top, (a, b), d = targets.top, targets.tables.target_half.T, targets.tables.target_diagonal
     D = np.zeros((len(state.c), len(top)))
     for p in range(state.offset.shape[1]):
@@ -54,7 +54,7 @@ def _overlap(
 
 
 def _first(targets: Targets, D: Float[Array, "n target"]) -> Float[Array, "n target"]:
-    """F: P that a target is what the object hits first."""
+    """F: P that the object hits a target first."""
     missed = targets.product(1.0 - D)
     arrives = np.cumprod(np.concatenate([np.ones((len(D), 1)), missed[:, :-1]], axis=1), axis=1)
     share = D / (targets.spread(targets.sum(D)) + LEAST_MASS)
@@ -64,7 +64,7 @@ def _first(targets: Targets, D: Float[Array, "n target"]) -> Float[Array, "n tar
 def _support(
     targets: Targets, constants: DropConstants, state: Release, shape: Shape, place: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Return T [n level], and n [n level 2]: P that it leaves each level if it comes down there, and whereto."""
+    """Return T [n level] and n [n level 2]: P that the object leaves each level after landing there, and direction."""
     a, b = targets.tables.target_carries.T
     c, s = targets.axis.T
     moments = np.zeros((6, len(state.c), len(c)))
@@ -100,22 +100,22 @@ def _support(
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Landing:
-    """The first impact as a whole, where and how high, and what leaves it again; W frame.
+    """The first impact: mean position and height, and the mass that leaves each level again; W frame.
 
     | field       | meaning                                                              | unit | shape       |
     |-------------|----------------------------------------------------------------------|------|-------------|
-    | point       | L: where it comes down, on average                                   | m    | n 2         |
-    | total       | probability that it comes down on anything                           |      | n 1         |
-    | height      | of what it comes down on, on average                                 | m    | n 1         |
-    | time        | until it comes down, with the delay, on average                      | s    | n 1         |
-    | blur        | variance of the place                                                | m2   | n 1         |
-    | fall_spread | sd: standard deviation of where it comes down after it has fallen off | m    | n 1         |
+    | point       | L: mean landing point                                                | m    | n 2         |
+    | total       | probability that it lands on anything                                |      | n 1         |
+    | height      | mean height of the surface that it lands on                          | m    | n 1         |
+    | time        | mean time until it lands, including the delay                        | s    | n 1         |
+    | blur        | variance of the landing point                                        | m2   | n 1         |
+    | fall_spread | sd: standard deviation of the landing point after leaving a support  | m    | n 1         |
     | velocity    | of its centre of mass at release                                     | m/s  | n 2         |
-    | stop        | the side in its way                                                  |      |             |
-    | mass        | probability that it comes down on each level                         |      | n level     |
-    | times       | until it is down at the first top of each level, with the delay      | s    | n level     |
-    | leaving     | M: probability that it comes down on each level and leaves it        |      | n level     |
-    | away        | whereto it leaves each level: direction, times at most 1             |      | n level 2   |
+    | stop        | the blocking side                                                    |      |             |
+    | mass        | probability that it lands on each level                              |      | n level     |
+    | times       | time until it reaches the first top of each level, with the delay    | s    | n level     |
+    | leaving     | M: probability that it lands on each level and leaves it             |      | n level     |
+    | away        | direction in which it leaves each level, scaled by at most 1         |      | n level 2   |
     """
 
     point: Float[Array, "n 2"]
@@ -132,21 +132,21 @@ class Landing:
     away: Float[Array, "n level 2"]
 
     def goes_on(self, time: float) -> Float[Array, "n 2"]:
-        """Where it would be some time after it comes down [s]."""
+        """Compute where the object would be a time after landing [s]."""
         down = self.time[:, 0]
         return self.point + time * self.velocity + self.stop.pushed(down + time) - self.stop.pushed(down)
 
     def falls_to(
         self, constants: DropConstants, size: float, B: Float[Array, "n *level 1"], N: Float[Array, "n *level 2"]
     ) -> Float[Array, "n *level 2"]:
-        """Where it comes down if it has left a support: B has, in the directions N."""
+        """Compute where the object lands after leaving a support, with mass B and directions N."""
         start = self.goes_on(constants.carry)
         start = start[:, None] if N.ndim == 3 else start
         return start + constants.drift * size * N / (B + LEAST_MASS)
 
 
 def catching(tables: DropTables, constants: DropConstants) -> Float[Array, " target"]:
-    """P that each target ends a fall on to its middle."""
+    """Return P that each target ends a fall onto its middle."""
     narrow = tables.target_carries.min(axis=1)
     return constants.catch + (1.0 - constants.catch) * narrow**2 / (narrow**2 + WIDE**2)
 
@@ -154,7 +154,7 @@ def catching(tables: DropTables, constants: DropConstants) -> Float[Array, " tar
 def loose(
     tables: DropTables, constants: DropConstants, landing: Landing
 ) -> tuple[Float[Array, "n levels"], Float[Array, "n levels 2"]]:
-    """Return B [n level+1] and N [n level+1 2]: what has left the levels above each one and was not caught; and all."""
+    """Return B [n level+1] and N [n level+1 2]: the falling mass above each level, and last below all levels."""
     k, size, targets = constants, tables.size, Targets(tables)
     a_top, b_top = tables.target_carries.T
     catches = catching(tables, constants)
@@ -174,7 +174,7 @@ def loose(
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flight:
-    """What leads to a landing."""
+    """Intermediate results of a flight before the landing."""
 
     targets: Targets
     shape: Shape
@@ -185,7 +185,7 @@ class Flight:
 
 
 def fly(tables: DropTables, constants: DropConstants, state: Release) -> tuple[Flight, Landing]:
-    """Return where the object comes down in each state, and what led to it; there has to be a target."""
+    """Compute flight and landing of the object for each state; requires at least one target."""
     targets = Targets(tables)
     shape = shape_of(targets, state)
     stop = find_stop(targets, constants, state, shape)
@@ -222,5 +222,5 @@ def fly(tables: DropTables, constants: DropConstants, state: Release) -> tuple[F
 
 
 def land(tables: DropTables, constants: DropConstants, state: Release) -> Landing:
-    """Return where the object comes down in each state; there has to be a target."""
+    """Compute the landing of the object for each state; requires at least one target."""
     return fly(tables, constants, state)[1]

@@ -1,6 +1,6 @@
-"""What a fall does to the carried object itself: how easily it is damaged by what it may come down on.
+"""Fragility of the carried object itself, by the surface that it lands on.
 
-Step 5 of the specification, the docstring of the package, says how these numbers are used.
+Step 5 of the specification, in the docstring of the package, uses these numbers.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 LANDING_LOSS = 0.7
-"""b: mean of -ln of the share of the vertical energy that acts along the normal where the object comes down. Measured:
+"""b: mean of -ln of the share of the vertical energy that acts along the normal where the object lands. Measured:
 0.715 in the first touches of 5400 drops along a motion for each of the 27 bundled tasks; see `benchmarks/`, own_loss.
 """
 NODES = 2.0 - math.sqrt(2.0), 2.0 + math.sqrt(2.0)
-"""Two-point Gauss-Laguerre rule: what -ln of the share is taken to be, in units of its mean."""
+"""Nodes of the two-point Gauss-Laguerre rule: values of -ln of that share, in units of its mean."""
 WEIGHTS = 0.25 * (2.0 + math.sqrt(2.0)), 0.25 * (2.0 - math.sqrt(2.0))
-"""How often each."""
-_INDESTRUCTIBLE = 50.0  # ln of an energy per mass that no fall has
+"""Weights of the nodes."""
+_INDESTRUCTIBLE = 50.0  # ln of an energy per mass beyond any fall
 
 
 @final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LossTables:
-    """How easily the carried object is damaged.
+    """Fragility of the carried object.
 
     | field    | meaning                                                                         | unit    | shape  |
     |----------|---------------------------------------------------------------------------------|---------|--------|
-    | strength | ln of the energy per mass at which half of what comes down on a target is damaged | ln J/kg | target |
+    | strength | ln of the energy per mass at which landing on a target does damage half the time | ln J/kg | target |
     | spread   | standard deviation of that logarithm                                            |         |        |
     """
 
@@ -47,8 +47,8 @@ class LossTables:
 
 @per_scene(most=4)
 def loss_tables(scene: Scene, fragility: FragilityTable) -> LossTables:
-    """Return the tables of a scene in which something is carried; targets as in `DropTables`."""
-    assert scene.carried is not None  # the model asks for tables only then
+    """Return the tables of a scene with a carried object; targets as in `DropTables`."""
+    assert scene.carried is not None  # tables are only built for a carried object
     own = fragility.of_carried(scene.components["carried"].component_class)
     categories = [entity.category for entity in scene.entities.values()]
     struck = [fragility.of("" if k < 0 else categories[k]) for k in drop_tables(scene).target_entity]
@@ -59,6 +59,6 @@ def loss_tables(scene: Scene, fragility: FragilityTable) -> LossTables:
 
 
 def carried_mass(scene: Scene) -> float:
-    """Mass of what is carried with all that rides on it [kg]."""
+    """Return the mass of the carried object and everything attached to it [kg]."""
     assert scene.carried is not None
     return float(scene.model.body_subtreemass[scene.model.body(scene.carried.body).id])

@@ -1,18 +1,18 @@
-r"""A small network that corrects the drop model: it multiplies the odds of each hit by a factor that it has learned.
+r"""A small network that corrects the drop model: it multiplies the odds of each hit by a learned factor.
 
-For each surface of an entity, `hidden` units in each of two layers see how the object comes down relative to it:
-places, heights and velocities in the surface's own axes and in units of the object's size, what the drop model says
-about the first contact, the fall after it and the contact from the side, and what both look like. Nothing of it changes
-if all is moved or turned about the vertical, and whose surface it is does not matter: what was learned holds for things
-that were never seen. With P the drop model's probability of a hit and m the answer,
+The network has two layers of `hidden` units and is evaluated for each surface of an entity. Its inputs describe the
+motion of the object relative to the surface (positions, heights and velocities in the surface's axes, in units of the
+object's size), the results of the drop model (first contact, fall, side contact), and the shapes of both. The inputs
+are invariant to translation and to rotation about the vertical and do not identify the entity, so the network
+generalises to unseen objects. With P the drop model's probability of a hit and m the output,
 
 .. math:: P' = \frac{P e^{g m}}{1 - P + P e^{g m}}, \qquad g = \max(0, 1 - 10^{-4}/P), \qquad |m| < \mathrm{bound}
 
-so that what is impossible stays so, what is certain, too, and no odds change by more than e^bound. In all places
-s(x) = x/sqrt(1 + x^2) is what turns sums into answers: smooth, bounded, and cheap. The native kernel is
-native/impact/learned/network.hpp, its gradient network_gradient.hpp.
+so that impossible and certain hits stay so, and no odds change by more than e^bound. The activation function is
+s(x) = x/sqrt(1 + x^2) everywhere: smooth, bounded, and cheap. The native kernel is native/impact/learned/network.hpp,
+its gradient network_gradient.hpp.
 
-`failbench learn` makes such a network; the shipped one is `drop_network.npz`.
+`failbench learn` trains such a network; the shipped one is `drop_network.npz`.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ TOLD = (
     "above_bottom", "height", "tilt", "centre_height", "leaves", "leaves_towards", "contact", "tumble", "side",
     "fallen", "lands_here_or_lower",
 )  # fmt: skip
-"""What the network is told of a state and a surface, in the order of the core."""
+"""Network inputs that depend on state and surface, in the order of the core."""
 LOOKS = ("narrow", "wide", "thick", "carries")
-"""What it is told of a surface alone."""
+"""Network inputs that depend on the surface alone."""
 LEAST = 1e-4
-"""Probabilities below that are left as they are."""
+"""Probability below which nothing is corrected."""
 MOST_HIDDEN = 32
 _SCHEMA, _VERSION = "graceful_plan.drop_network", 1
 _ARRAYS = ("told", "looks", "shapes", "first_bias", "second", "second_bias", "last", "last_bias")
@@ -55,20 +55,20 @@ _FILE = Path(__file__).parent / "drop_network.npz"
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DropNetwork:
-    """The weights of a network; `DropNetwork.shipped()` and `DropNetwork.read(file)` get some.
+    """The weights of a network; see `DropNetwork.shipped()` and `DropNetwork.read(file)`.
 
     | field       | meaning                                                       | unit | shape         |
     |-------------|---------------------------------------------------------------|------|---------------|
     | told        | first layer: weights of `TOLD`                                |      | hidden told   |
     | looks       | first layer: weights of `LOOKS`                               |      | hidden looks  |
-    | shapes      | first layer: what each of `SHAPE_CLASSES` adds                |      | shape hidden  |
+    | shapes      | first layer: offset for each of `SHAPE_CLASSES`               |      | shape hidden  |
     | first_bias  | biases of the first layer                                     |      | hidden        |
     | second      | second layer                                                  |      | hidden hidden |
-    | second_bias | its biases                                                    |      | hidden        |
-    | last        | weights of the answer                                         |      | hidden        |
-    | last_bias   | bias of the answer                                            |      | 1             |
-    | bound       | logarithms of factors are within plus and minus that          |      |               |
-    | about       | where it comes from, as JSON values                           |      |               |
+    | second_bias | biases of the second layer                                    |      | hidden        |
+    | last        | weights of the output                                         |      | hidden        |
+    | last_bias   | bias of the output                                            |      | 1             |
+    | bound       | bound of the logarithm of the factor, in both directions      |      |               |
+    | about       | provenance, as JSON values                                    |      |               |
 
     Raises:
         ShapeError: If an array does not fit the others.
@@ -94,15 +94,15 @@ class DropNetwork:
 
     @classmethod
     def shipped(cls) -> DropNetwork:
-        """Return the one that comes with the library; docs/learned-drops.md says what it is worth."""
+        """Return the network that comes with the library; docs/learned-drops.md reports its accuracy."""
         return _shipped()
 
     @classmethod
     def read(cls, file: str | Path) -> DropNetwork:
-        """Read what `write` wrote.
+        """Read a file written by `write`.
 
         Raises:
-            FormatError: If it is something else, of another version, too large, or has numbers that are none.
+            FormatError: If the file has another format or version, is too large, or holds invalid numbers.
         """
         try:
             return _read(path_of(file))
@@ -112,14 +112,14 @@ class DropNetwork:
             raise FormatError(str(file), f"no network: {error}") from None
 
     def write(self, file: str | Path) -> None:
-        """Write it as arrays in a NumPy archive, with a header of JSON that says where they come from."""
+        """Write the arrays to a NumPy archive, with a JSON header that states their provenance."""
         header = {"schema": _SCHEMA, "version": _VERSION, "told": TOLD, "looks": LOOKS, "shapes": SHAPE_CLASSES}
         text = json.dumps({**header, "bound": self.bound, "about": dict(self.about)}, allow_nan=False)
         with Path(file).open("wb") as out:
             np.savez_compressed(out, header=np.array(text), **{name: getattr(self, name) for name in _ARRAYS})
 
     def weights_for(self, tables: DropTables) -> Float[Array, " weights"]:
-        """Return all weights in the order of the core, with what does not change within a scene in the biases."""
+        """Return all weights in the order of the core; inputs that are constant in a scene are folded into biases."""
         biases = self.first_bias + self.shapes[tables.shape_class] + looks(tables) @ self.looks.T
         parts = (self.told, self.second, self.second_bias, self.last, self.last_bias, biases)
         return np.concatenate([np.ravel(part) for part in parts])
@@ -130,12 +130,12 @@ class DropNetwork:
         looks: Float[Array, "*batch looks"],
         shape: Float[Array, "*batch shape"],
     ) -> Float[Array, "*batch"]:
-        """Return the logarithm of the factor of the odds.
+        """Compute the logarithm of the factor of the odds.
 
         Args:
-            told: What the core says about states and surfaces.
-            looks: Of the surfaces, see `looks`.
-            shape: 1 for the shape class of what is carried, 0 for the others.
+            told: Inputs of states and surfaces, from the core.
+            looks: Inputs of the surfaces; see `looks`.
+            shape: One-hot shape class of the carried object.
         """
         first = squash(told @ self.told.T + looks @ self.looks.T + shape @ self.shapes + self.first_bias)
         second = squash(first @ self.second.T + self.second_bias)
@@ -154,12 +154,12 @@ def corrected(P: Float[Array, "*batch"], log_factor: Float[Array, "*batch"]) -> 
 
 
 def fade(P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Return how much of a correction applies: none where there is hardly anything to correct."""
+    """Return the applied share of a correction: 0 for negligible probabilities, towards 1 for large ones."""
     return np.where(P > LEAST, 1.0 - LEAST / np.maximum(P, LEAST), 0.0)
 
 
 def looks(tables: DropTables) -> Float[Array, "target looks"]:
-    """Return what each surface looks like, in units of the object's size."""
+    """Return the network inputs of each surface, in units of the object's size."""
     a, b = np.sort(tables.target_half, axis=1).T / tables.size
     bottom, top = tables.target_height.T
     carries = np.sqrt(tables.target_carries.prod(axis=1) / np.maximum(tables.target_half.prod(axis=1), 1e-12))

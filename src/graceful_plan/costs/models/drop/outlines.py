@@ -1,4 +1,4 @@
-"""Outlines seen from above, in the drop model: all targets' axes, and how far the object's parts reach along them."""
+"""Outlines in top view: the axes of all targets, and the reach of the object's parts along them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = np.ndarray
 
 @final
 class Targets:
-    """Turns vectors of W into the targets' axes, seen from above, and adds up over the targets of each level."""
+    """Rotates vectors of W into the targets' axes in top view, and reduces values over the targets of each level."""
 
     def __init__(self, tables: DropTables) -> None:
         self.tables = tables
@@ -27,33 +27,33 @@ class Targets:
         self.first, self.level = start[:-1], np.repeat(np.arange(len(start) - 1), np.diff(start))
 
     def turn(self, vector: Array) -> tuple[Array, Array]:
-        """Turn vectors [n 2+] or [n target 2+]."""
+        """Rotate vectors [n 2+] or [n target 2+] into the targets' axes."""
         vector = vector[:, None] if vector.ndim == 2 else vector
         c, s = self.axis[:, 0], self.axis[:, 1]
         return c * vector[..., 0] + s * vector[..., 1], c * vector[..., 1] - s * vector[..., 0]
 
     def place(self, point: Array) -> tuple[Array, Array]:
-        """Turn points [n 2+] or [n target 2+] relative to the targets' centres."""
+        """Express points [n 2+] or [n target 2+] relative to the targets' centres, in their axes."""
         point = point[:, None] if point.ndim == 2 else point
         return self.turn(point[..., :2] - self.tables.target_centre)
 
     def sum(self, value: Float[Array, "n target"]) -> Float[Array, "n level"]:
-        """Add up over each level."""
+        """Sum over the targets of each level."""
         return np.add.reduceat(value, self.first, axis=1)
 
     def product(self, value: Float[Array, "n target"]) -> Float[Array, "n level"]:
-        """Multiply over each level."""
+        """Multiply over the targets of each level."""
         return np.multiply.reduceat(value, self.first, axis=1)
 
     def spread(self, value: Float[Array, "n level"]) -> Float[Array, "n target"]:
-        """Hand each target what belongs to its level."""
+        """Broadcast the value of each level to its targets."""
         return value[:, self.level]
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shape:
-    """How far parts reach: per part [n part] or [n part target]."""
+    """Reach of the object's parts: per part [n part] or [n part target]."""
 
     bottom: Array
     x: Array
@@ -65,7 +65,7 @@ class Shape:
 
 
 def shape_of(targets: Targets, state: Release) -> Shape:
-    """Return how far the parts reach in each state."""
+    """Compute the reach of the parts in each state."""
     tables, diagonals = targets.tables, ((targets.x + targets.y) / np.sqrt(2.0), (targets.y - targets.x) / np.sqrt(2.0))
 
     def reach(u: Array) -> Array:

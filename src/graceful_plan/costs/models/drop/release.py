@@ -1,4 +1,4 @@
-"""The carried object when the gripper lets go."""
+"""State of the carried object when the gripper lets go."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _UP = np.array([[0.0, 0.0, 1.0]])
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Release:
-    """Where the object is and how it moves when the gripper lets go; W frame, parts in the order of the tables.
+    """Pose and velocity of the object when the gripper lets go; W frame, parts in the order of the tables.
 
     | field  | meaning                                | unit  | shape      |
     |--------|----------------------------------------|-------|------------|
@@ -38,12 +38,12 @@ class Release:
     axes: Float[Array, "n part 3 3"]
 
     def only(self, rows: Int[Array, " m"]) -> Release:
-        """Return some of the states."""
+        """Return the given rows."""
         return Release(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
 def release(batch: StateBatch, tables: DropTables) -> Release:
-    """Return the state of the object at release in each of a batch's states."""
+    """Compute the state of the object at release for each state of a batch."""
     X, qd = batch.link_poses, batch.qd * tables.moves
     R, p = X[:, tables.link, :3, :3], X[:, tables.link, :3, 3]
     c = R @ tables.centre + p

@@ -1,8 +1,8 @@
-"""The side that a flying object meets before it comes down: step 0 of the drop model, in NumPy.
+"""The side that blocks a flying object before it lands: step 0 of the drop model, in NumPy.
 
-Symbols as in the specification, the docstring of the package. Its constants were chosen on the drops
-beside walls of the first seed of `benchmarks/walled.py`, with some of the other scenes' in sight; other walls are
-measured there.
+Symbols are those of the specification in the docstring of the package. The constants were chosen on the drops beside
+walls of the first seed of `benchmarks/walled.py`, with some of the other scenes' drops in view; that benchmark measures
+other walls.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from graceful_plan.costs.models.drop.release import Release
 
 Array = np.ndarray
 
-_TOUCH = 0.006  # how sharply the object is in front of a side, not above what that belongs to [m]
-_TOP = 0.067  # how sharply it is below its upper edge, and above its lower one [m]
-_LATE = 0.067  # how sharply it is there before it comes down [s]
-_AFTER = 0.15  # how long after it has come down a side may still be in its way [s]
-_SLOW = 1e-3  # slower than that it gets nowhere [m/s]
-_MOVES = 0.1  # as fast as that it counts as flying towards a side [m/s]
+_TOUCH = 0.006  # smoothing width of the gap to a side, which excludes objects above its target [m]
+_TOP = 0.067  # smoothing width of the heights of a side's upper and lower edge [m]
+_LATE = 0.067  # smoothing width of the time by which the object reaches the side before it lands [s]
+_AFTER = 0.15  # time after landing for which a side may still block the object [s]
+_SLOW = 1e-3  # least speed in the time to reach a side [m/s]
+_MOVES = 0.1  # speed from which the object counts fully as flying towards a side [m/s]
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SideStop:
-    """What the first side in its way does to the flight; W frame.
+    """Effect of the first blocking side on the flight; W frame.
 
     | field  | meaning                                                             | unit | shape |
     |--------|---------------------------------------------------------------------|------|-------|
-    | time   | ts: when the object is there                                        | s    | n     |
+    | time   | ts: time at which the object reaches the side                       | s    | n     |
     | push   | p: change of its velocity there, times the probability of a contact | m/s  | n 2   |
-    | target | whose side it is                                                    |      | n     |
-    | chance | E: probability of a contact, unless it comes down before            |      | n     |
+    | target | target of the side                                                  |      | n     |
+    | chance | E: probability of a contact, unless it lands before                 |      | n     |
     """
 
     time: Float[Array, " n"]
@@ -47,18 +47,18 @@ class SideStop:
     chance: Float[Array, " n"]
 
     def pushed(self, time: Float[Array, " n *target"]) -> Float[Array, "n *target 2"]:
-        """How far off its way the object is at some time after the release [s]."""
+        """Compute the displacement by the side at a time after the release [s]."""
         many = time.ndim > 1
         start, push = (self.time[:, None], self.push[:, None]) if many else (self.time, self.push)
         return push * np.maximum(time - start, 0.0)[..., None]
 
     def met(self, time: Float[Array, " n"], landed: Float[Array, " n"]) -> Float[Array, " n"]:
-        """P that the object meets the side, if it comes down with a probability, at a time."""
+        """Compute P that the object hits the side, given the probability and the time of landing."""
         return self.chance * (1.0 - landed * (1.0 - smooth_step((time - self.time) / _LATE)))
 
 
 def find_stop(targets: Targets, constants: DropConstants, state: Release, shape: Shape) -> SideStop:
-    """Return the side in the way of each flight; there has to be a target."""
+    """Find the blocking side of each flight; requires at least one target."""
     end = fall_time(state.v[:, 2:], shape.low - targets.top.min()) + constants.delay + _AFTER
     sides = [_meeting(targets, constants, state, shape, axis, end) for axis in (0, 1)]
     effect, time, chance, push = (np.stack(x, axis=2) for x in zip(*sides, strict=True))
@@ -77,7 +77,7 @@ def find_stop(targets: Targets, constants: DropConstants, state: Release, shape:
 def _meeting(
     targets: Targets, constants: DropConstants, state: Release, shape: Shape, axis: int, end: Float[Array, "n 1"]
 ) -> tuple[Array, Array, Array, Array]:
-    """Meet the sides across one axis of each target: effect, time and P [n target], push [n target 2]."""
+    """Evaluate the sides across one axis of each target: effect, time and P [n target], push [n target 2]."""
     k, tables, other = constants, targets.tables, 1 - axis
     bottom, top = tables.target_height.T
     at, v = targets.place(state.c), targets.turn(state.v)
@@ -101,7 +101,7 @@ def _meeting(
 
 
 def _extents(targets: Targets, state: Release, shape: Shape) -> tuple[list[Array], list[Array]]:
-    """How far the object reaches from c along the targets' axes, down and up: per axis [n target]."""
+    """Compute the extent of the object from c along the targets' axes, lower and upper: per axis [n target]."""
     offsets = [targets.turn(state.offset[:, p]) for p in range(state.offset.shape[1])]
     reaches = (shape.x, shape.y)
     lower = [np.min([o[i] - r[:, p] for p, o in enumerate(offsets)], axis=0) for i, r in enumerate(reaches)]

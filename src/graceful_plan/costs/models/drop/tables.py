@@ -1,7 +1,7 @@
-"""What the drop model knows about a scene: the carried object's parts and the surfaces that they can land on.
+"""Scene data of the drop model: the carried object's parts and the surfaces that they can land on.
 
-Frames: W world, L the link that the tool rides on, O the carried object. Targets are boxes turned about the vertical
-only; everything that can be hit is one, whether somebody minds or not, since obstacles catch things too.
+Frames: W world, L the link of the tool, O the carried object. Targets are boxes rotated about the vertical only. All
+colliding geoms are targets, with or without a severity, since obstacles catch falling objects, too.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 SHAPE_CLASSES = ("box", "cylinder", "plate", "ball")
-"""Classes of carried objects, each with constants of its own."""
+"""Classes of carried objects, each with its own constants."""
 LEVEL = 0.006
-"""Tops that differ by less [m] are met at the same time."""
+"""Largest difference of height at which tops belong to one level, reached at the same time [m]."""
 DISC = 0.9
-"""Share of the square around a disc that carries."""
+"""Share of a disc's bounding square that supports objects."""
 FLAT, ROUND, BALL = 0, 1, 2
 """Kinds of parts: box, cylinder or capsule, sphere."""
 
 _PLANE, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("PLANE", "SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE")
-)  # integers: to compare arrays with enums takes fifty times as long
-_PLATE = 0.35  # least over middle half size below which an object lies flat
+)  # integers: comparing arrays with enums takes fifty times as long
+_PLATE = 0.35  # ratio of the least to the middle half size below which an object is a plate
 _UPRIGHT = 0.9  # cosine above which a round target counts as standing
-_DOME = 0.2  # share of a rounded top that carries
+_DOME = 0.2  # share of a rounded top that supports objects
 
 
 @final
@@ -47,7 +47,7 @@ class DropTables:
     | field          | meaning                                                          | unit | shape      |
     |----------------|------------------------------------------------------------------|------|------------|
     | shape_class    | index into `SHAPE_CLASSES`                                       |      |            |
-    | link           | link that the object rides on                                    |      |            |
+    | link           | link that carries the object                                     |      |            |
     | moves          | 1 for joints that move the object                                |      | nq         |
     | joint_link     | link of each joint                                               |      | nq         |
     | centre         | centre of mass in the link                                       | m    | 3          |
@@ -58,13 +58,13 @@ class DropTables:
     | main           | part with the largest volume of its box                          |      |            |
     | size           | root mean square of the object's half sizes                      | m    |            |
     | target_entity  | index of the entity, -1 for an obstacle; by top, highest first   |      | target     |
-    | target_centre  | centre seen from above                                           | m    | target 2   |
-    | target_axis    | unit x axis seen from above                                      |      | target 2   |
+    | target_centre  | centre in top view                                               | m    | target 2   |
+    | target_axis    | unit x axis in top view                                          |      | target 2   |
     | target_half    | half sizes along x and y                                         | m    | target 2   |
     | target_diagonal| reach in the directions halfway between x and y                  | m    | target     |
-    | target_carries | half sizes of what of the top carries                            | m    | target 2   |
+    | target_carries | half sizes of the supporting part of the top                     | m    | target 2   |
     | target_height  | bottom and top                                                   | m    | target 2   |
-    | target_fixed   | 1 for what never moves                                           |      | target     |
+    | target_fixed   | 1 for targets that never move                                    |      | target     |
     | level_start    | first target of each level, one more entry at the end            |      | level + 1  |
     """
 
@@ -92,7 +92,7 @@ class DropTables:
 
 @per_scene
 def drop_tables(scene: Scene) -> DropTables:
-    """Return the tables of a scene in which something is carried; they are made once.
+    """Return the tables of a scene with a carried object; they are cached per scene.
 
     Raises:
         UnsupportedError: If the scene cannot be compiled.
@@ -109,7 +109,7 @@ def _collides(model: mujoco.MjModel, geom: int) -> bool:
 
 @per_layout
 def _object(scene: Scene) -> Mapping[str, Any]:
-    assert scene.carried is not None  # the model asks for tables only then
+    assert scene.carried is not None  # tables are only built for a carried object
     model, robot = scene.model, compile_scene(scene).robot
     data = reference_data(scene)
     held = [g for g in scene.components["carried"].geoms if _collides(model, g)]
@@ -117,7 +117,7 @@ def _object(scene: Scene) -> Mapping[str, Any]:
     X_LO = robot.X_LT @ scene.carried.X_TO
     R_WO, p_WO = data.xmat[body].reshape(3, 3), data.xpos[body]
     R_OG = np.array([R_WO.T @ data.geom_xmat[geom].reshape(3, 3) for geom in held])
-    # geom_aabb is a box around the geom in the geom's own axes.
+    # geom_aabb is a box around the geom, in the geom's axes.
     place = np.array([R_WO.T @ (data.geom_xpos[geom] - p_WO) for geom in held])
     place = place + np.einsum("pij,pj->pi", R_OG, model.geom_aabb[held, :3])
     half, kind = model.geom_aabb[held, 3:], [_part_kind(int(model.geom_type[geom])) for geom in held]
@@ -143,7 +143,7 @@ def _object(scene: Scene) -> Mapping[str, Any]:
 
 
 def _centre_of_mass(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> Float[Array, " 3"]:
-    """Centre of mass in W of a body with everything that rides on it; the body's origin if it has no mass."""
+    """Return the centre of mass in W of a body and everything attached to it; the body's origin without mass."""
     bodies = sorted(subtree(model, root))
     mass = model.body_mass[bodies]
     return mass @ data.xipos[bodies] / mass.sum() if mass.sum() > 0.0 else data.xpos[root]
@@ -169,12 +169,12 @@ def _shape_class(kind: int, half: Float[Array, " 3"]) -> str:
     return "cylinder" if kind == ROUND else "box"
 
 
-# --- what it can land on --------------------------------------------------------------------------------------------
+# --- targets ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Surfaces:
-    """Geoms that something can land on: which, whose (-1 for obstacles), on which body, and whether it never moves."""
+    """Colliding geoms outside of robot and object: ids, entity (-1: obstacle), body, and whether it is fixed."""
 
     geom: Int[Array, " target"]
     entity: Int[Array, " target"]
@@ -230,15 +230,15 @@ def levels(top: Float[Array, " target"]) -> Int[Array, " level_end"]:
 def _turned_boxes(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Int[Array, " target"]
 ) -> Float[Array, "target 11"]:
-    """Return rows of centre (2), axis (2), half sizes (2), diagonal reach, carrying half sizes (2), bottom and top."""
+    """Return rows of centre (2), axis (2), half sizes (2), diagonal reach, supporting half sizes (2), bottom, top."""
     kind, R = model.geom_type[geoms], data.geom_xmat[geoms].reshape(-1, 3, 3)
     size, aabb, each = model.geom_size[geoms], model.geom_aabb[geoms], np.arange(len(geoms))
-    # Planes are as wide as in Algorithm 1; their slope is not seen.
+    # Planes are as wide as in Algorithm 1; their slope is ignored.
     plane = kind == _PLANE
     wide = np.where(size > 0.0, size, PLANE_EXTENT) * [1.0, 1.0, 0.0]
     half = np.where(plane[:, None], wide, aabb[:, 3:])
     p = data.geom_xpos[geoms] + np.einsum("tij,tj->ti", R, np.where(plane[:, None], 0.0, aabb[:, :3]))
-    # The geom's axis that is nearest to horizontal gives the box its direction.
+    # The geom axis nearest to horizontal defines the direction of the box.
     x = R[each, :2, np.abs(R[:, 2]).argmin(axis=1)]
     x = x / np.linalg.norm(x, axis=1, keepdims=True)
     axes = np.stack([x, np.stack([-x[:, 1], x[:, 0]], axis=1)], axis=1)
@@ -253,7 +253,7 @@ def _turned_boxes(
     share = np.ones_like(ab)
     share[disc] = np.where(kind[disc] == _CYLINDER, DISC, _DOME)[:, None]
     share[kind == _ELLIPSOID] = _DOME
-    lying = round_ & ~standing  # its ridge carries
+    lying = round_ & ~standing  # only its ridge supports objects
     along = np.abs(np.einsum("ti,ti->t", R[:, :2, 2], x)) > np.sqrt(0.5) * np.linalg.norm(R[:, :2, 2], axis=1)
     share[lying & along, 1] = _DOME
     share[lying & ~along, 0] = _DOME

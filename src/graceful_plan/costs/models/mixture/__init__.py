@@ -1,1 +1,1 @@
-"""Drop, spill and body together, weighted by how often what fails."""
+"""Mixture of the drop, spill and body models, weighted by a fault prior."""

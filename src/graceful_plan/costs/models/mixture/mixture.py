@@ -1,6 +1,6 @@
-"""What failures of all kinds do: drops, spills and failing arms, weighed by a prior over faults (`FaultPrior`).
+"""The default interaction model: drops, spills and failing arms, weighted by a fault prior (`FaultPrior`).
 
-The models that are mixed have their specifications beside them, in `drop`, `spill` and `body`.
+The specifications of these models are in the packages `drop`, `spill` and `body`.
 """
 
 from __future__ import annotations
@@ -39,29 +39,29 @@ Array = np.ndarray
 FALLING = ("carried", "contents")
 """Components that fall when the gripper lets go."""
 _SOURCE = {"carried": (("carried", "drop"),), "contents": (("dropped", "drop"), ("held", "spill"), ("stopped", "stop"))}
-"""Rows of the drop kernel that strike as a component, and the generator behind each."""
+"""Rows of the drop kernel for each component, with the generator that causes each."""
 
 
 @final
 @dataclass(frozen=True)
 class Footprint(NativeModel):
-    """What failures do, by models of drops, spills and failing arms, in the native core.
+    """Mixture of the models of drops, spills and failing arms, in the native core.
 
     Args:
-        faults: Which failures to fear, a prior or the name of a preset: "drop_only", the gripper lets go; "arm";
-            "service_robot". Models of failing arms take several times longer than those of drops and spills.
+        faults: A fault prior or the name of a preset: "drop_only", the gripper lets go; "arm"; "service_robot". Models
+            of failing arms take several times longer than those of drops and spills.
         settings: Constants of the drop model; the shipped ones by default.
         spill: Constants of the spill model; the shipped ones by default.
         body: Constants of the body model; the shipped ones by default.
-        stop: How hard the robot stops by itself, and what contents make of it; the shipped constants by default.
-        base: How a base that drives fails, and how often it is what fails, such as `Coast(settings)`; the shipped model
-            by default. Of no account for robots without one.
-        network: What corrects the hits of the object after a drop, such as `DropNetwork.shipped()`; nothing by default.
-        places: How many stand for where somebody may be who moves and is expected somewhere; searches ask for fewer.
+        stop: Constants of the protective stop and its spills; the shipped ones by default.
+        base: Model of a failing base with its share of the failures, such as `Coast(settings)`; the shipped model by
+            default. Ignored for robots without a base.
+        network: Correction of the object's hits after a drop, such as `DropNetwork.shipped()`; none by default.
+        places: Number of sample positions for the uncertain position of a moving entity; searches use fewer.
 
     Raises:
         UnknownNameError: If there is no such preset.
-        SettingError: If so many places cannot stand for anybody, or `base` is no FailingBase.
+        SettingError: If `places` is not supported, or `base` is not a FailingBase.
     """
 
     faults: str | FaultPrior = "drop_only"
@@ -83,21 +83,21 @@ class Footprint(NativeModel):
 
     @cached_property
     def prior(self) -> FaultPrior:
-        """Which failures happen, and how often."""
+        """The fault prior."""
         return FaultPrior.preset(self.faults) if isinstance(self.faults, str) else self.faults
 
     @property
     def components(self) -> tuple[str, ...]:
-        """The robot's body counts if there are failures of the arm to fear."""
+        """Components that count by default; the robot's body does if the prior includes failures of the arm."""
         return COMPONENTS if self._arm_weights.any() else FALLING
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
-        """Return P of a contact, summed over all that may go wrong."""
+        """Return P of a contact, summed over all kinds of failure."""
         none = np.zeros((len(batch), len(batch.scene.components), len(batch.scene.entities)))
         return sum(self.sources(batch).values(), none)
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
-        """Return the same by generator, those that have a weight."""
+        """Return P of a contact by generator, for generators with a weight."""
         found = {**self._gripper_sources(batch), **self._arm_sources(batch)}
         base = failing_base(batch.scene, self.base)
         if base is None:
@@ -108,7 +108,7 @@ class Footprint(NativeModel):
 
     @property
     def knows_own_loss(self) -> bool:
-        """Whether the gripper may let go. What happens to an object that a failing arm still holds is not known."""
+        """Whether the gripper may let go. Damage to an object that a failing arm still holds is not modelled."""
         return self.prior.weights()["drop"] > 0.0
 
     def own_loss(self, batch: StateBatch, fragility: FragilityTable) -> Mapping[str, Float[Array, " n"]]:
@@ -120,11 +120,11 @@ class Footprint(NativeModel):
         return {"drop": weight * kernel.of(batch)[1]}
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
-        """Return which faults are behind each of the sources, and how much they weigh."""
+        """Return the faults behind each source, with their weights."""
         return self.prior.fault_shares()
 
     def moving(self) -> MovingModel:
-        """Return the model for entities that move, with the constants and weights of this one."""
+        """Return the model for moving entities, with the constants and weights of this model."""
         weights = self.prior.weights()
         shares = {"drop": weights["drop"], "collapse": weights["collapse"]}
         return MovingModel(settings=self.settings, coast=None, base=self.base, places=self.places, **shares)
@@ -136,7 +136,7 @@ class Footprint(NativeModel):
         paces: tuple[float, float],
         own: OwnLoss | None = None,
     ) -> ImpactKernel:
-        """Return the native kernel; where arms may fail, its derivatives along edges are close rather than exact."""
+        """Return the native kernel; if the arm may fail, its derivatives along edges are approximate."""
         parts: list[ImpactKernel] = []
         if (base := failing_base(scene, self.base)) is not None:
             parts.append(base.kernel(scene, base.of_base(scene) * severity, paces))
@@ -147,21 +147,21 @@ class Footprint(NativeModel):
         weights = self._arm_weights
         if weights.any() and severity.any():
             parts.append(BodyModel(self.body).kernel(scene, severity, weights, paces))
-        if not parts:  # nothing can happen
+        if not parts:  # the impact is 0
             return compile_scene(scene).kernels.overlap(np.zeros_like(severity))
         return reduce(add, parts)
 
     def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
-        """Return the derivative of sums of P S, None where arms may fail."""
+        """Return the derivative of sums of P S, None if the arm may fail."""
         found = self.gradients(batch, severity)
         return None if found is None else found[0]
 
     def gradients(
         self, batch: StateBatch, severity: Float[Array, "component entity"], own: OwnLoss | None = None
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """Return the derivatives with respect to q and to the joint velocities, None where arms may fail.
+        """Return the derivatives with respect to q and to the joint velocities, None if the arm may fail.
 
-        Those of the body model are good for descents but not exact: see `BodyModel.impact_gradient`.
+        Those of the body model are approximate, for descents only: see `BodyModel.impact_gradient`.
         """
         if self._arm_weights.any():
             return None
@@ -176,17 +176,17 @@ class Footprint(NativeModel):
         return found[0] + of_drop[0], found[1] + of_drop[1]
 
     def widened(self, metres: float) -> Footprint:
-        """Return a model in which places that things fall from, and distances, are uncertain by so much more."""
+        """Return a model with additional uncertainty of release positions and distances: a standard deviation [m]."""
         wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
         return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))
 
     def _of_cargo(self, scene: Scene) -> float:
-        """P that gripper or arm fail, or what stands on a base is thrown off, given a failure."""
+        """Return P that gripper or arm fails, or that a base throws off its cargo, given a failure."""
         base = failing_base(scene, self.base)
         return 1.0 if base is None else base.of_cargo(scene)
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
-        """What comes of drops, of spills and of stops."""
+        """Return the sources of the gripper: drops, spills and stops."""
         scene, weights = batch.scene, self.prior.weights()
         names = [name for name in ("drop", "spill", "stop") if weights[name] > 0.0]
         found = {name: np.zeros((len(batch), len(scene.components), len(scene.entities))) for name in names}
@@ -200,7 +200,7 @@ class Footprint(NativeModel):
         return found
 
     def _arm_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
-        """What comes of failing arms."""
+        """Return the sources of failing arms."""
         scene, weights = batch.scene, self._arm_weights
         if not weights.any():
             return {}
@@ -218,7 +218,7 @@ class Footprint(NativeModel):
 
     @cached_property
     def _arm_weights(self) -> Float[Array, "generator 2"]:
-        """Weight of each of `GENERATORS` for the arm and for what it still holds."""
+        """Weight of each of `GENERATORS` for the arm and for the object that it still holds."""
         weights, held = self.prior.weights(), self.prior.held_weights()
         return np.array([[weights[name], held[name]] for name in GENERATORS])
 
@@ -230,7 +230,7 @@ class Footprint(NativeModel):
         return 0.0 if own is None else self.prior.weights()["drop"] * own.severity
 
     def _severities(self, scene: Scene, severity: Float[Array, "component entity"]) -> Float[Array, "row entity"]:
-        """Severities in the rows of the drop kernel, with their weights."""
+        """Return severities in the rows of the drop kernel, multiplied by the weights of their sources."""
         rows, weights = np.zeros((len(ROWS), severity.shape[1])), self.prior.weights()
         for own, component in zip(severity, scene.components, strict=True):
             for row, source in _SOURCE.get(component, ()):

@@ -1,1 +1,1 @@
-"""What a dropped object does to entities that move."""
+"""Hits of dropped objects and failing arms on moving entities."""

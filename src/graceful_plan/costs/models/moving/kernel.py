@@ -1,9 +1,9 @@
-"""Moving entities in the core, for searches: standing at a few places of their predicted paths.
+"""Native kernels of moving entities for searches, which treat each as standing at a few places of its predicted path.
 
-A search knows no times. For every place there is one drop model of the core in which the entity stands there among what
-is static, with the uncertainty of its place added to that of the release; their mean stands for the path. That is the
-mean of `drops.py` but for what happens while the object falls and for how uncertain places blur what is
-static: some percent. It only guides the search; costs that are reported are those of `drops.py`.
+A search knows no times. For each place there is a drop model in which the entity stands there among the static targets,
+with the uncertainty of its position added to that of the release. The mean over places approximates the path. It equals
+the mean of `drops.py` up to motion during the fall and the blurring of static targets: a few percent. It only guides
+the search; reported costs are those of `drops.py`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 MOST_PLACES = 16
-"""Places that stand for a predicted path."""
+"""Largest number of places for a predicted path."""
 _SPACING = 0.1, 0.25  # least and greatest distance between places [m]
-_ASKED = 512  # states that tell whether an entity can be hit at a place
-_NEGLIGIBLE = 1e-4  # probability there below which it cannot
+_ASKED = 512  # sampled states that decide whether an entity can be hit at a place
+_NEGLIGIBLE = 1e-4  # probability below which a place is ignored
 
 
 def moving_kernels(
@@ -40,8 +40,8 @@ def moving_kernels(
     Args:
         scene: The scene; if nothing is carried, there are no kernels.
         settings: Constants of the drop model.
-        severity: Of each moving entity, for all that falls.
-        paces: As of `NativeModel.kernel`.
+        severity: Severity of each moving entity, summed over falling components.
+        paces: See `NativeModel.kernel`.
     """
     if scene.carried is None:
         return []
@@ -55,7 +55,7 @@ def moving_kernels(
 
 
 def _of_object(severity: float) -> Float[Array, "row 1"]:
-    """Return the severities of one entity: all falls together count as the object's."""
+    """Return the severities of one entity, in the row of the object, which represents all falling components."""
     rows = np.zeros((len(ROWS), 1))
     rows[ROWS.index("carried")] = severity
     return rows
@@ -70,7 +70,7 @@ def _standing(scene: Scene, entity: str, constants: DropConstants) -> list[tuple
 
 
 def _places(entity: MovingEntity) -> list[tuple[MovingEntity, float]]:
-    """Return the entity at rest in the middles of equal intervals of time, and how uncertain each place is [m]."""
+    """Return the entity at rest in the middles of equal time intervals, and the position uncertainty of each [m]."""
     duration = float(entity.t[-1] - entity.t[0])
     length = float(np.linalg.norm(np.diff(entity.position, axis=0), axis=1).sum())
     spacing = float(np.clip(2.0 * entity.half_size[:2].min(), *_SPACING))
@@ -78,7 +78,7 @@ def _places(entity: MovingEntity) -> list[tuple[MovingEntity, float]]:
     edges = entity.at(entity.t[0] + duration * np.arange(count + 1) / count)
     middle = entity.at(entity.t[0] + duration * (np.arange(count) + 0.5) / count)
     step = np.linalg.norm(np.diff(edges.position[:, :2], axis=0), axis=1)
-    spread = np.sqrt(middle.spread**2 + step**2 / 12.0)  # that of an even distribution over the interval
+    spread = np.sqrt(middle.spread**2 + step**2 / 12.0)  # uniform distribution over the interval
     still = [
         MovingEntity(entity.name, entity.category, size=entity.size, t=np.zeros(1), position=p[None], yaw=yaw[None])
         for p, yaw in zip(middle.position, middle.yaw, strict=True)
@@ -101,7 +101,7 @@ def _matters(scene: Scene, model: DropKernel) -> bool:
 
 
 def _with_target(tables: DropTables, entity: MovingEntity) -> DropTables:
-    """Return tables with the entity among the targets, as the only one that can be harmed."""
+    """Return tables with the entity as an additional target, the only one that can be harmed."""
     where, (a, b, h) = entity.at(entity.t[0]), entity.half_size
     yaw = 0.0 if entity.is_round else float(where.yaw)
     row: dict[str, Any] = {

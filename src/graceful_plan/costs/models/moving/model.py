@@ -1,4 +1,4 @@
-"""The treatment of entities that move, whatever the model of those that stand still."""
+"""Hits on moving entities, independent of the model for static entities."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Array = np.ndarray
 
 
 _ROUGH_PLACES = 12
-"""Of somebody who moves, where a search drops things on her."""
+"""Number of sample positions of a moving entity in the drop model of searches."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class _Failure:
-    """One of the failures: its name and probability, the components that it strikes with, and whom it hits."""
+    """A kind of failure: name, probability, the components that hit, and the native model of the hits."""
 
     name: str
     weight: float
@@ -42,19 +42,19 @@ class _Failure:
 @final
 @dataclass(frozen=True, kw_only=True)
 class MovingModel:
-    """Whom of those in `Scene.moving` failures hit: the drop model, that of a base, and a rule of thumb for the arm.
+    """Hits of failures on `Scene.moving`: the drop model, a model of the base, and a rule of thumb for the arm.
 
     Args:
         settings: Constants of the drop model.
         drop: P that the gripper lets go, given a failure.
         collapse: P that the arm collapses, given a failure.
-        coast: P that it is the base that fails, given a failure, if the robot drives; the others share the rest. By
-            default as `base` has it.
-        base: How a base fails; by the shipped model by default.
-        places: How many stand for where somebody may be who is expected somewhere.
+        coast: P that the base fails, given a failure of a mobile robot; the other failures share the rest. None takes
+            the share of `base`.
+        base: Model of a failing base; the shipped one by default.
+        places: Number of sample positions for the uncertain position of a moving entity.
 
     Raises:
-        SettingError: If so many places cannot stand for anybody.
+        SettingError: If `places` is not supported.
     """
 
     settings: DropSettings = field(default_factory=DropSettings.shipped)
@@ -70,11 +70,11 @@ class MovingModel:
     def sources(
         self, batch: StateBatch, components: Collection[str] = COMPONENTS
     ) -> Mapping[str, Float[Array, "n component moving"]]:
-        """Return P(component hits moving entity | failure) by what goes wrong.
+        """Return P(component hits moving entity | failure) by kind of failure.
 
         Args:
             batch: States; without times, P is the mean over each entity's predicted path.
-            components: Which to compute; the others are 0.
+            components: Components to compute; the others are 0.
         """
         scene = batch.scene
         q, qd = reals(batch.q), reals(batch.qd)
@@ -89,12 +89,12 @@ class MovingModel:
     def impact(
         self, scene: Scene, severity: Float[Array, "component moving"], *, rough: bool = False
     ) -> _native.MovingImpact:
-        """Return sums of P S at times with their derivatives, and gaps between the robot and moving entities.
+        """Return the native sums of P S at times with derivatives, and gaps between robot and moving entities.
 
         Args:
-            scene: Where.
-            severity: Of each component and moving entity.
-            rough: Whether something close and faster will do, for descents and searches.
+            scene: The scene.
+            severity: Severity of each component and moving entity.
+            rough: Whether to use a faster approximation, for descents and searches.
         """
         impact = _native.MovingImpact(compile_scene(scene).kernels.core, moving_table(scene))
         for failure in self._failures(scene, COMPONENTS, rough=rough):
@@ -102,7 +102,7 @@ class MovingModel:
         return impact
 
     def _failures(self, scene: Scene, components: Collection[str], *, rough: bool = False) -> Iterator[_Failure]:
-        """Yield what may go wrong for some components."""
+        """Yield the kinds of failure that involve these components."""
         base, coast = self._of_base(scene)
         aboard, places = 1.0 - coast, min(_ROUGH_PLACES, self.places) if rough else self.places
         falls = np.array([name != "body" and name in components for name in scene.components])
@@ -117,9 +117,9 @@ class MovingModel:
     def kernels(
         self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]
     ) -> list[ImpactKernel] | None:
-        """Return native kernels that together guide a search, None if arm or base count, of which there are none.
+        """Return native kernels whose sum guides a search, None if arm or base count, which have no such kernels.
 
-        Law: close to sums of P S from `sources` without times; they need not be the same.
+        Law: an approximation of the sums of P S from `sources` without times.
         """
         falls = np.array([name != "body" for name in scene.components])
         if (self.collapse > 0.0 or self._of_base(scene)[1] > 0.0) and (severity[~falls] > 0.0).any():
@@ -127,7 +127,7 @@ class MovingModel:
         return moving_kernels(scene, self.settings, self.drop * severity[falls].sum(axis=0), paces)
 
     def _of_base(self, scene: Scene) -> tuple[FailingBase | None, float]:
-        """Return how the base of a scene fails, and P that it does; None and 0 for a robot without one."""
+        """Return the model of a scene's base and P that the base fails; None and 0 for a robot without a base."""
         if self.coast == 0.0 or (base := failing_base(scene, self.base)) is None:
             return None, 0.0
         return base, base.share if self.coast is None else self.coast

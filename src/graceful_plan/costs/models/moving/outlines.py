@@ -1,4 +1,4 @@
-"""Those who move as upright outlines, and how far points are from them."""
+"""Upright outlines of moving entities, and distances of points from them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = np.ndarray
 
 
 def outlines(entity: MovingEntity, place: Float[Array, "n 2"], yaw: Float[Array, " n"]) -> Float[Array, "n 7"]:
-    """Return the outline of an entity that is at places [m], turned so [rad], as in `CoastTables.shape`."""
+    """Return the outline of an entity at positions [m] with these yaw angles [rad], as in `CoastTables.shape`."""
     shape = np.zeros((len(place), 7))
     shape[:, :2] = place
     shape[:, 2], shape[:, 3] = np.cos(yaw), np.sin(yaw)
@@ -29,14 +29,14 @@ def outside(
     height: Float[Array, " row"],
     half: float,
 ) -> Float[Array, " row"]:
-    """Return how far balls of a link are from upright outlines of this half height around this height [m].
+    """Compute the distance of a link's spheres from upright outlines [m].
 
     Args:
         X: Poses of the link in W.
         balls: Centres in the link, and radii [m].
         shape: An outline for each pose.
-        height: Of the middle of what has that outline [m].
-        half: Half of how high it is [m].
+        height: Height of the centre of each outline [m].
+        half: Half of the height of the outlines [m].
     """
     p = balls[:, :3] @ X[:, :3, :3].swapaxes(1, 2) + X[:, None, :3, 3]
     beside = _beside(p[..., :2], shape)
@@ -46,7 +46,7 @@ def outside(
 
 
 def _beside(p: Float[Array, "row ball 2"], shape: Float[Array, "row 7"]) -> Float[Array, "row ball"]:
-    """Return the signed distance of points from outlines, seen from above [m]."""
+    """Return the signed distance of points from outlines in top view [m]."""
     d, x, y = p - shape[:, None, :2], shape[:, 2, None], shape[:, 3, None]
     along = np.abs(x * d[..., 0] + y * d[..., 1]) - shape[:, 4, None]
     across = np.abs(x * d[..., 1] - y * d[..., 0]) - shape[:, 5, None]

@@ -1,7 +1,7 @@
-"""Where a moving entity may be: places of equal weight around its prediction, and times along its path.
+"""Sample positions of equal weight around the predicted position of a moving entity, and sample times of its path.
 
-An entity that is off its prediction at the release is still off by as much, grown in proportion, while the object
-falls: each place is followed on its own.
+The deviation of an entity from its prediction at the release persists while the object falls, and grows with the
+standard deviation; each sample position is followed separately.
 """
 
 from __future__ import annotations
@@ -15,23 +15,24 @@ from graceful_plan.scene.moving import MovingEntity
 Array = np.ndarray
 
 PLACES = 24
-"""Places that stand for a normal distribution, unless fewer do; an even number, and no multiple of `_STRIDE`."""
+"""Default and largest number of sample positions of a normal distribution; even, and no multiple of `_STRIDE`."""
 MOST_SAMPLES = 64
-"""Times that stand for a predicted path; the core holds as many."""
-_SAMPLE_STEP = 0.025, 0.1  # least and greatest distance between places at these times [m]
+"""Largest number of sample times of a predicted path; the capacity of the core."""
+_SAMPLE_STEP = 0.025, 0.1  # least and greatest distance between positions at these times [m]
 _GOLDEN, _STRIDE = np.pi * (3.0 - np.sqrt(5.0)), 7
 
 
 def check_places(places: int) -> None:
-    """Raise SettingError if so many places cannot stand for a normal distribution."""
+    """Raise SettingError unless `places` is a supported number of sample positions."""
     if not (isinstance(places, int) and 4 <= places <= PLACES and places % 2 == 0 and places % _STRIDE):
         raise SettingError("places", places, f"an even number from 4 to {PLACES}, and no multiple of {_STRIDE}")
 
 
 def normal_places(count: int = PLACES) -> Float[Array, "place 2"]:
-    """Return places of equal weight for a normal distribution with standard deviation 1, that within them included.
+    """Return sample positions of equal weight for a normal distribution with standard deviation 1.
 
-    Seeds of a sunflower and their mirror images, brought to this variance; neighbours in the list are far apart.
+    They are the points of a sunflower spiral and their mirror images, scaled so that their variance plus that within
+    their cells is 1. Neighbours in the list are far apart.
     """
     k = np.arange(count // 2)
     radius, angle = np.sqrt(-2.0 * np.log(1.0 - (k + 0.5) / len(k))), k * _GOLDEN
@@ -41,12 +42,12 @@ def normal_places(count: int = PLACES) -> Float[Array, "place 2"]:
 
 
 def cell_of(count: int) -> float:
-    """Return the standard deviation within what one of so many places stands for, over that of all."""
+    """Return the standard deviation within the cell of each of `count` sample positions, relative to that of all."""
     return float(np.sqrt(2.0 * np.pi / 12.0 / count))
 
 
 def path_times(entity: MovingEntity) -> Float[Array, " k"]:
-    """Return the middles of equal intervals of the predicted path [s]."""
+    """Return the midpoints of equal time intervals of the predicted path [s]."""
     duration = entity.t[-1] - entity.t[0]
     length = np.linalg.norm(np.diff(entity.position, axis=0), axis=1).sum() + entity.growth * duration
     length += np.abs(np.diff(entity.yaw)).sum() * np.linalg.norm(entity.half_size[:2])

@@ -1,1 +1,1 @@
-"""The method's own model: Algorithm 1."""
+"""The model of the paper: Algorithm 1."""

@@ -1,4 +1,4 @@
-"""Algorithm 1 of the paper: overlap, seen from above, of axis-aligned boxes.
+"""Algorithm 1 of the paper: overlap of axis-aligned boxes in top view.
 
 Every geom is replaced by one box, aligned with the world's axes. A_r is the ground area of all boxes of component r,
 A_e that of all boxes of entity e, A_overlap the overlap in xy summed over all pairs of them:
@@ -6,12 +6,12 @@ A_e that of all boxes of entity e, A_overlap the overlap in xy summed over all p
     P(e, r) = max(A_overlap / A_r, A_overlap / A_e)
 
 if r as a whole is above e as a whole (the lowest point of r above the highest of e) or beside it (the heights of both,
-from lowest to highest point, overlap); a component that is wholly below an entity has P = 0. Speed, height, bounce and
-what lies between do not enter: see `docs/limitations.md`.
+from lowest to highest point, overlap). A component that is wholly below an entity has P = 0. Speed, height, bounce and
+obstacles in between are ignored: see `docs/limitations.md`.
 
 References:
     Nguyen et al., "Failing Gracefully", Algorithm 1, as printed. Differs from the paper in: P is clipped at 1,
-    which the sum over pairs of stacked geoms can exceed; a body of less than 1e-6 mm^2 seen from above has P = 0.
+    which the sum over pairs of stacked geoms can exceed; a body with a ground area below 1e-6 mm^2 has P = 0.
 """
 
 from __future__ import annotations
@@ -47,6 +47,6 @@ class BoxOverlap(NativeModel):
         paces: tuple[float, float],
         own: OwnLoss | None = None,
     ) -> ImpactKernel:
-        """Return the native kernel, to which velocities are all the same."""
+        """Return the native kernel; velocities do not matter."""
         del paces, own
         return compile_scene(scene).kernels.overlap(severity)

@@ -1,6 +1,6 @@
-"""Constants of the spill model: what they are, and how to read them from YAML.
+"""Constants of the spill model, and their YAML format.
 
-The shipped ones are `spill.yaml`; its head says what they were fitted to.
+The shipped values are in `spill.yaml`; its head states the data that they were fitted to.
 """
 
 from __future__ import annotations
@@ -14,45 +14,45 @@ from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.yaml_file import Block, YamlTable
 
 USES = ("dropped", "held")
-"""How contents get out: their container falls and lands; it is jolted or tipped in the gripper."""
+"""Ways in which contents are lost: the container falls and lands; it is jolted or tipped in the gripper."""
 _POSITIVE = ("position_spread", "soft_spread")
 _STOP = ("deceleration", "amplification", "response", "spread")
-"""Constants of stops that are numbers."""
+"""Scalar constants of protective stops."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class SpillConstants:
-    """Constants for one of `USES`; lengths in units of the puddle are shares of its radius if all runs out.
+    """Constants for one use (see `USES`); puddle lengths are relative to the radius of a puddle of all contents.
 
     Raises:
-        SettingError: If one is not finite or out of its range.
+        SettingError: If a constant is not finite or out of its range.
     """
 
     position_spread: float
-    """s0: standard deviation of where contents land [m]."""
+    """s0: standard deviation of the landing point of contents [m]."""
     rim_spread: float
-    """cr: the same per radius of the rim."""
+    """cr: standard deviation of the landing point per radius of the rim."""
     speed_spread: float
-    """cv: the same per speed [s]."""
+    """cv: standard deviation of the landing point per speed [s]."""
     height_spread: float
-    """ch: the same per height of fall [m/m]."""
+    """ch: standard deviation of the landing point per height of fall [m/m]."""
     carry: float
-    """kt: how much later than the container contents are down [s]."""
+    """kt: time by which contents land later than the container [s]."""
     margin: float
-    """km: how far beside their place contents wet what they fall on [m]."""
+    """km: distance around the landing point within which contents wet a target [m]."""
     reach: float
-    """kr: how far a puddle reaches along each axis [puddle]."""
+    """kr: reach of a puddle along each axis [puddle]."""
     run_off: float
-    """ko: the same for what runs over an edge [puddle]."""
+    """ko: reach of contents that run over an edge [puddle]."""
     edge: float
-    """ke: how far from all edges nothing runs over them [puddle]."""
+    """ke: least distance from all edges at which nothing runs over them [puddle]."""
     slosh: float
-    """kv: how much of a tilt speed is worth, since what is fast also accelerates [s/m]."""
+    """kv: tilt equivalent of speed, since fast motions also accelerate [s/m]."""
     soft_speed: float
-    """u0: speed of landing from which on contents get out [m/s]; far below 0 if they are out before."""
+    """u0: landing speed at which contents spill half of the time [m/s]; far below 0 if they have left before."""
     soft_spread: float
-    """us: how uncertain that is [m/s]."""
+    """us: standard deviation of that speed [m/s]."""
 
     def __post_init__(self) -> None:
         values = {constant.name: getattr(self, constant.name) for constant in fields(self)}
@@ -62,10 +62,10 @@ class SpillConstants:
 @final
 @dataclass(frozen=True, kw_only=True)
 class StopSettings(YamlTable):
-    """How hard the robot stops by itself, and what contents make of it; the shipped ones are `stop.yaml`.
+    """Constants of the protective stop and its effect on contents; the shipped ones are in `stop.yaml`.
 
     Raises:
-        SettingError: If one is not finite or out of its range.
+        SettingError: If a constant is not finite or out of its range.
     """
 
     shipped_file = Path(__file__).parent / "stop.yaml"
@@ -73,16 +73,16 @@ class StopSettings(YamlTable):
     keys = ("stop", "places")
 
     deceleration: float
-    """kd: of the joint that needs longest, over the greatest acceleration that motions have."""
+    """kd: deceleration of the slowest joint to stop, relative to its acceleration limit in motions."""
     amplification: float
-    """ka: how much more than the mean deceleration contents feel."""
+    """ka: ratio of the deceleration that contents feel to the mean deceleration."""
     response: float
-    """tr: time that their surface needs to follow [s]; shorter stops hardly tilt it."""
+    """tr: time that the surface of the contents needs to follow [s]; shorter stops hardly tilt it."""
     spread: float
-    """us: how uncertain the logarithm of what the container could hold is."""
+    """us: standard deviation of the logarithm of the container's capacity."""
     places: SpillConstants
-    """Where contents come down that a stop throws out. Speed before it counts for that, not for how full the container
-    is."""
+    """Landing point of contents that a stop throws out. Speed before the stop counts for that point, not for the fill
+    level."""
 
     def __post_init__(self) -> None:
         values = {name: getattr(self, name) for name in _STOP}
@@ -90,21 +90,21 @@ class StopSettings(YamlTable):
 
     @classmethod
     def parsed(cls, root: Block) -> StopSettings:
-        """Make them of the values in a file."""
+        """Construct from the values in a file."""
         places = SpillConstants(
             **root["places"].numbers_by_name(*(constant.name for constant in fields(SpillConstants)))
         )
         return cls(places=places, **root["stop"].numbers_by_name(*_STOP))
 
     def widened(self, metres: float) -> StopSettings:
-        """Return constants with the place where contents land uncertain by so much more."""
+        """Return constants with additional uncertainty of the landing point: a standard deviation [m]."""
         return replace(self, places=_widened(self.places, metres))
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class SpillSettings(YamlTable):
-    """Constants of the spill model by use, see `USES`."""
+    """Constants of the spill model by use; see `USES`."""
 
     shipped_file = Path(__file__).parent / "spill.yaml"
     kind = "spill models"
@@ -115,16 +115,16 @@ class SpillSettings(YamlTable):
 
     @classmethod
     def parsed(cls, root: Block) -> SpillSettings:
-        """Make them of the values in a file."""
+        """Construct from the values in a file."""
         names = tuple(constant.name for constant in fields(SpillConstants))
         return cls(**{use: SpillConstants(**root[use].numbers_by_name(*names)) for use in USES})
 
     def widened(self, metres: float) -> SpillSettings:
-        """Return constants with the place where contents land uncertain by so much more."""
+        """Return constants with additional uncertainty of the landing point: a standard deviation [m]."""
         return SpillSettings(dropped=_widened(self.dropped, metres), held=_widened(self.held, metres))
 
     def of(self, use: str) -> SpillConstants:
-        """Return the constants of one of `USES`."""
+        """Return the constants of a use; see `USES`."""
         return getattr(self, use)
 
 

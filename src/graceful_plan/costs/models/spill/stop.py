@@ -1,6 +1,6 @@
-"""Whether contents leave a container when the robot stops by itself: the part of the spill model that tells, in NumPy.
+"""Probability that contents leave a container in a protective stop of the robot: part of the spill model, in NumPy.
 
-The native kernel has the same, with whom they reach; `graceful_plan.costs.models.spill` specifies both.
+The native kernel has the same and the entities that they reach; `graceful_plan.costs.models.spill` specifies both.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ Array = np.ndarray
 
 _LEAST_FELT = 1e-4
 _SCALE = np.sqrt(3.0) / np.pi
-"""Of a logistic distribution with standard deviation 1."""
+"""Scale of a logistic distribution with standard deviation 1."""
 
 
 class StopSpill(NamedTuple):
-    """What a stop makes of the contents.
+    """Effect of a stop on the contents.
 
     | field  | meaning                                                      | unit | shape |
     |--------|--------------------------------------------------------------|------|-------|
-    | chance | P that a part gets out that somebody notices                 |      | n     |
-    | lost   | share of what the container is filled with that gets out     |      | n     |
-    | time   | how long the robot needs to stop                             | s    | n     |
+    | chance | P that a noticeable part of the contents gets out            |      | n     |
+    | lost   | share of the contents that gets out                          |      | n     |
+    | time   | stopping time of the robot                                   | s    | n     |
     """
 
     chance: Float[Array, " n"]
@@ -40,11 +40,11 @@ class StopSpill(NamedTuple):
 
 
 def stop_spill(batch: StateBatch, settings: StopSettings | None = None) -> StopSpill:
-    """Return what a stop in each state does to the contents of a scene in which something with contents is carried.
+    """Compute the effect of a stop in each state on the contents of the carried object.
 
     Args:
-        batch: The states, with their velocities.
-        settings: How hard the robot brakes, and what contents make of it; the shipped constants by default.
+        batch: The states, with their velocities, in a scene with a carried object that has contents.
+        settings: Constants of the protective stop; the shipped ones by default.
     """
     settings = StopSettings.shipped() if settings is None else settings
     spill, tables = spill_tables(batch.scene), drop_tables(batch.scene)
@@ -61,7 +61,7 @@ def stop_spill(batch: StateBatch, settings: StopSettings | None = None) -> StopS
 
 
 def _fill(spill: SpillTables, cosine: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Return how many times a container is filled whose axis has this cosine with what is felt in it."""
+    """Return the ratio of contents to capacity, for this cosine between container axis and apparent gravity."""
     up = 0.5 * (cosine + np.sqrt(cosine**2 + 0.01))
     x = np.maximum(np.sqrt(1.0051 - up**2) / up - spill.repose, 0.0) * spill.rim / spill.depth
     return (1.0 + x + x**2 + 1.7 * x**3) / spill.full

@@ -1,6 +1,6 @@
-"""What the spill model knows about a scene beyond the tables of the drop model: the container, and what stands where.
+"""Scene data of the spill model beyond the tables of the drop model: the container, and the supports of targets.
 
-Frames: W world, L the link that the tool rides on.
+Frames: W world, L the link of the tool.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ DEPTH = 0.002
 REPOSE = float(np.deg2rad(33.0))
 """Slope at which dry contents begin to slide [rad]."""
 STANDS = 0.01
-"""How far [m] a thing may end above a surface, and stand on it."""
+"""Largest height of a thing's bottom above a surface on which it stands [m]."""
 FLAT = 1e-3
-"""A thing that ends no higher [m] above a surface is the surface."""
+"""Height of a thing's top above a surface up to which it is part of that surface [m]."""
 EDGE = 0.02
-"""Tops that are this much [m] higher keep things below them dry."""
+"""Height difference from which a top shields things below it [m]."""
 _GRID = 7
 _ROWS = 256
-"""Targets that are compared with all others at once: a matter of memory."""
+"""Number of targets compared with all others at once, which limits memory."""
 
 
 @final
@@ -42,16 +42,16 @@ class SpillTables:
 
     | field   | meaning                                                                     | unit | shape    |
     |---------|-----------------------------------------------------------------------------|------|----------|
-    | mouth   | middle of the top of the contents, from the object's centre of mass, in L   | m    | 3        |
+    | mouth   | centre of the contents' surface, from the object's centre of mass, in L     | m    | 3        |
     | axis    | from the container's bottom to its rim, in L                                |      | 3        |
     | rim     | r: radius of the container                                                  | m    |          |
     | depth   | H: height of its rim above its bottom                                       | m    |          |
-    | full    | how many times the contents go into it                                      |      |          |
-    | radius  | R: of the puddle or heap if all runs out                                    | m    |          |
-    | power   | of the volume, that the radius grows with                                   |      |          |
+    | full    | ratio of the container's capacity to the contents                           |      |          |
+    | radius  | R: radius of the puddle or heap of all contents                             | m    |          |
+    | power   | exponent of the volume in the radius                                        |      |          |
     | repose  | tangent of the slope at which contents stand; 0 for liquids                 |      |          |
-    | visible | share of a target that nothing much higher covers, seen from above          |      | target   |
-    | stands  | first level that a target stands on or beside, and the one after the last   |      | target 2 |
+    | visible | share of a target in top view that no much higher target covers             |      | target   |
+    | stands  | first level that a target stands on or beside, and one past the last        |      | target 2 |
     """
 
     mouth: Float[Array, " 3"]
@@ -68,12 +68,12 @@ class SpillTables:
 
 @per_scene
 def spill_tables(scene: Scene) -> SpillTables:
-    """Return the tables of a scene in which something with contents is carried; they are made once.
+    """Return the tables of a scene with a carried object that has contents; they are cached per scene.
 
     Raises:
         UnsupportedError: If the scene cannot be compiled.
     """
-    assert scene.carried is not None  # the model asks for tables only then
+    assert scene.carried is not None  # tables are only built for a carried object
     assert scene.contents is not None
     tables, contents = drop_tables(scene), scene.contents
     mouth, axis, rim, depth = _container(scene)
@@ -95,9 +95,9 @@ def spill_tables(scene: Scene) -> SpillTables:
 
 @per_layout
 def _container(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, " 3"], float, float]:
-    """Return the middle of the contents' top and the axis in L, and the container's radius and depth [m].
+    """Return the centre of the contents' surface and the axis in L, and the container's radius and depth [m].
 
-    The geom of the contents gives bottom and radius, round about its z axis; the rim is the top of the highest geom of
+    The geom of the contents gives bottom and radius, round about its z axis. The rim is the top of the highest geom of
     the carried object that is round about the same axis: a bottle's neck, but not a teapot's handle. Lids are off.
     """
     assert scene.carried is not None
@@ -126,7 +126,7 @@ def _container(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, " 3"], fl
 def _top(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, bottom: Array, axis: Float[Array, " 3"], rim: float
 ) -> float:
-    """Return how high above the bottom a geom ends; 0 if it is not round about the axis."""
+    """Return the height of a geom's top above the bottom; 0 if it is not round about the axis."""
     R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_aabb[geom, 3:]
     offset = data.geom_xpos[geom] + R @ model.geom_aabb[geom, :3] - bottom
     along = float(offset @ axis)
@@ -150,7 +150,7 @@ def _visible(tables: DropTables) -> Float[Array, " target"]:
     points = centre[:, None] + (grid * half[:, None]) @ turn
     away = points[below] - centre[above, None]
     covers = np.ones(away.shape[:2], dtype=bool)
-    for axis in (0, 1):  # a sum of two products: a stack of small matrices takes ten times as long
+    for axis in (0, 1):  # written out: a stack of small matrix products takes ten times as long
         x, y = turn[above, axis].T[:, :, None]
         covers &= np.abs(away[:, :, 0] * x + away[:, :, 1] * y) < half[above, axis, None]
     covered, first = np.unique(below, return_index=True)
@@ -161,7 +161,7 @@ def _visible(tables: DropTables) -> Float[Array, " target"]:
 def _near(
     centre: Float[Array, "target 2"], half: Float[Array, "target 2"], top: Float[Array, " target"]
 ) -> tuple[Int[Array, " pair"], Int[Array, " pair"]]:
-    """Return pairs of a target and one that is much higher and may cover a part of it, in order of the first."""
+    """Return pairs of a target and a much higher one that may cover a part of it, ordered by the first."""
     reach, pairs = np.linalg.norm(half, axis=1), [np.zeros((0, 2), dtype=int)]
     for begin in range(0, len(top), _ROWS):
         rows = slice(begin, begin + _ROWS)
@@ -173,7 +173,7 @@ def _near(
 
 
 def _stands(tables: DropTables) -> Int[Array, "target 2"]:
-    level = tables.target_height[tables.level_start[:-1], 1]  # falls from each level to the next
+    level = tables.target_height[tables.level_start[:-1], 1]  # decreases from level to level
     bottom, top = tables.target_height.T
     first = (level[None] >= (top - FLAT)[:, None]).sum(axis=1)
     end = (level[None] > (bottom - STANDS)[:, None]).sum(axis=1)
