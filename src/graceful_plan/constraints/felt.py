@@ -2,7 +2,7 @@ r"""Limits on the specific force that a carried object feels, as limits on path 
 
 A point that moves by p' per unit of a curve's parameter s has the acceleration :math:`p'\ddot s + p''\dot s^2`. This
 is linear in path acceleration and squared path speed, the form that TOPP-RA takes. The specific force at the point is
-its acceleration minus gravity: what an accelerometer there measures, called *felt* in this package. It is limited by
+its acceleration minus gravity: the reading of an accelerometer there, called *felt* in this package. It is limited by
 facets, half-spaces v f <= room. A pyramid of facets inscribed in a cone keeps it close to an axis, so that a level
 object stays level in the accelerated frame. Facets with a bound above 0 keep it below the load that a grasp can carry.
 

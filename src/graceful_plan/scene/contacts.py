@@ -39,7 +39,7 @@ def tested_pairs(model: mujoco.MjModel, moving: Collection[int]) -> Int[Array, "
     for first, second in ((model.pair_geom1, model.pair_geom2), (model.pair_geom2, model.pair_geom1)):
         listed = row[first] >= 0
         tested[row[first[listed]], second[listed]] = True
-    # Keep one of (a, b) and (b, a): the one whose first geom moves.
+    # Keep either (a, b) or (b, a), with a moving geom first.
     rank = np.arange(model.ngeom) + model.ngeom * (weld == 0)
     tested &= ~mine[None, :] | (rank[rows, None] < rank[None, :])
     first, second = np.nonzero(tested)

@@ -69,7 +69,7 @@ class SceneFacts:
     notes: Notes
     spec: mujoco.MjSpec
 
-    # --- what was declared --------------------------------------------------------------------------------------------
+    # --- declarations -------------------------------------------------------------------------------------------------
 
     @property
     def name(self) -> str:
@@ -127,7 +127,7 @@ class SceneFacts:
         hinge = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
         return np.asarray(hinge & (model.jnt_limited[joints] == 0), dtype=bool)
 
-    # --- questions ----------------------------------------------------------------------------------------------------
+    # --- queries ------------------------------------------------------------------------------------------------------
 
     def data_at(self, q: ArrayLike) -> mujoco.MjData:
         """Return new MjData at a configuration, with the carried object at the tool. Contacts are not computed.
@@ -151,8 +151,7 @@ class SceneFacts:
         return data
 
     def collision_pairs(self) -> Int[Array, "pair 2"]:
-        """Return every geom pair to keep apart: the pairs that MuJoCo would test, minus contacts that are always
-        allowed.
+        """Return every geom pair to keep apart: pairs that MuJoCo would test and that may not always touch.
 
         The first geom of a pair belongs to the robot or the carried object; pairs among the surroundings are excluded.
         """
