@@ -24,7 +24,7 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _AT_REST = 0.9
-"""Fraction of the felt angle that the tilt may use at rest; the rest is left for accelerations."""
+"""Fraction of `felt_angle` that the tilt may use at rest; the rest is left for accelerations."""
 _ROOM = 0.01
 """Extra tilt allowed beyond that of a tilted start or goal [rad]."""
 _ASTRAY = 0.12

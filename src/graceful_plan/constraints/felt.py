@@ -32,10 +32,11 @@ Array = np.ndarray
 FACETS = 8
 """Sides of the pyramid inscribed in the cone: at worst it reduces the tangent by 1 - cos(pi / 8), 8 %."""
 _HARDEST = 1.7
-"""Largest axial specific force [g]. In FailBench, a change of velocity of 0.7 m/s within 0.03 s (2.4 g) throws contents
-out. Objects between fingers also swing: the glass of bedside/bring_water exceeded a limit of 1.84 that was planned."""
+"""Largest specific force at the edge of the cone [g]. In FailBench, a change of velocity of 0.7 m/s within 0.03 s (2.4
+g) throws contents out. Objects between fingers also swing: with a planned limit of 1.84, the glass of
+bedside/bring_water exceeded it."""
 _MILDEST = 1.2
-"""Lower limit of that value for wide cones [g]: gravity at rest must satisfy it."""
+"""Lower limit of the axial bound, for wide cones [g]: gravity at rest must satisfy it."""
 _LIGHTEST, _OF_REST = 0.5, 0.7
 """Least axial specific force [g], and its upper limit as a fraction of the axial component at the edge of the cone.
 Near free fall a small error of the robot can turn the direction anywhere: one in four fast motions with a wine glass
@@ -179,7 +180,7 @@ class FeltConstraint(Constraint):
         """Return the limits in motion."""
 
     def around(self, q: Float[Array, "n nq"], scene: Scene) -> FeltConstraint:
-        """Return a constraint that also admits the given configurations, as far as its strictest limit allows."""
+        """Return a constraint relaxed, where it can be, to admit the given configurations."""
         return self
 
     @abstractmethod

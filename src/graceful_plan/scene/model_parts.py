@@ -99,10 +99,10 @@ def checked_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def check_supported(model: mujoco.MjModel) -> None:
-    """Check that a model has no motions or collisions that the library cannot represent.
+    """Check that a model uses only supported geoms, contacts and bodies.
 
     Raises:
-        UnsupportedError: If it has; the message lists all of them.
+        UnsupportedError: If it does not; the message lists all unsupported features.
     """
     problems = []
     for geom in np.flatnonzero(collides(model)).tolist():
@@ -271,7 +271,7 @@ def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -
 
     A hinge without limits gets one turn in each direction, the heading of a base two. Limits of a base come from its
     `DiffDrive`; velocity and acceleration of the notes are for the other joints. Torque comes from the notes,
-    actuatorfrcrange or the forcerange of the actuators on the joint; it is infinite if none of them is set.
+    actuatorfrcrange or the forcerange of the actuators on the joint; it is infinite if none is set.
 
     Raises:
         SceneError: If a slide has no limits, or velocity or acceleration limits are missing.
@@ -361,7 +361,7 @@ def finger_positions(
             name [rad or m].
 
     Raises:
-        UnknownNameError: If a joint is not a joint that is held in place.
+        UnknownNameError: If a name is not that of a joint held in place.
         SettingError: If a position is outside its joint's range.
     """
     held = {model.joint(j).name: j for j in range(model.njnt) if j not in planned and _is_scalar(model, j, robot)}

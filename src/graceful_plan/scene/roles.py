@@ -133,7 +133,7 @@ def moving_severities(
     """Return the severity of each component against each moving entity.
 
     Raises:
-        SceneError: If its name is also that of a body or entity, or a severity is undefined.
+        SceneError: If a moving entity has the name of a body or entity, or a severity is undefined.
         UnknownNameError: If a class does not exist.
     """
     by_entity, by_class = _split_overrides(notes)

@@ -41,8 +41,8 @@ from graceful_plan.tuning.search import sweep_weights
 
 Array = np.ndarray
 
-# Of the values tried, these had the largest hypervolume and the least V + w S, at four weights on four tasks. Half or
-# twice of any of them makes little difference.
+# Of the values tried, these had the largest hypervolume and the least V + w S, at four weights on four tasks. Halving
+# or doubling any of them makes little difference.
 _FROM_PATHS = 0.25
 """Fraction of the time for motions from paths."""
 _ASIDE = 4.0

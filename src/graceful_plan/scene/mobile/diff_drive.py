@@ -81,7 +81,7 @@ class DiffDrive:
         if self.rim_max > _MOST:
             raise SettingError("DiffDrive.wheel_max", self.wheel_max, f"at most {_MOST:g} m/s at the rim")
         if self.slip < 1.0:
-            raise SettingError("DiffDrive.slip", self.slip, "at least 1, the share of wheels that do not slip")
+            raise SettingError("DiffDrive.slip", self.slip, "at least 1, the value without slip")
         if self.load > 1.0:
             raise SettingError("DiffDrive.load", self.load, "a share of the weight, at most 1")
         if not isinstance(self.reverse, bool):
