@@ -54,7 +54,7 @@ def velocities(chain: Sequence[UrdfJoint]) -> list[float]:
     """
     without = [joint.name for joint in chain if not np.isfinite(joint.velocity)]
     if without:
-        raise SceneError(f"the URDF lacks velocity limits of {', '.join(without)}; give velocity=[{len(chain)} numbers]")
+        raise SceneError(f"no velocity limits in URDF: {', '.join(without)}; give velocity=[{len(chain)} numbers]")
     return [joint.velocity for joint in chain]
 
 
