@@ -145,7 +145,7 @@ def test_joints_besides_have_to_stand_still(trajectory):
     ("names", "error", "message"),
     [
         ({"arm/one": "a"}, UnknownNameError, "unknown joint in names 'arm/two'; valid: arm/one"),
-        (lambda name: "a", SettingError, "names = 'a', expected a name of its own"),
+        (lambda name: "a", SettingError, "names = 'a', expected a distinct name"),
     ],
 )
 def test_names_that_do_not_serve_are_refused(trajectory, names, error, message):
@@ -173,7 +173,7 @@ def broken(change):
         (lambda m: m.update(joint_names=[]), FormatError, "joint_names"),
         (lambda m: m.update(joint_names=["a", "a"]), FormatError, "joint_names"),
         (lambda m: m.update(joint_names=["a", "b"]), ShapeError, "positions of message has shape"),
-        (lambda m: [p.pop("velocities") for p in m["points"]], FormatError, "lack velocities; time it anew"),
+        (lambda m: [p.pop("velocities") for p in m["points"]], FormatError, "lack velocities; time it again"),
         (lambda m: m["points"][1].pop("velocities"), FormatError, "lacks velocities"),
         (lambda m: m["points"][1].pop("time_from_start"), FormatError, "lacks time_from_start"),
         (lambda m: m["points"][1]["time_from_start"].update(sec=0.5), FormatError, "whole numbers"),

@@ -317,7 +317,7 @@ _TOO_MUCH = {  # what there is too much of, by many that are allowed: words of t
     "cube textures": ("pixels of textures", '<asset><texture name="t{}" builtin="flat" width="4096"/></asset>', 40),
     "numerics": ("numbers in <numeric>", '<custom><numeric name="n{}" size="4096"/></custom>', 20_000),
     "users' own": (
-        "numbers of users' own",
+        "user-defined numbers",
         '<worldbody><site name="s{}"/></worldbody><size nuser_site="100" nuser_geom="100"/>',
         300,
     ),
@@ -376,7 +376,7 @@ def test_numbers_of_users_own_count_for_each_element() -> None:
     body = f'<replicate count="4000">{_BOX}</replicate>'
     text = '<mujoco><size nuser_geom="{}"/><worldbody>' + body + "</worldbody></mujoco>"
     assert compile_spec(load_spec(text.format(100))).nuser_geom == 100
-    with pytest.raises(SceneError, match=r"4096 for each of \d+ elements .* more than 10000000 numbers of users' own"):
+    with pytest.raises(SceneError, match=r"4096 for each of \d+ elements .* more than 10000000 user-defined numbers"):
         load_spec(text.format(4096))
 
 

@@ -1,1 +1,1 @@
-"""What has to hold along a motion besides not to collide: contents stay in, trays stay level, distances are kept."""
+"""Constraints on a motion other than collisions: contents stay in, trays stay level, distances are kept."""

@@ -1,4 +1,4 @@
-"""Axes that stay within an angle of a direction: trays that stay level, cameras that keep looking."""
+"""Constraints that keep an axis within an angle of a direction, for level trays and cameras on a target."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class AxisWithin(Constraint):
     """An axis of the tool or of the carried object stays within an angle of a direction in W.
 
     Args:
-        axis: In the frame; of any length above 0.
-        direction: In W; of any length above 0.
+        axis: Axis in the frame; any length above 0.
+        direction: Direction in W; any length above 0.
         angle: Largest angle between them [rad], above 0 and at most pi.
-        frame: "tool" or "object"; the carried object by default, the tool where nothing is carried.
+        frame: "tool" or "object". The default is the carried object, or the tool if nothing is carried.
     """
 
     axis: Vector
@@ -45,26 +45,26 @@ class AxisWithin(Constraint):
         _check_angle("angle", self.angle)
 
     def rule(self, scene: Scene) -> AxisRule:
-        """Return what has to hold in a scene; raise if it has no such frame."""
+        """Return the rule for a scene; raise if the scene has no such frame."""
         frame = checked_frame(scene, self.frame)
         return AxisRule(name=self.name, frame=frame, axis=self.axis, direction=self.direction, angle=self.angle)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return by how much the angle is too large [rad]."""
+        """Return the angle minus its limit [rad]."""
         return axis_residual(batch, self.rule(batch.scene))
 
     def told(self, residual: float) -> str:
-        """Say in words how far outside a state is."""
+        """Describe a violation for messages."""
         return told_angle(self.name, residual, self.angle)
 
 
 @final
 @dataclass(frozen=True)
 class Upright(Constraint):
-    """What is carried stays as upright as it stood.
+    """Limit the tilt of the carried object away from its initial upright pose.
 
-    The axis is the one that is vertical where the object stands in the scene; where nothing is carried, the one that
-    points back from the fingers, so that the gripper points down.
+    The axis is the one that is vertical in the object's initial pose. If nothing is carried, it is the tool's -z axis,
+    which points from the fingers back to the wrist, so that the gripper points down.
 
     Args:
         max_tilt: Largest angle between that axis and the vertical [rad].
@@ -77,7 +77,7 @@ class Upright(Constraint):
         _check_angle("max_tilt", self.max_tilt)
 
     def rule(self, scene: Scene) -> AxisRule:
-        """Return what has to hold in a scene."""
+        """Return the rule for a scene."""
         return AxisRule(
             name=self.name,
             frame=checked_frame(scene, None),
@@ -87,16 +87,16 @@ class Upright(Constraint):
         )
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return by how much the tilt is too large [rad]."""
+        """Return the tilt minus its limit [rad]."""
         return axis_residual(batch, self.rule(batch.scene))
 
     def told(self, residual: float) -> str:
-        """Say in words how far outside a state is."""
+        """Describe a violation for messages."""
         return told_angle(self.name, residual, self.max_tilt)
 
 
 def axis_residual(batch: StateBatch, rule: AxisRule) -> Float[Array, " n"]:
-    """Return by how much the angle between axis and direction is too large [rad]."""
+    """Return the angle between axis and direction minus the rule's limit [rad]."""
     poses = batch.object_poses if rule.frame == "object" else batch.tool_poses
     axis = poses[:, :3, :3] @ np.array(rule.axis)
     across = np.linalg.norm(np.cross(axis, rule.direction), axis=1)
@@ -104,14 +104,14 @@ def axis_residual(batch: StateBatch, rule: AxisRule) -> Float[Array, " n"]:
 
 
 def told_angle(name: str, residual: float, angle: float) -> str:
-    """Say that something is tilted too much."""
+    """Describe a violated tilt limit."""
     tilt, allowed = np.rad2deg([residual + angle, angle])
-    return f"{name}: {tilt:.1f} degrees, {np.rad2deg(residual):.1f} more than the {allowed:.1f} that are allowed"
+    return f"{name}: {tilt:.1f} degrees, {np.rad2deg(residual):.1f} more than the {allowed:.1f} allowed"
 
 
 @per_layout
 def standing_axis(scene: Scene) -> Vector:
-    """Return the axis of the carried object that is vertical where it stands in the scene; else the tool's."""
+    """Return the carried object's axis that is vertical in the initial scene; the tool's -z if nothing is carried."""
     if scene.carried is None:
         return 0.0, 0.0, -1.0
     data = mujoco.MjData(scene.model)

@@ -1,4 +1,4 @@
-"""Limits of a base on timing: along and across its heading, and of its wheels."""
+"""Timing limits of a mobile base: along and across its heading, and of its wheels."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from graceful_plan.timing.topp import Restraint
 
 Array = np.ndarray
 DriveLimits = Callable[[DiffDrive, CurveGrid], Float[Array, "interval limit 3"]]
-"""Returns limits a u + b x <= c of a base on path acceleration u and squared path speed x."""
+"""Maps a base and a curve to limits a u + b x <= c on path acceleration u and squared path speed x."""
 
 
 def base_limits(scene: Scene) -> Restraint | None:
-    """Return the limits of a scene's base on path acceleration and speed; None for a robot without one.
+    """Return the limits of a scene's base on path acceleration and speed; None for a robot without a base.
 
     Raises:
-        UnsupportedError: If there is a base, and the room of what drives is not installed.
+        UnsupportedError: If the scene has a base and the optional modules for mobile bases are not installed.
     """
     if scene.base is None:
         return None

@@ -23,7 +23,7 @@ Numbers = tuple[float, ...]
 @final
 @dataclass(frozen=True, kw_only=True)
 class RuleBounds:
-    """Those of some rules that the core checks, as rows of `BoundArrays`, and distances to keep by entity [m]."""
+    """The rules that the core can check: rows of `BoundArrays`, and the distance to keep from each entity [m]."""
 
     cones: tuple[Numbers, ...]
     rooms: tuple[Numbers, ...]
@@ -31,7 +31,7 @@ class RuleBounds:
 
 
 def bounds_of(scene: Scene, rules: Iterable[Rule]) -> RuleBounds:
-    """Return those of some rules that the core checks."""
+    """Convert those rules that the core can check; skip the others."""
     robot = compile_scene(scene).robot
     cones: list[Numbers] = []
     rooms: list[Numbers] = []
@@ -49,12 +49,12 @@ def bounds_of(scene: Scene, rules: Iterable[Rule]) -> RuleBounds:
 
 
 def bounded_kernels(scene: Scene, bounds: RuleBounds, room: float = 0.0) -> Kernels:
-    """Return the scene's kernels with bounds.
+    """Return the scene's kernels, extended by bounds.
 
     Args:
         scene: The scene.
-        bounds: What has to hold.
-        room: Distance to keep from all obstacles, on top of any margin [m]. Unlike a margin it tightens no bound.
+        bounds: Bounds that the kernels check.
+        room: Clearance to keep from all obstacles, on top of any margin [m]. Unlike a margin, it tightens no bound.
     """
     if not (bounds.cones or bounds.rooms or bounds.keep or room):
         return compile_scene(scene).kernels
@@ -63,7 +63,7 @@ def bounded_kernels(scene: Scene, bounds: RuleBounds, room: float = 0.0) -> Kern
 
 @per_scene(most=8)
 def _kernels(scene: Scene, bounds: RuleBounds, room: float) -> Kernels:
-    """Make kernels with bounds; that takes milliseconds, so the last ones are kept."""
+    """Build kernels with bounds, which takes milliseconds; the last few are cached."""
     compiled = compile_scene(scene)
     robot, world = compiled.robot, compiled.world
     kept = np.full(len(world.geom), room)
@@ -82,7 +82,7 @@ def _kernels(scene: Scene, bounds: RuleBounds, room: float) -> Kernels:
 
 
 def frame_in_link(scene: Scene, robot: RobotArrays, frame: str) -> Float[Array, "4 4"]:
-    """Return the pose of the frame "tool" or "object" in the link of the tool, which both ride on."""
+    """Return the pose of the frame "tool" or "object" in the tool's link, to which both are fixed."""
     if frame == "tool" or scene.carried is None:
         return robot.X_LT
     return robot.X_LT @ scene.carried.X_TO

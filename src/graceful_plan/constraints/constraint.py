@@ -1,7 +1,7 @@
-"""The constraint contract: how far outside a state is, by batches.
+"""The constraint contract: a batched residual that is positive where a configuration violates the constraint.
 
 A constraint is a small frozen object, like a cost. It needs no registration: `plan(..., constraints=[MyConstraint()])`.
-Planners check it along every edge as densely as collisions, the judge checks the timed motion.
+Planners check it along every edge as densely as collisions; the judge checks the timed motion.
 """
 
 from __future__ import annotations
@@ -20,42 +20,42 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _NUDGE = 1e-5
-"""Step of the finite differences that stand for a gradient [rad]."""
+"""Step of the finite differences that replace a missing gradient [rad]."""
 
 
 class Constraint(Contract):
-    """Base of all constraints: a frozen object with `residual`, and `gradient` if it can."""
+    """Base class of all constraints: a frozen object with `residual` and, optionally, `gradient`."""
 
     lever: ClassVar[float] = 1.0
-    """What one unit of the residual counts as clearance [m]: planners keep one margin from everything."""
+    """Clearance that one unit of the residual is worth [m]: planners apply one margin to distances and constraints."""
 
     @property
     def name(self) -> str:
-        """What messages and verdicts call it."""
+        """Name of the constraint in messages and verdicts."""
         return type(self).__name__
 
     @abstractmethod
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return how far outside each state is: at most 0 where the constraint holds.
+        """Return the violation of each state: at most 0 where the constraint holds.
 
         Laws: finite and continuous; each entry depends on its own configuration alone; the same input gives the same
         output.
         """
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
-        """Return the derivative of `residual` with respect to q, or None, and finite differences take its place."""
+        """Return the derivative of `residual` with respect to q; None to use finite differences."""
         del batch
         return None
 
     def told(self, residual: float) -> str:
-        """Say in words how far outside a state is."""
+        """Describe a violation for messages."""
         return f"{self.name}: {residual:.3g} beyond what is allowed"
 
     def rule(self, scene: Scene) -> Rule:
-        """Return what has to hold in a scene, for the judge.
+        """Return the rule that the judge checks in a scene.
 
         Raises:
-            GracefulPlanError: If this cannot be asked for there.
+            GracefulPlanError: If the constraint does not apply to the scene.
         """
         return CustomRule(
             name=self.name, residual=lambda q: checked_residual(self, StateBatch(scene, q)), told=self.told
@@ -63,7 +63,7 @@ class Constraint(Contract):
 
 
 def checked_residual(constraint: Constraint, batch: StateBatch) -> Float[Array, " n"]:
-    """Evaluate a constraint and hold it to its contract.
+    """Evaluate a constraint and check that the result obeys the contract.
 
     Raises:
         CostError: If it returns the wrong shape, a NaN or an infinity.

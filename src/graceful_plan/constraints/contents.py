@@ -1,4 +1,4 @@
-"""Contents stay in the vessel that is carried: at rest, while it is moved, and as they slosh."""
+"""Constraint that keeps contents in the carried vessel at rest, in motion and while they slosh."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _AT_REST = 0.9
-"""Of the angle that what is felt may use, what the vessel may be tilted at rest: the motion needs the others."""
+"""Fraction of `felt_angle` that the tilt may use at rest; the rest is left for accelerations."""
 _ROOM = 0.01
-"""What a vessel may be tilted further than at a tilted end [rad]."""
+"""Extra tilt allowed beyond that of a tilted start or goal [rad]."""
 _ASTRAY = 0.12
-"""Of the acceleration along a vessel's axis, what a robot gives it across: it does not follow to the last bit.
-FailBench's own gives between 0.05 and 0.3 of the greatest one (ten vessels of the benchmark `constraints`)."""
+"""Lateral acceleration by tracking error, as a fraction of the axial acceleration of the vessel.
+FailBench's controller reaches 0.05 to 0.3 of the peak (ten vessels of the benchmark `constraints`)."""
 _LEAST_HEAVE = 0.1
-"""Of gravity, what a vessel may be accelerated along its axis at least, however full it is."""
+"""Least axial acceleration to allow a vessel, however full, as a fraction of gravity."""
 _STEEPEST = float(np.deg2rad(80.0))
-"""Of that angle, whatever the vessel holds: what is felt has to have a direction."""
+"""Upper limit of the brim tilt [rad], whatever the vessel holds: the specific force must have a direction."""
 
 
 @final
 @dataclass(frozen=True)
 class KeepContents(FeltConstraint):
-    """What is in the carried vessel stays in it.
+    """Keep the contents of the carried vessel from spilling.
 
-    The fill says how far the vessel may be tilted: until the surface reaches the rim; something dry may be tilted
-    further by its angle of repose. At rest that is about gravity; in motion about what is felt in the vessel, gravity
-    less the acceleration of its contents. The surface lags behind and overshoots (`Slosh`): a part of the angle is left
-    to that, and motions whose first mode still reaches the rim are slowed down until it does not.
+    The fill level sets the largest tilt: the angle at which the surface reaches the rim, plus the angle of repose for
+    dry contents. At rest the angle is measured from gravity, in motion from the apparent gravity in the vessel: gravity
+    minus the acceleration of the contents. The surface lags behind and overshoots (`Slosh`), so a part of the angle is
+    reserved for sloshing. If the first mode still reaches the rim, the motion is slowed down until it does not.
 
     Args:
-        share: Part of the angle that the fill allows which tilt and acceleration may use, above 0 and at most 1; less
-            where sloshing needs the rest. Where start or goal need more, they get more.
+        share: Fraction of that angle that tilt and acceleration may use, above 0 and at most 1; less where sloshing
+            needs the rest. It is raised where start or goal need more.
     """
 
     share: float = 0.75
@@ -59,40 +59,40 @@ class KeepContents(FeltConstraint):
             raise SettingError("share", self.share, "above 0 and at most 1")
 
     def rule(self, scene: Scene) -> ContentsRule:
-        """Return what has to hold in a scene; raise if nothing is carried in a vessel."""
+        """Return the rule for a scene; raise if no vessel with contents is carried."""
         return ContentsRule(name=self.name, vessel=_vessel(scene))
 
     def around(self, q: Float[Array, "n nq"], scene: Scene) -> KeepContents:
-        """Return one with room for some configurations, as far as they are allowed: ends that are tilted further."""
+        """Return a constraint whose share also admits the given configurations, up to a share of 1."""
         needed = self.needed(q, scene)
         return self if needed <= self.share else KeepContents(needed)
 
     def needed(self, q: Float[Array, "n nq"], scene: Scene) -> float:
-        """Return the share that some configurations need."""
+        """Return the share that the tilts of the given configurations need, at most 1."""
         upright = self.upright(scene)
         tilt = float(axis_residual(StateBatch(scene, q), upright).max()) + upright.angle
         return min(1.0, (tilt + _ROOM) / (_AT_REST * min(_vessel(scene).brim_tilt, _STEEPEST)))
 
     def at_most(self, share: float) -> KeepContents:
-        """Return one that uses no more than some share."""
+        """Return a constraint with this share or the present one, whichever is less."""
         return self if self.share <= share else KeepContents(share)
 
     def upright(self, scene: Scene) -> AxisRule:
-        """Return what planners have to hold in every configuration: that the vessel is not tilted too much."""
+        """Return the tilt limit at rest, which planners enforce in every configuration."""
         x, y, z = _vessel(scene).axis.tolist()
         angle = _AT_REST * self.felt_angle(scene)
         return AxisRule(name=self.name, frame="object", axis=(x, y, z), direction=(0.0, 0.0, 1.0), angle=angle)
 
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
-        """Return the same for the core."""
+        """Return the tilt limit at rest, for the core."""
         return (self.upright(scene),)
 
     def felt_angle(self, scene: Scene) -> float:
-        """Return the largest angle between the vessel's axis and what is felt in it, sloshing aside [rad]."""
+        """Return the largest angle between the vessel's axis and the specific force, sloshing excluded [rad]."""
         return self.share * min(_vessel(scene).brim_tilt, _STEEPEST)
 
     def felt(self, scene: Scene) -> FeltCone:
-        """Return what has to hold for what is felt in the vessel, in motion."""
+        """Return the limits on the specific force in the vessel during a motion."""
         vessel, robot = _vessel(scene), compile_scene(scene).robot
         gravity = -float(scene.model.opt.gravity[2])
         X_LO = frame_in_link(scene, robot, "object")
@@ -109,17 +109,17 @@ class KeepContents(FeltConstraint):
         )
 
     def _heave(self, vessel: Vessel) -> float:
-        """Return what may be felt along the axis beyond gravity, or less, so that what goes astray stays in [g]."""
+        """Return the largest axial deviation from 1 g [g] for which tracking error spills nothing."""
         brim = min(vessel.brim_tilt, _STEEPEST)
         return max(float(np.tan(brim) - np.tan(self.share * brim)) / _ASTRAY, _LEAST_HEAVE)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return by how much the vessel is tilted too much at rest [rad]."""
+        """Return the tilt at rest minus its limit [rad]."""
         brim = _AT_REST * min(_vessel(batch.scene).brim_tilt, _STEEPEST)
         return axis_residual(batch, replace(self.upright(batch.scene), angle=brim))
 
     def told(self, residual: float) -> str:
-        """Say in words how far outside a state is."""
+        """Describe a violation for messages."""
         return f"{self.name}: the vessel is tilted by {np.rad2deg(residual):.1f} degrees more than its fill allows"
 
 

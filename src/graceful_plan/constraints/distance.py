@@ -1,4 +1,4 @@
-"""Distance to keep from an entity."""
+"""Constraint that keeps a distance from an entity."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _FAR = 1e3
-"""Where there is nothing to be near to [m]."""
+"""Distance to report where nothing is near [m]."""
 
 
 @final
 @dataclass(frozen=True)
 class KeepDistance(Constraint):
-    """Robot and carried object stay away from an entity.
+    """Keep robot and carried object at a distance from an entity.
 
     Args:
-        entity: Name of an entity that stands still.
+        entity: Name of a static entity.
         metres: Least distance [m], above 0.
     """
 
@@ -42,23 +42,23 @@ class KeepDistance(Constraint):
             raise SettingError("metres", self.metres, "a finite distance above 0 m")
 
     def rule(self, scene: Scene) -> DistanceRule:
-        """Return what has to hold in a scene; raise if it has no such entity."""
+        """Return the rule for a scene; raise if the scene has no such entity."""
         if self.entity not in scene.entities:
             raise UnknownNameError("entity", self.entity, scene.entities)
         return DistanceRule(name=self.name, entity=self.entity, metres=self.metres)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return how much too near the entity is [m], by the spheres that stand for the robot."""
+        """Return the least distance minus the actual one [m], measured with the robot's collision spheres."""
         return np.maximum(self.metres - distance_kernels(batch.scene, self.entity).clearance(batch.q), -_FAR)
 
     def told(self, residual: float) -> str:
-        """Say in words how far outside a state is."""
+        """Describe a violation for messages."""
         return f"{self.name}: {1e3 * residual:.3g} mm nearer to {self.entity!r} than the {self.metres:g} m to be kept"
 
 
 @per_scene
 def distance_kernels(scene: Scene, entity: str) -> Kernels:
-    """Return kernels for which an entity is all that stands around: their clearance is the distance from it."""
+    """Return kernels whose only obstacle is the entity, so that their clearance is the distance from it."""
     compiled = compile_scene(scene)
     world = compiled.world
     mine = np.isin(world.geom, list(scene.entities[entity].geoms))

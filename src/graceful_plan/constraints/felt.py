@@ -1,9 +1,10 @@
-r"""What is felt where something is carried, as limits on how fast a curve is travelled.
+r"""Limits on the specific force that a carried object feels, as limits on path speed and path acceleration.
 
-A point that moves by p' per unit of a curve's parameter s is accelerated by :math:`p'\ddot s + p''\dot s^2`: linear in
-path acceleration and squared path speed, the form that TOPP-RA takes. What is felt there is that acceleration less
-gravity. Facets around an axis hold it inside a pyramid that stands for a cone about the axis: what is level at rest
-stays level for what is carried. Facets with room hold it below what a grasp can carry.
+A point that moves by p' per unit of a curve's parameter s has the acceleration :math:`p'\ddot s + p''\dot s^2`. This
+is linear in path acceleration and squared path speed, the form that TOPP-RA takes. The specific force at the point is
+its acceleration minus gravity: the reading of an accelerometer there, called *felt* in this package. It is limited by
+facets, half-spaces v f <= room. A pyramid of facets inscribed in a cone keeps it close to an axis, so that a level
+object stays level in the accelerated frame. Facets with a bound above 0 keep it below the load that a grasp can carry.
 
 References:
     J. Ichnowski et al., "GOMP-FIT: Grasp-Optimized Motion Planning for Fast Inertial Transport", ICRA 2022.
@@ -29,45 +30,47 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 FACETS = 8
-"""Sides of the pyramid, inscribed in the cone: it takes at most 1 - cos(pi / 8), 8 %, of the tangent."""
+"""Sides of the pyramid inscribed in the cone: at worst it reduces the tangent by 1 - cos(pi / 8), 8 %."""
 _HARDEST = 1.7
-"""Of gravity, what may be felt. A change of velocity of 0.7 m/s within 0.03 s, 2.4 times gravity, throws contents out
-in FailBench, and what fingers hold swings: planned with up to 1.84, the glass of bedside/bring_water felt more."""
+"""Largest specific force at the edge of the cone [g]. In FailBench, a change of velocity of 0.7 m/s within 0.03 s (2.4
+g) throws contents out. Objects between fingers also swing: with a planned limit of 1.84, the glass of
+bedside/bring_water exceeded it."""
 _MILDEST = 1.2
-"""The same along the axis of a wide cone: at rest gravity has to be within it."""
+"""Lower limit of the axial bound, for wide cones [g]: gravity at rest must satisfy it."""
 _LIGHTEST, _OF_REST = 0.5, 0.7
-"""Of gravity, what is felt along the axis at least; no more than a share of what the cone leaves at rest. Near free
-fall the direction is up to any small error of the robot: one in four fast motions with a wine glass poured half of it.
+"""Least axial specific force [g], and its upper limit as a fraction of the axial component at the edge of the cone.
+Near free fall a small error of the robot can turn the direction anywhere: one in four fast motions with a wine glass
+poured out half of it.
 """
 _SELDOM_FELT = 40.0
-"""More than this is hardly felt where something is carried [m/s^2]: to hold such facets is left to timing, for descents
-take time for each."""
+"""Bound of a facet [m/s^2] above which only timing enforces it: specific forces are rarely that large, and each facet
+costs descent time."""
 _KEPT = 32
-"""Constraints of a scene whose limits are kept; ends that are tilted further make new ones."""
+"""Constraints per scene whose limits are cached; each tilted start or goal adds a new one."""
 _BELOW = 0.97
-"""Of the tilt that brings the surface to the rim, what the sloshing surface may have: others sample it elsewhere."""
+"""Fraction of the brim tilt that the sloshing surface may reach in timing: checkers sample it at other times."""
 _AIMED = 0.92
-"""The same in descents: what is charged ends a little beyond its limit."""
+"""The same fraction in descents, where a penalised limit is exceeded a little."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class FeltCone:
-    """What is felt at a point stays within an angle of an axis.
+    """Limits that keep the specific force at a point within an angle of an axis.
 
     | field   | meaning                                        | unit  | shape |
     |---------|------------------------------------------------|-------|-------|
-    | name    | of the constraint that asks for it             |       |       |
-    | link    | link that the point rides on                   |       |       |
+    | name    | of the constraint                              |       |       |
+    | link    | link to which the point is fixed               |       |       |
     | point   | in the link                                    | m     | 3     |
     | axis    | unit axis in the link                          |       | 3     |
-    | angle   | largest angle, below a right one               | rad   |       |
+    | angle   | largest angle, below pi / 2                    | rad   |       |
     | gravity |                                                | m/s^2 |       |
-    | slosh   | of a liquid there; None if it is none          |       |       |
+    | slosh   | first mode of a liquid there; None if none     |       |       |
     | brim    | angle between axis and surface normal at which |       |       |
     |         | contents spill; None if there are none         | rad   |       |
-    | heave   | share of gravity by which what is felt along   |       |       |
-    |         | the axis may differ from it                    |       |       |
+    | heave   | largest difference between the axial specific  |       |       |
+    |         | force and gravity, as a fraction of gravity    |       |       |
     """
 
     name: str
@@ -82,7 +85,7 @@ class FeltCone:
 
     @cached_property
     def facets(self) -> Float[Array, "facet xyz"]:
-        """Vectors v in the link, around the pyramid and along its axis: v times what is felt is at most `room`."""
+        """Facet vectors v in the link, so that v f <= `room`: the pyramid's sides, then +axis and -axis."""
         first = np.cross(self.axis, np.eye(3)[np.argmin(np.abs(self.axis))])
         first /= np.linalg.norm(first)
         turn = 2.0 * np.pi * np.arange(FACETS) / FACETS
@@ -92,7 +95,7 @@ class FeltCone:
 
     @cached_property
     def room(self) -> Float[Array, " facet"]:
-        """What v times what is felt may be at most [m/s^2]: nothing across the pyramid, a range along its axis."""
+        """Bound of each facet [m/s^2]: 0 for the sides of the pyramid, a range along the axis."""
         upright = float(np.cos(self.angle))
         most = min(max(_HARDEST * upright, _MILDEST), 1.0 + self.heave)
         least = max(min(_LIGHTEST, _OF_REST * upright), upright - self.heave)
@@ -100,16 +103,16 @@ class FeltCone:
 
     @cached_property
     def native(self) -> _native.FeltLimit:
-        """The same for descents of motions."""
+        """The limit for descents of motions."""
         return self._limit(_AIMED if self.slosh is not None else None)
 
     @cached_property
     def timed(self) -> _native.FeltLimit:
-        """The same for timing."""
+        """The limit for timing."""
         return self._limit(_BELOW)
 
     def _limit(self, part: float | None) -> _native.FeltLimit:
-        """Return the limit for the core; the surface stays within some part of the brim's angle, if any is given."""
+        """Return the limit for the core, with the surface limited to `part` of the brim tilt unless that is None."""
         facets = np.ascontiguousarray(self.facets)
         if part is None or self.brim is None:
             return _native.FeltLimit(
@@ -131,12 +134,12 @@ class FeltCone:
 @final
 @dataclass(frozen=True, eq=False)
 class FeltLoad:
-    """What is felt at a point stays small enough: facets times it at most `room`.
+    """Limits of the specific force f at a point along given directions: each facet times f is at most its `room`.
 
     | field   | meaning                            | unit  | shape     |
     |---------|------------------------------------|-------|-----------|
-    | name    | of the constraint that asks for it |       |           |
-    | link    | link that the point rides on       |       |           |
+    | name    | of the constraint                  |       |           |
+    | link    | link to which the point is fixed   |       |           |
     | point   | in the link                        | m     | 3         |
     | facets  | unit vectors in the link           |       | facet 3   |
     | room    | above 0                            | m/s^2 | facet     |
@@ -152,13 +155,13 @@ class FeltLoad:
 
     @cached_property
     def native(self) -> _native.FeltLimit | None:
-        """The same for descents of motions; None where they have no reason to look."""
+        """The limit for descents of motions; None if no facet is likely to be active."""
         often = self.room < _SELDOM_FELT
         return self._limit(often) if often.any() else None
 
     @cached_property
     def timed(self) -> _native.FeltLimit:
-        """The same for timing."""
+        """The limit for timing."""
         return self._limit(np.ones(len(self.room), dtype=bool))
 
     def _limit(self, kept: Bool[Array, " facet"]) -> _native.FeltLimit:
@@ -170,28 +173,28 @@ Felt = FeltCone | FeltLoad
 
 
 class FeltConstraint(Constraint):
-    """Base of constraints on what is felt where something is carried, at rest and in motion."""
+    """Base class of constraints on the specific force of a carried object, at rest and in motion."""
 
     @abstractmethod
     def felt(self, scene: Scene) -> Felt:
-        """Return what has to hold in motion."""
+        """Return the limits in motion."""
 
     def around(self, q: Float[Array, "n nq"], scene: Scene) -> FeltConstraint:
-        """Return one with room for some configurations, as far as they are allowed."""
+        """Return a constraint relaxed, where it can be, to admit the given configurations."""
         return self
 
     @abstractmethod
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
-        """Return what has to hold in every configuration, at rest: all that the core has to check."""
+        """Return the axis rules that imply the constraint at rest, for the core to check in every configuration."""
 
 
 @per_layout(most=_KEPT)
 def felt_in(scene: Scene, constraint: FeltConstraint) -> Felt:
-    """Return what has to hold in motion in a scene; computed once."""
+    """Return the limits of a constraint in motion; cached per scene."""
     return constraint.felt(scene)
 
 
 @per_layout(most=_KEPT)
 def resting_in(scene: Scene, constraint: FeltConstraint) -> tuple[AxisRule, ...]:
-    """Return what has to hold in every configuration of a scene; computed once."""
+    """Return the axis rules of a constraint at rest; cached per scene."""
     return constraint.resting(scene)

@@ -1,14 +1,15 @@
-r"""What is held stays in the grasp: friction and pressure of two pads carry its weight and its inertia.
+r"""Constraint that a held object stays in the grasp: two pads carry its weight and inertia by friction and pressure.
 
-What is carried has mass m and feels f, its acceleration less gravity, at its centre of mass r from the grasp. The pads
-carry the force m f and the moment r x m f; what the object's own turning needs is left out. On each pad the tangential
-force t and the torque T about the closing axis stay inside the ellipsoid of a soft finger,
+The carried object has mass m and specific force f (acceleration minus gravity) at its centre of mass, at r from the
+grasp. The pads carry the force m f and the moment r x m f; the object's own rotational inertia is neglected. On each
+pad, the tangential force t and the torque T about the closing axis stay inside the ellipsoid of a soft finger,
 
 .. math:: (t / \mu)^2 + (T / \mu_T)^2 \le N^2
 
-with N half of what both fingers press with, more or less by half of the load along the closing axis. The moments about
-the two other axes are carried by friction to opposite sides on both pads, or by pressure that shifts to the rim of what
-they touch: by what carries more. All of that is linear in f but the ellipsoid; flat facets inside of it stand for it.
+where N is half the total grip force, plus or minus half the load along the closing axis. Moments about the two other
+axes are carried either by friction in opposite directions on the two pads, or by pressure that shifts to the rim of
+the contact area, whichever carries more. Everything but the ellipsoid is linear in f; flat facets inscribed in the
+ellipsoid approximate it.
 
 References:
     R. Howe and M. Cutkosky, "Practical Force-Motion Models for Sliding Manipulation", IJRR 1996: the ellipsoid.
@@ -39,27 +40,27 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _AT_REST = 0.95
-"""Of what the pads may carry, what they may at rest: there has to be room for a motion."""
+"""Fraction of the pads' capacity that the load may use at rest; the rest is left for accelerations."""
 _ROOM = 0.01
-"""Of what the pads can carry, what a motion may use beyond what an end needs."""
+"""Capacity that a motion may use beyond the need of its start or goal, as a fraction of the pads' capacity."""
 _FLAT = 1e-9
-"""Singular values of the load below this share of the greatest are none."""
+"""Singular values of the load below this fraction of the largest count as 0."""
 _KEPT = 8
-"""Grips of a scene whose facets are kept."""
+"""Grips per scene whose facets are cached."""
 _SIDES = 12
-"""Of the polygon that stands for an ellipse: it takes at most 1 - cos(pi / 12), 3 %."""
+"""Sides of the polygon inscribed in an ellipse: at worst it reduces the radius by 1 - cos(pi / 12), 3 %."""
 
 
 @final
 @dataclass(frozen=True)
 class GraspHolds(FeltConstraint):
-    """A healthy robot does not lose what it holds: friction of both pads carries weight and inertia.
+    """Keep the load on a grasp within what friction and pressure of two pads can carry, for a healthy robot.
 
     Args:
-        friction: Coefficient between pads and object; the model's by default. Torsion grows with it.
-        force: What both fingers press with together [N]; by default what the model's drives can.
-        share: Part of what the pads can carry that the motion may use, above 0 and at most 1. Where start or goal need
-            more, they get more.
+        friction: Coefficient between pads and object; by default that of the model. Torsional friction scales with it.
+        force: Total force with which both fingers press [N]; by default the limit of the model's drives.
+        share: Fraction of the pads' capacity that the motion may use, above 0 and at most 1. It is raised where start
+            or goal need more.
     """
 
     friction: float | None = None
@@ -75,20 +76,20 @@ class GraspHolds(FeltConstraint):
             raise SettingError("share", self.share, "above 0 and at most 1")
 
     def rule(self, scene: Scene) -> GripRule:
-        """Return what has to hold in a scene; raise if nothing is held between two pads there."""
+        """Return the rule for a scene; raise if nothing is held between two pads."""
         return GripRule(name=self.name, grip=self.grip(scene), share=1.0)
 
     def around(self, q: Float[Array, "n nq"], scene: Scene) -> GraspHolds:
-        """Return one with room for some configurations, as far as pads hold at all there."""
+        """Return a constraint whose share also admits the given configurations, up to a share of 1."""
         needed = float(self._resting_load(StateBatch(scene, q)).max()) / _AT_REST + _ROOM
         return self if needed <= self.share else replace(self, share=min(needed, 1.0))
 
     def grip(self, scene: Scene) -> Grip:
-        """Return how the object is held.
+        """Return the geometry and capacity of the grasp.
 
         Raises:
-            UnsupportedError: If it is not held between two pads.
-            SettingError: If the model does not say how much the fingers press.
+            UnsupportedError: If the object is not held between two pads.
+            SettingError: If the model does not define the grip force.
         """
         grip = find_grip(scene)
         if self.force is None and np.isnan(grip.force):
@@ -98,7 +99,7 @@ class GraspHolds(FeltConstraint):
         return replace(grip, friction=friction, torsion=grip.torsion * friction / grip.friction, force=force)
 
     def felt(self, scene: Scene) -> FeltLoad:
-        """Return what has to hold for what is felt at the centre of mass of what is carried."""
+        """Return the limits of the specific force at the carried object's centre of mass."""
         robot = compile_scene(scene).robot
         X_LO = frame_in_link(scene, robot, "object")
         grip = self.grip(scene)
@@ -113,7 +114,7 @@ class GraspHolds(FeltConstraint):
         )
 
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
-        """Return what has to hold in every configuration: each facet holds the vertical inside of a cone."""
+        """Return the limits at rest: each facet keeps the vertical outside of a cone around its direction."""
         gravity = -float(scene.model.opt.gravity[2])
         facets, room = _facets(scene, self.friction, self.force)
         cosine = _AT_REST * self.share * room / gravity
@@ -130,18 +131,18 @@ class GraspHolds(FeltConstraint):
         )
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return by how much the load at rest exceeds what the pads may carry, as a share of what they can."""
+        """Return the load at rest minus its limit, as a fraction of the pads' capacity."""
         return self._resting_load(batch) - _AT_REST
 
     def _resting_load(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return the load as a share of what the pads can carry."""
+        """Return the load at rest as a fraction of the pads' capacity."""
         gravity = -float(batch.scene.model.opt.gravity[2])
         facets, room = _facets(batch.scene, self.friction, self.force)
         load = np.einsum("fi,ni->nf", facets, batch.object_poses[:, 2, :3]) * gravity / room
         return load.max(axis=1)
 
     def told(self, residual: float) -> str:
-        """Say in words how far outside a state is."""
+        """Describe a violation for messages."""
         load = residual + _AT_REST
         return f"{self.name}: at rest the load is {load:.2f} of what the fingers hold, {_AT_REST:.2f} is allowed"
 
@@ -150,12 +151,12 @@ class GraspHolds(FeltConstraint):
 def _facets(
     scene: Scene, friction: float | None, force: float | None
 ) -> tuple[Float[Array, "facet xyz"], Float[Array, " facet"]]:
-    """Return `load_facets` of how an object is held; computed once."""
+    """Return `load_facets` of a scene's grasp; cached."""
     return load_facets(GraspHolds(friction, force).grip(scene))
 
 
 def load_facets(grip: Grip) -> tuple[Float[Array, "facet xyz"], Float[Array, " facet"]]:
-    """Return unit vectors in the frame of the carried body, and how much may be felt along each [m/s^2]."""
+    """Return facets as unit vectors in the frame of the carried body, and the specific force each allows [m/s^2]."""
     moments, m, force = grip.moments, grip.mass, grip.force
     closing, h = m * grip.axes[0] / force, grip.half[0]
     rows = []
@@ -180,13 +181,13 @@ def load_facets(grip: Grip) -> tuple[Float[Array, "facet xyz"], Float[Array, " f
 
 
 def _ball_facets(A: Float[Array, "row xyz"]) -> Float[Array, "facet xyz"]:
-    """Return vectors w such that w f is at most 1 for all of them only where A f is inside the unit ball."""
+    """Return vectors w for which w f <= 1 implies that A f is inside the unit ball."""
     _, size, axes = np.linalg.svd(A)
     size, axes = size[size > _FLAT * size[0]], axes[: int((size > _FLAT * size[0]).sum())]
     if len(size) == 3:
         around = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
         around /= np.linalg.norm(around, axis=1, keepdims=True)
-        # Where an edge, a face diagonal and a space diagonal of the cube are equally far.
+        # At this scale, edge, face diagonal and space diagonal of the cube are equally far from the nearest vertex.
         inscribed = (1.0 + (2.0**0.5 - 1.0) ** 2 + (3.0**0.5 - 2.0**0.5) ** 2) ** -0.5
     elif len(size) == 2:
         turn = 2.0 * np.pi * np.arange(_SIDES) / _SIDES

@@ -1,4 +1,4 @@
-"""Constraints in a scene: kernels that check what the core can, questions to the others, limits on timing."""
+"""Constraints bound to a scene: kernels for those that the core checks, Python checks for others, timing limits."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _CAREFUL = 0.6
-"""Of the angle that keeps contents in, what searches and the first descents leave to what is felt, not to sloshing."""
+"""Fraction of the brim tilt that the specific force may use in searches and first descents; sloshing gets the rest."""
 _SHARES = (0.65, 0.6, 0.55, 0.5, 0.45, 0.4, 0.3)
-"""The same of timings, one after the other, after the share that was asked for."""
+"""Fractions of the brim tilt that timing tries in turn, after the constraint's own share."""
 
 
 @final
 class SceneConstraints:
-    """What has to hold along a motion in a scene.
+    """The constraints on a motion in a scene, ready for planners and timing.
 
     Args:
         scene: The scene.
-        constraints: What was asked for.
-        share: Of the angle that keeps contents in, what searches and descents leave to what is felt at most.
+        constraints: The constraints to enforce.
+        share: Largest fraction of the brim tilt that the specific force may use in searches and descents.
 
     Raises:
-        SettingError: If one of them is no constraint.
-        GracefulPlanError: If one cannot be asked for in this scene.
+        SettingError: If an element of `constraints` is not a constraint.
+        GracefulPlanError: If a constraint does not apply to the scene.
     """
 
     def __init__(self, scene: Scene, constraints: Iterable[Constraint], share: float = _CAREFUL) -> None:
@@ -59,40 +59,40 @@ class SceneConstraints:
                 raise SettingError("constraints", constraint, "graceful_plan.Constraint objects, such as Upright()")
         rules = [(constraint, constraint.rule(scene)) for constraint in self.constraints]
         self.custom = tuple(constraint for constraint, rule in rules if isinstance(rule, CustomRule))
-        """Those that only Python can check."""
+        """Constraints that only Python can check."""
         self.keepers = tuple(c for c in self.constraints if isinstance(c, KeepContents))
         carrying = self._carrying(share)
         self.felt = tuple(felt_in(scene, c) for c in carrying)
-        """What has to hold for what is felt where something is carried."""
+        """Limits on the specific force of the carried object."""
         self.charged = tuple(limit for felt in self.felt if (limit := felt.native) is not None)
-        """The part of it that descents of motions charge for; timing keeps all of it."""
+        """The subset of these limits that descents penalise; timing enforces all of them."""
         self.level = any(isinstance(felt, FeltCone) for felt in self.felt)
-        """Whether something that is carried has to stay level."""
+        """Whether a constraint keeps part of the carried object level."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in resting_in(scene, c)]
         self._bounds = bounds_of(scene, [*(rule for _, rule in rules), *resting])
         self.kernels: Kernels = bounded_kernels(scene, self._bounds)
-        """The scene's kernels, which also check what the core can."""
+        """The scene's kernels, extended by all constraints that the core can check."""
 
     def objections(self, q: Float[Array, " nq"]) -> list[str]:
-        """Say what does not hold in a configuration."""
+        """Return a message for each constraint that a configuration violates."""
         batch = StateBatch(self.scene, q[None])
         found = ((c, float(checked_residual(c, batch)[0])) for c in self.constraints)
         return [c.told(residual) for c, residual in found if residual > 0.0]
 
     def holds(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell in which configurations nothing is to be objected."""
+        """Return whether each configuration satisfies all constraints."""
         batch = StateBatch(self.scene, q)
         met = [checked_residual(constraint, batch) <= 0.0 for constraint in self.constraints]
         return np.all(met, axis=0) if met else np.ones(len(q), dtype=bool)
 
     def clearance(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Return how far configurations are from touching or breaking anything, in terms of clearance [m]."""
+        """Return the distance of each configuration from collision or violation, as clearance [m]."""
         clearance = self.kernels.clearance(q)
         return np.minimum(clearance, self.custom_clearance(q)[0]) if self.custom else clearance
 
     def with_room(self, room: float) -> Kernels:
-        """Return `kernels` that keep a distance from all obstacles besides [m]; the rules are as they are."""
+        """Return `kernels` that keep an additional clearance from all obstacles [m]; rules are unchanged."""
         return bounded_kernels(self.scene, self._bounds, room)
 
     def on(self, scene: Scene) -> SceneConstraints:
@@ -100,14 +100,14 @@ class SceneConstraints:
         return SceneConstraints(scene, self.constraints, self._share)
 
     def around(self, q: Float[Array, "n nq"]) -> SceneConstraints:
-        """Return constraints with room for some configurations in which they hold."""
+        """Return constraints relaxed, where they allow it, to admit the given configurations."""
         fitted = tuple(c.around(q, self.scene) if isinstance(c, FeltConstraint) else c for c in self.constraints)
         share = max([self._share, *(keeper.needed(q, self.scene) for keeper in self.keepers)])
         same = fitted == self.constraints and share == self._share
         return self if same else SceneConstraints(self.scene, fitted, share)
 
     def custom_clearance(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
-        """Return how far inside of all custom constraints configurations are, as clearance [m], and its gradient."""
+        """Return the least clearance of each configuration from violating a custom constraint [m], and its gradient."""
         batch = StateBatch(self.scene, q)
         least, gradient = np.full(len(q), np.inf), np.zeros_like(q)
         for constraint in self.custom:
@@ -120,31 +120,32 @@ class SceneConstraints:
         return least, gradient
 
     def custom_holds(self, q: Float[Array, "n nq"], margin: float) -> Bool[Array, " n"]:
-        """Tell in which configurations all custom constraints hold with a margin in terms of clearance [m]."""
+        """Return whether each configuration satisfies all custom constraints with a margin, as clearance [m]."""
         batch, holds = StateBatch(self.scene, q), np.ones(len(q), dtype=bool)
         for constraint in self.custom:
             holds &= -constraint.lever * checked_residual(constraint, batch) >= margin
         return holds
 
     def timed(self, curve: Curve, *, speed: float = 1.0, slower: Restraint | None = None) -> Trajectory:
-        """Time a curve so that all limits hold along it and what sloshes in what is carried stays in.
+        """Time a curve such that all limits hold along it and no contents spill.
 
-        A surface swings beyond what is felt, how far depends on the curve: less and less of the angle is left to what
-        is felt until the surface stays below the rim. Where that does not help the motion is slowed down as a whole.
+        A liquid surface swings beyond the direction of the specific force, by an amount that depends on the curve.
+        Timing therefore reduces the angle left to the specific force step by step until the surface stays below the
+        rim. If the last step does not suffice, the whole motion is slowed down.
 
         Args:
             curve: The curve.
-            speed: Of the limits; see `retime`.
+            speed: Fraction of the limits to use; see `retime`.
             slower: Further limits on path acceleration and speed.
 
         Raises:
-            RetimingError: If something does not even hold at rest somewhere along the curve.
+            RetimingError: If a limit is violated even at rest somewhere along the curve.
         """
         restraint, limits = self._restraint(slower), self.scene.limits
         return timed(curve, limits, self.scene.joints, speed=speed, restraint=restraint, felt=self.felt_levels)
 
     def retimed(self, path: Path, *, deviation: float | Float[Array, " corner"], speed: float = 1.0) -> Trajectory:
-        """Time a polyline in the same way, its corners cut by so much; see `retime`."""
+        """Time a polyline as `timed` does, with its corners cut by up to `deviation`; see `retime`."""
         return retime(
             path,
             self.scene.limits,
@@ -157,7 +158,7 @@ class SceneConstraints:
 
     @cached_property
     def felt_levels(self) -> FeltLevels | None:
-        """Limits that leave less and less of the angle to what is felt in vessels; None where nothing is felt."""
+        """Limits on the specific force, with a smaller share of the brim tilt at each level; None if there are none."""
         if not self.felt:
             return None
         levels = [self.felt]
@@ -169,7 +170,7 @@ class SceneConstraints:
         return FeltLevels(self.kernels.core, names, tuple(tuple(felt.timed for felt in level) for level in levels))
 
     def _restraint(self, slower: Restraint | None) -> Restraint | None:
-        """Return what else restrains path acceleration and speed."""
+        """Return the other limits on path acceleration and speed: of the caller, the tool and the base."""
         own: list[Restraint] = [] if slower is None else [slower]
         if self._speeds:
             own.append(lambda grid: speed_limits(self._speeds, self.scene, grid))
@@ -178,16 +179,16 @@ class SceneConstraints:
         return (lambda grid: np.concatenate([limits(grid) for limits in own], axis=1)) if own else None
 
     def _carrying(self, share: float) -> list[FeltConstraint]:
-        """Return constraints on what is felt, with some share of the angle at most for contents."""
+        """Return the constraints on specific force, with the share of contents limited to `share`."""
         fitted = [c.at_most(share) if isinstance(c, KeepContents) else c for c in self.constraints]
         return [c for c in fitted if isinstance(c, FeltConstraint)]
 
 
 def default_constraints(scene: Scene) -> tuple[Constraint, ...]:
-    """Return what holds unless a call says otherwise.
+    """Return the constraints that apply by default.
 
-    That is what the scene asks for, that the contents of what is carried are kept, and that a grasp between two pads
-    that the model describes, and that holds in the scene's home configuration, holds on the way.
+    These are the constraints that the scene declares; that contents stay in the carried vessel; and that the grasp
+    holds, provided that the model describes a grasp between two pads that holds in the scene's home configuration.
     """
     declared = tuple(asked for asked in scene.notes.constraints if isinstance(asked, Constraint))
     asked = {type(constraint) for constraint in declared}
@@ -201,14 +202,14 @@ def _unasked(scene: Scene) -> tuple[Constraint, ...]:
 
 
 def _held(scene: Scene) -> tuple[GraspHolds, ...]:
-    """Return that the grasp holds, if the model says with what force, and that it does at home."""
+    """Return the grasp constraint if the model defines the grip force and the grasp holds at home."""
     load = _load_at_home(scene)
     return () if load is None or load > 0.0 else (GraspHolds(),)
 
 
 @per_layout
 def not_held(scene: Scene) -> tuple[str, ...]:
-    """Say so where a grasp that the model describes does not even hold at home, so that nothing is asked of it."""
+    """Return a warning if the model's grasp does not hold even at home, in which case it is not constrained."""
     load = _load_at_home(scene)
     if load is None or load <= 0.0 or scene.carried is None:
         return ()
@@ -216,7 +217,7 @@ def not_held(scene: Scene) -> tuple[str, ...]:
 
 
 def _load_at_home(scene: Scene) -> float | None:
-    """Return the residual of the grasp at home; None if the model does not describe one between two pads."""
+    """Return the residual of the grasp at home; None if the model does not describe a grasp between two pads."""
     if scene.carried is None:
         return None
     try:

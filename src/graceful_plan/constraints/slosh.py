@@ -1,10 +1,10 @@
-r"""Sloshing: how the surface of a liquid lags behind what is felt, and overshoots.
+r"""Sloshing: a pendulum model of how a liquid's surface lags behind the specific force and overshoots.
 
-The first antisymmetric mode of a liquid in an upright cylinder moves like a pendulum that hangs in it:
+The first antisymmetric mode of a liquid in an upright cylinder moves like a pendulum suspended in it:
 
 .. math:: l = \frac{R}{1.841 \tanh(1.841 h / R)}, \qquad \omega^2 = g / l
 
-and the surface is about a plane across the pendulum. Higher modes are left out.
+The surface is approximately a plane perpendicular to the pendulum. Higher modes are neglected.
 
 References:
     H. Abramson (ed.), "The Dynamic Behavior of Liquids in Moving Containers", NASA SP-106, 1966: frequencies, and the
@@ -24,13 +24,13 @@ from graceful_plan.scene.rules.vessel import Vessel
 _ROOT = 1.841
 """First zero of the derivative of the Bessel function J_1."""
 _VISCOSITY = 1e-6
-"""Of water [m^2/s]: of what is carried, least damped."""
+"""Kinematic viscosity of water [m^2/s], the least damped of the usual contents."""
 
 
 @final
 @dataclass(frozen=True)
 class Slosh:
-    """The first mode of a liquid in a vessel.
+    """The first sloshing mode of a liquid in a vessel.
 
     | field     | meaning                         | unit  |
     |-----------|---------------------------------|-------|
@@ -45,7 +45,7 @@ class Slosh:
 
     @classmethod
     def of(cls, vessel: Vessel, gravity: float) -> Slosh:
-        """Return that of a vessel's contents, round about its axis."""
+        """Return the mode of a vessel's contents for small angles around the vessel's axis."""
         R = vessel.radius
         depth = vessel.volume / (np.pi * R**2)
         length = float(R / (_ROOT * np.tanh(_ROOT * depth / R)))
@@ -54,5 +54,5 @@ class Slosh:
 
     @property
     def drag(self) -> float:
-        """Of the pendulum's velocity [1/s]."""
+        """Damping rate of the pendulum's velocity [1/s]."""
         return 2.0 * self.damping * self.frequency

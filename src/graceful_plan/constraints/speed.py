@@ -1,4 +1,4 @@
-"""How fast the tool may go, as limits on how fast a curve is travelled."""
+"""Limits of the tool's speed, as limits on the path speed of a curve."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from graceful_plan.timing.blend import CurveGrid
 Array = np.ndarray
 
 _RESERVE = 0.99
-"""Of the limit: between grid points the tool may be a little faster."""
+"""Fraction of the limit to use: the tool may be slightly faster between grid points."""
 
 
 def speed_limits(rules: Sequence[SpeedRule], scene: Scene, grid: CurveGrid) -> Float[Array, "interval limit 3"]:
-    """Return limits 0 u + b x <= c at both ends of each interval; where a rule does not hold, b is 0."""
+    """Return limits 0 u + b x <= c at both ends of each interval; b is 0 where a rule does not apply."""
     rows = [np.zeros((len(grid.s) - 1, 0, 3))]
     robot, kernels = compile_scene(scene).robot, compile_scene(scene).kernels
     steps = np.diff(grid.s)

@@ -1,8 +1,9 @@
-"""What stands loose on what is carried neither slides nor tips: a cake on a tray, a cup on a saucer.
+"""Constraint that a loose load on the carried object neither slides nor tips: a cake on a tray, a cup on a saucer.
 
-What it feels, its acceleration less gravity, stays within an angle of the axis that points up from what it stands on:
-the angle of friction, and the one at which it tips over the rim of its base. That holds at rest, as a tilt, and in
-motion. Its own turning is left out, and so is whatever stands on top of it.
+The specific force of the load (acceleration minus gravity) stays within an angle of the upward normal of its support.
+The angle is the lesser of the friction angle and the angle at which the load tips over the rim of its base. It limits
+the tilt at rest and the accelerations in motion. The load's rotational inertia is neglected, as is anything on top of
+the load.
 """
 
 from __future__ import annotations
@@ -29,23 +30,23 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _AT_REST = 0.9
-"""Of the angle, what the tilt may use at rest: the motion needs the others."""
+"""Fraction of the angle that the tilt may use at rest; the rest is left for accelerations."""
 _KEPT = 8
-"""Such constraints of a scene whose rules are kept."""
+"""Constraints per scene whose rules are cached."""
 
 
 @final
 @dataclass(frozen=True)
 class KeepStanding(FeltConstraint):
-    """What stands loose on what is carried neither slides nor tips.
+    """Keep a loose load on the carried object from sliding and tipping.
 
     Args:
-        load: Name of the geom of the carried object that stands for it. Bundled scenes make it a part of what it
-            stands on, since it is to stay there.
-        height: Of its centre of mass above what it stands on [m]; by default half the geom's height.
-        support: Radius of its base about the centre of mass [m]; by default half the geom's least width.
-        friction: Coefficient between it and what it stands on; by default that of the geom.
-        share: Part of the angle that the motion may use, above 0 and at most 1: nothing else is held back for errors
+        load: Name of the load's geom in the carried object. Bundled scenes fix it to its support, since it is to stay
+            there.
+        height: Height of the load's centre of mass above its support [m]; by default half the geom's height.
+        support: Radius of the load's base about its centre of mass [m]; by default half the geom's least width.
+        friction: Coefficient between load and support; by default that of the geom.
+        share: Fraction of the angle that the motion may use, above 0 and at most 1. It is the only reserve for errors
             of the controller.
     """
 
@@ -65,21 +66,21 @@ class KeepStanding(FeltConstraint):
             raise SettingError("share", self.share, "above 0 and at most 1")
 
     def rule(self, scene: Scene) -> StandsRule:
-        """Return what has to hold in a scene.
+        """Return the rule for a scene.
 
         Raises:
-            SettingError: If nothing is carried in it.
-            UnknownNameError: If what is carried has no such geom.
+            SettingError: If nothing is carried in the scene.
+            UnknownNameError: If the carried object has no such geom.
         """
         return _rule(scene, self)
 
     def felt_angle(self, scene: Scene) -> float:
-        """Return the largest angle between its axis and what it feels [rad]."""
+        """Return the largest angle between the support's normal and the load's specific force [rad]."""
         rule = self.rule(scene)
         return self.share * float(np.arctan(min(rule.friction, rule.support)))
 
     def felt(self, scene: Scene) -> FeltCone:
-        """Return what has to hold for what is felt at its centre of mass."""
+        """Return the limits of the specific force at the load's centre of mass."""
         rule, robot = self.rule(scene), compile_scene(scene).robot
         X_LO = frame_in_link(scene, robot, "object")
         return FeltCone(
@@ -94,16 +95,16 @@ class KeepStanding(FeltConstraint):
         )
 
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
-        """Return what has to hold in every configuration: that it is not tilted too much."""
+        """Return the tilt limit at rest, for every configuration."""
         return (self._upright(scene),)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return by how much it is tilted too much at rest [rad]."""
+        """Return the tilt at rest minus its limit [rad]."""
         return axis_residual(batch, self._upright(batch.scene))
 
     def told(self, residual: float) -> str:
-        """Say in words how far outside a state is."""
-        return f"{self.name}: {self.load!r} is tilted by {np.rad2deg(residual):.1f} degrees more than it stands"
+        """Describe a violation for messages."""
+        return f"{self.name}: {self.load!r} is tilted by {np.rad2deg(residual):.1f} degrees more than is stable"
 
     def _upright(self, scene: Scene) -> AxisRule:
         return AxisRule(
@@ -123,7 +124,7 @@ def _rule(scene: Scene, keep: KeepStanding) -> StandsRule:
     mujoco.mju_quat2Mat(R_OG, scene.model.geom_quat[geom])
     R_OG = R_OG.reshape(3, 3)
     box = scene.model.geom_aabb[geom]
-    # Boxes in the geom's axes: what stands upright is half as high as the one along the vertical.
+    # The box is aligned with the geom; an upright load is half as high as the half size nearest the vertical.
     upward = np.abs(R_OG.T @ axis)
     k = int(np.argmax(upward))
     half = float(box[3 + k])

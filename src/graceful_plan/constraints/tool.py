@@ -1,4 +1,4 @@
-"""Where the tool may be, and how fast."""
+"""Constraints on the tool's position and speed."""
 
 from __future__ import annotations
 
@@ -45,32 +45,32 @@ class ToolWithin(Constraint):
         object.__setattr__(self, "frame", tuple(map(tuple, X_WB.tolist())))
 
     def rule(self, scene: Scene) -> BoxRule:
-        """Return what has to hold in a scene."""
+        """Return the rule for a scene."""
         del scene
         return BoxRule(name=self.name, X_WB=np.array(self.frame), lower=self.lower, upper=self.upper)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return how far outside of the box the tool is, by the worst coordinate [m]."""
+        """Return the distance of the tool outside the box along the worst coordinate [m]."""
         X_WB = np.array(self.frame)
         at = (batch.tool_poses[:, :3, 3] - X_WB[:3, 3]) @ X_WB[:3, :3]
         return np.maximum(np.array(self.lower) - at, at - np.array(self.upper)).max(axis=1)
 
     def told(self, residual: float) -> str:
-        """Say in words how far outside a state is."""
+        """Describe a violation for messages."""
         return f"{self.name}: the tool is {1e3 * residual:.3g} mm outside of its box"
 
 
 @final
 @dataclass(frozen=True)
 class ToolSpeed(Constraint):
-    """The tool's origin moves no faster than a limit, everywhere or only near an entity.
+    """Limit the speed of the tool's origin, everywhere or only near an entity.
 
-    A limit on timing: no configuration is outside.
+    It restricts timing only: every configuration satisfies it.
 
     Args:
-        limit: Of its speed [m/s], above 0.
-        near: Entity near which it holds; everywhere by default.
-        within: How near that is [m]: distance of robot and carried object from it.
+        limit: Largest speed of the tool's origin [m/s], above 0.
+        near: Entity near which the limit applies; everywhere by default.
+        within: Distance of robot and carried object from that entity up to which the limit applies [m].
     """
 
     limit: float
@@ -84,13 +84,13 @@ class ToolSpeed(Constraint):
                 raise SettingError(name, value, "a finite number above 0")
 
     def rule(self, scene: Scene) -> SpeedRule:
-        """Return what has to hold in a scene; raise if it has no such entity."""
+        """Return the rule for a scene; raise if the scene has no such entity."""
         if self.near is not None and self.near not in scene.entities:
             raise UnknownNameError("entity", self.near, scene.entities)
         return SpeedRule(name=self.name, limit=self.limit, near=self.near, within=self.within)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
-        """Return less than 0 everywhere: a robot at rest is anywhere slow enough."""
+        """Return a negative constant: a robot at rest satisfies the limit everywhere."""
         return np.full(len(batch), -self.limit)
 
 

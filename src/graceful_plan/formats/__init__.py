@@ -1,1 +1,1 @@
-"""Forms that a timed motion has outside of this library: JSON, CSV, Parquet, ROS messages."""
+"""Conversions of trajectories from and to JSON, CSV, Parquet and ROS messages."""

@@ -1,4 +1,4 @@
-"""Trajectories as CSV: a row a time, with units in the header."""
+"""Trajectories as CSV: one row per time, with units in the header."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from graceful_plan.formats.samples import UNITS, TimedSamples, from_columns, tex
 
 
 def to_csv(samples: TimedSamples) -> str:
-    """Return the text."""
+    """Return the samples as CSV text."""
     columns = samples.columns
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -24,10 +24,10 @@ def to_csv(samples: TimedSamples) -> str:
 
 
 def from_csv(source: str | Path) -> TimedSamples:
-    """Read what `to_csv` wrote, from a file or from text of several lines.
+    """Read the output of `to_csv`, from a file or from text of several lines.
 
     Raises:
-        FormatError: If it is no such table, with the line.
+        FormatError: If the text is not such a table; the message names the line.
     """
     name, text = text_of(source, lambda text: "\n" in text, "CSV")
     try:

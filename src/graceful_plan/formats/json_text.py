@@ -1,4 +1,4 @@
-"""Trajectories as JSON: an object with schema, version, units, names of the joints, and lists of numbers."""
+"""Trajectories as JSON: an object with schema, version, units, joint names and lists of numbers."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from graceful_plan.path import finite_array
 
 
 def to_json(samples: TimedSamples) -> str:
-    """Return the text."""
+    """Return the samples as JSON text."""
     document = {"schema": SCHEMA, "version": VERSION, "units": UNITS, "joints": list(samples.joints)}
     document |= {name: getattr(samples, name).tolist() for name in UNITS}
     return json.dumps(document, allow_nan=False) + "\n"
 
 
 def from_json(source: str | Path) -> TimedSamples:
-    """Read what `to_json` wrote, from a file or from text that starts with a brace.
+    """Read the output of `to_json`, from a file or from text that starts with a brace.
 
     Raises:
-        FormatError: If it is not such a document, of another version or in other units.
-        ShapeError: If its numbers are in no array.
+        FormatError: If the document has another format, version or unit.
+        ShapeError: If its numbers do not form an array.
         NonFiniteError: If a number is NaN or infinite.
     """
     name, text = text_of(source, lambda text: text.lstrip().startswith("{"), "JSON")

@@ -1,4 +1,4 @@
-"""Arrays from NumPy's .npz files of strangers: what they say they hold is added up before any of it is made."""
+"""Arrays from untrusted .npz files: their declared size is checked before any array is allocated."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from graceful_plan.regular_file import open_regular, path_of
 Array = np.ndarray
 
 MOST_BYTES = 2**30
-"""Of all arrays of a file together."""
+"""Largest total size of the arrays of a file [bytes]."""
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _BROKEN = (
     *NOT_READ,
     KeyError,
     EOFError,
     TypeError,
-    SyntaxError,  # and the next one: from headers that are no Python
+    SyntaxError,  # with TokenError: a header that is not Python
     tokenize.TokenError,
     RuntimeError,  # deep nesting, encryption
     MemoryError,
@@ -36,11 +36,11 @@ _BROKEN = (
 
 
 def read_arrays(file: str | Path, most_bytes: int = MOST_BYTES) -> dict[str, Array]:
-    """Read the arrays of an .npz file by name. Nothing in it is run.
+    """Read the arrays of an .npz file by name. No code in the file is executed.
 
     Raises:
-        FormatError: If it is broken, holds more than so many bytes or anything but arrays of numbers and texts, or is
-            not there.
+        FormatError: If the file is missing or broken, declares more than `most_bytes`, or contains anything but arrays
+            of numbers and texts.
     """
     path = path_of(file)
     try:
@@ -62,7 +62,7 @@ def read_arrays(file: str | Path, most_bytes: int = MOST_BYTES) -> dict[str, Arr
 
 
 def _size(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
-    """Return how many bytes an array takes by its header, which has to be what the member holds."""
+    """Return the size of an array by its header [bytes]; raise if the member is smaller."""
     with archive.open(member) as content:
         head: IO[Any] = content
         shape, _, dtype = _HEADERS[npy.read_magic(head)](head)

@@ -1,4 +1,4 @@
-"""Trajectories as Parquet: a row a time, with units in the metadata of each column. Needs pyarrow."""
+"""Trajectories as Parquet: one row per time, with units in the metadata of each column. Needs pyarrow."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, 
 from graceful_plan.regular_file import path_of, read_content
 
 MOST_NUMBERS = 2**27
-"""Rows times columns of a table that is read: runs of equal numbers take next to nothing in a file."""
+"""Largest number of rows times columns to read: a small file can hold huge runs of equal numbers."""
 _KEYS = {b"schema": SCHEMA.encode(), b"version": str(VERSION).encode()}
 
 
 class MissingArrow(GracefulPlanError, ImportError):
-    """pyarrow is needed and not installed."""
+    """Raised if pyarrow is not installed."""
 
     def __init__(self) -> None:
         super().__init__("Parquet needs pyarrow: pip install 'graceful-plan[data]'; or write CSV instead")
 
 
 def check_arrow() -> None:
-    """Raise MissingArrow if Parquet can be neither read nor written here."""
+    """Raise MissingArrow if pyarrow is not installed."""
     if importlib.util.find_spec("pyarrow") is None:
         raise MissingArrow
 
 
 def to_parquet(samples: TimedSamples, file: str | Path) -> None:
-    """Write a file.
+    """Write the samples to a file.
 
     Raises:
         MissingArrow: If pyarrow is not installed.
@@ -48,11 +48,11 @@ def to_parquet(samples: TimedSamples, file: str | Path) -> None:
 
 
 def from_parquet(file: str | Path) -> TimedSamples:
-    """Read what `to_parquet` wrote.
+    """Read the output of `to_parquet`.
 
     Raises:
         MissingArrow: If pyarrow is not installed.
-        FormatError: If the file cannot be read, is no such table, of another version or in other units.
+        FormatError: If the file cannot be read, or has another format, version or unit.
     """
     check_arrow()
     import pyarrow as pa

@@ -1,6 +1,6 @@
-"""Trajectories as ROS has them: trajectory_msgs/JointTrajectory, as plain values. Nothing of ROS is imported.
+"""Trajectories as trajectory_msgs/JointTrajectory, in plain Python values. No ROS package is imported.
 
-Angles are rad, lengths m, and times count from when the motion begins, with nanoseconds as whole numbers.
+Angles are in rad, lengths in m. Times count from the start of the motion, with nanoseconds as integers.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from graceful_plan.path import finite_array
 
 Array = np.ndarray
 Names = Mapping[str, str] | Callable[[str], str]
-"""From a joint here to its name over there."""
+"""Maps a joint name here to its name in ROS."""
 
 NANO = 1_000_000_000
 
@@ -28,19 +28,19 @@ def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str 
     """Return the message as a dictionary of its fields.
 
     Args:
-        samples: What to send. Its first sample is sent for time 0.
-        names: What joints are called over there; by default as here.
+        samples: The samples; the first one gets time 0.
+        names: Maps joint names here to names in the message; by default they are equal.
         frame: `header.frame_id`.
 
     Raises:
-        UnknownNameError: If `names` is a mapping without one of the joints.
-        SettingError: If two joints would have one name, or two samples one time in nanoseconds.
+        UnknownNameError: If `names` is a mapping that lacks a joint.
+        SettingError: If two joints would get the same name, or two samples the same time in nanoseconds.
     """
     joints = _mapped(samples.joints, names)
     nanoseconds = np.rint((samples.t - samples.t[0]) * NANO).astype(np.int64)
     if np.any(np.diff(nanoseconds) <= 0):
         i = int(np.argmax(np.diff(nanoseconds) <= 0)) + 1
-        raise SettingError(f"t[{i}]", float(samples.t[i]), "at least a nanosecond after the sample before")
+        raise SettingError(f"t[{i}]", float(samples.t[i]), "at least a nanosecond after the previous sample")
     points = [
         {
             "positions": q,
@@ -58,7 +58,7 @@ def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str 
 
 
 def to_yaml(message: Mapping[str, Any]) -> str:
-    """Return a message as YAML, as `ros2 topic pub` and `ros2 action send_goal` read it."""
+    """Return a message as YAML for `ros2 topic pub` and `ros2 action send_goal`."""
     return yaml.safe_dump(dict(message), sort_keys=False, default_flow_style=None, width=1_000_000)
 
 
@@ -70,20 +70,20 @@ def from_message(
     """Read a JointTrajectory.
 
     Args:
-        source: The message: as a dictionary, as an object with such attributes, or as YAML: text or a file.
-        joints: The joints to return, in this order, by their names here; default: those of `names` if it is a mapping,
-            else those of the message. Other joints of the message have to stand still.
-        names: What these are called in the message; default: as here.
+        source: The message as a dictionary, as an object with the fields as attributes, or as YAML text or file.
+        joints: The joints to return, in this order, by their names here. The default is the keys of `names` if it is a
+            mapping, else the joints of the message. Other joints of the message must stand still.
+        names: Maps these to names in the message; by default they are equal.
 
     Returns:
-        The samples; accelerations that the message lacks are those of the cubics through positions and velocities.
+        The samples. Missing accelerations are those of the cubics through positions and velocities.
 
     Raises:
-        FormatError: If it is no such message, has no velocities, or moves joints that were not asked for.
+        FormatError: If `source` is not such a message, has no velocities, or moves joints outside of `joints`.
         UnknownNameError: If the message lacks a joint.
-        SettingError: If two joints have one name.
+        SettingError: If two joints have the same name.
         NonFiniteError: If a number is NaN or infinite.
-        ShapeError: If points hold other numbers of values than there are joints.
+        ShapeError: If a point does not have one value per joint.
     """
     label, message = _opened(source)
     given = _names_in(label, message)
@@ -98,13 +98,13 @@ def from_message(
     others = [i for i in range(len(given)) if i not in columns]
     if others and np.any(np.ptp(q[:, others], axis=0) > 0.0):
         moving = ", ".join(given[i] for i in others if np.ptp(q[:, i]) > 0.0)
-        raise FormatError(label, f"it moves {moving} as well, which {', '.join(wanted)} are not")
+        raise FormatError(label, f"it moves {moving} as well, beyond the requested {', '.join(wanted)}")
     q, qd = q[:, columns], qd[:, columns]
     return TimedSamples(t, q, qd, _cubic(t, q, qd) if qdd is None else qdd[:, columns], wanted)
 
 
 def _mapped(joints: Iterable[str], names: Names | None) -> tuple[str, ...]:
-    """Return what joints are called over there."""
+    """Return the names of joints in the message."""
     ours = tuple(joints)
     if isinstance(names, Mapping):
         missing = next((joint for joint in ours if joint not in names), None)
@@ -115,12 +115,12 @@ def _mapped(joints: Iterable[str], names: Names | None) -> tuple[str, ...]:
         theirs = ours if names is None else tuple(names(joint) for joint in ours)
     twice = next((name for name in theirs if theirs.count(name) > 1), None)
     if twice is not None:
-        raise SettingError("names", twice, "a name of its own for every joint")
+        raise SettingError("names", twice, "a distinct name for every joint")
     return theirs
 
 
 def _opened(source: Any) -> tuple[str, Any]:
-    """Return what to call a message, and the message."""
+    """Return the label of a message in errors, and the message."""
     if not isinstance(source, str | Path):
         return "message", source
     label, text = text_of(source, lambda text: "\n" in text or text.lstrip().startswith("{"), "YAML")
@@ -131,15 +131,15 @@ def _opened(source: Any) -> tuple[str, Any]:
 
 
 def _field(label: str, message: Any, name: str) -> Any:
-    """Return a field of a message, of whatever kind the message is."""
+    """Return a field of a message that is a mapping or an object with attributes."""
     value = message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
     if value is None:
-        raise FormatError(label, f"it is no JointTrajectory: it lacks {name}")
+        raise FormatError(label, f"not a JointTrajectory: {name} is missing")
     return value
 
 
 def _sequence(label: str, message: Any, name: str) -> list[Any]:
-    """Return a field that holds several values: a list, a tuple, or an array of whatever kind messages have."""
+    """Return a field with several values, such as a list, tuple or array, as a list."""
     value = _field(label, message, name)
     if not hasattr(value, "__len__") or isinstance(value, str | Mapping):
         raise FormatError(label, f"{name} has to be a list")
@@ -169,20 +169,20 @@ def _seconds(label: str, duration: Any) -> float:
 
 
 def _has(points: Sequence[Any], key: str) -> bool:
-    """Tell whether points have something, which the first one says for all."""
+    """Return whether the points have a field, judging by the first point."""
     value = points[0].get(key) if isinstance(points[0], Mapping) else getattr(points[0], key, None)
     return value is not None and (not hasattr(value, "__len__") or len(value) > 0)
 
 
 def _table(label: str, points: Sequence[Any], key: str, count: int) -> Float[Array, "time nq"]:
     if not _has(points, key):
-        hint = "; time it anew: retime(Path(positions), ..)" if key == "velocities" else ""
+        hint = "; time it again: retime(Path(positions), ..)" if key == "velocities" else ""
         raise FormatError(label, f"points lack {key}{hint}")
     return finite_array(f"{key} of {label}", [_sequence(label, point, key) for point in points], ndim=2, last=count)
 
 
 def _cubic(t: Float[Array, " time"], q: Float[Array, "time nq"], qd: Float[Array, "time nq"]) -> Array:
-    """Return the accelerations of the cubics just after each sample, at the last one just before it."""
+    """Return the accelerations of the cubics just after each sample, and just before the last one."""
     if len(t) == 1:
         return np.zeros_like(q)
     h = np.diff(t)[:, None]

@@ -1,4 +1,4 @@
-"""The samples of a timed motion, as every format has them, and in what units."""
+"""The samples of a timed motion, common to all formats, and their units."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SCHEMA, VERSION = "graceful_plan.trajectory", 1
 
 
 class TimedSamples(NamedTuple):
-    """What a `Trajectory` is made of; nothing about it has been checked."""
+    """The fields of a `Trajectory`, unchecked."""
 
     t: Float[Array, " time"]
     q: Float[Array, "time nq"]
@@ -29,17 +29,17 @@ class TimedSamples(NamedTuple):
 
     @property
     def columns(self) -> dict[str, Float[Array, " time"]]:
-        """All columns of a table of these samples, by their names: "t", "q shoulder", "qd shoulder", .."""
+        """All columns of a table of these samples, by name: "t", "q shoulder", "qd shoulder", .."""
         tables = {"q": self.q, "qd": self.qd, "qdd": self.qdd}
         named = {f"{key} {joint}": table[:, i] for key, table in tables.items() for i, joint in enumerate(self.joints)}
         return {"t": self.t, **named}
 
 
 def from_columns(source: str, names: list[str], table: Float[Array, "time column"]) -> TimedSamples:
-    """Return the samples of a table, whose columns are named as those of `TimedSamples.columns` and in that order.
+    """Return the samples of a table whose columns have the names and order of `TimedSamples.columns`.
 
     Raises:
-        FormatError: If these are other columns.
+        FormatError: If the table has other columns.
     """
     count, rest = divmod(len(names) - 1, 3)
     joints = tuple(name.removeprefix("q ") for name in names[1 : 1 + count])
@@ -52,15 +52,15 @@ def from_columns(source: str, names: list[str], table: Float[Array, "time column
 
 
 def text_of(source: str | Path, is_text: Callable[[str], bool], kind: str) -> tuple[str, str]:
-    """Return what to call a source in messages, and its text.
+    """Return the label of a source in errors, and its text.
 
     Args:
         source: A file, or the text itself.
-        is_text: Whether a string is the text itself.
-        kind: What the text is, such as "JSON".
+        is_text: Returns whether a string is the text itself rather than a file name.
+        kind: Name of the format for messages, such as "JSON".
 
     Raises:
-        FormatError: If the file cannot be read, or is no text.
+        FormatError: If the file cannot be read, or is not text.
     """
     if isinstance(source, str) and is_text(source):
         return f"{kind} text", source

@@ -1,1 +1,1 @@
-"""What is described: robot, surroundings, what is carried, who may be harmed."""
+"""Scene descriptions: robot, surroundings, carried object, and the entities that can be harmed."""

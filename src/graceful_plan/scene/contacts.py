@@ -1,7 +1,7 @@
-"""What may touch what: MuJoCo's own filters, without running it, and the contacts that a scene allows.
+"""Contact filters: pairs of geoms that MuJoCo tests, by its own rules, and the contacts that a scene allows.
 
-The filters are those of MuJoCo's manual, section "Collision detection": contype and conaffinity, bodies welded
-together, parent and child (unless the parent is welded to the world), excluded pairs of bodies, listed pairs of geoms.
+The rules are those of MuJoCo's manual, section "Collision detection": contype and conaffinity, bodies welded
+together, parent and child (unless the parent is welded to the world), excluded body pairs, listed geom pairs.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _OBJ = mujoco.mjtObj
 
 
 def tested_pairs(model: mujoco.MjModel, moving: Collection[int]) -> Int[Array, "pair 2"]:
-    """Return every pair of geoms that MuJoCo tests with at least one geom of the bodies `moving` in it.
+    """Return every geom pair that MuJoCo tests and that has at least one geom on a body in `moving`.
 
-    The first geom of a pair is one of those. If both are, one that is not welded to the world comes first, then the
-    one of lower id.
+    The first geom of a pair belongs to such a body. If both do, a geom that is not welded to the world comes first,
+    then the one with the lower id.
     """
     body = np.asarray(model.geom_bodyid)
     weld = np.asarray(model.body_weldid)[body]
     mine = np.isin(body, list(moving))
-    # Rows of these geoms alone: there may be thousands of others.
+    # Only the rows of these geoms: there may be thousands of others.
     rows = np.flatnonzero(mine)
     tested = _affine(model, rows) & ~_related(model, weld, rows) & ~_excluded(model, body, rows)
     tested &= weld[rows, None] != weld[None, :]
@@ -39,7 +39,7 @@ def tested_pairs(model: mujoco.MjModel, moving: Collection[int]) -> Int[Array, "
     for first, second in ((model.pair_geom1, model.pair_geom2), (model.pair_geom2, model.pair_geom1)):
         listed = row[first] >= 0
         tested[row[first[listed]], second[listed]] = True
-    # One of (a, b) and (b, a): prefer a first geom that moves.
+    # Keep either (a, b) or (b, a), with a moving geom first.
     rank = np.arange(model.ngeom) + model.ngeom * (weld == 0)
     tested &= ~mine[None, :] | (rank[rows, None] < rank[None, :])
     first, second = np.nonzero(tested)
@@ -70,9 +70,9 @@ def _excluded(model: mujoco.MjModel, body: Int[Array, " geom"], rows: Int[Array,
 
 
 def declared_contacts(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tuple[AllowedContact, ...]:
-    """Return what may touch: as declared; gripper and held object always; held object and its supports at the ends.
+    """Return all allowed contacts: those declared, gripper with held object, and held object with supports at the ends.
 
-    The gripper is the body of the tool and what hangs on it.
+    The gripper is the tool's body with its subtree.
 
     Raises:
         UnknownNameError: If a name is neither a body nor a geom.
@@ -90,16 +90,16 @@ def declared_contacts(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tu
 
 
 def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
-    """Return the geoms of a rigid group of bodies by the name of its first, or else the geom of that name.
+    """Return the geoms of the rigid group of bodies whose first body has this name, or else the geom of this name.
 
-    A body without geoms that collide stands back behind a geom of its name.
+    A geom takes precedence over a body of the same name that has no colliding geoms.
 
     Raises:
-        UnknownNameError: If there is neither.
+        UnknownNameError: If there is neither a body nor a geom of this name.
     """
     body = lookup(model, _OBJ.mjOBJ_BODY, name)
     if body < 0 and is_name(name):
-        # What `names` calls a nameless one, such as a finger that nobody named.
+        # `names` calls unnamed bodies "#<id>".
         body = next((b for b in range(model.nbody) if name == f"#{b}"), -1)
     found = colliding_geoms(model, {0} if body == 0 else rigid_group(model, body)) if body >= 0 else ()
     if found or (body >= 0 and lookup(model, _OBJ.mjOBJ_GEOM, name) < 0):
@@ -108,7 +108,7 @@ def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
 
 
 def allowed_pairs(model: mujoco.MjModel, contacts: Iterable[AllowedContact], when: str) -> frozenset[tuple[int, int]]:
-    """Return the pairs of geoms, lower id first, that may touch "always" or at the "ends"."""
+    """Return the geom pairs, lower id first, that may touch "always" or at the "ends"."""
     return frozenset(
         (min(a, b), max(a, b))
         for contact in contacts
@@ -119,7 +119,7 @@ def allowed_pairs(model: mujoco.MjModel, contacts: Iterable[AllowedContact], whe
 
 
 def without(pairs: Int[Array, "pair 2"], allowed: Collection[tuple[int, int]]) -> Int[Array, "kept 2"]:
-    """Return the pairs that are not allowed, as an array that cannot be written to."""
+    """Return the pairs that are not in `allowed`, as a read-only array."""
     kept = pairs
     if allowed:
         keep = [pair not in allowed for pair in map(tuple, np.sort(pairs, axis=1).tolist())]
@@ -134,17 +134,17 @@ def unchecked_links(
     checked: Int[Array, "pair 2"],
     contacts: Iterable[AllowedContact],
 ) -> tuple[int, Mapping[str, Sequence[tuple[str, str]]]]:
-    """Return how many pairs of links may not touch, and the names of all others by the reason why.
+    """Return the number of link pairs that are checked, and all other pairs by the reason why they are not.
 
-    A link is a group of the robot's bodies without a joint in between, by the name of the first; only those with geoms
-    that collide count. Reasons are those of `AllowedContact`s, "allowed" if they give none; "adjacent" for parent and
-    child; "filters of the model" for masks and excluded pairs.
+    A link is a group of the robot's bodies without joints in between, named after its first body; links without
+    colliding geoms are skipped. The reason is that of the `AllowedContact` ("allowed" if it has none), "adjacent" for
+    parent and child, or "filters of the model" for masks and excluded pairs.
 
     Args:
         model: The model.
         robot: Bodies of the robot.
         checked: Pairs of geoms that may not touch.
-        contacts: What may touch.
+        contacts: Allowed contacts.
     """
     weld = np.asarray(model.body_weldid)
     of_geom = weld[np.asarray(model.geom_bodyid)]

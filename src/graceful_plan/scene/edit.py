@@ -1,4 +1,4 @@
-"""Change what stands around: add bodies to a MjSpec, move them, take them away."""
+"""Edit the surroundings: add bodies to a MjSpec, move them, remove them."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ _KINDS = {
     "cylinder": (_GEOM.mjGEOM_CYLINDER, 2),
     "capsule": (_GEOM.mjGEOM_CAPSULE, 2),
 }
-"""Types of geoms, and how many sizes they have."""
+"""MuJoCo type and number of sizes of each kind of geom."""
 POSES = ("body_pos", "body_quat", "qpos0", "qpos_spring")
-"""What of a model `moved` changes."""
+"""Fields of a model that `moved` changes."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solid:
-    """Something to put into a scene, where it stays.
+    """A static body to add to a scene.
 
     | field  | meaning                                                                                 | unit |
     |--------|-----------------------------------------------------------------------------------------|------|
     | name   | of the new body                                                                         |      |
     | kind   | "box", "sphere", "cylinder" or "capsule" along z, or "mesh": the convex hull of points  |      |
-    | size   | of a box half of each side; radius; radius and half of the (straight) length; points    | m    |
+    | size   | half sizes of a box; radius; radius and half of the (straight) length; mesh points      | m    |
     | pose   | in W, as a 4 x 4 matrix, or the position of its centre                                  | m    |
-    | entity | its class if it can be harmed; an obstacle only if None                                 |      |
+    | entity | entity class if it can be harmed; None for an obstacle only                             |      |
     """
 
     name: str
@@ -90,7 +90,7 @@ def add_primitive(
 
 
 def add_hull(spec: mujoco.MjSpec, name: str, vertices: ArrayLike, pose: ArrayLike) -> None:
-    """Add a body with the convex hull of some points.
+    """Add a body with the convex hull of given points.
 
     Raises:
         SceneError: If the name is taken or the points lie in a plane.
@@ -105,7 +105,7 @@ def add_hull(spec: mujoco.MjSpec, name: str, vertices: ArrayLike, pose: ArrayLik
 
 
 def _mesh_name(spec: mujoco.MjSpec, name: str) -> str:
-    """Return a name for a body's mesh that none has; one of its own name that a removed body left behind goes."""
+    """Return an unused name for a body's mesh; an unused mesh left by a removed body of this name is deleted first."""
     used = {geom.meshname for geom in spec.geoms}
     left = spec.mesh(name)
     if left is not None and name not in used:
@@ -134,17 +134,17 @@ def _position_and_quaternion(X: Float[Array, "4 4"]) -> tuple[Float[Array, " 3"]
 
 
 def removed(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, kept: frozenset[int]) -> None:
-    """Take a body with everything on it out of a MjSpec.
+    """Remove a body with its subtree from a MjSpec.
 
     Args:
-        spec: What to change.
-        model: What was compiled from it.
-        name: Of the body.
-        kept: Bodies that have to stay: those of the robot and what it holds.
+        spec: The MjSpec to change.
+        model: The model compiled from it.
+        name: Name of the body.
+        kept: Bodies that must stay: the robot and the object it holds.
 
     Raises:
         UnknownNameError: If there is no such body.
-        SceneError: If it has to stay.
+        SceneError: If the body must stay.
     """
     body = find(model, mujoco.mjtObj.mjOBJ_BODY, "body", name)
     if body == 0 or body in _above(model, kept):
@@ -165,18 +165,18 @@ def _above(model: mujoco.MjModel, bodies: frozenset[int]) -> set[int]:
 def moved(
     spec: mujoco.MjSpec, model: mujoco.MjModel, poses: Mapping[str, ArrayLike], kept: frozenset[int]
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Return copies of a MjSpec and its model in which bodies stand elsewhere; nothing is compiled.
+    """Return copies of a MjSpec and its model with some bodies moved; nothing is recompiled.
 
     Args:
-        spec: What the model was compiled from.
+        spec: The MjSpec from which the model was compiled.
         model: The model.
-        poses: New poses in W by body, as 4 x 4 matrices or positions of their frames; these keep the orientation.
-        kept: Bodies that have to stay.
+        poses: New poses in W by body, as 4 x 4 matrices, or as positions that keep the orientation.
+        kept: Bodies that must stay.
 
     Raises:
         UnknownNameError: If there is no such body.
-        SceneError: If it has to stay.
-        UnsupportedError: If it does not stand on the world, or its place is given in another frame.
+        SceneError: If the body must stay.
+        UnsupportedError: If its parent is not the world, or its pose is given in another frame.
     """
     new_spec, new_model = spec.copy(), copy.copy(model)
     for name, pose in poses.items():
@@ -186,7 +186,7 @@ def moved(
         adr, declared = free_joint(model, body), new_spec.body(name)
         joints = int(model.body_jntnum[body])
         if model.body_parentid[body] != 0 or joints > (adr >= 0) or declared.frame is not None:
-            raise UnsupportedError(f"{name!r} does not stand on the world by itself; move what it stands on")
+            raise UnsupportedError(f"{name!r} is not a child of the world body; move its parent")
         X_WB = _pose(name, pose)
         position, quaternion = _position_and_quaternion(X_WB)
         if np.ndim(pose) == 1:

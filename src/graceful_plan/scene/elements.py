@@ -1,7 +1,7 @@
-"""What a scene is made of: small frozen records, no MuJoCo.
+"""Elements of a scene: small frozen records without MuJoCo.
 
-Components are the parts of the robot that can do harm (`body`, `carried`, `contents`); entities are what can be
-harmed. `Notes` is everything a scene knows beyond its MuJoCo model, from a scene file or from arguments.
+Components are the parts of the robot that can do harm (`body`, `carried`, `contents`); entities are the things that
+can be harmed. `Notes` holds everything a scene knows beyond its MuJoCo model, from a scene file or from arguments.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from graceful_plan.scene.moving import MovingEntity
 Array = np.ndarray
 
 COMPONENTS = ("body", "carried", "contents")
-"""Names of the components: the links, the object in the gripper, what is inside of a carried container."""
+"""Names of the components: the moving links, the carried object, the contents of a carried container."""
 
 BODY_CLASSES = ("arm_collapse", "arm_braked", "base_coast")
 CARRIED_CLASSES = ("light", "medium", "heavy", "sharp", "glass")
@@ -33,14 +33,14 @@ CARRIED_CLASSES = ("light", "medium", "heavy", "sharp", "glass")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
-    """What the planned joints can do.
+    """Limits of the planned joints.
 
     | field        | meaning                                               | unit           | shape |
     |--------------|-------------------------------------------------------|----------------|-------|
     | position     | lower and upper limit                                 | rad or m       | nq 2  |
-    | velocity     | greatest speed                                        | rad/s or m/s   | nq    |
-    | acceleration | greatest acceleration                                 | rad/s2 or m/s2 | nq    |
-    | torque       | greatest torque or force, infinite if not known       | N m or N       | nq    |
+    | velocity     | largest speed                                         | rad/s or m/s   | nq    |
+    | acceleration | largest acceleration                                  | rad/s2 or m/s2 | nq    |
+    | torque       | largest torque or force, infinite if unknown          | N m or N       | nq    |
     """
 
     position: Float[Array, "nq 2"]
@@ -51,7 +51,7 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """A part of the robot that can do harm, with the column of the severity table that it uses."""
+    """A part of the robot that can do harm, with its column of the severity table."""
 
     name: str
     geoms: tuple[int, ...]
@@ -60,7 +60,7 @@ class Component:
 
 @dataclass(frozen=True, kw_only=True)
 class Entity:
-    """Something that can be harmed, with the severity of being hit by each component."""
+    """Something that can be harmed, with the severity of a hit by each component."""
 
     name: str
     category: str
@@ -83,9 +83,9 @@ class Liquid:
 
     Args:
         volume: Amount [litres].
-        temperature: [degrees Celsius]; from 60 on, water counts as hot.
-        kind: "water" for anything thin, "oil" for hot oil and soup.
-        geoms: Names of the geoms of the carried body that stand for it; without any, the geom "<body>_contents".
+        temperature: Temperature [degrees Celsius]; from 60 on, water counts as hot.
+        kind: "water" for any thin liquid, "oil" for hot oil and soup.
+        geoms: Names of the carried body's geoms that represent the contents; by default the geom "<body>_contents".
     """
 
     volume: float
@@ -116,7 +116,7 @@ class Dry:
 
     Args:
         volume: Amount [litres].
-        geoms: Names of the geoms of the carried body that stand for it; without any, the geom "<body>_contents".
+        geoms: Names of the carried body's geoms that represent the contents; by default the geom "<body>_contents".
     """
 
     volume: float
@@ -134,8 +134,8 @@ Contents = Liquid | Dry
 class AllowedContact:
     """Two geoms or bodies, by name, that may touch.
 
-    "always": along the whole path. "ends": only in one unbroken stretch at the beginning of a path and one at its end,
-    such as an object that stands on its support until it is lifted. `reason` says why, for people.
+    "always": along the whole path. "ends": only in one contiguous stretch at each end of a path, for example an object
+    in contact with its support until it is lifted. `reason` is an explanation for people.
     """
 
     first: str
@@ -150,9 +150,10 @@ class AllowedContact:
 
 @dataclass(frozen=True, kw_only=True)
 class EntityNote:
-    """What an entity is: its class, and severities that replace the table's.
+    """The class of an entity, and severities that replace those of the table.
 
-    One for all components, or by component ("carried") or component class ("glass"): the component comes first.
+    Severities are one number for all components, or numbers by component ("carried") or component class ("glass");
+    the component takes precedence.
     """
 
     category: str
@@ -161,7 +162,7 @@ class EntityNote:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObjectNote:
-    """How an object is held: see `Scene.attach` for the defaults."""
+    """How an object is held; see `Scene.attach` for the defaults."""
 
     body: str
     X_TO: Float[Array, "4 4"] | None = None
@@ -172,7 +173,7 @@ class ObjectNote:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskNote:
-    """A task as declared; start and goals are configurations or names of keyframes."""
+    """A declared task; start and goals are configurations or names of keyframes."""
 
     start: str | tuple[float, ...]
     goal: tuple[str | tuple[float, ...], ...]
@@ -192,35 +193,35 @@ class Notes:
     body_class: str = "arm_collapse"
     fingers: float | Mapping[str, float] | None = None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
-    """Lower and upper limits that replace the model's, by joint."""
+    """Lower and upper limits by joint, replacing the model's."""
     velocity: tuple[float, ...] | None = None
     acceleration: tuple[float, ...] | None = None
     torque: tuple[float, ...] | None = None
     base: DiffDrive | None = None
-    """How the robot drives, if its first planned joints are those of a base."""
+    """Kinematics and limits of the base, if the first planned joints are those of a base."""
     entities: Mapping[str, EntityNote] = field(default_factory=lambda: MappingProxyType({}))
     severity: SeverityTable
     overrides: Mapping[str, float | Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
-    """Severities that replace those of the table: by entity as in `EntityNote`, or by its class and component class."""
+    """Severities that replace the table's, by entity as in `EntityNote`, or by entity class and component class."""
     objects: Mapping[str, ObjectNote] = field(default_factory=lambda: MappingProxyType({}))
     keyframes: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
     tasks: Mapping[str, TaskNote] = field(default_factory=lambda: MappingProxyType({}))
     allowed: tuple[AllowedContact, ...] = ()
     moving: Mapping[str, MovingEntity] = field(default_factory=lambda: MappingProxyType({}))
     constraints: tuple[object, ...] = ()
-    """What has to hold along motions in it, by default: `graceful_plan.Constraint` objects."""
+    """Constraints on motions in the scene that apply by default: `graceful_plan.Constraint` objects."""
     held: ObjectNote | None = None
-    """The object in the gripper, with nothing left to default."""
+    """The object in the gripper, with all defaults resolved."""
     support: tuple[str, ...] = ()
-    """What the held object may touch at the ends of a path."""
+    """Bodies or geoms that the held object may touch at the ends of a path."""
     file: str | None = None
-    """The scene file while it is being read; later mistakes are not its fault."""
+    """The scene file while it is being read; None afterwards, since later errors do not come from the file."""
     lines: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    """Where things stand in that file, by dotted name such as "entities.mug"."""
+    """Line numbers in that file by dotted name, such as "entities.mug"."""
 
     @contextmanager
     def about(self, place: str) -> Generator[None, None, None]:
-        """Turn errors about something from a scene file into a SceneError with file and line."""
+        """Convert errors about an entry of a scene file into a SceneError with file and line."""
         try:
             yield
         except GracefulPlanError as error:

@@ -1,6 +1,6 @@
-"""What is known of a scene: its model, roles of what is in it, and answers to questions about these.
+"""The data of a scene: its model, the roles of bodies in it, and queries about both.
 
-Frames: W world, T tool, O carried object. Batches of configurations are the business of `core.kernels`.
+Frames: W world, T tool, O carried object. Batches of configurations are evaluated by `core.kernels`.
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ Array = np.ndarray
 
 @final
 class Layout:
-    """What scenes share that differ only by where things around the robot stand; equal only to itself."""
+    """Identity of a family of scenes that differ only in the poses of obstacles; equal only to itself."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneFacts:
-    """A robot among things that can be harmed, as it is; `Scene` makes it, and other scenes of it.
+    """The data of a scene. `Scene` adds constructors and methods that return changed scenes.
 
     | field            | meaning                                                                         |
     |------------------|---------------------------------------------------------------------------------|
     | model            | the full dynamics model; read only                                              |
     | joints           | names of the planned joints, from the base to the tool                          |
     | qpos_adr         | address of each planned joint in the model's qpos                               |
-    | limits           | what the planned joints can do                                                  |
-    | home_qpos        | qpos of everything: fingers as they are held, entities at their initial poses   |
-    | components       | by name: "body" (the links that move), "carried", "contents"                    |
-    | entities         | by name: what can be harmed and stays where it is                               |
-    | moving_severity  | by name of a moving entity, then by component                                   |
-    | own_severity     | of the loss of the carried object itself; 0 if nothing is carried               |
-    | unlabelled       | bodies that are obstacles and nothing else, since nobody said what they are     |
+    | limits           | limits of the planned joints                                                    |
+    | home_qpos        | qpos of the whole model: fingers as held, entities at their initial poses       |
+    | components       | by name: "body" (the moving links), "carried", "contents"                       |
+    | entities         | static entities by name                                                         |
+    | moving_severity  | severities by moving entity, then by component                                  |
+    | own_severity     | severity of losing the carried object itself; 0 if nothing is carried           |
+    | unlabelled       | bodies without an entity class: obstacles only                                  |
     | keyframes        | configurations by name                                                          |
-    | allowed_contacts | what may touch                                                                  |
+    | allowed_contacts | contacts that are allowed                                                       |
     | robot_bodies     | ids of the robot's bodies                                                       |
     | notes            | everything that was declared                                                    |
-    | spec             | what the model was compiled from; copy it before any change                     |
+    | spec             | the MjSpec from which the model was compiled; copy it before any change         |
     """
 
     model: mujoco.MjModel
@@ -69,11 +69,11 @@ class SceneFacts:
     notes: Notes
     spec: mujoco.MjSpec
 
-    # --- what was declared --------------------------------------------------------------------------------------------
+    # --- declarations -------------------------------------------------------------------------------------------------
 
     @property
     def name(self) -> str:
-        """What the scene is called."""
+        """Name of the scene."""
         return self.notes.name
 
     @property
@@ -96,41 +96,41 @@ class SceneFacts:
 
     @property
     def contents(self) -> Contents | None:
-        """What is inside of the object in the gripper, if anything."""
+        """The contents of the object in the gripper, if any."""
         return None if self.notes.held is None else self.notes.held.contents
 
     @property
     def base(self) -> DiffDrive | None:
-        """How the robot drives; None if it stands still, or if its base moves in all directions."""
+        """The differential-drive base; None if the robot is fixed or its base is holonomic."""
         return self.notes.base
 
     @property
     def moving(self) -> Mapping[str, MovingEntity]:
-        """Entities that move, by name: hazards that planners weigh, not obstacles that anything collides with."""
+        """Moving entities by name. Planners weigh harm to them; they are not obstacles in collision checks."""
         return self.notes.moving
 
     @property
     def hazards(self) -> tuple[str, ...]:
-        """Names of all that can be harmed: entities, then entities that move."""
+        """Names of everything that can be harmed: static entities, then moving ones."""
         return (*self.entities, *self.moving)
 
     @cached_property
     def layout(self) -> Layout:
-        """Stands for this scene and those that were made of it by moving obstacles; see `per_layout`."""
+        """Identity shared by this scene and all scenes made from it by moving obstacles; see `per_layout`."""
         return Layout()
 
     @cached_property
     def endless(self) -> Bool[Array, " nq"]:
-        """Which planned joints are hinges without limits: a turn of them leads back to where they were."""
+        """Which planned joints are hinges without limits: a full turn returns to the same configuration."""
         model = self.model
         joints = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in self.qpos_adr]
         hinge = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
         return np.asarray(hinge & (model.jnt_limited[joints] == 0), dtype=bool)
 
-    # --- questions ----------------------------------------------------------------------------------------------------
+    # --- queries ------------------------------------------------------------------------------------------------------
 
     def data_at(self, q: ArrayLike) -> mujoco.MjData:
-        """Return fresh MjData at a configuration, the carried object at the tool. Contacts are not computed.
+        """Return new MjData at a configuration, with the carried object at the tool. Contacts are not computed.
 
         Args:
             q: Configuration of the planned joints [rad or m].
@@ -151,9 +151,9 @@ class SceneFacts:
         return data
 
     def collision_pairs(self) -> Int[Array, "pair 2"]:
-        """Return every pair of geoms to keep apart: those that MuJoCo would test, less what may always touch.
+        """Return every geom pair to keep apart: pairs that MuJoCo would test and that may not always touch.
 
-        The first geom of a pair is one of the robot or the carried object. Pairs among the surroundings are not in it.
+        The first geom of a pair belongs to the robot or the carried object; pairs among the surroundings are excluded.
         """
         return self._collision_pairs
 
@@ -163,15 +163,16 @@ class SceneFacts:
         return without(tested_pairs(self.model, moving), self.allowed_pairs("always"))
 
     def allowed_pairs(self, when: str) -> frozenset[tuple[int, int]]:
-        """Return the pairs of geoms, lower id first, that may touch "always" or at the "ends" of a path."""
+        """Return the geom pairs, lower id first, that may touch "always" or at the "ends" of a path."""
         return allowed_pairs(self.model, self.allowed_contacts, when)
 
     def geoms_named(self, name: str) -> tuple[int, ...]:
         """Return the geoms that a name in an allowed contact stands for.
 
-        A body stands for its own geoms that collide and those of what hangs rigidly on it; otherwise it is a geom.
+        A body name stands for the colliding geoms of the body and of all bodies rigidly attached to it; other names are
+        geoms.
 
         Raises:
-            UnknownNameError: If there is neither.
+            UnknownNameError: If there is neither a body nor a geom of this name.
         """
         return geoms_named(self.model, name)

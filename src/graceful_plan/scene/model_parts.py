@@ -1,6 +1,6 @@
 """Find the parts of a scene in a MuJoCo model: robot bodies, planned joints and their limits, geoms of bodies.
 
-Everything here reads the model and raises when it is not what a scene needs; nothing changes it.
+Except for `add_tool` and `set_limits`, the functions only read the model. They raise if a needed part is missing.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ _NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableB
 _SCALAR_JOINTS = (int(_JOINT.mjJNT_HINGE), int(_JOINT.mjJNT_SLIDE))
 
 _BASE_JOINTS = 3
-"""Of a base: along x, along y, heading."""
+"""Joints of a base: along x, along y, heading."""
 
 SUPPORTED_GEOMS = (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CAPSULE, _GEOM.mjGEOM_ELLIPSOID,
                    _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_BOX, _GEOM.mjGEOM_MESH)  # fmt: skip
-"""Types of geoms that may collide; meshes count as their convex hulls, as in MuJoCo."""
+"""Supported types of colliding geoms; meshes count as their convex hulls, as in MuJoCo."""
 
 
 def names(model: mujoco.MjModel, kind: mujoco.mjtObj, ids: Iterable[int]) -> list[str]:
-    """Return the names of some bodies, geoms, joints...; "#3" for a nameless one."""
+    """Return the names of bodies, geoms, joints...; "#3" for an unnamed one with id 3."""
     return [mujoco.mj_id2name(model, kind, int(i)) or f"#{int(i)}" for i in ids]
 
 
 def geom_label(model: mujoco.MjModel, geom: int) -> str:
-    """Name of a geom, or of its body with the geom's number if it has none."""
+    """Return the name of a geom; for an unnamed one, its body's name and the geom's id."""
     return model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name}#{geom}"
 
 
 def find(model: mujoco.MjModel, kind: mujoco.mjtObj, word: str, name: str) -> int:
-    """Return an id by name; `word` says in the error what it should have been.
+    """Return an id by name; `word` names the kind in the error message.
 
     Raises:
-        UnknownNameError: If there is none.
+        UnknownNameError: If there is no such name.
     """
     found = lookup(model, kind, name)
     if found < 0:
@@ -58,7 +58,7 @@ def find(model: mujoco.MjModel, kind: mujoco.mjtObj, word: str, name: str) -> in
 
 
 def subtree(model: mujoco.MjModel, body: int) -> frozenset[int]:
-    """Return a body and everything that hangs on it; the world stands for itself alone."""
+    """Return a body and all its descendants; for the world, only the world itself."""
     inside = {body}
     if body != 0:
         for other, parent in enumerate(model.body_parentid.tolist()):  # parents come first
@@ -68,29 +68,29 @@ def subtree(model: mujoco.MjModel, body: int) -> frozenset[int]:
 
 
 def rigid_group(model: mujoco.MjModel, body: int) -> frozenset[int]:
-    """Return a body and what hangs on it without a joint in between."""
+    """Return a body and all descendants that are rigidly attached to it."""
     return frozenset(b for b in subtree(model, body) if model.body_weldid[b] == model.body_weldid[body])
 
 
 def collides(model: mujoco.MjModel) -> Bool[Array, " geom"]:
-    """Tell which geoms take part in collisions at all."""
+    """Return which geoms take part in collisions."""
     taking_part = (np.asarray(model.geom_contype) != 0) | (np.asarray(model.geom_conaffinity) != 0)
     taking_part[model.pair_geom1] = taking_part[model.pair_geom2] = True
     return taking_part
 
 
 def colliding_geoms(model: mujoco.MjModel, bodies: Collection[int]) -> tuple[int, ...]:
-    """Return the geoms of some bodies that can collide, ascending."""
+    """Return the colliding geoms of given bodies, ascending."""
     mine = np.isin(model.geom_bodyid, list(bodies))
     return tuple(np.flatnonzero(mine & collides(model)).tolist())
 
 
 def checked_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a model and refuse what a scene cannot have.
+    """Compile a model and check that a scene can represent it.
 
     Raises:
-        SceneError: If it cannot be compiled or has numbers that are not finite.
-        UnsupportedError: If it has features that cannot be represented.
+        SceneError: If it cannot be compiled or contains numbers that are not finite.
+        UnsupportedError: If it has unsupported features.
     """
     model = compile_spec(spec)
     check_numbers(model)
@@ -99,10 +99,10 @@ def checked_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def check_supported(model: mujoco.MjModel) -> None:
-    """Refuse a model with things that move or collide in ways nobody downstream can represent.
+    """Check that a model uses only supported geoms, contacts and bodies.
 
     Raises:
-        UnsupportedError: Naming them all.
+        UnsupportedError: If it does not; the message lists all unsupported features.
     """
     problems = []
     for geom in np.flatnonzero(collides(model)).tolist():
@@ -118,12 +118,12 @@ def check_supported(model: mujoco.MjModel) -> None:
 
 
 def check_numbers(model: mujoco.MjModel) -> None:
-    """Refuse NaN, infinities, a timestep that is not above 0 and what is kilometres large or far away.
+    """Check that numbers are finite, the timestep is above 0, and lengths are at most `MAX_EXTENT`.
 
-    MuJoCo's compiler lets all of that through.
+    MuJoCo's compiler does not check this.
 
     Raises:
-        SceneError: Naming the field and the object.
+        SceneError: If a check fails; the message names field and object.
     """
     if not (np.isfinite(model.opt.timestep) and model.opt.timestep > 0.0):
         raise SceneError(f"the timestep is {model.opt.timestep}, it has to be above 0")
@@ -162,10 +162,10 @@ _FINITE_FIELDS: Mapping[mujoco.mjtObj | None, tuple[str, ...]] = {
 
 
 def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
-    """Return the bodies of the robot: the subtree of the body of that name, else all whose names start with it.
+    """Return the robot's bodies: the subtree of the body of this name, else all bodies whose names start with it.
 
     Raises:
-        UnknownNameError: If there are none.
+        UnknownNameError: If there is no such body.
     """
     root = lookup(model, _OBJ.mjOBJ_BODY, robot)
     if root > 0:
@@ -180,17 +180,17 @@ def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
 
 
 def add_tool(spec: mujoco.MjSpec, tool: str) -> None:
-    """Put a site into the frame of a body if the tool is named by a body; the site gets its name."""
+    """Add a site with the frame of a body if `tool` is the name of a body; the site gets the same name."""
     body = spec.body(tool) if is_name(tool) else None
     if body is not None and spec.site(tool) is None:
         body.add_site(name=tool)
 
 
 def tool_body(model: mujoco.MjModel, tool: str, robot: Collection[int]) -> int:
-    """Return the body that the site of the tool is on.
+    """Return the body that carries the tool's site.
 
     Raises:
-        UnknownNameError: If there is no such site; names the sites and the bodies of the robot.
+        UnknownNameError: If there is no such site; the message lists sites and robot bodies.
     """
     site = lookup(model, _OBJ.mjOBJ_SITE, tool)
     if site < 0:
@@ -200,10 +200,10 @@ def tool_body(model: mujoco.MjModel, tool: str, robot: Collection[int]) -> int:
 
 
 def set_limits(model: mujoco.MjModel, robot: Collection[int], limits: Mapping[str, tuple[float, float]]) -> None:
-    """Replace the limits of joints of the robot, for planner, inverse kinematics and judge alike.
+    """Replace joint limits of the robot in the model, for planner, inverse kinematics and judge alike.
 
     Raises:
-        UnknownNameError: If there is no such hinge or slide.
+        UnknownNameError: If the robot has no such hinge or slide joint.
         SettingError: If a lower limit is not below the upper one.
     """
     joints = {model.joint(j).name: j for j in range(model.njnt) if _is_scalar(model, j, robot)}
@@ -220,11 +220,11 @@ def _is_scalar(model: mujoco.MjModel, joint: int, robot: Collection[int]) -> boo
 
 
 def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]) -> tuple[int, ...]:
-    """Return the hinges and slides on the way from the world to the tool, base first.
+    """Return the hinge and slide joints from the world to the tool, base first.
 
     Raises:
-        SceneError: If the tool is not on the robot or there are none.
-        UnsupportedError: If there is a joint of another kind among them.
+        SceneError: If the tool is not on the robot, or no joint moves it.
+        UnsupportedError: If a joint on the chain is of another type.
     """
     if tool_body not in robot:
         raise SceneError(f"the tool is on body {model.body(tool_body).name!r}, which is not part of the robot")
@@ -244,11 +244,11 @@ def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]
 
 
 def check_base(model: mujoco.MjModel, joints: tuple[int, ...], base: DiffDrive) -> None:
-    """Check that a base's joints are the first planned ones: slides along x and y, then a hinge about z.
+    """Check that a base's joints are the first planned joints: slides along x and y, then a hinge about z.
 
     Raises:
-        UnknownNameError: If one of them is not planned.
-        SceneError: If they are others, or in another order.
+        UnknownNameError: If a joint of the base is not planned.
+        SceneError: If the joints have other types, poses or another order.
     """
     known = names(model, mujoco.mjtObj.mjOBJ_JOINT, joints)
     for name in base.joints:
@@ -269,12 +269,12 @@ def check_base(model: mujoco.MjModel, joints: tuple[int, ...], base: DiffDrive) 
 def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -> Limits:
     """Collect limits: positions and torques from the model, the rest from the notes or custom numbers.
 
-    A hinge without limits gets one turn to each side, the heading of a base two. What a base can do is said by its
-    `DiffDrive`; speeds and accelerations given otherwise are those of the joints behind it. Torque comes from the
-    notes, actuatorfrcrange or the forcerange of the actuators on the joint; infinite if none of them is there.
+    A hinge without limits gets one turn in each direction, the heading of a base two. Limits of a base come from its
+    `DiffDrive`; velocity and acceleration of the notes are for the other joints. Torque comes from the notes,
+    actuatorfrcrange or the forcerange of the actuators on the joint; it is infinite if none is set.
 
     Raises:
-        SceneError: If a slide has no limits, or speeds or accelerations are given nowhere.
+        SceneError: If a slide has no limits, or velocity or acceleration limits are missing.
     """
     base = notes.base
     behind = joints if base is None else joints[_BASE_JOINTS:]
@@ -325,7 +325,7 @@ def _limit(
     values = np.array(model.numeric(custom).data if given is None else given, dtype=float)
     if values.shape != (len(joints),) or not np.isfinite(values).all() or (values <= 0.0).any():
         raise SettingError(
-            f"{name} limits", values.tolist(), f"{len(joints)} finite numbers above 0, one a planned joint"
+            f"{name} limits", values.tolist(), f"{len(joints)} finite numbers above 0, one per planned joint"
         )
     return values
 
@@ -350,18 +350,19 @@ def _torque(model: mujoco.MjModel, joint: int) -> float:
 def finger_positions(
     model: mujoco.MjModel, robot: Collection[int], planned: tuple[int, ...], tool_body: int, notes: Notes
 ) -> dict[int, float]:
-    """Return qpos address and position of the robot's joints that are held still.
+    """Return qpos address and position of the robot's joints that are held in place.
 
     Args:
         model: The model.
         robot: Bodies of the robot.
         planned: Planned joints.
-        tool_body: Body that the tool is on.
-        notes: Says where: one position for all joints behind the tool's body, or positions by joint name [rad or m].
+        tool_body: The tool's body.
+        notes: Their `fingers`: one position for all joints in the subtree of the tool's body, or positions by joint
+            name [rad or m].
 
     Raises:
-        UnknownNameError: If a joint is not among those that are held still.
-        SettingError: If a position is outside of its joint's range.
+        UnknownNameError: If a name is not that of a joint held in place.
+        SettingError: If a position is outside its joint's range.
     """
     held = {model.joint(j).name: j for j in range(model.njnt) if j not in planned and _is_scalar(model, j, robot)}
     fingers = notes.fingers

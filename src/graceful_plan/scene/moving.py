@@ -1,7 +1,7 @@
-"""Entities that move: somebody or something that can be harmed, with a predicted path over time.
+"""Moving entities: people, animals or objects that can be harmed, with a predicted path over time.
 
-They are hazards and not obstacles: planners charge for harm to them, nothing checks for collisions with them. What can
-happen to them is told in `costs/models/moving/drops.py`.
+Planners weigh harm to them, but they are not obstacles: nothing checks for collisions with them. The models of harm
+are in `costs/models/moving/drops.py`.
 """
 
 from __future__ import annotations
@@ -24,38 +24,38 @@ Array = np.ndarray
 
 
 class Whereabouts(NamedTuple):
-    """Where a moving entity is expected at some times."""
+    """Predicted poses of a moving entity at given times."""
 
     position: Float[Array, "*batch 3"]
-    """Its centre in W [m]."""
+    """Centre of the entity in W [m]."""
     yaw: Float[Array, " *batch"]
-    """How far it is turned about the vertical [rad]."""
+    """Rotation about the vertical [rad]."""
     spread: Float[Array, " *batch"]
-    """Standard deviation of its place along x and along y [m]."""
+    """Standard deviation of the position along x and along y [m]."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class MovingEntity:
-    """An upright box or cylinder that can be harmed and whose path over time is predicted.
+    """An upright box or cylinder that can be harmed, with a predicted path over time.
 
-    It moves evenly from each place to the next and stands still before the first and after the last time. Times are on
-    the clock of the trajectories that are evaluated: t = 0 is the start of what `plan` returns.
+    It moves at constant velocity between the given positions and rests before the first and after the last time. Times
+    are on the clock of the evaluated trajectories: t = 0 is the start of the trajectory that `plan` returns.
 
     Args:
-        name: What it is called; no entity and no body of the scene has this name.
-        category: Its class in the severity table, e.g. "adult" or "pet".
+        name: Name of the entity; must differ from all entities and bodies of the scene.
+        category: Class of the entity in the severity table, e.g. "adult" or "pet".
         size: Three half sizes of a box, or radius and half height of a cylinder [m].
         t: Times of the prediction [s], increasing.
-        position: Its centre in W at these times [m].
-        yaw: How far a box is turned about the vertical at these times [rad]; from one to the next it turns the shorter
-            way. Default: not at all.
-        spread: Standard deviation of its place, along x and along y, at the first time and before [m].
-        growth: Standard deviation of its velocity [m/s]: after the first time, `(growth (t - t[0]))^2` adds to the
-            variance of its place, also after the last time.
-        severity: Severities that replace the table's: one for all components, or by component.
+        position: Centre in W at these times [m].
+        yaw: Rotation of a box about the vertical at these times [rad], interpolated along the shorter direction; 0 by
+            default.
+        spread: Standard deviation of the position, along x and along y, up to the first time [m].
+        growth: Standard deviation of the velocity [m/s]: after the first time, `(growth (t - t[0]))^2` adds to the
+            variance of the position, also after the last time.
+        severity: Severities that replace the table's: one number for all components, or numbers by component.
 
     Raises:
-        ShapeError: If the arrays do not fit together.
+        ShapeError: If the shapes of the arrays do not match.
         NonFiniteError: If a number is NaN or infinite.
         SettingError: If times do not increase, a size is not above 0 or a spread or growth is below 0.
         SceneError: If the name is empty.
@@ -113,27 +113,27 @@ class MovingEntity:
 
     @property
     def is_round(self) -> bool:
-        """Whether it is a cylinder."""
+        """Whether the entity is a cylinder."""
         return len(self.size) == 2
 
     @property
     def half_size(self) -> Float[Array, " 3"]:
-        """Half sizes of the upright box around it [m]."""
+        """Half sizes of the upright bounding box [m]."""
         return self.size[[0, 0, 1]] if self.is_round else self.size
 
     @property
     def lowest(self) -> float:
-        """Height of its bottom where the path is lowest [m]."""
+        """Height of the bottom at the lowest point of the path [m]."""
         return float(self.position[:, 2].min() - self.half_size[2])
 
     @property
     def top_speed(self) -> float:
-        """Greatest speed along the path [m/s]."""
+        """Largest speed along the path [m/s]."""
         steps = np.linalg.norm(np.diff(self.position, axis=0), axis=1)
         return float(np.max(steps / np.diff(self.t), initial=0.0))
 
     def at(self, t: ArrayLike | float) -> Whereabouts:
-        """Return where it is expected at one or more times [s]."""
+        """Return the predicted poses at one or more times [s]."""
         times = finite_array("t", np.asarray(t))
         position = np.stack([np.interp(times, self.t, axis) for axis in self.position.T], axis=-1)
         known_for = np.maximum(times - self.t[0], 0.0)
@@ -141,9 +141,9 @@ class MovingEntity:
         return Whereabouts(position, np.asarray(np.interp(times, self.t, self.yaw)), np.asarray(spread))
 
     def later(self, seconds: float) -> MovingEntity:
-        """Return the same prediction, `seconds` later; with a negative number, earlier.
+        """Return the same prediction shifted in time by `seconds`; a negative number shifts it to earlier times.
 
-        For a prediction made on another clock, such as one with t = 0 some time before the robot starts.
+        Use it for predictions on another clock, for example with t = 0 some time before the robot starts.
         """
         return MovingEntity(
             self.name,

@@ -1,4 +1,4 @@
-"""One way to keep something per scene: made once, freed with the scene; or with the last that differs by poses only."""
+"""Caches bound to the lifetime of a scene, or of a family of scenes that differ only in the poses of obstacles."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def per_scene(*, most: int) -> Callable[[_Maker[P, T]], _Maker[P, T]]: ...
 
 
 def per_scene(make: _Maker[P, T] | None = None, /, *, most: int | None = None) -> object:
-    """Keep what a function of a scene, and of hashable arguments besides, returns, for as long as the scene lives.
+    """Cache the results of a function of a scene and of hashable arguments for as long as the scene lives.
 
-    What is kept must not refer to the scene, or neither is ever freed. Threads that ask at the same time may each make
-    it; all of them are given the first that was finished. An exception is not kept.
+    Cached values must not refer to the scene, or neither is ever freed. Concurrent threads may each compute a value;
+    all of them get the one that finished first. Exceptions are not cached.
 
     Args:
         make: The function.
-        most: Values kept for a scene, the oldest is dropped; all of them by default. Set it where arguments are tried
-            one after the other, as fits do with constants.
+        most: Number of values cached per scene, the oldest of which is dropped; None for no limit. Set it where
+            arguments vary from call to call, such as constants in a fit.
     """
 
     def keeping(make: _Maker[P, T]) -> _Maker[P, T]:
@@ -52,9 +52,9 @@ def per_layout(*, most: int) -> Callable[[_Maker[P, T]], _Maker[P, T]]: ...
 
 
 def per_layout(make: _Maker[P, T] | None = None, /, *, most: int | None = None) -> object:
-    """Keep what a function of a scene returns for all scenes that differ only by where things around the robot stand.
+    """Cache the results of a function of a scene for all scenes that differ only in the poses of obstacles.
 
-    For what says nothing of where these are; the rest is as for `per_scene`.
+    Use it for results that do not depend on these poses; otherwise it behaves like `per_scene`.
     """
 
     def keeping(make: _Maker[P, T]) -> _Maker[P, T]:

@@ -1,4 +1,4 @@
-"""Where robot and carried object are in a configuration, by MuJoCo's kinematics."""
+"""Poses of robot and carried object in a configuration, by MuJoCo's kinematics."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Array = np.ndarray
 
 
 class Placement:
-    """Kinematics of one scene, again and again. Holds MuJoCo state: one per thread.
+    """Kinematics of a scene for repeated evaluation. Holds MuJoCo state: use one instance per thread.
 
-    It gives what `scene.data_at` gives, but on the same data every time and hundreds of times faster.
+    It computes the same as `scene.data_at`, but reuses one MjData and is hundreds of times faster.
 
     Args:
         scene: The scene.
@@ -35,7 +35,7 @@ class Placement:
         self._adr = slice(first, last + 1) if contiguous else scene.qpos_adr
         self._carried = scene.carried is not None
         if scene.carried is not None:
-            # Views into the data and scratch space: this runs a thousand times a motion.
+            # Views into the data, and scratch space, because this is evaluated a thousand times per motion.
             adr = int(self.model.jnt_qposadr[self.model.body(scene.carried.body).jntadr[0]])
             self._p_WO, self._quat_WO = data.qpos[adr : adr + 3], data.qpos[adr + 3 : adr + 7]
             site = self.model.site(scene.tool).id
@@ -44,18 +44,18 @@ class Placement:
             mujoco.mju_mat2Quat(self._quat_TO, scene.carried.X_TO[:3, :3].ravel())
 
     def go_to(self, scene: Scene) -> None:
-        """Stand in another scene of the same layout from now on; the model has to be one of its own, a copy."""
+        """Switch to another scene of the same layout; the placement must own its model."""
         for name in POSES:
             getattr(self.model, name)[:] = getattr(scene.model, name)
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = scene.home_qpos
 
     def place(self, q: Float[Array, " nq"], X_WO: Float[Array, "4 4"] | None = None) -> mujoco.MjData:
-        """Put robot and carried object where a configuration puts them; the next call overwrites the data.
+        """Update the kinematics of robot and carried object at a configuration; the next call overwrites the data.
 
         Args:
             q: The configuration.
-            X_WO: Where that puts the carried object, if the caller knows: it takes half as long.
+            X_WO: Pose of the carried object at q, if known; it halves the time.
         """
         data = self.data
         data.qpos[self._adr] = q
@@ -73,17 +73,17 @@ class Placement:
 
 
 class PlacementPool:
-    """One placement a thread for all scenes of one layout: MuJoCo's data takes longer to make than to use.
+    """One placement per thread for all scenes of a layout, because creating MjData takes longer than using it.
 
     Args:
-        masks: `contype` and `conaffinity` of the placements' model, if they are not the scene's.
+        masks: `contype` and `conaffinity` for the placements' model if they differ from the scene's.
     """
 
     def __init__(self, masks: tuple[Int[Array, " geom"], Int[Array, " geom"]] | None = None) -> None:
         self._masks, self._own = masks, local()
 
     def of(self, scene: Scene) -> Placement:
-        """Return this thread's placement, in a scene; whoever asks next in the same thread moves it."""
+        """Return this thread's placement, switched to a scene; the thread's next call may switch it to another."""
         found: Placement | None = getattr(self._own, "placement", None)
         if found is None:
             model = copy.copy(scene.model)

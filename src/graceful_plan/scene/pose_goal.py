@@ -1,4 +1,4 @@
-"""Goals given as a pose of the tool."""
+"""Goals given as a tool pose."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 _ROOT_STEPS = 40
-"""Of the fixed-point iteration, which halves its error at least."""
+"""Steps of the fixed-point iteration, each of which at least halves the error."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGoal:
-    """A pose that the tool should reach, within tolerances.
+    """A goal pose of the tool, with tolerances.
 
     Args:
         X_WT: Pose of the tool in W, homogeneous.
-        position_tolerance: Largest distance of the tool's origin [m], > 0.
-        orientation_tolerance: Largest angle of rotation between wanted and reached orientation [rad], > 0.
-        free_yaw: Whether the tool may be turned about its own z axis; then only the axis counts.
+        position_tolerance: Largest distance of the tool's origin from the goal [m], > 0.
+        orientation_tolerance: Largest angle between the goal's and the reached orientation [rad], > 0.
+        free_yaw: Whether the rotation about the tool's own z axis is free, so that only the axis counts.
 
     Raises:
-        ShapeError: If it is not a 4 x 4 matrix.
-        SettingError: If it is not a rigid pose or a tolerance is not above 0.
+        ShapeError: If `X_WT` is not a 4 x 4 matrix.
+        SettingError: If it is not a rigid pose, or a tolerance is not above 0.
     """
 
     X_WT: Float[Array, "4 4"]
@@ -69,7 +69,7 @@ class PoseGoal:
         orientation_tolerance: float = 0.01,
         free_yaw: bool = False,
     ) -> Self:
-        """Make a goal from a position [m] and a quaternion wxyz, which is normalised; None stands for no rotation.
+        """Create a goal from a position [m] and a quaternion wxyz, which is normalised; None means no rotation.
 
         Raises:
             SettingError: If the quaternion is zero.
@@ -99,20 +99,20 @@ class PoseGoal:
         orientation_tolerance: float = 0.01,
         free_yaw: bool = False,
     ) -> Self:
-        """Make a goal from where the tool is in a configuration, and how far it should go from there.
+        """Create a goal relative to the tool's pose in a configuration.
 
         Args:
             q: The configuration [rad or m].
             scene: Robot and tool.
-            translation: Of the tool's origin [m]; none by default.
-            rotation: About the tool's origin, as a rotation vector [rad]; none by default.
-            frame: "world" or "tool": whose axes translation and rotation are along.
-            position_tolerance: As for the goal itself.
-            orientation_tolerance: As for the goal itself.
-            free_yaw: As for the goal itself.
+            translation: Translation of the tool's origin [m]; none by default.
+            rotation: Rotation about the tool's origin, as a rotation vector [rad]; none by default.
+            frame: "world" or "tool": the axes in which translation and rotation are expressed.
+            position_tolerance: As in `PoseGoal`.
+            orientation_tolerance: As in `PoseGoal`.
+            free_yaw: As in `PoseGoal`.
 
         Raises:
-            ShapeError: If the configuration does not fit the scene's joints, or a vector is not of length 3.
+            ShapeError: If the configuration does not match the scene's joints, or a vector does not have length 3.
             SettingError: If there is no such frame.
         """
         if frame not in ("world", "tool"):
@@ -131,20 +131,20 @@ class PoseGoal:
         return cls(X_WT, position_tolerance, orientation_tolerance, free_yaw)
 
     def region(self, half_size: ArrayLike | None = None, turns: ArrayLike | None = None, count: int = 64) -> list[Self]:
-        """Return goals all over a region around this one, to be given to `plan` together; this one is the first.
+        """Return goals sampled in a region around this one, to be passed to `plan` together; this goal is the first.
 
-        They are spread evenly over offsets and turns, which are drawn independently of each other: the goals are
-        samples, nothing between them counts. `plan` looks at the nearest first.
+        They cover offsets and rotations evenly and independently of each other. Only these samples are goals, not the
+        poses between them. `plan` tries the nearest first.
 
         Args:
-            half_size: How far the tool may be off, along its own axes in this goal [m]: half of a box; 0 by default.
-            turns: How far it may be turned there about each of its own axes, first x, then y, then z [rad]; 0 by
-                default, and up to pi, which leaves the axis free.
+            half_size: Largest offset of the tool along the goal's axes [m], half the size of a box; 0 by default.
+            turns: Largest rotation about each of the tool's axes, first x, then y, then z [rad]; 0 by default, at most
+                pi, which leaves that rotation free.
             count: Number of goals.
 
         Raises:
-            ShapeError: If these are not of length 3.
-            SettingError: If one is negative, a turn is beyond pi, or there is to be no goal.
+            ShapeError: If `half_size` or `turns` does not have length 3.
+            SettingError: If a value is negative, a turn is beyond pi, or `count` is below 1.
         """
         given = {"half_size": half_size, "turns": turns}
         room = np.concatenate(
@@ -155,7 +155,7 @@ class PoseGoal:
         if count < 1:
             raise SettingError("count", count, "at least 1")
         wide = np.flatnonzero(room > 0.0)
-        # Roberts' additive recurrence, whose steps are powers of the inverse of the root of x^(d + 1) = x + 1.
+        # Roberts' R sequence: its steps are powers of 1 / root, with root^(d + 1) = root + 1.
         root = 2.0
         for _ in range(_ROOT_STEPS):
             root = (1.0 + root) ** (1.0 / (len(wide) + 1.0))
@@ -165,7 +165,7 @@ class PoseGoal:
         return [self._moved(row) for row in off]
 
     def _moved(self, off: Float[Array, " 6"]) -> Self:
-        """Return this goal moved along its own axes, then turned about x, y, z of the tool [m and rad]."""
+        """Return this goal moved along its own axes, then rotated about x, y, z of the tool [m and rad]."""
         X, turn = self.X_WT.copy(), np.empty(9)
         X[:3, 3] += X[:3, :3] @ off[:3]
         for axis, angle in zip(np.eye(3), off[3:], strict=True):

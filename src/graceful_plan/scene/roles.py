@@ -1,4 +1,4 @@
-"""Who is who in a model: components that can do harm, entities that can be harmed, obstacles that are neither."""
+"""Roles of bodies in a model: components that can do harm, entities that can be harmed, obstacles that are neither."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ FROM_ABOVE.flags.writeable = False
 
 
 def find_components(model: mujoco.MjModel, notes: Notes, robot: Collection[int]) -> Mapping[str, Component]:
-    """Return the components by name: the links that can move, and what is held.
+    """Return the components by name: the moving links, the held object and its contents.
 
     Raises:
-        SceneError: If one of them has no geoms.
+        SceneError: If a component has no colliding geoms.
         UnknownNameError: If a class or a geom does not exist.
     """
     moving = [b for b in robot if model.body_weldid[b] != 0]
@@ -94,12 +94,12 @@ def custom_entities(model: mujoco.MjModel) -> dict[str, EntityNote]:
 def find_entities(
     model: mujoco.MjModel, notes: Notes, robot: Collection[int], components: Mapping[str, Component]
 ) -> Mapping[str, Entity]:
-    """Return the entities by name, in the order of declaration, without what is held.
+    """Return the entities by name, in the order of declaration, without the held object.
 
-    An entity has the geoms that collide of its body's subtree, less the subtrees of other entities in it.
+    An entity has the colliding geoms of its body's subtree, except those of other entities in the subtree.
 
     Raises:
-        SceneError: If one is part of the robot, has no geoms, or a severity is not defined.
+        SceneError: If an entity is part of the robot or has no geoms, or a severity is undefined.
         UnknownNameError: If a body or a class does not exist.
     """
     bodies = {}
@@ -133,7 +133,7 @@ def moving_severities(
     """Return the severity of each component against each moving entity.
 
     Raises:
-        SceneError: If the name of one is that of a body or an entity, or a severity is not defined.
+        SceneError: If a moving entity has the name of a body or entity, or a severity is undefined.
         UnknownNameError: If a class does not exist.
     """
     by_entity, by_class = _split_overrides(notes)
@@ -148,7 +148,7 @@ def moving_severities(
 
 
 def own_severity(notes: Notes, components: Mapping[str, Component]) -> float:
-    """Return how bad the loss of the carried object itself is; 0 if nothing is carried, or no table says it."""
+    """Return the severity of losing the carried object itself; 0 if nothing is carried or the table lacks a value."""
     if "carried" not in components:
         return 0.0
     _, by_class = _split_overrides(notes)
@@ -163,7 +163,7 @@ def _severity_against(
     table: SeverityTable,
     components: Mapping[str, Component],
 ) -> Mapping[str, float]:
-    """Return the severity of each component: what was declared for the entity, else what the table says."""
+    """Return the severity of each component: the one declared for the entity, else the table's."""
     table.check_class(entity.category)
     declared = [_declared(name, value, table.components) for value in (by_entity.get(name), entity.severity)]
     found = {}
@@ -192,7 +192,7 @@ def _split_overrides(notes: Notes) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _declared(name: str, value: _Severity | None, classes: Collection[str]) -> dict[str, float]:
-    """Check severities that were declared for an entity: one for all components, or by component or component class."""
+    """Check the severities declared for an entity: one for all components, or by component or component class."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
@@ -213,7 +213,7 @@ def held_bodies(model: mujoco.MjModel, notes: Notes) -> frozenset[int]:
 
 
 def unlabelled_bodies(model: mujoco.MjModel, notes: Notes, robot: Collection[int]) -> tuple[str, ...]:
-    """Return the bodies with geoms that collide which are neither robot nor held nor in an entity."""
+    """Return the bodies with colliding geoms that belong neither to the robot, the held object nor an entity."""
     known = set(robot) | held_bodies(model, notes)
     for name in notes.entities:
         known |= subtree(model, model.body(name).id)
@@ -222,7 +222,7 @@ def unlabelled_bodies(model: mujoco.MjModel, notes: Notes, robot: Collection[int
     return tuple(names(model, _OBJ.mjOBJ_BODY, rest))
 
 
-# --- what can be held -------------------------------------------------------------------------------------------------
+# --- held objects -----------------------------------------------------------------------------------------------------
 
 
 def held_note(
@@ -236,11 +236,11 @@ def held_note(
     object_class: str | None = None,
     fingers: float | Mapping[str, float] | None = None,
 ) -> ObjectNote:
-    """Return how an object of the notes, or any body, is held, with nothing left to default.
+    """Return how an object of the notes, or any other body, is held, with all defaults resolved.
 
     Raises:
         UnknownNameError: If there is no such object or body.
-        UnsupportedError: If it cannot be held: part of the robot, on another body, articulated.
+        UnsupportedError: If it cannot be held because it is part of the robot, a child of another body, or articulated.
     """
     note = notes.objects.get(name)
     if note is None:
@@ -284,7 +284,7 @@ def _class_by_mass(mass: float) -> str:
 
 
 def rigid_pose(name: str, value: ArrayLike) -> Float[Array, "4 4"]:
-    """Return a pose as a 4 x 4 matrix that cannot be written to.
+    """Return a pose as a read-only 4 x 4 matrix.
 
     Raises:
         SettingError: If it is not a rotation and a translation.

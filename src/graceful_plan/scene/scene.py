@@ -1,7 +1,7 @@
-"""A scene: robot, surroundings and what is known about both; the library's door to MuJoCo.
+"""The scene: robot, surroundings and their declarations. Constructors and edits of scenes, from MJCF or URDF.
 
-A `Scene` never changes: `attach`, `detach`, `with_severity` and `add_*` return new ones. Frames: W world, T tool,
-O carried object. Batches of configurations are the business of `core.kernels`.
+A `Scene` is immutable: `attach`, `detach`, `with_severity`, `add_*` and others return new scenes. Frames: W world,
+T tool, O carried object. Batches of configurations are evaluated by `core.kernels`.
 """
 
 from __future__ import annotations
@@ -59,21 +59,21 @@ _GEOM = mujoco.mjtGeom
 
 @final
 class Scene(SceneFacts):
-    """A robot among things that can be harmed. Made by `load_scene` or `Scene.from_mjcf`; equal only to itself."""
+    """A robot among entities that can be harmed. Created by `load_scene` or `Scene.from_mjcf`; equal only to itself."""
 
     def __deepcopy__(self, memo: object) -> Scene:
-        """Return the scene itself: it is never changed in place."""
+        """Return the scene itself, which is immutable."""
         return self
 
     def __reduce__(self) -> Any:
-        """Say why it cannot be pickled.
+        """Refuse pickling.
 
         Raises:
-            TypeError: In any case.
+            TypeError: Always; the message says why.
         """
         raise TypeError(f"the Scene {self.name!r} holds a MuJoCo model and cannot be pickled; load it in each process")
 
-    # --- making one ---------------------------------------------------------------------------------------------------
+    # --- constructors -------------------------------------------------------------------------------------------------
 
     @classmethod
     def from_mjcf(
@@ -100,42 +100,44 @@ class Scene(SceneFacts):
         base: DiffDrive | None = None,
         name: str | None = None,
     ) -> Scene:
-        """Make a scene from any MJCF model with an arm in it.
+        """Create a scene from any MJCF model that contains an arm.
 
         Args:
             source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first, and may
-                name other files only in the same folder and below, or in `folder`; a MjSpec is trusted.
+                refer only to files in their own folder and below, or in `folder`; a MjSpec is trusted.
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
-            tool: Name of the site that stands for the tool, or of a body, whose frame it then is. The hinges and slides
-                between the world and it are planned.
+            tool: Name of a site that serves as the tool, or of a body whose frame does. The hinges and slides between
+                the world and the tool are planned.
             carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
             X_TO: Pose of the carried body in the tool frame.
-            contents: What is inside of it.
-            entities: Class of each body that can be harmed, by body name; each stands for its whole subtree. The model
-                may say the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class are
-                obstacles only.
-            severity: A table, a file with one, or replacements as for `with_severity`.
-            fingers: Position of the joints behind the tool's body, or positions by joint name.
-            limits: Lower and upper limit by joint, where they are not to be the model's [rad or m].
+            contents: Contents of the carried body.
+            entities: Class of each body that can be harmed, by body name; it applies to the body's subtree. The model
+                can declare the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class
+                are obstacles only.
+            severity: A table, a file with one, or replacements as in `with_severity`.
+            fingers: Position of the joints in the subtree of the tool's body, or positions by joint name.
+            limits: Lower and upper limit by joint, to replace the model's [rad or m].
             velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric
                 "<robot>velocity_limit".
-            acceleration: The same for accelerations [rad/s2 or m/s2], custom numeric "<robot>acceleration_limit".
-            torque: The same [N m or N]. Default: the model's actuators; infinite if they have no limits.
-            keyframes: Configurations by name, besides the model's own keyframes.
-            allowed_contacts: What may touch, besides gripper and carried object.
-            self_collision: "model": links of the robot may touch where the model's filters say so, with a warning if
-                they say it of all. "links": none may but those that a joint lies between, those that overlap nearly
-                wherever the joints are, and excluded pairs. `describe` lists them.
-            folder: That all files which the model names are in, for models whose `meshdir` leads out of their own.
+            acceleration: Limit of each planned joint [rad/s2 or m/s2]. Default: custom numeric
+                "<robot>acceleration_limit".
+            torque: Limit of each planned joint [N m or N]. Default: the model's actuators; infinite if unlimited.
+            keyframes: Configurations by name, in addition to the model's keyframes.
+            allowed_contacts: Contacts to allow in addition to those of gripper and carried object.
+            self_collision: "model": the model's filters decide which links may touch; a warning is logged if they let
+                all links touch. "links": links may not touch, except pairs with a joint in between, pairs that overlap
+                in nearly all configurations, and excluded pairs. `describe` lists them.
+            folder: Folder that contains all files of the model, for models whose `meshdir` leads out of their own
+                folder.
             body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
-            base: How the robot drives. Default: the model's custom numerics and texts "<robot>drive/FIELD". Without it
-                planar joints move in all directions.
-            name: What to call the scene; the model's name by default.
+            base: Drive of a mobile base. Default: the model's custom numerics and texts "<robot>drive/FIELD". Without
+                it, planar joints move in all directions.
+            name: Name of the scene; the model's name by default.
 
         Raises:
             SceneError: If the model is broken or hostile.
-            SettingError: If `folder` does not have the source in it, or there is no such kind of `self_collision`.
-            UnsupportedError: If it has features that cannot be represented.
+            SettingError: If the source is not in `folder`, or `self_collision` is unknown.
+            UnsupportedError: If the model has unsupported features.
             UnknownNameError: If a body, site, joint or class does not exist.
         """
         spec = load_spec(source, folder)
@@ -187,36 +189,37 @@ class Scene(SceneFacts):
         entities: Mapping[str, str | EntityNote] | None = None,
         severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
     ) -> Scene:
-        """Make a scene of a robot from URDF, in a world or alone. Names get the robot's name and "/" before them.
+        """Create a scene from a robot in URDF, with or without a world. Names get the prefix "<robot name>/".
 
-        Links that a joint lies between may touch, and those that overlap nearly wherever the joints are: hulls of
-        meshes overlap where the meshes do not. Only collision geometry counts. Where hulls touch each other in many
-        configurations, meshes that they do not fit are divided into convex parts: ten seconds each, the first time.
+        Links with a joint in between may touch, and so may links that overlap in nearly all configurations, because the
+        convex hulls of meshes can overlap where the meshes do not. Only collision geometry is used. If hulls touch each
+        other in many configurations, meshes far from convex are divided into convex parts; the first time, this takes
+        ten seconds per mesh.
 
         Args:
             source: URDF file, or its text.
-            tool: Link whose frame is that of the tool. The joints between the base and it are planned.
-            acceleration: Limit of each planned joint, or of all [rad/s2 or m/s2]: URDF has none.
-            packages: Folders that `package://` stands for: packages, or folders that have these in them, or folders by
-                the name of the package; those above the file are tried, too.
-            srdf: SRDF file or text: pairs that may touch, and group states as keyframes.
-            world: MJCF with the surroundings, as in `from_mjcf`.
+            tool: Link whose frame is that of the tool. The joints between the base and the tool are planned.
+            acceleration: Limit of each planned joint, or one for all [rad/s2 or m/s2]; URDF has none.
+            packages: Folders to resolve `package://`: packages, folders that contain packages, or folders by package
+                name. The folders above the file are searched as well.
+            srdf: SRDF file or text, for link pairs that may touch, and group states as keyframes.
+            world: MJCF of the surroundings, as in `from_mjcf`.
             pose: Of the robot's root link in W, 4 x 4.
             velocity: Limit of each planned joint [rad/s or m/s]; those of the URDF by default.
-            fingers: Position of the joints that hang on the last planned joint; those that mimic one follow it. Or
+            fingers: Position of the joints in the subtree of the last planned joint, whose mimic joints follow; or
                 positions by joint name.
-            decompose: Whether meshes are divided; if None, where links touch in many configurations and the library
-                `coacd` is there, with a warning if it is not.
+            decompose: Whether to divide meshes into convex parts. With None they are divided if links touch in many
+                configurations and the library `coacd` is installed; if it is not installed, a warning is logged.
             limits: As in `from_mjcf`.
-            allowed_contacts: What may touch besides.
+            allowed_contacts: Contacts to allow in addition.
             keyframes: Configurations by name.
             entities: As in `from_mjcf`.
             severity: As in `from_mjcf`.
 
         Raises:
-            SceneError: If a file is broken, hostile or not there.
-            UnsupportedError: If it has features that cannot be represented, or meshes are to be divided without that.
-            UnknownNameError: If there is no such link.
+            SceneError: If a file is broken, hostile or missing.
+            UnsupportedError: If the robot has unsupported features, or `decompose` is True without `coacd`.
+            UnknownNameError: If there is no link `tool`.
         """
         robot = read_urdf(source, packages, decompose=decompose or False)
         chain, prefix = robot.chain(tool), f"{robot.name}/"
@@ -245,7 +248,7 @@ class Scene(SceneFacts):
 
     @classmethod
     def build(cls, spec: mujoco.MjSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
-        """Make a scene of a MjSpec, which must not change any more, and notes. For loaders; users call `from_mjcf`."""
+        """Build a scene from notes and a MjSpec that must not change any more. For loaders; users call `from_mjcf`."""
         with notes.about("world"):
             model = checked_model(spec) if compiled is None else compiled
         with notes.about("robot"):
@@ -269,7 +272,7 @@ class Scene(SceneFacts):
         notes = replace(
             notes,
             entities=roles.custom_entities(model) | dict(notes.entities),
-            # Kept here, since adding a joint to a MjSpec spoils its keyframes.
+            # Keyframes are stored here because adding a joint to a MjSpec invalidates them.
             keyframes=model_keyframes(model, qpos_adr) | dict(notes.keyframes),
         )
         return cls(
@@ -290,11 +293,11 @@ class Scene(SceneFacts):
             spec=spec,
         )
 
-    # --- what is built on these facts ---------------------------------------------------------------------------------
+    # --- tasks and summary --------------------------------------------------------------------------------------------
 
     @cached_property
     def tasks(self) -> Mapping[str, Task]:
-        """What to plan in this scene, by name."""
+        """The declared tasks by name."""
         tasks = {}
         for name, note in self.notes.tasks.items():
             start, goal = task_ends(self, name)
@@ -310,7 +313,7 @@ class Scene(SceneFacts):
         return MappingProxyType(tasks)
 
     def describe(self) -> str:
-        """Return a readable summary: robot, components, entities with severities, what may touch and why."""
+        """Return a readable summary: robot, components, entities with severities, allowed contacts with reasons."""
         return summary(self, {name: task.description for name, task in self.tasks.items()})
 
     # --- new scenes ---------------------------------------------------------------------------------------------------
@@ -325,23 +328,23 @@ class Scene(SceneFacts):
         fingers: float | Mapping[str, float] | None = None,
         support: Sequence[str] = (),
     ) -> Scene:
-        """Return this scene with an object in the gripper, no entity or obstacle any more; the gripper may touch it.
+        """Return this scene with an object in the gripper, which may touch it; it is no longer an entity or obstacle.
 
         Args:
-            name: An object of the scene, or any body that stands by itself.
+            name: Name of an object of the scene, or of any body whose parent is the world.
             X_TO: Pose of the object's body in the tool frame. Default: as declared for the object, else the body's
                 origin at the tool, upright while the tool points down.
-            contents: What is inside of it. Default: as declared.
+            contents: Contents of the object. Default: as declared.
             object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as
                 declared, else by mass.
-            fingers: Position of the joints behind the tool's body while carrying, or by joint name. Default: as
-                declared.
-            support: Bodies or geoms that it may touch at the ends of a path, since it stands on them there.
+            fingers: Position of the joints in the subtree of the tool's body while carrying, or positions by joint
+                name. Default: as declared.
+            support: Bodies or geoms that the object may touch at the ends of a path, because it stands on them there.
 
         Raises:
-            SceneError: If something is in the gripper already.
+            SceneError: If an object is in the gripper already.
             UnknownNameError: If there is no such object, support or contents geom.
-            UnsupportedError: If it cannot be held.
+            UnsupportedError: If the object cannot be held.
         """
         if self.notes.held is not None:
             raise SceneError(f"{self.notes.held.body!r} is in the gripper already; detach() it first")
@@ -363,23 +366,23 @@ class Scene(SceneFacts):
         return Scene.build(spec, notes)
 
     def detach(self) -> Scene:
-        """Return this scene with nothing in the gripper; the object is back at its initial pose.
+        """Return this scene with an empty gripper; the object is back at its initial pose.
 
         Raises:
-            SceneError: If nothing is in the gripper.
+            SceneError: If the gripper is empty.
         """
         if self.notes.held is None:
             raise SceneError("nothing is in the gripper")
         return Scene.build(self.spec, replace(self.notes, held=None, support=()), self.model)
 
     def with_severity(self, severity: SeverityTable | Mapping[str, float | Mapping[str, float]]) -> Scene:
-        """Return this scene with other severities.
+        """Return this scene with changed severities.
 
         Args:
-            severity: A whole table, or replacements: by entity, a number or numbers by component ("body", "carried",
-                "contents") or by component class ("arm_collapse", "glass", "hot"); by entity class, a number or numbers
-                by component class. A name that is both is the entity.
-                The class "carried" is the carried object itself.
+            severity: A whole table, or replacements. By entity: a number, or numbers by component ("body", "carried",
+                "contents") or component class ("arm_collapse", "glass", "hot"). By entity class: a number, or numbers
+                by component class. A name that is both an entity and a class means the entity. The class "carried" is
+                the carried object itself.
 
         Raises:
             UnknownNameError: If a name is neither an entity nor a class.
@@ -391,40 +394,40 @@ class Scene(SceneFacts):
         return Scene.build(self.spec, notes, self.model)
 
     def with_moving(self, *entities: MovingEntity) -> Scene:
-        """Return this scene with more entities that move; a prediction replaces an earlier one of the same name.
+        """Return this scene with additional moving entities; a prediction replaces an earlier one of the same name.
 
-        They are hazards, not obstacles: collision checks and `verify` do not look at them.
+        Planners weigh harm to them, but collision checks and `verify` ignore them.
 
         Raises:
-            SceneError: If a name is given twice or is that of a body of the scene.
-            UnknownNameError: If the severity table does not have a class.
+            SceneError: If a name is given twice, or is that of a body of the scene.
+            UnknownNameError: If the severity table lacks a class.
         """
         for entity in entities:
             if not isinstance(entity, MovingEntity):
                 raise SettingError("entities", entity, "MovingEntity objects")
         given = {entity.name: entity for entity in entities}
         if len(given) < len(entities):
-            raise SceneError(f"two of these moving entities have one name: {', '.join(e.name for e in entities)}")
+            raise SceneError(f"moving entities must have distinct names: {', '.join(e.name for e in entities)}")
         return self._among({**self.notes.moving, **given})
 
     def without_moving(self) -> Scene:
-        """Return this scene without entities that move."""
+        """Return this scene without moving entities."""
         return self._among({})
 
     def _among(self, moving: Mapping[str, MovingEntity]) -> Scene:
         scene = Scene.build(self.spec, replace(self.notes, moving=MappingProxyType(moving)), self.model)
-        # Nothing collides with them: predictions come anew with every call, and these stay.
+        # Moving entities are not in collision checks, so these caches survive the frequent updates of predictions.
         vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene
 
     def with_constraints(self, *constraints: object) -> Scene:
-        """Return this scene with constraints that hold along motions in it unless a call says otherwise.
+        """Return this scene with constraints that apply to motions in it by default.
 
-        They stay with what is made of it: its tasks, the scene with another object in the gripper. Contents that are
-        carried are kept besides, without being asked for.
+        Scenes and tasks made from this scene keep them, even with another object in the gripper. The constraint that
+        keeps carried contents in applies in any case.
 
         Raises:
-            SettingError: If one of them is no `graceful_plan.Constraint`.
+            SettingError: If an argument is not a `graceful_plan.Constraint`.
         """
         for constraint in constraints:
             if not callable(getattr(constraint, "rule", None)):
@@ -432,7 +435,7 @@ class Scene(SceneFacts):
         return Scene.build(self.spec, replace(self.notes, constraints=constraints), self.model)
 
     def with_allowed_contacts(self, *contacts: AllowedContact) -> Scene:
-        """Return this scene with more that may touch, such as two links of the robot; `describe` lists them.
+        """Return this scene with additional allowed contacts, such as two links of the robot; `describe` lists them.
 
         Raises:
             UnknownNameError: If a name is neither a body nor a geom.
@@ -444,39 +447,39 @@ class Scene(SceneFacts):
         return Scene.build(self.spec, notes, self.model)
 
     def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
-        """Return this scene with a box that does not move.
+        """Return this scene with a static box.
 
         Args:
             name: Name of the new body.
             half_size: Half of its length along each axis [m].
             pose: Pose in W as a 4 x 4 matrix, or the position of its centre [m].
-            entity: Its class, if it can be harmed; otherwise it is an obstacle only.
+            entity: Entity class, if the box can be harmed; otherwise it is an obstacle only.
         """
         return self.edit(add=[Solid(name=name, kind="box", size=half_size, pose=pose, entity=entity)])
 
     def add_sphere(self, name: str, radius: float, pose: ArrayLike, entity: str | None = None) -> Scene:
-        """Return this scene with a sphere of some radius [m] that does not move; the rest as in `add_box`."""
+        """Return this scene with a static sphere of some radius [m]; other arguments as in `add_box`."""
         return self.edit(add=[Solid(name=name, kind="sphere", size=radius, pose=pose, entity=entity)])
 
     def add_cylinder(
         self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
     ) -> Scene:
-        """Return this scene with a cylinder along z of its pose [m] that does not move; the rest as in `add_box`."""
+        """Return this scene with a static cylinder along z of its pose [m]; other arguments as in `add_box`."""
         size = radius, half_length
         return self.edit(add=[Solid(name=name, kind="cylinder", size=size, pose=pose, entity=entity)])
 
     def add_capsule(
         self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
     ) -> Scene:
-        """Return this scene with a capsule along z of its pose that does not move.
+        """Return this scene with a static capsule along z of its pose.
 
-        `half_length` [m] is that of the straight part, without the caps; the rest as in `add_box`.
+        `half_length` [m] is that of the straight part, without the caps; other arguments as in `add_box`.
         """
         size = radius, half_length
         return self.edit(add=[Solid(name=name, kind="capsule", size=size, pose=pose, entity=entity)])
 
     def add_mesh(self, name: str, vertices: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
-        """Return this scene with the convex hull of points [m] in the frame of `pose`; the rest as in `add_box`."""
+        """Return this scene with the convex hull of points [m] in the frame of `pose`; else as in `add_box`."""
         return self.edit(add=[Solid(name=name, kind="mesh", size=vertices, pose=pose, entity=entity)])
 
     def edit(
@@ -486,20 +489,20 @@ class Scene(SceneFacts):
         move: Mapping[str, ArrayLike] | None = None,
         remove: Iterable[str] = (),
     ) -> Scene:
-        """Return this scene with other surroundings, all changes in one go.
+        """Return this scene with changed surroundings, all changes at once.
 
-        What only moves is not compiled again, and what belongs to the robot is not computed again in any case.
+        Moving bodies needs no recompilation, and data of the robot are never recomputed.
 
         Args:
-            add: What comes in, and stays where it is.
-            move: New poses in W by body, as 4 x 4 matrices, or positions of the bodies' frames [m]: obstacles and
-                entities that stand on the world by themselves.
-            remove: Bodies that go, with everything on them; a body that is added may have the name of one that goes.
+            add: Static obstacles to add.
+            move: New poses in W by body, as 4 x 4 matrices or as positions of body frames [m], for obstacles and
+                entities whose parent is the world.
+            remove: Bodies to remove, with their subtrees; an added body may have the name of a removed one.
 
         Raises:
             UnknownNameError: If there is no such body.
             SceneError: If a name is taken, or a body belongs to the robot or is in the gripper.
-            UnsupportedError: If a body that is to move does not stand on the world by itself.
+            UnsupportedError: If the parent of a body to move is not the world.
         """
         kept = self.robot_bodies | roles.held_bodies(self.model, self.notes)
         spec, model = moved(self.spec, self.model, move or {}, kept)
@@ -519,23 +522,23 @@ class Scene(SceneFacts):
         return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides))
 
     def _with_model(self, spec: mujoco.MjSpec, model: mujoco.MjModel) -> Scene:
-        """Return this scene with bodies elsewhere: who is who stays, and what stands freely begins there."""
+        """Return this scene with bodies moved: roles are unchanged, and free bodies start at their new poses."""
         home = self.home_qpos.copy()
         free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         for adr in model.jnt_qposadr[free].tolist():
             home[adr : adr + 7] = model.qpos0[adr : adr + 7]
         home.flags.writeable = False
         scene = replace(self, spec=spec, model=model, home_qpos=home)
-        # These do not depend on where anything stands.
+        # These caches do not depend on the poses of obstacles.
         vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """Something to plan in a scene: a start, goals to choose from, and the object to carry.
+    """A planning task in a scene: a start, alternative goals, and the object to carry.
 
-    `goal` has one row if there is one goal. `scene` is made at the first use: it has the object in the gripper.
+    `goal` has one row per goal. `scene` is created on first use, with the object in the gripper.
     """
 
     name: str
@@ -548,7 +551,7 @@ class Task:
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene with the task's object attached and its supports allowed at the ends."""
+        """The scene with the task's object attached and contacts with its supports allowed at the ends."""
         if self.object_name is None:
             return self.world
         return self.world.attach(self.object_name, support=self.support)

@@ -1,7 +1,7 @@
-"""Screen MJCF from strangers before MuJoCo compiles it, and say in which file and line something is wrong.
+"""Screen untrusted MJCF before MuJoCo compiles it; errors name file and line.
 
-MuJoCo itself loads absolute and `..` includes, expands a billion replicas, and takes NaN positions and negative
-timesteps. The screen reads the XML with a streaming parser, so that nothing is expanded while it looks.
+MuJoCo itself loads absolute and `..` includes, expands a billion replicas, and accepts NaN positions and negative
+timesteps. The screen reads the XML with a streaming parser, so nothing is expanded meanwhile.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000
 MAX_DEPTH = 200
 MAX_ELEMENTS = 50_000
-"""Elements after replication, all included files together."""
+"""Largest number of elements after replication, over all included files."""
 MAX_FILES = 64
 MAX_COUNT = 4096
-"""Greatest value of an attribute that says how many of something there are."""
+"""Largest value of an attribute that is a count."""
 MAX_EXTENT = 1e4
-"""Of places and sizes [m]: the kernels' single precision is good to half a millimetre there."""
+"""Largest coordinate or size [m]: the kernels' single precision resolves half a millimetre there."""
 BUDGETS = {
     "pixels of textures": 4 * 4096**2,
     "cells of height fields": 4096**2,
     "numbers in <numeric> and <tuple>": 1_000_000,
-    "numbers of users' own": 10_000_000,
+    "user-defined numbers": 10_000_000,
     "vertices and faces of meshes": 2_000_000,
     "bytes of assets": MAX_ASSET_BYTES,
 }
-"""What there may be of something in a model, all its elements and files together."""
+"""Limits per model, over all elements and files."""
 _BYTES_ANYHOW = 2**24
-"""What MuJoCo's own default is about, of the memory for contacts and scratch."""
+"""Approximate size of MuJoCo's default memory for contacts and scratch [bytes]."""
 _BYTES_OF_PAIR = 4
-"""Collision detection reserves two lists of all pairs of bodies, with two indices of 2 bytes each: 4 n^2 in all."""
+"""Bytes per pair: collision detection reserves two lists of all body pairs, with two 2-byte indices: 4 n^2 in all."""
 
 _REFUSED = {
     "plugin": "plugins are not supported",
@@ -60,21 +60,21 @@ _COUNTS = frozenset(
     " nuser_actuator nuser_sensor".split()
 )
 _WORDS = {"name", "class", "childclass", "model", "data"}
-"""Attributes whose text may look like a number without being one ("data" only where it is text)."""
+"""Attributes whose text may look like a number but is not one ("data" only where it is text)."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _BAD_NUMBER = re.compile(r"(?i)^[+-]?(nan|inf|infinity)(\(.*\))?$")
 
 
 def load_spec(source: str | Path | mujoco.MjSpec, folder: str | Path | None = None) -> mujoco.MjSpec:
-    """Read a model from a file, from text that starts with "<", or copy a MjSpec.
+    """Load a model from a file or from text that starts with "<", or copy a MjSpec.
 
     Args:
-        source: Which.
-        folder: That no file which the model names may be outside of; that of the model's file if None.
+        source: MJCF file, MJCF text or a MjSpec.
+        folder: Folder that must contain all files of the model; by default the folder of the model's file.
 
     Raises:
-        SceneError: If it is broken or hostile, with file and line.
-        SettingError: If it is none of these, or the model's file is not in that folder.
+        SceneError: If the model is broken or hostile, with file and line.
+        SettingError: If `source` has another type, or is a file outside `folder`.
     """
     if not isinstance(source, str | Path | mujoco.MjSpec):
         raise SettingError("source", source, "MJCF, the name of a file of it, or a MjSpec")
@@ -91,7 +91,7 @@ def load_spec(source: str | Path | mujoco.MjSpec, folder: str | Path | None = No
 
 
 def _root(file: Path, folder: str | Path | None) -> Path:
-    """Return the folder that files have to be in."""
+    """Return the folder that must contain all files."""
     if folder is None:
         return file.parent.resolve()
     root = path_of(folder).resolve()
@@ -101,11 +101,11 @@ def _root(file: Path, folder: str | Path | None) -> Path:
 
 
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a model, with memory for collision detection among all of its bodies.
+    """Compile a model, with enough memory for collision detection among all of its bodies.
 
     Raises:
-        SceneError: With MuJoCo's own words, if it cannot be compiled.
-        TooLargeError: If it needs more memory than there is.
+        SceneError: If it cannot be compiled; the message is MuJoCo's.
+        TooLargeError: If it needs more memory than is available.
     """
     bodies = len(spec.bodies)
     pairs = _BYTES_OF_PAIR * bodies**2
@@ -120,10 +120,10 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 @contextmanager
 def within_memory(what: str) -> Generator[None]:
-    """Raise `TooLargeError` where MuJoCo or numpy run out of memory.
+    """Raise `TooLargeError` if MuJoCo or numpy run out of memory.
 
     Args:
-        what: What takes it.
+        what: Description of the operation for the message.
     """
     try:
         yield
@@ -146,63 +146,63 @@ def _translated(error: Exception, file: str | None) -> SceneError:
 
 @dataclass
 class _Screen:
-    """One look at a model and the files that it includes; `root` is the folder that it must not leave."""
+    """The screening of a model and its included files; `root` is the folder that must contain them."""
 
     root: Path | None
     up: bool = False
-    """Whether ".." may lead from one folder below the root into another."""
+    """Whether ".." may lead from one folder below the root to another."""
     elements: int = 0
     users: int = 0
-    """Numbers of users' own that every element may have."""
+    """Number of user-defined values that each element may have."""
     files: int = 0
     reading: list[Path] = field(default_factory=list)
     places: set[Path] = field(default_factory=set)
-    """Folders of the files read so far, in which MuJoCo may look for others."""
+    """Folders of the files read so far, where MuJoCo may look for others."""
     folders: set[str] = field(default_factory=lambda: {""})
-    """Folders for assets that the model declares, relative to one of those places."""
+    """Asset folders that the model declares, relative to one of `places`."""
     assets: list[_Asset] = field(default_factory=list)
     spent: dict[str, float] = field(default_factory=lambda: dict.fromkeys(BUDGETS, 0.0))
     weighed: set[Path] = field(default_factory=set)
-    """Files of assets that are in what is spent."""
+    """Asset files that are already counted in `spent`."""
 
     @property
     def allowed(self) -> str:
-        """Where files may be."""
+        """Where files may be, for messages."""
         return f"below {str(self.root)!r}" if self.up else "in the folder of the scene"
 
     @property
     def hint(self) -> str:
-        """How to allow others."""
+        """How to allow other files, for messages."""
         return "" if self.up or self.root is None else "; Scene.from_mjcf(..., folder=DIR) allows those below DIR"
 
     def spend(self, what: str, amount: int | float) -> str | None:
-        """Take something from a budget; return what to say if there is not so much in it."""
+        """Count an amount against a budget; return a message if the budget is exceeded."""
         self.spent[what] += amount
         return None if self.spent[what] <= BUDGETS[what] else f"more than {BUDGETS[what]} {what} in all"
 
     def model(self, file: Path) -> None:
-        """Screen a file, what it includes and the assets that it names."""
+        """Screen a file, its includes and its assets."""
         self.file(file, 1)
         self.whole(str(file))
 
     def text(self, text: str) -> None:
-        """Screen a model that is not in a file, so that there is no folder to find others in."""
+        """Screen a model given as text, which therefore has no folder for other files."""
         try:
             content = text.encode()
         except UnicodeEncodeError as error:
-            raise SceneError(f"no text that UTF-8 has: {error.reason}", file="<text>") from None
+            raise SceneError(f"not valid UTF-8: {error.reason}", file="<text>") from None
         _XmlReader(self, "<text>", 1).read(content)
         self.whole("<text>")
 
     def whole(self, name: str) -> None:
-        """Screen what is known once all elements are."""
-        if said := self.spend("numbers of users' own", self.users * self.elements):
+        """Screen totals and assets, once all elements are known."""
+        if said := self.spend("user-defined numbers", self.users * self.elements):
             raise SceneError(f"with {self.users} for each of {self.elements} elements there are {said}", file=name)
         for asset in self.assets:
             self.asset(asset)
 
     def file(self, file: Path, replicas: int) -> None:
-        """Screen a file that is wanted so many times."""
+        """Screen a file that is included `replicas` times."""
         try:
             content = read_content(file, MAX_BYTES)
         except NOT_READ as error:
@@ -219,7 +219,7 @@ class _Screen:
         self.reading.pop()
 
     def found(self, given: str, folders: Iterable[str] = ("",)) -> list[Path] | None:
-        """Return the files that may be meant, or None if one of them is outside of the root folder."""
+        """Return the files that a name may refer to; None if a candidate is outside the root folder."""
         if self.root is None or "\\" in given:
             return None
         found = []
@@ -228,16 +228,16 @@ class _Screen:
                 path = Path(folder) / given
                 if path.is_absolute() or (".." in path.parts and not self.up):
                     return None
-                resolved = (place / path).resolve()  # a symbolic link may lead out
-                by_name = Path(os.path.normpath(place / path))  # what is opened by somebody who does not follow it
+                resolved = (place / path).resolve()  # symbolic links may lead outside
+                by_name = Path(os.path.normpath(place / path))  # the path without following links
                 if not (resolved.is_relative_to(self.root) and by_name.is_relative_to(self.root)):
                     return None
-                if resolved.exists() and not resolved.is_dir():  # also pipes, which opening then refuses
+                if resolved.exists() and not resolved.is_dir():  # includes pipes, refused when opened
                     found.append(resolved)
         return found
 
     def asset(self, asset: _Asset) -> None:
-        """Screen a file that is named by an asset. If there is none, MuJoCo says where it looked."""
+        """Screen the file of an asset. A missing file is left to MuJoCo, whose error lists where it looked."""
         found = self.found(asset.given, sorted(self.folders))
         if found is None:
             message = f"file {asset.given!r} of <{asset.tag}>: only files {self.allowed}, by relative path{self.hint}"
@@ -260,14 +260,14 @@ class _Screen:
                 raise SceneError(f"{error}", file=asset.file, line=asset.line) from None
 
     def spend_on(self, asset: _Asset, what: str, amount: int | float) -> None:
-        """Take from a budget what an asset's file needs."""
+        """Count the size of an asset's file against a budget."""
         if said := self.spend(what, amount):
             raise SceneError(f"with {asset.given!r} there are {said}", file=asset.file, line=asset.line)
 
 
 @dataclass(frozen=True)
 class _Asset:
-    """A file named by an asset, and where."""
+    """A file named by an asset, with the place in the MJCF."""
 
     tag: str
     given: str
@@ -276,7 +276,7 @@ class _Asset:
 
 
 class _XmlReader:
-    """Walks through one XML text."""
+    """Screens one XML text."""
 
     def __init__(self, screen: _Screen, name: str, replicas: int) -> None:
         self.screen, self.name = screen, name
@@ -322,7 +322,7 @@ class _XmlReader:
             self.embedded(f"include of {given!r}", given)
 
     def spends(self, tag: str, attributes: dict[str, str]) -> list[tuple[str, int | float]]:
-        """Return what an element takes from the budgets."""
+        """Return the budgets that an element counts against, with amounts."""
 
         def number(key: str) -> int:
             return self.count(key, attributes.get(key, "0"))
@@ -369,14 +369,14 @@ class _XmlReader:
         if tag == "model":
             self.embedded(f"file {given!r} of <model>", given)
         else:
-            # Which folders there are is known at the end only.
+            # Asset folders are known only at the end.
             self.screen.assets.append(_Asset(tag, given, self.name, line))
 
     def timestep(self, value: str) -> None:
         try:
             timestep = float(value)
         except ValueError:
-            return  # MuJoCo says it better
+            return  # MuJoCo's own error is better
         if not timestep > 0.0:
             self.refuse(f"the timestep is {value}, it has to be above 0")
 
@@ -386,7 +386,7 @@ class _XmlReader:
             try:
                 number = float(word)
             except ValueError:
-                continue  # MuJoCo says it better
+                continue  # MuJoCo's own error is better
             if math.isfinite(number) and number <= MAX_COUNT:
                 largest = max(largest, int(number))
             else:

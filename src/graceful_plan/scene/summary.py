@@ -1,4 +1,4 @@
-"""A scene as text for people."""
+"""A readable text summary of a scene."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from graceful_plan.scene.model_parts import geom_label
 
 
 def summary(scene: SceneFacts, tasks: Mapping[str, str]) -> str:
-    """List what is in a scene: robot, components, entities with severities, what may touch, tasks with their texts."""
+    """List the parts of a scene: robot, components, entities with severities, allowed contacts, tasks."""
     columns = list(scene.components)
     lines = [
         f"scene {scene.name!r}: robot {scene.robot!r}, tool {scene.tool!r}, {len(scene.joints)} planned joints",
@@ -41,7 +41,7 @@ def summary(scene: SceneFacts, tasks: Mapping[str, str]) -> str:
 
 
 def _links(scene: SceneFacts) -> list[str]:
-    """Say which links of the robot may touch each other, by the reason why."""
+    """List the links of the robot that may touch each other, by reason."""
     count, unchecked = unchecked_links(scene.model, scene.robot_bodies, scene.collision_pairs(), scene.allowed_contacts)
     pairs = {reason: ", ".join(f"{a} - {b}" for a, b in found) for reason, found in sorted(unchecked.items())}
     return [f"links that may not touch: {count} pairs; that may:", *(f"  {k}: {told}" for k, told in pairs.items())]

@@ -19,14 +19,14 @@ _SLACK = 1e-6
 
 
 def model_keyframes(model: mujoco.MjModel, qpos_adr: Int[Array, " nq"]) -> dict[str, tuple[float, ...]]:
-    """Return the model's own keyframes, as far as the planned joints go."""
+    """Return the model's own keyframes, restricted to the planned joints."""
     return {
         model.key(i).name: tuple(model.key_qpos[i][qpos_adr].tolist()) for i in range(model.nkey) if model.key(i).name
     }
 
 
 def find_keyframes(notes: Notes, nq: int) -> Mapping[str, Float[Array, " nq"]]:
-    """Return the keyframes of the notes as arrays that cannot be written to.
+    """Return the keyframes of the notes as read-only arrays.
 
     Raises:
         ShapeError: If one has the wrong number of joints.
@@ -39,10 +39,10 @@ def find_keyframes(notes: Notes, nq: int) -> Mapping[str, Float[Array, " nq"]]:
 
 
 def check_keyframes(notes: Notes, limits: Limits) -> None:
-    """Check declared keyframes. Those of a model are not: many models have some outside of their limits.
+    """Check declared keyframes against the limits. A model's own are exempt: many models have some outside the limits.
 
     Raises:
-        SettingError: If one is outside of the limits.
+        SettingError: If a keyframe is outside the limits.
     """
     for name, q in notes.keyframes.items():
         with notes.about(f"keyframes.{name}"):

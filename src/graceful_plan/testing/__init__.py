@@ -1,10 +1,10 @@
-"""Checks that tell the author of a planner or a cost what is wrong with theirs.
+"""Checks that report contract violations to the author of a planner or a cost.
 
     from graceful_plan.testing import check_cost, check_planner
     check_planner(MyPlanner())
     check_cost(MyCost(), scene)
 
-Each check runs the object and compares what it does with the contract. All findings are reported together.
+Each check runs the object, compares the results with the contract, and reports all findings together.
 """
 
 from graceful_plan.testing.contract import ContractError

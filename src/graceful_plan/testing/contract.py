@@ -1,4 +1,4 @@
-"""What a check reports."""
+"""The error that a check raises."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from graceful_plan.exceptions import GracefulPlanError
 
 
 class ContractError(GracefulPlanError, AssertionError):
-    """An object breaks the contract of its kind.
+    """Raised if an object breaks the contract of its kind.
 
     Args:
         subject: The planner or cost.
-        findings: What is wrong, one sentence each.
+        findings: The violations, one sentence each.
     """
 
     def __init__(self, subject: object, findings: tuple[str, ...]) -> None:

@@ -1,4 +1,4 @@
-"""Check of costs."""
+"""Contract check of costs."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Array = np.ndarray
 Findings = Iterator[str]
 
 _DIFFERENCES = (1e-5, 1e-3)
-"""Half steps of the central differences [rad]: poses and clearances are in single precision, whose rounding of 1e-7 of
-a metre drowns a small difference; a wide one steps over kinks."""
+"""Half steps of the central differences [rad]. Poses and clearances are in single precision, whose rounding of 1e-7 m
+hides a small difference; a wide one steps over kinks."""
 _GRADIENT_TOLERANCE = 1e-3
-"""Relative to the largest derivative seen; central differences of a smooth cost are good to about 1e-6."""
+"""Tolerance relative to the largest derivative; central differences of a smooth cost are accurate to about 1e-6."""
 _SAME = 1e-9
-"""Relative difference that the order of a summation may make."""
+"""Relative difference that the order of a summation may cause."""
 
 
 def check_cost(cost: object, scene: Scene, *, samples: int = 64, seed: int = 0) -> None:
@@ -31,7 +31,7 @@ def check_cost(cost: object, scene: Scene, *, samples: int = 64, seed: int = 0) 
         cost: The `Cost` to check.
         scene: A scene in which it can be evaluated.
         samples: Number of random states.
-        seed: Of the random states.
+        seed: Seed of the random states.
 
     Raises:
         ContractError: With all findings, if there are any.
@@ -63,7 +63,7 @@ class _RandomStates:
         self.direction, self.speed = direction, rng.uniform(0.1, 1.0, n)
 
     def batch(self, pick: Array | slice = slice(None), offset: Array | float = 0.0) -> StateBatch:
-        """A fresh batch of some of the states, moved by `offset`."""
+        """Return a new batch of the selected states, with q moved by `offset`."""
         arrays = (self.q[pick] + offset, self.direction[pick].copy(), self.speed[pick].copy())
         for array in arrays:
             array.flags.writeable = False
@@ -88,7 +88,7 @@ def _check_purity(cost: Cost, states: _RandomStates) -> Findings:
 def _check_batches(cost: Cost, states: _RandomStates) -> Findings:
     whole = np.asarray(cost.state(states.batch()))
     if whole.shape != (len(states.q),):
-        return  # said already
+        return  # reported by _check_values
     order = np.arange(len(whole))[::-1]
     scale = max(float(np.abs(whole).max(initial=0.0)), 1e-300)
     if np.abs(np.asarray(cost.state(states.batch(order)))[order] - whole).max(initial=0.0) > _SAME * scale:
@@ -115,7 +115,7 @@ def _check_gradient(cost: Cost, states: _RandomStates) -> Findings:
     expected = np.where(np.abs(gradient - small) <= np.abs(gradient - wide), small, wide)
     error = np.abs(gradient - expected)
     allowed = _GRADIENT_TOLERANCE * max(float(np.abs(wide).max()), float(np.abs(gradient).max()))
-    # a cost may have kinks: a few states next to one are forgiven
+    # A cost may have kinks: a few states next to one may differ.
     wrong = np.atleast_1d((error > allowed).any(axis=1))
     if wrong.mean() > 0.05:
         state, joint = np.unravel_index(int(np.argmax(error)), error.shape)

@@ -1,4 +1,4 @@
-"""Check of planners, on small problems in the plane."""
+"""Contract check of planners, on small problems in the plane."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _ENDLESS_SECONDS = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerTrial:
-    """How `check_planner` tries a planner.
+    """Settings of `check_planner`.
 
     Args:
         iterations: Budget that is ample for the planner on an easy problem in the plane.
-        time_limit: Seconds granted when its obedience to the clock is tried.
-        overrun: Seconds by which it may miss a time limit or a cancellation.
-        seed: For all random numbers.
+        time_limit: Time limit with which the planner's punctuality is tested [s].
+        overrun: Time by which the planner may exceed a time limit or a cancellation [s].
+        seed: Seed of all random numbers.
     """
 
     iterations: int = 2000
@@ -59,7 +59,7 @@ def check_planner(planner: object, trial: PlannerTrial | None = None) -> None:
 
 
 class _Watched(Problem):
-    """Passes questions on and notes improper ones."""
+    """Forwards queries to a problem and records invalid ones."""
 
     def __init__(self, problem: FunctionProblem) -> None:
         self.inner = problem
@@ -88,7 +88,7 @@ def _read_only(array: Array) -> Array:
 
 
 class _Directed:
-    """An objective that charges more for going up the first axis than for going down."""
+    """An objective that costs more for moving up the first axis than for moving down."""
 
     w = 2.0
 
@@ -101,7 +101,7 @@ class _Directed:
 
 
 class _Broken(Exception):
-    """What a broken objective raises; nobody else does."""
+    """The error that a broken objective raises and nothing else does."""
 
 
 class _Raising(_Directed):
@@ -113,7 +113,7 @@ class _Raising(_Directed):
 
 
 def _hill(w: float = 1.0) -> DensityObjective:
-    """Impact around (0, 1.2), so that one way around the block is worse than the other."""
+    """Return an impact centred at (0, 1.2), so that one side of the block is worse than the other."""
     return DensityObjective(
         density=lambda q: 3.0 * np.exp(-2.0 * (q[:, 0] ** 2 + (q[:, -1] - 1.2) ** 2)), w=w, step=0.05
     )
@@ -124,7 +124,7 @@ def _outside_block(q: Array) -> Array:
 
 
 def _around_block(*more_goals: tuple[float, float]) -> FunctionProblem:
-    """Around a square block; goals at (2, 2) lie in a closed cell."""
+    """Return a problem around a square block; goals at (2, 2) lie in a closed cell."""
 
     def free(q: Array) -> Array:
         in_wall = np.abs(np.max(np.abs(q - 2.0), axis=1) - 0.5) <= 0.15
@@ -159,7 +159,7 @@ def _check_settings(planner: object) -> Findings:
 
 
 def _check_paths(paths: list[Any], problem: Problem, objective: BoundObjective) -> Findings:
-    """Every path is one, and each is cheaper than the one before."""
+    """Check that every result is a valid path and cheaper than the previous one."""
     last = np.inf
     for k, path in enumerate(paths):
         if not isinstance(path, Path):
@@ -205,7 +205,7 @@ def _check_determinism(planner: Planner, trial: PlannerTrial) -> Findings:
 
 
 def _global_random_state() -> tuple[bytes, int]:
-    _, keys, position, *_ = np.random.get_state()  # noqa: NPY002 - to see whether somebody touches it
+    _, keys, position, *_ = np.random.get_state()  # noqa: NPY002 - to detect uses of it
     return np.asarray(keys).tobytes(), int(position)
 
 

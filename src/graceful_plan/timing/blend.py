@@ -1,8 +1,8 @@
-"""Rounded polylines: the curves that retiming travels.
+"""Polylines with rounded corners, for retiming.
 
-At a corner of a polyline the direction jumps, so a robot would have to stop there. A parabola that is tangent to both
-segments replaces the corner: the direction then turns evenly, the second derivative is constant on the parabola and
-zero on the straight rest. It is the blend of smallest curvature for the distance by which it cuts the corner.
+At a corner of a polyline the direction jumps, so a robot would have to stop there. A parabola tangent to both segments
+replaces the corner. On it the second derivative is constant; on the straight rest it is zero. Of all blends that cut
+the corner by the same distance, the parabola has the smallest curvature.
 """
 
 from __future__ import annotations
@@ -19,44 +19,44 @@ from graceful_plan.path import Path
 Array = np.ndarray
 
 SHORTEST_SEGMENT = 1e-5
-"""Vertices nearer than this [rad] to the one before are merged: no robot can tell them apart."""
+"""Vertices closer than this to the previous one are merged [rad]: no robot can distinguish them."""
 
 _BLENDED_SHARE = 0.475
-"""Of a segment, what a blend at one end may take; what is left in the middle is not too short to be timed."""
+"""Fraction of a segment that a blend at one end may take; the middle that remains is long enough to be timed."""
 
 _INTERVALS = 100
-"""Of the coarsest grid of a curve, or some more."""
+"""Approximate number of intervals in the coarsest grid of a curve."""
 
 _STRAIGHT = 1e-7
-"""Length of the turn of a unit tangent below which there is no corner."""
+"""Change of the unit tangent below which there is no corner."""
 
 _GRADING = np.array([1 / 16, 1 / 4])
-"""Where to split an interval next to a rest, so that a short acceleration does not take the whole of it."""
+"""Where to split the first interval after a rest, as fractions, to resolve a short acceleration phase."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One stretch of the curve: a line, or a parabola that turns the direction from `tangent` to `tangent + turn`."""
+    """A piece of the curve: a line, or a parabola that turns the direction from `tangent` to `tangent + turn`."""
 
     length: float
-    """In terms of the curve's parameter [rad]; on lines that is arc length."""
+    """Length in the curve's parameter [rad]; on lines this is arc length."""
     start: Float[Array, " nq"]
     tangent: Float[Array, " nq"]
     turn: Float[Array, " nq"]
     """Zero for a line."""
     stops_after: bool
-    """Whether a sharp corner follows, which only a robot at rest can pass."""
+    """Whether a sharp corner follows, where the motion must stop."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurveGrid:
-    """Samples of a curve at both ends of small intervals, where derivatives may differ from the left and the right."""
+    """Samples of a curve at both ends of small intervals; left and right derivatives at a point may differ."""
 
     s: Float[Array, " point"]
-    """Parameter of the grid points: [rad] of a polyline, knots of a spline."""
+    """Parameter of the grid points: [rad] for a polyline, in knots for a spline."""
     q: Float[Array, "point nq"]
     slope: Float[Array, "interval 2 nq"]
-    """dq/ds at the beginning and at the end of each interval [rad by the unit of s]."""
+    """dq/ds at the beginning and at the end of each interval [rad per unit of s]."""
     bend: Float[Array, "interval 2 nq"]
     """d2q/ds2 at the beginning and at the end of each interval."""
     stop: Bool[Array, " point"]
@@ -65,10 +65,10 @@ class CurveGrid:
 
 @runtime_checkable
 class Curve(Protocol):
-    """What can be timed."""
+    """A curve in configuration space that can be timed."""
 
     def grid(self, density: int) -> CurveGrid:
-        """Sample it, more finely the greater the density is; the motion rests at both ends."""
+        """Sample the curve, more finely at higher density; the motion rests at both ends."""
         ...
 
 
@@ -78,7 +78,7 @@ class Polyline:
 
     Args:
         pieces: Lines and parabolas, at least one.
-        end: Its last point, so that no rounding error is left there.
+        end: Last point of the curve, stored to avoid rounding errors there.
     """
 
     pieces: tuple[Piece, ...]
@@ -91,7 +91,7 @@ class Polyline:
 
 
 def merge_near_vertices(path: Path) -> Float[Array, "n nq"]:
-    """Drop vertices nearer than `SHORTEST_SEGMENT` to the last one kept; the first and the last vertex always stay."""
+    """Drop vertices closer than `SHORTEST_SEGMENT` to the last one kept; the first and last vertices always stay."""
     kept = [path.q[0]]
     for q in path.q[1:]:
         if np.linalg.norm(q - kept[-1]) >= SHORTEST_SEGMENT:
@@ -104,12 +104,12 @@ def merge_near_vertices(path: Path) -> Float[Array, "n nq"]:
 def rounded(path: Path, deviation: float | Float[Array, " corner"]) -> tuple[Piece, ...]:
     """Round the corners of a polyline by parabolas that stay within `deviation` [rad] of them.
 
-    A blend takes less than half of each neighbouring segment. With a deviation of 0 the corners stay sharp.
+    A blend takes less than half of each adjacent segment. A deviation of 0 leaves corners sharp.
     A path without length has no pieces.
 
     Args:
         path: The polyline.
-        deviation: One for all corners, or one for each inner vertex of `merge_near_vertices`.
+        deviation: One value for all corners, or one for each inner vertex of `merge_near_vertices`.
     """
     q = merge_near_vertices(path)
     if len(q) < 2:
@@ -129,7 +129,7 @@ def rounded(path: Path, deviation: float | Float[Array, " corner"]) -> tuple[Pie
 
 
 def rounded_corners(q: Float[Array, "n nq"], deviation: float, samples: int = 9) -> Float[Array, "corner sample nq"]:
-    """Configurations on the parabolas that replace the corners of a polyline without near vertices."""
+    """Sample the parabolas that replace the corners of a polyline; its vertices must not coincide."""
     lengths, tangents, turns = _segments(q)
     reach = _reach(lengths, turns, deviation)[:, None, None]
     u = np.linspace(0.0, 2.0, samples)[None, :, None]
@@ -140,7 +140,7 @@ def rounded_corners(q: Float[Array, "n nq"], deviation: float, samples: int = 9)
 def _segments(
     q: Float[Array, "n nq"],
 ) -> tuple[Float[Array, " edge"], Float[Array, "edge nq"], Float[Array, "corner nq"]]:
-    """Lengths and directions of the segments of a polyline, and how the direction turns at each inner vertex."""
+    """Return the lengths and directions of the segments, and the change of direction at each inner vertex."""
     lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
     tangents = np.diff(q, axis=0) / lengths[:, None]
     return lengths, tangents, np.diff(tangents, axis=0)
@@ -149,20 +149,20 @@ def _segments(
 def _reach(
     lengths: Float[Array, " edge"], turns: Float[Array, "corner nq"], deviation: float | Float[Array, " corner"]
 ) -> Float[Array, " corner"]:
-    """How far before and after each corner its parabola begins and ends [rad]."""
+    """Return the distance from each corner to both ends of its parabola [rad]."""
     sharpness = np.linalg.norm(turns, axis=1)
-    # The middle of a parabola of reach d is d/4 * |turn| away from the corner.
+    # The middle of a parabola of reach d is d/4 * |turn| away from its corner.
     room = _BLENDED_SHARE * np.minimum(lengths[:-1], lengths[1:])
     reach = np.minimum(4.0 * deviation / np.maximum(sharpness, 1e-12), room)
     return np.where(sharpness > _STRAIGHT, reach, 0.0)
 
 
 def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float, density: int = 1) -> CurveGrid:
-    """Sample a curve for time-optimal timing.
+    """Sample a curve on a grid for time-optimal timing.
 
     Args:
         pieces: The curve.
-        end: Its last point, so that no rounding error is left there.
+        end: Last point of the curve, stored to avoid rounding errors there.
         spacing: Largest distance of grid points [rad].
         density: Multiplies the smallest number of intervals on a piece.
     """
@@ -174,7 +174,7 @@ def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float,
     count = np.maximum(density * least, 2 * np.ceil(length / (2.0 * spacing)).astype(int))
     rests = zip(count.tolist(), [True, *stops[:-1].tolist()], stops.tolist(), strict=True)
     shares = [places(n, from_rest=before, to_rest=after) for n, before, after in rests]
-    # All intervals of all pieces, one after the other: where each begins and ends as a share of its piece.
+    # All intervals of all pieces in sequence: where each begins and ends, as fractions of its piece.
     begin, finish = (np.concatenate([share[part] for share in shares]) for part in (slice(-1), slice(1, None)))
     intervals = np.array([len(share) - 1 for share in shares])
     of = np.repeat(np.arange(len(pieces)), intervals)
@@ -192,7 +192,7 @@ def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float,
 
 @lru_cache(maxsize=256)
 def places(n: int, *, from_rest: bool, to_rest: bool) -> Float[Array, " point"]:
-    """Split 0 to 1 into `n` even intervals, the outer ones more finely where the motion rests; read-only."""
+    """Split 0 to 1 into `n` even intervals, with finer outer ones where the motion rests; the result is read-only."""
     before = _GRADING / n if from_rest else []
     after = 1.0 - _GRADING[::-1] / n if to_rest else []
     split = np.sort(np.concatenate([np.arange(n + 1) / n, before, after]))

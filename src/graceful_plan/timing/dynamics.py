@@ -1,4 +1,4 @@
-"""Torques that a motion needs, by MuJoCo's recursive Newton-Euler algorithm."""
+"""Joint torques of a motion, by MuJoCo's recursive Newton-Euler algorithm."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ Array = np.ndarray
 
 
 class RobotDynamics:
-    """Inverse dynamics of a scene's robot with what it carries. Call it with q, qd, qdd; holds state, one per thread.
+    """Inverse dynamics of a scene's robot with its carried object, called with q, qd, qdd.
 
-    Rotor inertia, viscous damping and gravity compensation of the model count; dry friction and contacts do not. The
-    fingers hold still, and the carried object moves as if it were part of the hand.
+    Not thread-safe: use one instance per thread.
+
+    The model's rotor inertia, viscous damping and gravity compensation are included; dry friction and contacts are not.
+    The fingers stay still, and the carried object moves as if it were part of the hand.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -45,7 +47,7 @@ class RobotDynamics:
         return torque[self._dofs]
 
     def _of_load(self, body: int, data: mujoco.MjData) -> Float[Array, " nv"]:
-        """Torques that accelerate a body of the carried object and hold it, by virtual work."""
+        """Return the torques that accelerate and hold a body of the carried object, by virtual work."""
         model = self._placement.model
         J_v, J_w, dJ_v, dJ_w = (np.zeros((3, model.nv)) for _ in range(4))
         centre = data.xipos[body].copy()

@@ -1,7 +1,7 @@
-"""Timing: from a path to the fastest trajectory that keeps the limits of velocity, acceleration and torque.
+"""Timing: from a path to the fastest trajectory within limits of velocity, acceleration and torque.
 
-Corners of the path are rounded first (`blend`), then the curve is timed (`topp`), then the result is checked again and,
-where sampling let it exceed a limit by a little, slowed down evenly until it does not.
+Corners of the path are rounded first (`blend`), then the curve is timed (`topp`). The result is checked again. Where
+sampling let it exceed a limit slightly, the whole trajectory is slowed down until it satisfies the limit.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _LONGEST = 1e6
-"""Path that is timed [rad or m]: beyond, the pieces of a grid are lost in rounding."""
+"""Longest path that is timed [rad or m]: beyond it, grid intervals are lost in rounding."""
 _ROUNDING = 1e-9
-"""Relative reserve below the limits, for what rounding adds when somebody else evaluates the trajectory."""
+"""Relative reserve below the limits, for rounding errors when another program evaluates the trajectory."""
 ACCEPTED_SLOWDOWN = 1.02
-"""The grid is refined while checking against the limits would slow the motion down by more than this."""
+"""The grid is refined as long as the final check would slow the motion down by more than this factor."""
 
 
 def retime(
@@ -49,23 +49,24 @@ def retime(
 
     Args:
         path: Polyline in configuration space; start and end are kept exactly.
-        limits: Velocity and acceleration limits; torque limits too if `inverse_dynamics` is given.
+        limits: Velocity and acceleration limits; torque limits apply only if `inverse_dynamics` is given.
         joints: Names of the joints; "0", "1"... if None.
-        deviation: How far the motion may cut a corner of the path [rad, Euclidean], the same everywhere or one for each
-            inner vertex. With 0 it follows the polyline exactly and stops at the corner.
-        speed: In (0, 1]: velocities are scaled by it, accelerations by its square.
-        inverse_dynamics: Joint torques of (q, qd, qdd), to keep torque limits too.
+        deviation: Distance by which the motion may cut a corner of the path [rad, Euclidean], one value for all corners
+            or one for each inner vertex. With 0 the motion follows the polyline exactly and stops at each corner.
+        speed: In (0, 1]: scales velocities, and by its square accelerations.
+        inverse_dynamics: Function from (q, qd, qdd) to joint torques; if given, torque limits are enforced.
         restraint: Further limits on path acceleration and speed.
-        felt: What may be felt where something is carried, such as a full cup; see `SceneConstraints.felt_levels`.
+        felt: Limits on the specific force of a carried object such as a full cup; see
+            `SceneConstraints.felt_levels`.
 
     Returns:
-        A trajectory that keeps the limits at every time, not only at its samples. A path without length gives a single
+        A trajectory within the limits at every time, not only at its samples. A path without length gives a single
         sample.
 
     Raises:
-        RetimingError: If the limits cannot be kept.
-        ShapeError: If path, limits and joints are of different sizes.
-        SettingError: If a setting is outside of its range.
+        RetimingError: If no timing satisfies the limits.
+        ShapeError: If path, limits and joints differ in size.
+        SettingError: If a setting is outside its range.
     """
     nq = path.q.shape[1]
     joints = tuple(str(i) for i in range(nq)) if joints is None else tuple(joints)
@@ -103,11 +104,11 @@ def timed(
     restraint: Restraint | None = None,
     felt: FeltLevels | None = None,
 ) -> Trajectory:
-    """Travel a curve as fast as the limits allow, from rest to rest; otherwise as `retime`."""
+    """Time a curve as fast as the limits allow, from rest to rest; arguments and errors as in `retime`."""
     _check_limits(limits, joints)
     if inverse_dynamics is not None:
         if restraint is not None or felt is not None:
-            raise SettingError("restraint", restraint, "None where torque limits are kept: toppra is not told of it")
+            raise SettingError("restraint", restraint, "None with torque limits: toppra does not get it")
         return slowed(_refined_with_torque(curve, limits, joints, inverse_dynamics), 1.0 / speed)
     velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
     for density in (1, 2, 4):
@@ -120,7 +121,7 @@ def timed(
 
 
 def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
-    """Stretch the time of a trajectory by `factor`; positions stay."""
+    """Stretch the time of a trajectory by `factor`; positions are unchanged."""
     return Trajectory(
         trajectory.t * factor,
         trajectory.q,
@@ -149,7 +150,7 @@ def _check_limits(limits: Limits, joints: tuple[str, ...]) -> None:
 def _refined_with_torque(
     curve: Curve, limits: Limits, joints: tuple[str, ...], inverse_dynamics: InverseDynamics
 ) -> Trajectory:
-    """Time a curve with torque limits on finer and finer grids until it hardly exceeds one between their points."""
+    """Time a curve with torque limits, refining the grid until torques hardly exceed a limit between grid points."""
     velocity, acceleration, torque = (
         np.asarray(x, float) for x in (limits.velocity, limits.acceleration, limits.torque)
     )
@@ -166,7 +167,7 @@ def _refined_with_torque(
 
 
 def slowdown(trajectory: Trajectory, limits: Limits) -> float:
-    """By what factor, at least 1, to stretch the time so that the cubics between the samples keep all limits."""
+    """Return the least factor >= 1 to stretch time by so that the cubics between samples meet all limits."""
     return _native.excess(
         t=trajectory.t,
         q=trajectory.q,
@@ -178,7 +179,7 @@ def slowdown(trajectory: Trajectory, limits: Limits) -> float:
 
 
 def _torque_slowdown(trajectory: Trajectory, torque: Float[Array, " nq"], inverse_dynamics: InverseDynamics) -> float:
-    """Torque is gravity plus a part that shrinks with the square of the slowdown."""
+    """Return the time stretch that meets torque limits: all but gravity scales with 1/stretch^2."""
     a0, a1 = trajectory.piece_accelerations
     rest = np.zeros(len(torque))
     worst = 1.0

@@ -1,4 +1,4 @@
-"""Smooth curves: clamped cubic B-splines, with continuous curvature and within the hull of their control points."""
+"""Smooth curves: clamped cubic B-splines with continuous curvature, inside the hull of their control points."""
 
 from __future__ import annotations
 
@@ -18,51 +18,51 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 _INTERVALS = 128
-"""Of the coarsest grid."""
+"""Intervals in the coarsest grid."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """A curve through configurations that begins at its first control point and ends at its last.
+    """A clamped cubic B-spline: it begins at its first control point and ends at its last.
 
     Args:
-        controls: Control points, at least four [rad or m]; knots are even.
+        controls: Control points, at least four [rad or m]; knots are uniform.
     """
 
     controls: Float[Array, "control nq"]
 
     @classmethod
     def through(cls, points: Float[Array, "point nq"]) -> Self:
-        """Return the curve that passes through points, at least four, at its knots, with even steps in between.
+        """Interpolate points, at least four, at uniform knots.
 
-        The first two and the last two spans are one cubic each (de Boor's not-a-knot), since nothing is known of the
-        derivatives at the ends.
+        The first two and the last two spans are one cubic each (de Boor's not-a-knot condition), because the
+        derivatives at the ends are unknown.
         """
         none = np.zeros((2, points.shape[1]))
         return cls(_collocation(len(points)) @ np.concatenate([points, none]))
 
     @property
     def spans(self) -> int:
-        """Number of intervals between knots; the parameter goes from 0 to it."""
+        """Number of intervals between knots; the parameter runs from 0 to this number."""
         return len(self.controls) - 3
 
     def at(self, u: Float[Array, " n"]) -> Float[Array, "n nq"]:
-        """Evaluate it at parameters."""
+        """Evaluate the curve at parameters."""
         return _native.spline(np.ascontiguousarray(self.controls, dtype=np.float64), u)[0]
 
     @property
     def samples(self) -> Float[Array, "n nq"]:
-        """Configurations on it at the parameters of the coarsest grid."""
+        """Configurations on the curve at the parameters of the coarsest grid."""
         return self.at(self._parameters(1))
 
     def even(self, n: int) -> Float[Array, "n nq"]:
-        """Return configurations on it at even parameters, both ends among them."""
+        """Return `n` configurations at uniform parameters, including both ends."""
         q = self.at(np.linspace(0.0, self.spans, n))
-        q[0], q[-1] = self.controls[0], self.controls[-1]  # to the last bit
+        q[0], q[-1] = self.controls[0], self.controls[-1]  # exact
         return q
 
     def with_controls(self, n: int) -> Spline:
-        """Return the same curve, or one that meets it at all knots, with so many control points."""
+        """Return the curve with `n` control points: unchanged if it has `n`, else an interpolant at the new knots."""
         if len(self.controls) == n:
             return self
         fitted = Spline.through(self.at(np.linspace(0.0, self.spans, n - 2))).controls.copy()
@@ -75,7 +75,7 @@ class Spline:
         return u
 
     def grid(self, density: int) -> CurveGrid:
-        """Sample it for timing; see `Curve`."""
+        """Sample the curve for timing; see `Curve`."""
         u = self._parameters(density)
         q, slope, bend = _native.spline(np.ascontiguousarray(self.controls, dtype=np.float64), u)
         stop = np.zeros(len(u), dtype=bool)
@@ -86,7 +86,7 @@ class Spline:
 
 
 def grid_points(controls: int) -> int:
-    """Return how many samples the coarsest grid of a curve with so many control points has."""
+    """Return the number of samples in the coarsest grid of a curve with this number of control points."""
     return len(places(_intervals(controls - 3), from_rest=True, to_rest=True))
 
 
@@ -96,8 +96,8 @@ def _intervals(spans: int) -> int:
 
 @lru_cache(maxsize=16)
 def _collocation(points: int) -> Float[Array, "control control"]:
-    """Return what takes points at the knots, and two zeros for the ends, to control points."""
+    """Return the matrix from points at the knots, followed by two zero rows for the ends, to control points."""
     value, _, bend = _native.spline(np.eye(points + 2), np.arange(points, dtype=np.float64))
-    # The third derivative is constant on a span; two spans are one cubic if the second one changes evenly over both.
+    # The third derivative is constant on a span; two spans form one cubic if the second one is linear over both.
     ends = np.stack([bend[0] - 2.0 * bend[1] + bend[2], bend[-1] - 2.0 * bend[-2] + bend[-3]])
     return np.linalg.inv(np.concatenate([value, ends]))

@@ -1,14 +1,13 @@
-r"""Time-optimal path parametrisation by reachability analysis (TOPP-RA): how fast to go where on a given curve.
+r"""Time-optimal path parametrisation by reachability analysis (TOPP-RA) for a given curve.
 
 With the squared path speed :math:`x = \dot s^2` and the path acceleration :math:`u = \ddot s`, constant on each
 interval of the grid, every joint acceleration :math:`q' u + q'' x` is linear in (u, x) and
 :math:`x_{i+1} = x_i + 2 \Delta_i u_i`. A backward pass finds the largest x from which the end can still be reached at
-rest, a forward pass then goes as fast as that allows.
+rest; a forward pass then goes as fast as that allows.
 
-Two implementations. `fastest` is for velocity and acceleration limits that are symmetric, between two rests, and for
-what is felt where something is carried, in closed form in the core (`timing/curve_timing.hpp`), without the second that
-importing toppra takes. `fastest_with_toppra`
-hands the general problem, with gravity, to toppra.
+There are two implementations. `fastest` takes symmetric velocity and acceleration limits and limits on the specific
+force of a carried object. It solves them in closed form in the core (`timing/curve_timing.hpp`) and avoids the second
+that importing toppra takes. `fastest_with_toppra` passes the general problem, with gravity, to toppra.
 
 References:
     H. Pham, Q.-C. Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis",
@@ -32,23 +31,23 @@ from graceful_plan.timing.blend import CurveGrid
 
 Array = np.ndarray
 InverseDynamics = Callable[[Array, Array, Array], Array]
-"""Joint torques [N m] of (q, qd, qdd)."""
+"""Maps (q, qd, qdd) to joint torques [N m]."""
 Restraint = Callable[[CurveGrid], Array]
-"""Limits a u + b x <= c with c > 0 on path acceleration u and squared path speed x: [interval, limit, 3]."""
+"""Returns limits a u + b x <= c, c > 0, on path acceleration u and squared path speed x: [interval, limit, 3]."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class FeltLevels:
-    """Limits on what is felt where something is carried, from the boldest to the most careful.
+    """Limits on the specific force of a carried object, from the most permissive level to the strictest.
 
-    A surface swings beyond what is felt: the more careful, the less of the angle that keeps contents in is left to what
-    is felt.
+    A liquid surface swings beyond the direction of the specific force. Stricter levels leave less of the brim tilt to
+    the specific force and more to this swing.
 
     | field  | meaning                                      |
     |--------|----------------------------------------------|
     | core   | kinematics of the robot                      |
-    | names  | of the constraints that ask for the limits   |
+    | names  | names of the constraints behind the limits   |
     | levels | limits of each level, in the order of names  |
     """
 
@@ -66,18 +65,19 @@ def fastest(
     felt: FeltLevels | None = None,
     speed: float = 1.0,
 ) -> _native.TimedCurve:
-    """Compute the time-optimal motion along a curve, at rest where the grid says stop.
+    """Compute the time-optimal motion along a curve, at rest at the grid's stops.
 
     Args:
         grid: The curve.
         velocity: Limits of the joint speeds [rad/s], > 0.
         acceleration: Limits of the joint accelerations [rad/s^2], finite and > 0.
         limit: Further limits, see `Restraint`.
-        felt: What may be felt where something is carried.
-        speed: Share of the speed at which the motion is travelled in the end; the other limits hold then.
+        felt: Limits on the specific force of a carried object.
+        speed: Fraction of full speed at which the motion will finally be executed; the other limits apply at that
+            speed.
 
     Raises:
-        RetimingError: If the motion comes to a halt, or something does not even hold at rest along the curve.
+        RetimingError: If the motion comes to a halt, or a limit is violated even at rest.
     """
     felt = FeltLevels(None, (), ()) if felt is None else felt
     found = _native.fastest(
@@ -94,7 +94,7 @@ def fastest(
 def travelled(
     grid: CurveGrid, speeds: Float[Array, " point"], velocity: Float[Array, " nq"], acceleration: Float[Array, " nq"]
 ) -> _native.TimedCurve:
-    """Travel a curve at path speeds, with constant path acceleration on each interval.
+    """Time a curve with given path speeds and constant path acceleration on each interval.
 
     Raises:
         RetimingError: If the motion comes to a halt.
@@ -131,12 +131,12 @@ def fastest_with_toppra(
     torque: Float[Array, " nq"] | None = None,
     inverse_dynamics: InverseDynamics | None = None,
 ) -> Float[Array, " point"]:
-    """Return the path speeds of `fastest` by toppra, with torque limits [N m] too if `inverse_dynamics` is given.
+    """Compute the path speeds of `fastest` with toppra; with `inverse_dynamics` also within torque limits [N m].
 
     Raises:
         RetimingError: If toppra finds no parametrisation.
     """
-    # Imported here: it pulls in matplotlib and scipy, about a second.
+    # Imported here because it loads matplotlib and scipy, which takes about a second.
     from toppra.algorithm import TOPPRA
     from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
     from toppra.constraint import SecondOrderConstraint as Torque
@@ -165,7 +165,7 @@ def fastest_with_toppra(
 
 
 class _Section:
-    """The part of a grid between two stops, as the kind of path that toppra asks at grid points."""
+    """The part of a grid between two stops, as a path object for toppra, evaluated at grid points only."""
 
     def __init__(self, grid: CurveGrid, first: int, last: int) -> None:
         self.s = grid.s[first : last + 1] - grid.s[first]

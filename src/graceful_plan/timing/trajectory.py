@@ -1,4 +1,4 @@
-"""A trajectory: a path with its timing. Its forms elsewhere are those of `formats`."""
+"""A trajectory: a path with its timing. `formats` converts it from and to files and messages."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from graceful_plan.path import MOST_POINTS, Path, finite_array, is_real
 Array = np.ndarray
 
 _LATEST = 1e15
-"""Times beyond [s] are no seconds any more: a double has less than a tenth of one there."""
+"""Largest time [s]: beyond it, the resolution of a double is worse than 0.1 s."""
 _REST = 1e-6
-"""Greatest speed of a joint at rest [rad/s or m/s]."""
+"""Largest speed of a joint that counts as at rest [rad/s or m/s]."""
 
 
 class State(NamedTuple):
@@ -36,7 +36,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A timed motion of the joints: samples, and between them the cubic that meets q and qd at both ends.
+    """A timed motion of the joints: samples, interpolated by cubics that match q and qd at both ends of a piece.
 
     Positions and velocities are continuous everywhere; the acceleration is linear within a piece and may jump at a
     sample, where `qdd` holds the value just after it (at the last sample, just before it).
@@ -49,7 +49,7 @@ class Trajectory:
         joints: Names of the joints, in the order of the columns.
 
     Raises:
-        ShapeError: If the arrays do not fit together.
+        ShapeError: If the shapes of the arrays do not match.
         NonFiniteError: If a number is NaN or infinite.
         SettingError: If the times do not increase.
     """
@@ -92,10 +92,10 @@ class Trajectory:
         return Path(self.q)
 
     def at(self, t: ArrayLike) -> State:
-        """Evaluate at one or more times; before the first and after the last sample the motion stands still.
+        """Evaluate at one or more times; before the first and after the last sample the robot is at rest.
 
         Args:
-            t: Times [s] on the clock of `self.t`.
+            t: Times on the clock of `self.t` [s].
         """
         times = finite_array("t", t)
         flat = np.clip(times.reshape(-1), self.t[0], self.t[-1])
@@ -108,7 +108,7 @@ class Trajectory:
         return State(*(x.reshape(*times.shape, len(self.joints)) for x in parts))
 
     def positions(self, t: Float[Array, " n"]) -> Float[Array, "n nq"]:
-        """Evaluate the positions alone at finite times on the clock of `self.t` [rad or m]."""
+        """Evaluate only the positions at finite times on the clock of `self.t` [rad or m]."""
         if len(self) == 1:
             return np.repeat(self.q, len(t), axis=0)
         i, u, v0, a0, jerk = self._pieces_at(np.clip(t, self.t[0], self.t[-1]))
@@ -116,14 +116,14 @@ class Trajectory:
 
     def at_places(self, place: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
         """Evaluate times [s] and positions [rad or m] at fractional piece numbers, from 0 to the number of pieces."""
-        if len(self) == 1:  # it stands, and has no pieces
+        if len(self) == 1:  # at rest, no pieces
             return np.full(len(place), self.t[0]), np.repeat(self.q, len(place), axis=0)
         i = np.minimum(place.astype(np.intp), len(self) - 2)
         h = np.diff(self.t)
         u = (place - i) * h.take(i)
         a0, a1 = self.piece_accelerations
         q = ((a1 - a0) / (6.0 * h[:, None])).take(i, axis=0)
-        # Horner's scheme, in place and by `take`: this is done for thousands of samples of every motion.
+        # Horner's scheme, in place and by `take`, because thousands of samples of every motion are evaluated.
         column = u[:, None]
         for coefficient in (0.5 * a0, self.qd[:-1], self.q[:-1]):
             q *= column
@@ -139,7 +139,7 @@ class Trajectory:
         ]
 
     def _pieces_at(self, t: Float[Array, " n"]) -> tuple[Int[Array, " n"], Array, Array, Array, Array]:
-        """Return the piece at each time, the time since it began, and its first velocity, acceleration and jerk."""
+        """Return the piece at each time, the time since its start, and its initial velocity, acceleration and jerk."""
         i = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self) - 2)
         a0, a1 = self.piece_accelerations
         jerk = (a1 - a0) / np.diff(self.t)[:, None]
@@ -154,10 +154,10 @@ class Trajectory:
         return (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (-6.0 * mean + 2.0 * v0 + 4.0 * v1) / h
 
     def delayed(self, seconds: float) -> Trajectory:
-        """Return the same motion after a wait at its start [s]: a first stretch at rest. It has to start at rest.
+        """Return the same motion with a wait at its start [s]; the motion must start at rest.
 
         Raises:
-            SettingError: If the wait is not a time of at least 0, or the motion does not start at rest.
+            SettingError: If the wait is negative or not finite, or the motion does not start at rest.
         """
         if not (is_real(seconds) and 0.0 <= seconds < np.inf):
             raise SettingError("seconds", seconds, "a finite time of at least 0 s")
@@ -171,15 +171,15 @@ class Trajectory:
         return Trajectory(t, q, qd, qdd, self.joints)
 
     def sample(self, dt: float) -> Trajectory:
-        """Sample evenly, every `dt` [s]; the last sample is exactly the end, so the last piece may be shorter.
+        """Sample every `dt` [s]; the last sample is exactly the end, so the last piece may be shorter.
 
-        The samples lie on this trajectory. Interpolating them again blurs jumps of the acceleration: where it goes from
-        full speeding up to full braking within one step, the new cubic has up to 5/3 of the limit, and the judge says
-        so. Keep the original where limits must hold between samples, or plan with a lower `speed`.
+        The samples lie on this trajectory, but interpolating them again blurs jumps of the acceleration. Where it jumps
+        from full acceleration to full braking within one step, the new cubic reaches up to 5/3 of the limit, which the
+        judge reports. Keep the original where limits must hold between samples, or plan with a lower `speed`.
         """
         if not (is_real(dt) and 0.0 < dt < np.inf and self.duration <= MOST_POINTS * dt):
             raise SettingError("dt", dt, f"a finite time > 0 s that gives at most {MOST_POINTS} samples")
-        # A rest shorter than a millionth of a step would only make a piece that is too short to differentiate.
+        # A remainder below a millionth of a step would make a piece too short to differentiate.
         steps = int(np.ceil(self.duration / dt - 1e-6))
         t = self.t[0] + np.append(dt * np.arange(steps), self.duration) if steps else self.t[:1]
         state = self.at(t)
@@ -193,68 +193,68 @@ class Trajectory:
 
     @classmethod
     def from_json(cls, source: str | FilePath) -> Trajectory:
-        """Read what `to_json` wrote, from a file or from JSON text (a string that starts with a brace).
+        """Read the output of `to_json`, from a file or from JSON text (a string that starts with a brace).
 
         Raises:
-            FormatError: If it is not such a document, of another version or in other units.
-            ShapeError: If its arrays do not fit together.
+            FormatError: If the document has another format, version or unit.
+            ShapeError: If the shapes of its arrays do not match.
             NonFiniteError: If a number is NaN or infinite.
             SettingError: If its times do not increase.
         """
         return cls(*json_text.from_json(source))
 
     def to_csv(self, file: str | FilePath | None = None) -> str:
-        """Return the samples as CSV text, one row a time, with units in the header; write it to `file` if given."""
+        """Return the samples as CSV text, one row per time, with units in the header; write it to `file` if given."""
         return _written(csv_text.to_csv(self._samples), file)
 
     @classmethod
     def from_csv(cls, source: str | FilePath) -> Trajectory:
-        """Read what `to_csv` wrote, from a file or from CSV text (a string with a line break).
+        """Read the output of `to_csv`, from a file or from CSV text (a string with a line break).
 
-        Raises as `from_json`.
+        Raises the errors of `from_json`.
         """
         return cls(*csv_text.from_csv(source))
 
     def to_parquet(self, file: str | FilePath) -> None:
-        """Write the samples as Parquet, with units in the metadata. Needs pyarrow: MissingArrow without."""
+        """Write the samples as Parquet, with units in the metadata. Raises MissingArrow without pyarrow."""
         parquet_file.to_parquet(self._samples, file)
 
     @classmethod
     def from_parquet(cls, file: str | FilePath) -> Trajectory:
-        """Read what `to_parquet` wrote. Raises as `from_json`, and MissingArrow without pyarrow."""
+        """Read the output of `to_parquet`. Raises the errors of `from_json`, and MissingArrow without pyarrow."""
         return cls(*parquet_file.from_parquet(file))
 
     def to_ros(self, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
-        """Return a trajectory_msgs/JointTrajectory as a dictionary of its fields, for which no ROS is needed.
+        """Return a trajectory_msgs/JointTrajectory as a dictionary of its fields; ROS is not needed.
 
         Args:
-            names: From a joint here to its name over there: a mapping or a function; by default they are the same.
+            names: Maps joint names here to joint names in ROS: a mapping or a function; by default they are equal.
             frame: `header.frame_id`.
 
         Raises:
-            UnknownNameError: If a mapping lacks one of the joints.
-            SettingError: If two joints would have one name, or samples lie less than a nanosecond apart.
+            UnknownNameError: If a mapping lacks a joint.
+            SettingError: If two joints would get the same name, or samples are less than a nanosecond apart.
         """
         return ros.to_message(self._in_nanoseconds, names, frame=frame)
 
     def to_ros_yaml(self, file: str | FilePath | None = None, *, names: Names | None = None, frame: str = "") -> str:
-        """Return what `to_ros` does as YAML, as the command line of ROS 2 reads it; write it to `file` if given."""
+        """Return the message of `to_ros` as YAML for the command line of ROS 2; write it to `file` if given."""
         return _written(ros.to_yaml(self.to_ros(names, frame=frame)), file)
 
     @classmethod
     def from_ros(cls, source: Any, joints: Sequence[str] | None = None, names: Names | None = None) -> Trajectory:
-        """Read a trajectory_msgs/JointTrajectory, such as that of another planner.
+        """Read a trajectory_msgs/JointTrajectory, for example from another planner.
 
         Args:
-            source: The message itself, a dictionary of its fields, or YAML: text or a file.
-            joints: The joints of the trajectory in their order, `scene.joints`; by default those that `names` maps, or
-                those of the message. Joints of the message besides have to stand still.
-            names: As of `to_ros`.
+            source: The message, a dictionary of its fields, or YAML as text or file.
+            joints: The joints of the trajectory in order, such as `scene.joints`; by default the keys of `names`, or
+                the joints of the message. Other joints of the message must stand still.
+            names: As in `to_ros`.
 
         Raises:
-            FormatError: If it is no such message, has no velocities, or moves other joints as well.
-            UnknownNameError: If the message lacks one of the joints.
-            ShapeError: If its points do not fit together.
+            FormatError: If `source` is not such a message, has no velocities, or moves other joints as well.
+            UnknownNameError: If the message lacks a joint.
+            ShapeError: If the shapes of its points do not match.
             NonFiniteError: If a number is NaN or infinite.
             SettingError: If its times do not increase.
         """
@@ -262,10 +262,10 @@ class Trajectory:
 
     @property
     def _in_nanoseconds(self) -> TimedSamples:
-        """The samples, moved along the motion to whole nanoseconds: times that are rounded alone would bend it."""
+        """The motion sampled at whole nanoseconds; rounding only the times would distort the motion."""
         t = self.t[0] + np.rint((self.t - self.t[0]) * ros.NANO) / ros.NANO
         moved = (t != self.t)[:, None]
-        moved[-1] = False  # it ends where it ends
+        moved[-1] = False  # the end stays exact
         state = self.at(t)
         q, qd = np.where(moved, state.q, self.q), np.where(moved, state.qd, self.qd)
         return TimedSamples(t, q, qd, self.qdd, self.joints)
@@ -276,7 +276,7 @@ class Trajectory:
 
 
 def _written(text: str, file: str | FilePath | None) -> str:
-    """Return a text, and write it to a file if there is one."""
+    """Write a text to a file if one is given, and return it."""
     if file is not None:
         FilePath(file).write_text(text, encoding="utf-8")
     return text

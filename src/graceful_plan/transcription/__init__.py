@@ -1,1 +1,1 @@
-"""Path and timing optimised at once."""
+"""Joint optimisation of path and timing."""

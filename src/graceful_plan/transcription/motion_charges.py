@@ -1,4 +1,4 @@
-"""What a moment of a motion may be charged for: impact of a failure, effort, acceleration, length, with derivatives."""
+"""Running costs of a motion with derivatives: impact of a failure, effort, acceleration, length."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from graceful_plan.transcription.symbolic import SymbolicRobot
 Array = np.ndarray
 
 _STEP = 1e-5
-"""Step of finite differences of a cost without derivatives [rad or rad/s]."""
+"""Step of finite differences of a cost that has no derivatives [rad or rad/s]."""
 _CURVATURE_STEP = 1e-4
 """Step of finite differences of gradients [rad or rad/s]."""
 _SOFTENED = 1e-3
-"""Speed below which the length of a motion is rounded off [rad/s]."""
+"""Speed below which the length cost is smoothed [rad/s]."""
 
 
 @final
 class ImpactCharge:
-    """Impact of a failure at a state, times the safety weight.
+    """Running cost of a failure: its impact at a state times the safety weight.
 
-    Exact derivatives come from the model's own gradients where it has them, otherwise from finite differences of all
-    states in one batch. Second derivatives are differences of first ones.
+    First derivatives are the impact model's own gradients if it has them, otherwise finite differences of all states in
+    one batch. Second derivatives are finite differences of the first ones.
 
     Args:
-        impact: The cost of failing.
-        scene: Where.
+        impact: The cost of a failure.
+        scene: Scene in which the impact is evaluated.
         w: Safety weight.
     """
 
@@ -43,11 +43,11 @@ class ImpactCharge:
         self._own = CostSlopes(impact, scene)
 
     def value(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Weighted impact."""
+        """Return the weighted impact of each state."""
         return self.w * checked_state(self.impact, moving_batch(self.scene, q, qd))
 
     def slope(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, "n state"]:
-        """Its derivatives with respect to q, then to qd."""
+        """Return the derivatives of `value` with respect to q, then qd."""
         exact = self.impact.gradients(moving_batch(self.scene, q, qd)) if isinstance(self.impact, ImpactCost) else None
         if exact is not None:
             return self.w * np.concatenate(exact, axis=1)
@@ -56,7 +56,7 @@ class ImpactCharge:
         return _differences(lambda z: self.value(*np.split(z, 2, axis=1)), np.concatenate([q, qd], axis=1), _STEP)
 
     def __call__(self, states: Float[Array, "order n nq"], curved: bool) -> Charge:
-        """Charge states, with the curvature if it is wanted."""
+        """Evaluate cost and slope of states, and the curvature if `curved`."""
         q, qd = states[0], states[1]
         n, nq = q.shape
         slope = np.zeros((n, 3, nq))
@@ -70,13 +70,13 @@ class ImpactCharge:
 
 
 def _convex(matrix: Float[Array, "n k k"]) -> Float[Array, "n k k"]:
-    """Drop negative curvature: with it, IPOPT regularises until its steps are tiny."""
+    """Drop negative curvature, with which IPOPT regularises until its steps are tiny."""
     value, vector = np.linalg.eigh(matrix)
     return (vector * np.maximum(value, 0.0)[:, None]) @ np.swapaxes(vector, 1, 2)
 
 
 def _differences(f: Callable[[Array], Array], z: Float[Array, "n state"], step: float) -> Float[Array, "..."]:
-    """Central differences of f with respect to every column, last axis, all in one batch."""
+    """Return central differences of f with respect to every column, as the last axis, evaluated in one batch."""
     n, columns = z.shape
     moved = z[None, None] + step * np.array([1.0, -1.0])[:, None, None, None] * np.eye(columns)[:, None, :]
     values = np.asarray(f(moved.reshape(-1, columns)))
@@ -85,7 +85,7 @@ def _differences(f: Callable[[Array], Array], z: Float[Array, "n state"], step: 
 
 
 def effort_charge(robot: SymbolicRobot, limit: Float[Array, " nq"]) -> Charging:
-    """Sum over joints of (torque / limit)^2; the curvature is that of Gauss and Newton."""
+    """Return the running cost sum of (torque / limit)^2 over joints, with Gauss-Newton curvature."""
 
     def charge(states: Float[Array, "order n nq"], curved: bool) -> Charge:
         torque, slopes = robot.torques_with_slopes(*states)
@@ -98,7 +98,7 @@ def effort_charge(robot: SymbolicRobot, limit: Float[Array, " nq"]) -> Charging:
 
 
 def acceleration_charge(limit: Float[Array, " nq"]) -> Charging:
-    """Sum over joints of (acceleration / limit)^2."""
+    """Return the running cost sum of (acceleration / limit)^2 over joints."""
 
     def charge(states: Float[Array, "order n nq"], curved: bool) -> Charge:
         n, nq = states[2].shape
@@ -113,7 +113,7 @@ def acceleration_charge(limit: Float[Array, " nq"]) -> Charging:
 
 
 def length_charge(states: Float[Array, "order n nq"], curved: bool) -> Charge:
-    """Joint-space speed [rad/s], rounded off at rest."""
+    """Evaluate the joint-space speed [rad/s] as a running cost, smoothed near rest."""
     qd = states[1]
     n, nq = qd.shape
     speed = np.sqrt((qd**2).sum(axis=1) + _SOFTENED**2)

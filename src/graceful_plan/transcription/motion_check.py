@@ -1,4 +1,4 @@
-"""Which limit a trajectory breaks, of which joint and when; and how much slower it has to be to keep them all."""
+"""Check of a trajectory against its limits, and the least slowdown that satisfies them."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from graceful_plan.transcription.symbolic import SymbolicRobot
 Array = np.ndarray
 
 TOLERANCE = 1e-6
-"""Absolute on positions [rad or m], relative on everything else."""
+"""Tolerance of limits: absolute on positions [rad or m], relative on everything else."""
 _FRACTIONS = np.linspace(0.0, 1.0, 5)
-"""Of each piece, where torques and positions are checked."""
+"""Fractions of each piece at which torques and positions are checked."""
 _JUMP = 1e-4
-"""Jump of an acceleration, relative to its limit, that counts as one where the jerk is limited."""
+"""Jump of the acceleration, relative to its limit, that violates continuity; checked only with a jerk limit."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Violation:
-    """A limit that is broken, where it is broken most."""
+    """A violated limit, at its worst moment."""
 
     limit: str
     """"position", "velocity", "acceleration", "jerk", "torque", "clearance", "duration", or a check of `verify`."""
     joint: str = ""
-    """Name of the joint, if it is about one."""
+    """Name of the joint; empty if the limit is not about a joint."""
     time: float | None = None
-    """When [s], if it is at a moment."""
+    """Time of the worst violation [s]; None if the limit has no moment."""
     value: float
-    """What is reached, in the unit of the limit."""
+    """Value reached, in the unit of the limit."""
     bound: float
-    """What is allowed."""
+    """Value allowed."""
 
     def __str__(self) -> str:
         where = f" of {self.joint}" if self.joint else ""
@@ -48,7 +48,7 @@ class Violation:
 @final
 @dataclass(frozen=True, eq=False)
 class _Loads:
-    """Values of one kind over their bounds, rows at times, columns of joints."""
+    """Values of one kind with their bounds: a row per time, a column per joint."""
 
     limit: str
     at: Float[Array, " n"]
@@ -56,7 +56,7 @@ class _Loads:
     bound: Float[Array, " nq"]
 
     def worst(self, joints: tuple[str, ...]) -> Violation | None:
-        """The largest share of a bound, if it is above 1."""
+        """Return the violation with the largest value relative to its bound; None if all are within bounds."""
         share = np.abs(self.value) / self.bound
         if not share.size or share.max() <= 1.0 + TOLERANCE:
             return None
@@ -78,13 +78,13 @@ def violations(
     robot: SymbolicRobot | None = None,
     duration: float = np.inf,
 ) -> tuple[Violation, ...]:
-    """Return every limit that a trajectory breaks, each where it is broken most.
+    """Return every limit that a trajectory violates, each at its worst moment.
 
     Args:
         trajectory: The trajectory.
         limits: Limits of position, velocity, acceleration and, with a robot, torque.
-        jerk: Limit of the jerk [rad/s^3], if there is one.
-        robot: Whose torques count.
+        jerk: Limit of the jerk [rad/s^3]; None for no limit.
+        robot: Robot for the torque check; None to skip it.
         duration: Longest duration [s].
     """
     found: list[Violation | None] = [_beyond_position(trajectory, limits)]
@@ -98,7 +98,7 @@ def violations(
 def within_limits(
     trajectory: Trajectory, limits: Limits, jerk: Float[Array, " nq"] | None, robot: SymbolicRobot | None
 ) -> Trajectory:
-    """Return the same motion, slower by as little as its limits of velocity, acceleration, jerk and torque ask for."""
+    """Slow a motion down just enough to meet its limits of velocity, acceleration, jerk and torque."""
     if len(trajectory) < 2:
         return trajectory
     factor = slowdown(trajectory, limits)
@@ -108,7 +108,7 @@ def within_limits(
         factor = max(factor, _slower_for_torque(trajectory, np.asarray(limits.torque), robot))
     if factor <= 1.0:
         return trajectory
-    factor *= 1.0 + 1e-9  # for rounding, when somebody else evaluates it
+    factor *= 1.0 + 1e-9  # covers rounding in other programs
     return replace(trajectory, t=trajectory.t * factor, qd=trajectory.qd / factor, qdd=trajectory.qdd / factor**2)
 
 
@@ -160,7 +160,7 @@ def _jerks(trajectory: Trajectory) -> Float[Array, "piece nq"]:
 
 
 def _piecewise(trajectory: Trajectory) -> tuple[Float[Array, " n"], tuple[Array, Array, Array]]:
-    """Moments and states of every piece, both of its ends included: accelerations jump from one to the next."""
+    """Return times and states on every piece, both ends included because accelerations may jump between pieces."""
     a0, a1 = trajectory.piece_accelerations
     h = np.diff(trajectory.t)
     u = _FRACTIONS[:, None]
@@ -171,12 +171,12 @@ def _piecewise(trajectory: Trajectory) -> tuple[Float[Array, " n"], tuple[Array,
 
 
 def _slower_for_torque(trajectory: Trajectory, limit: Float[Array, " nq"], robot: SymbolicRobot) -> float:
-    """Torque is gravity plus a part that, but for damping, shrinks with the square of the slowdown."""
+    """Return the slowdown that meets the torque limits: all but gravity and damping scales with its inverse square."""
     q, qd, qdd = _piecewise(trajectory)[1]
     hold = robot.torques(q, np.zeros_like(q), np.zeros_like(q))
     motion = robot.torques(q, qd, qdd) - hold
     room = np.where(motion > 0.0, limit - hold, limit + hold)
     over = np.abs(motion) > room * (1.0 + 0.1 * TOLERANCE)
-    if not over.any() or np.any(room[over] <= 0.0):  # a robot that cannot even stand there is not helped by time
+    if not over.any() or np.any(room[over] <= 0.0):  # slowing down does not help if holding still needs more
         return 1.0
     return float(np.sqrt((np.abs(motion[over]) / room[over]).max()))

@@ -1,4 +1,4 @@
-"""What `optimise_trajectory` minimises, as a program: the terms of cost and limits that a task asks for."""
+"""Nonlinear program of `optimise_trajectory`: cost terms and limits of a task."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ _HALVES = np.array([0.0, 0.5])
 _THIRDS = np.array([0.0, 0.5, 1.0])
 _SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
 _STRETCH = 1.05
-"""Times are longer than those to begin with, so that limits are kept between nodes, too."""
+"""Factor on the initial duration, so that the limits also hold between nodes."""
 _SHORTEST, _LONGEST = 0.05, 50.0
-"""Bounds of the duration, as shares of that to begin with."""
+"""Bounds of the duration, as fractions of the initial duration."""
 _SLACK = {
     "position": 1e-6,
     "velocity": 1e-3,
@@ -52,15 +52,15 @@ _SLACK = {
     "torque": 1e-3,
     "clearance": 1e-3,
 }
-"""How far an iterate may be beyond each limit and still be kept, by its share: what a slightly slower motion mends."""
+"""Relative excess per limit up to which an iterate is kept: a slight slowdown removes it."""
 _MOMENTS = 800
-"""Moments of a trajectory at which its cost is sampled."""
+"""Samples of a trajectory at which its cost is evaluated."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionTask:
-    """What is asked for; see `optimise_trajectory`."""
+    """Arguments of `optimise_trajectory` after checks; see there."""
 
     scene: Scene
     objective: str
@@ -69,14 +69,14 @@ class MotionTask:
     duration: float
     jerk: Float[Array, " nq"] | None
     robot: SymbolicRobot | None
-    """Known if torques are charged or limited."""
+    """Symbolic robot; None unless torques are minimised or limited."""
     torque: bool
     margin: float
     intervals: int
 
 
 def motion_program(task: MotionTask, guess: Trajectory, margin: float) -> tuple[SplineProgram, Array]:
-    """Return the program of a task and where to begin, with a clearance to keep [m]."""
+    """Return the program of a task, with a clearance to keep [m], and its initial point."""
     limits, nq = task.scene.limits, len(task.scene.joints)
     h = min(_STRETCH * guess.duration, max(task.duration, 1e-6)) / task.intervals
     layout = SplineLayout(task.intervals, nq, h)
@@ -100,7 +100,7 @@ def motion_program(task: MotionTask, guess: Trajectory, margin: float) -> tuple[
 
 
 def motion_cost(task: MotionTask, motion: Trajectory) -> float:
-    """Return what is minimised, of any trajectory, by the midpoint rule in time."""
+    """Evaluate the task's cost of any trajectory, by the midpoint rule in time."""
     if not motion.duration > 0.0:
         return 0.0
     state = motion.at(motion.t[0] + (np.arange(_MOMENTS) + 0.5) / _MOMENTS * motion.duration)
@@ -127,13 +127,13 @@ def _charges(task: MotionTask) -> list[Charging]:
 
 
 def _integrals(task: MotionTask, layout: SplineLayout) -> list[Integral]:
-    """Simpson's rule on every piece; accelerations may jump at nodes, so both sides of them count."""
+    """Return integrals by Simpson's rule on each piece; nodes are sampled on both sides, for accelerations may jump."""
     samples = samples_at(layout, _THIRDS)
     return [Integral(samples, np.tile(_SIMPSON, layout.pieces), charge) for charge in _charges(task)]
 
 
 def _wanted_clearance(clearance: Float[Array, " n"], margin: float) -> Float[Array, " n"]:
-    """Return the margin, but less next to ends that have less: a grasp is as close as it is."""
+    """Return the margin, reduced near ends that have less clearance, such as a grasp."""
     least = np.full(len(clearance), margin)
     for view, own in ((least, clearance), (least[::-1], clearance[::-1])):
         run = int(np.argmax(own >= margin)) if np.any(own >= margin) else 0
@@ -142,7 +142,7 @@ def _wanted_clearance(clearance: Float[Array, " n"], margin: float) -> Float[Arr
 
 
 def _bounds(task: MotionTask, layout: SplineLayout, x: Array) -> tuple[Array, Array]:
-    """Nodes within the position limits, both ends fixed and at rest, the time positive and not too long."""
+    """Return bounds: nodes within position limits, both ends fixed and at rest, a positive and limited duration."""
     lower, upper = task.scene.limits.position.T
     found = []
     for position, velocity, duration in (

@@ -1,4 +1,4 @@
-"""Limits of a motion as rows of its program: position, velocity, acceleration, jerk, torque, clearance."""
+"""Limits of a motion as constraint rows: position, velocity, acceleration, jerk, torque, clearance."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ Array = np.ndarray
 
 _POSITION, _VELOCITY, _ACCELERATION, _JERK = range(4)
 _TORQUE_RESERVE = 0.005
-"""Share of the torque limits; a slower motion does not mend what already standing still takes."""
+"""Fraction of the torque limits kept in reserve; a slowdown cannot remove an excess that holding still causes."""
 _CLEARANCE_UNIT = 0.05
-"""Clearance [m] that counts as one in its rows, so that all rows are of O(1)."""
+"""Clearance that counts as 1 in its rows [m], so that all rows are O(1)."""
 
 
 def position_rows(layout: SplineLayout, lower: Float[Array, " nq"], upper: Float[Array, " nq"]) -> LinearRows:
-    """Positions at the middles of the pieces; those of the nodes are bounds of variables."""
+    """Limit positions at the middles of the pieces; those at the nodes are bounds of variables."""
     rows = _piece_rows("position", layout, np.array([0.5]), _POSITION, np.ones(layout.nq))
     return replace(rows, least=np.tile(lower, layout.pieces), most=np.tile(upper, layout.pieces))
 
 
 def velocity_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearRows:
-    """Velocities at the beginnings and middles of the pieces."""
+    """Limit velocities at the beginnings and middles of the pieces."""
     return _piece_rows("velocity", layout, np.array([0.0, 0.5]), _VELOCITY, limit)
 
 
 def acceleration_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearRows:
-    """Accelerations at both ends of the pieces, between which they are linear."""
+    """Limit accelerations at both ends of the pieces; they are linear in between."""
     return _piece_rows("acceleration", layout, np.array([0.0, 1.0]), _ACCELERATION, limit)
 
 
 def jerk_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearRows:
-    """Jerks, one a piece."""
+    """Limit the jerk of each piece."""
     return _piece_rows("jerk", layout, np.array([0.5]), _JERK, limit)
 
 
 def continuity_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearRows:
-    """Accelerations that do not jump from one piece to the next, nor at start and end: they are 0 there."""
+    """Require accelerations to be continuous between pieces, and 0 at start and end."""
     nq, pieces = layout.nq, layout.pieces
     node, end, joint = (grid.ravel() for grid in np.indices((pieces + 1, 2, nq)))
     row = node * nq + joint
@@ -56,7 +56,7 @@ def continuity_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearR
             entry = sign * coefficient[2 * place + end] / limit[joint]
             found.append((row[inside], column[inside], entry[inside]))
     rows, columns, entries = (np.concatenate(part) for part in zip(*found, strict=True))
-    # Both pieces have an entry for the node that they share.
+    # Both pieces have an entry for their common node.
     keys, slot = np.unique(rows * layout.size + columns, return_inverse=True)
     n = (pieces + 1) * nq
     return LinearRows(
@@ -72,7 +72,7 @@ def continuity_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearR
 def _piece_rows(
     name: str, layout: SplineLayout, u: Float[Array, " n"], order: int, limit: Float[Array, " nq"]
 ) -> LinearRows:
-    """Rows, between -1 and 1, of a derivative over its limit at fractions `u` of every piece."""
+    """Limit a derivative over its limit to [-1, 1] at fractions `u` of every piece."""
     nq = layout.nq
     finite = np.flatnonzero(np.isfinite(limit))
     piece, k, which, end = (grid.ravel() for grid in np.indices((layout.pieces, len(u), len(finite), 4)))
@@ -87,7 +87,7 @@ def _piece_rows(
 
 
 def torque_rows(samples: Samples, robot: SymbolicRobot, limit: Float[Array, " nq"]) -> SampleRows:
-    """Torques over their limits, with a small reserve for what lies between samples."""
+    """Limit torques at samples, with a small reserve for the time between samples."""
 
     def bounded(states: Float[Array, "order n nq"]) -> tuple[Array, Array]:
         torque, slopes = robot.torques_with_slopes(*states)
@@ -99,13 +99,13 @@ def torque_rows(samples: Samples, robot: SymbolicRobot, limit: Float[Array, " nq
 
 
 def clearance_rows(samples: Samples, kernels: Kernels, least: Float[Array, " n"]) -> SampleRows:
-    """Clearance of the covering spheres, at least `least` [m]."""
+    """Keep the clearance of the covering spheres at `least` [m] or more."""
 
     def bounded(states: Float[Array, "order n nq"]) -> tuple[Array, Array]:
         clearance, gradient = kernels.clearance_gradient(states[0])
         slope = np.zeros((len(clearance), 1, 3, states.shape[2]))
         slope[:, 0, 0] = gradient / _CLEARANCE_UNIT
-        # Nothing to hit is infinitely far; IPOPT wants numbers.
+        # Without obstacles the clearance is infinite, but IPOPT needs finite numbers.
         return np.minimum(clearance, 1.0)[:, None] / _CLEARANCE_UNIT, slope
 
     none = np.full((len(samples), 1), np.inf)

@@ -1,12 +1,12 @@
 r"""The program behind `optimise_trajectory`: joint positions, joint velocities and the duration as variables.
 
-Positions and velocities at evenly spaced nodes are joined by cubics, so accelerations are linear on each piece: this is
-Hermite-Simpson for a chain of two integrators, whose equations such pieces meet exactly, with the states eliminated
-that they determine. With h the time of a piece and w = h * velocity, all is linear in the nodes over a power of h,
+Cubics join positions and velocities at evenly spaced nodes, so accelerations are linear on each piece. This is the
+Hermite-Simpson scheme for a double integrator, whose equations such pieces satisfy exactly, with the dependent states
+eliminated. With h the time of a piece and w = h * velocity, everything is linear in the nodes over a power of h,
 
 .. math:: q = B_0 \ell, \quad \dot q = B_1 \ell / h, \quad \ddot q = B_2 \ell / h^2, \quad \dddot q = B_3 \ell / h^3
 
-with l = (q, w) at both ends of the piece. Whatever else is charged or bounded is a function of (q, qd, qdd) at samples.
+with l = (q, w) at both ends of the piece. All other costs and constraints are functions of (q, qd, qdd) at samples.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = np.ndarray
 
 
 def hermite(u: Float[Array, " n"]) -> Float[Array, "n order end"]:
-    """B_0 to B_3 at fractions `u` of a piece: coefficients of q, w at its beginning and q, w at its end."""
+    """Return B_0 to B_3 at fractions `u` of a piece: coefficients of q, w at its beginning and q, w at its end."""
     one = np.ones_like(u)
     rows = [
         [1.0 - 3.0 * u**2 + 2.0 * u**3, u - 2.0 * u**2 + u**3, 3.0 * u**2 - 2.0 * u**3, u**3 - u**2],
@@ -37,12 +37,12 @@ def hermite(u: Float[Array, " n"]) -> Float[Array, "n order end"]:
 
 @final
 class SplineLayout:
-    """Where the variables are: (q, w) node by node, then the share of the first time of a piece.
+    """Layout of the variables: (q, w) of each node, then the time of a piece relative to `time`.
 
     Args:
-        pieces: How many.
-        nq: Joints.
-        time: The first time of a piece [s], which scales its variable.
+        pieces: Number of pieces.
+        nq: Number of joints.
+        time: Initial time of a piece [s], which scales its variable.
     """
 
     def __init__(self, pieces: int, nq: int, time: float) -> None:
@@ -50,7 +50,7 @@ class SplineLayout:
         self.size = 2 * nq * (pieces + 1) + 1
 
     def pack(self, q: Float[Array, "node nq"], w: Float[Array, "node nq"], h: float) -> Float[Array, " variable"]:
-        """Put nodes and the time of a piece [s] together."""
+        """Pack nodes and the time of a piece [s] into a vector of variables."""
         return np.append(np.concatenate([q, w], axis=1), h / self.time)
 
     def nodes(self, x: Float[Array, " variable"]) -> tuple[Float[Array, "node nq"], Float[Array, "node nq"]]:
@@ -63,19 +63,19 @@ class SplineLayout:
         return float(x[-1]) * self.time
 
     def places(self, piece: Int[Array, " n"]) -> Int[Array, "n local"]:
-        """Indices of what a piece depends on: both its ends, then the time."""
+        """Return the indices of the variables of pieces: both end nodes, then the time."""
         own = 2 * self.nq * piece[:, None] + np.arange(4 * self.nq)
         return np.concatenate([own, np.full((len(piece), 1), self.size - 1)], axis=1)
 
 
 @final
 class Samples:
-    """Moments of the motion at which something is charged or bounded.
+    """Samples of the motion at which costs and constraints are evaluated.
 
     Args:
-        layout: Where the variables are.
-        piece: Which piece each is on.
-        u: Which fraction of it has passed.
+        layout: Layout of the variables.
+        piece: Piece of each sample.
+        u: Position of each sample on its piece, as a fraction.
     """
 
     def __init__(self, layout: SplineLayout, piece: Int[Array, " n"], u: Float[Array, " n"]) -> None:
@@ -87,7 +87,7 @@ class Samples:
         return len(self.piece)
 
     def states(self, x: Float[Array, " variable"]) -> Float[Array, "order n nq"]:
-        """Positions, velocities and accelerations."""
+        """Return positions, velocities and accelerations."""
         ends = x[self.places[:, :-1]].reshape(len(self), 4, self.layout.nq)
         h = self.layout.h(x)
         scaled = np.einsum("soe,sej->osj", self.coefficient, ends)
@@ -96,7 +96,7 @@ class Samples:
     def slopes(
         self, x: Float[Array, " variable"], states: Float[Array, "order n nq"], z: Float[Array, "n order nq"]
     ) -> Float[Array, "n local"]:
-        """Derivatives with respect to `places` of functions with derivatives `z` with respect to q, qd and qdd."""
+        """Return derivatives with respect to `places` of functions with derivatives `z` by q, qd and qdd."""
         h = self.layout.h(x)
         weighed = self.coefficient / np.array([1.0, h, h * h])[:, None]
         own = np.einsum("soe,soj->sej", weighed, z).reshape(len(z), -1)
@@ -110,11 +110,11 @@ class Samples:
         z: Float[Array, "n order nq"],
         zz: Float[Array, "n state state"],
     ) -> Float[Array, "n local local"]:
-        """Second derivatives with respect to `places` of functions with derivatives `z` and `zz`."""
+        """Return second derivatives with respect to `places` of functions with derivatives `z` and `zz`."""
         n, nq, h, scale = len(z), self.layout.nq, self.layout.h(x), self.layout.time
         power = np.array([0.0, 1.0, 2.0])
         weighed = self.coefficient / (h**power)[:, None]
-        # dz of the local variables: (q, qd, qdd) by (ends, time).
+        # Derivatives of (q, qd, qdd) with respect to the local variables (ends, time).
         jacobian = np.zeros((n, 3, nq, 4 * nq + 1))
         for joint in range(nq):
             jacobian[:, :, joint, joint : 4 * nq : nq] = weighed
@@ -129,7 +129,7 @@ class Samples:
 
 
 class Charge(NamedTuple):
-    """A function of (q, qd, qdd) at samples, one value each."""
+    """Values and derivatives of a running cost of (q, qd, qdd), one per sample."""
 
     value: Float[Array, " n"]
     slope: Float[Array, "n order nq"]
@@ -137,13 +137,13 @@ class Charge(NamedTuple):
 
 
 Charging = Callable[[Array, bool], Charge]
-"""Charges states [order, n, nq], with the curvature if it is wanted."""
+"""A running cost: maps states [order, n, nq], and whether to compute the curvature, to a `Charge`."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Integral:
-    """A part of the cost: a weighted sum over samples, times the time of a piece."""
+    """A term of the cost: a weighted sum over samples, times the time of a piece."""
 
     samples: Samples
     weight: Float[Array, " n"]
@@ -153,11 +153,11 @@ class Integral:
 @final
 @dataclass(frozen=True, eq=False)
 class LinearRows:
-    """Constraints that are linear in the nodes over a power of h; limits are of O(1)."""
+    """Constraints that are linear in the nodes over a power of h; their limits are O(1)."""
 
     name: str
     pattern: Pattern
-    """Entries, with rows from 0 on."""
+    """Row and column of each entry; rows count from 0."""
     entry: Float[Array, " nonzero"]
     power: int
     least: Float[Array, " row"]
@@ -167,12 +167,12 @@ class LinearRows:
 @final
 @dataclass(frozen=True, eq=False)
 class SampleRows:
-    """Constraints on functions of (q, qd, qdd) at samples, one or more each; their curvature is left out."""
+    """Constraints on functions of (q, qd, qdd) at samples, one or more each; their curvature is neglected."""
 
     name: str
     samples: Samples
     bounded: Callable[[Array], tuple[Array, Array]]
-    """Of the states: values [n, k], and their derivatives [n, k, order, nq]."""
+    """Maps states to values [n, k] and their derivatives [n, k, order, nq]."""
     least: Float[Array, "n k"]
     most: Float[Array, "n k"]
 
@@ -180,11 +180,11 @@ class SampleRows:
 @final
 @dataclass(frozen=True, eq=False)
 class SplineCost:
-    """What is minimised.
+    """The cost to minimise.
 
     Args:
-        time: What a second costs.
-        integrals: The rest of the cost.
+        time: Cost of a second.
+        integrals: Other terms of the cost.
     """
 
     time: float
@@ -194,12 +194,12 @@ class SplineCost:
 @final
 @dataclass(frozen=True, eq=False)
 class SplineRows:
-    """What is bounded.
+    """The constraints of a program.
 
     Args:
         linear: Limits of position, velocity, acceleration and jerk.
         sampled: Limits of torque and clearance.
-        slack: How far an iterate may be beyond rows of each name and still be worth keeping; 0 if it is not named.
+        slack: Excess per row name up to which an iterate is worth keeping; 0 for names not listed.
     """
 
     linear: Sequence[LinearRows] = ()
@@ -207,19 +207,19 @@ class SplineRows:
     slack: Mapping[str, float] = field(default_factory=dict)
 
     def joined(self, of_rows: Callable[[LinearRows | SampleRows], Array]) -> Float[Array, " constraint"]:
-        """Something of all rows, one after the other."""
+        """Concatenate an array per group of rows, flattened."""
         return np.concatenate([np.zeros(0), *(of_rows(rows).ravel() for rows in (*self.linear, *self.sampled))])
 
 
 @final
 class SplineProgram(Program):
-    """Minimise time, integrals, or both, over cubics with evenly spaced nodes.
+    """Minimise time, integrals or both over piecewise cubics with evenly spaced nodes.
 
     Args:
-        layout: Where the variables are.
+        layout: Layout of the variables.
         bounds: Lower and upper bounds of the variables.
-        cost: What is minimised.
-        rows: What is bounded besides.
+        cost: The cost to minimise.
+        rows: The constraints.
     """
 
     def __init__(
@@ -234,7 +234,7 @@ class SplineProgram(Program):
         self.least = rows.joined(lambda part: part.least)
         self.most = rows.joined(lambda part: part.most)
         self.slack = rows.joined(lambda part: np.full(part.least.size, rows.slack.get(part.name, 0.0)))
-        """How far an iterate may be beyond each constraint and still be worth keeping."""
+        """Excess over each constraint up to which an iterate is worth keeping."""
         self.jacobian_pattern = self._jacobian_pattern()
         self._pair = np.triu_indices(4 * layout.nq + 1)
         self.hessian_pattern = self._hessian_pattern()
@@ -256,7 +256,7 @@ class SplineProgram(Program):
         return Pattern(np.concatenate([none, *rows]), np.concatenate([none, *columns]))
 
     def _hessian_pattern(self) -> Pattern:
-        """Every pair of variables of a piece, and the time with everything."""
+        """Return all pairs of variables of the same piece, and the time paired with every variable."""
         places = self.layout.places(np.arange(self.layout.pieces))
         row, column = places[:, self._pair[0]], places[:, self._pair[1]]
         keys, inverse = np.unique(row * self.layout.size + column, return_inverse=True)
@@ -298,7 +298,7 @@ class SplineProgram(Program):
     def hessian(
         self, x: Float[Array, " variable"], factor: float, multipliers: Float[Array, " constraint"]
     ) -> Float[Array, " nonzero"]:
-        """Hessian of the cost and of the linear rows; the curvature of sampled rows is left out."""
+        """Return the Hessian of the cost and the linear rows; the curvature of sampled rows is neglected."""
         assert self.hessian_pattern is not None
         entries, h, scale = np.zeros(len(self.hessian_pattern.row)), self.layout.h(x), self.layout.time
         for part in self.cost.integrals:

@@ -1,10 +1,10 @@
-"""The robot as CasADi expressions: kinematics and inverse dynamics, from the tables that the kernels read.
+"""The robot as CasADi expressions: kinematics and inverse dynamics, from the same tables as the kernels.
 
-Frames: W world, P parent link, L link, C centre of mass of a link, T tool; a link is a joint with everything rigidly
-behind it. The fingers hold still and the carried object moves as if it were part of the hand, as in `RobotDynamics`.
+Frames: W world, P parent link, L link, C centre of mass of a link, T tool. A link is a joint with all bodies rigidly
+attached to it. The fingers stay still, and the carried object moves as part of the hand, as in `RobotDynamics`.
 
 References:
-    [Craig2005] Introduction to Robotics, Sec. 6.5: the recursion of Newton and Euler in link frames.
+    [Craig2005] Introduction to Robotics, Sec. 6.5: the recursive Newton-Euler algorithm in link frames.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 Expression = Any
-"""A CasADi SX; CasADi comes without types and is imported on demand."""
+"""A CasADi SX. CasADi has no type stubs and is imported on demand."""
 
 _KEPT = 8
-"""Batched functions that are kept, by their number of states."""
+"""Number of cached batch functions, one for each batch size."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkInertia:
-    """What a link weighs, in its own frame.
+    """Mass properties of a link, in its own frame.
 
     | field       | meaning                                                          | unit   | shape |
     |-------------|------------------------------------------------------------------|--------|-------|
     | mass        | mass                                                             | kg     |       |
     | centre      | centre of mass                                                   | m      | 3     |
-    | tensor      | moments of inertia about it                                      | kg m^2 | 3 3   |
-    | compensated | mass times place of the bodies that gravity compensation carries | kg m   | 3     |
-    | floating    | their mass                                                       | kg     |       |
+    | tensor      | moments of inertia about the centre of mass                      | kg m^2 | 3 3   |
+    | compensated | first mass moment of the bodies with gravity compensation        | kg m   | 3     |
+    | floating    | mass of these bodies                                             | kg     |       |
     """
 
     mass: float
@@ -57,10 +57,10 @@ class LinkInertia:
 
 @final
 class SymbolicRobot:
-    """CasADi functions of a scene's robot, each built when it is first asked for.
+    """CasADi functions of a scene's robot, each built on first use.
 
     Args:
-        scene: The scene, with what is carried attached.
+        scene: The scene; the carried object counts as attached.
 
     Raises:
         UnsupportedError: If passive forces other than linear springs, linear damping and gravity compensation act on
@@ -80,12 +80,12 @@ class SymbolicRobot:
         self.stiffness = _column(model.jnt_stiffness, joints)
         self.spring = model.qpos_spring[model.jnt_qposadr[joints]].copy()
         self.compensates = ~model.jnt_actgravcomp[joints].astype(bool)
-        """Whether gravity compensation takes load off a joint; otherwise the joint's own actuator does it."""
+        """Whether gravity compensation relieves the joint's actuator; otherwise the actuator itself provides it."""
         self._maps: dict[tuple[str, int], Any] = {}
 
     @cached_property
     def link_poses(self) -> Any:
-        """Function of q: X_WL of every link [m], 4 x 4 matrices one beside the other."""
+        """Function of q: X_WL of every link [m], 4 x 4 matrices side by side."""
         import casadi
 
         q = casadi.SX.sym("q", self.nq)
@@ -101,7 +101,7 @@ class SymbolicRobot:
 
     @cached_property
     def tool_jacobian(self) -> Any:
-        """Function of q: J_WT, rows of velocity [m/rad] above those of angular velocity, both in W."""
+        """Function of q: J_WT in W, velocity rows [m/rad] above angular velocity rows."""
         import casadi
 
         q = casadi.SX.sym("q", self.nq)
@@ -133,21 +133,21 @@ class SymbolicRobot:
         return casadi.Function("torque_derivatives", state, [torque, slope], {"cse": True})
 
     def torques(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Float[Array, "n nq"]:
-        """Joint torques [N m or N] of many states and accelerations in one call."""
+        """Return the joint torques [N m or N] of a batch of states and accelerations."""
         states = self._states(q, qd, qdd)
         return np.array(self._mapped("inverse_dynamics", len(states[0]))(*(x.T for x in states))).T
 
     def torques_with_slopes(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq state"]]:
-        """Torques of many states, and their derivatives with respect to q, qd and qdd side by side."""
+        """Return the torques of a batch, and their derivatives with respect to q, qd and qdd side by side."""
         states = self._states(q, qd, qdd)
         n = len(states[0])
         torque, slope = self._mapped("torque_derivatives", n)(*(x.T for x in states))
         return np.array(torque).T, np.array(slope).reshape(self.nq, n, 3 * self.nq).transpose(1, 0, 2)
 
     def _mapped(self, name: str, n: int) -> Any:
-        """Return a function of one state for `n` of them; a solve asks again and again for the same number."""
+        """Return a function mapped over `n` states; cached because a solve uses the same batch size repeatedly."""
         if (name, n) not in self._maps:
             if len(self._maps) >= _KEPT:
                 self._maps.pop(next(iter(self._maps)))
@@ -162,7 +162,7 @@ class SymbolicRobot:
         return states
 
     def _in_parent(self, link: int, q: Expression) -> tuple[Expression, Expression]:
-        """R_PL and p_PL at a configuration; joints turn about, or slide along, the link's own z."""
+        """Return R_PL and p_PL at a configuration; joints rotate about, or slide along, the link's own z axis."""
         import casadi
 
         X, joint = self.robot.X_PL[link], int(self.robot.joint[link])
@@ -198,7 +198,7 @@ class SymbolicRobot:
         return torque + casadi.DM(self.armature) * qdd + passive
 
     def _against_gravity(self, q: Expression) -> Expression:
-        """Derivative of the potential energy, less what gravity compensation takes over."""
+        """Return the gradient of the potential energy, minus the part that gravity compensation carries."""
         import casadi
 
         poses, gravity = self._poses(q), casadi.DM(self.gravity)
@@ -210,7 +210,7 @@ class SymbolicRobot:
         return casadi.gradient(energy, q) - lifted
 
     def _inertial(self, q: Expression, qd: Expression, qdd: Expression) -> Expression:
-        """Torques that accelerate the links: outwards velocities and accelerations, inwards forces and moments."""
+        """Return the torques that accelerate the links, by the outward and inward passes of Newton-Euler."""
         import casadi
 
         cross, zero, z = casadi.cross, casadi.SX.zeros(3), casadi.DM([0.0, 0.0, 1.0])
@@ -245,10 +245,10 @@ class SymbolicRobot:
 
 @per_scene
 def symbolic_robot(scene: Scene) -> SymbolicRobot:
-    """Return the expressions of a scene's robot; they are made once per scene.
+    """Return the expressions of a scene's robot; cached per scene.
 
     Raises:
-        UnsupportedError: As for `SymbolicRobot`.
+        UnsupportedError: As in `SymbolicRobot`.
     """
     return SymbolicRobot(scene)
 
@@ -260,17 +260,17 @@ def _column(values: Array, rows: Any) -> Float[Array, " nq"]:
 def _check_passive(model: mujoco.MjModel, joints: list[int], dofs: Array) -> None:
     for name, of_joints in (("jnt_stiffnesspoly", joints), ("dof_dampingpoly", dofs)):
         if np.any(getattr(model, name)[of_joints]):
-            raise UnsupportedError(f"the dynamics of joints with {name} cannot be told in symbols")
+            raise UnsupportedError(f"symbolic dynamics of joints with {name} are not supported")
     if model.opt.density or model.opt.viscosity:
-        raise UnsupportedError("the dynamics of a robot in a fluid (density, viscosity) cannot be told in symbols")
+        raise UnsupportedError("symbolic dynamics of a robot in a fluid (density, viscosity) are not supported")
     for tendon in range(model.ntendon):
         acts = np.any(model.tendon_stiffness[tendon]) or np.any(model.tendon_damping[tendon])
         if acts or np.any(model.tendon_armature[tendon]):
-            raise UnsupportedError(f"the dynamics of tendon {model.tendon(tendon).name!r} cannot be told in symbols")
+            raise UnsupportedError(f"symbolic dynamics of tendon {model.tendon(tendon).name!r} are not supported")
 
 
 def _inertias(scene: Scene, robot: RobotArrays) -> list[LinkInertia]:
-    """Put the bodies behind each planned joint together, and the carried object behind the tool's."""
+    """Sum the bodies of each planned joint, with the carried object as part of the tool's link."""
     model, nq = scene.model, len(scene.joints)
     data = Placement(scene).place(np.zeros(nq))
     X_WL = compile_scene(scene).kernels.link_poses(np.zeros(nq))
@@ -289,7 +289,7 @@ def _inertias(scene: Scene, robot: RobotArrays) -> list[LinkInertia]:
 
 
 def _link_of(model: mujoco.MjModel, body: int, link_of_joint: dict[int, int]) -> int | None:
-    """Link that a body moves with: that of the nearest planned joint above it."""
+    """Return the link that a body moves with: that of the nearest planned joint above it."""
     while body:
         first = int(model.body_jntadr[body])
         for joint in reversed(range(first, first + int(model.body_jntnum[body]))):

@@ -1,8 +1,9 @@
-"""Trajectories optimised as a whole, path and timing at once, within all limits: direct transcription and IPOPT.
+"""Optimise path and timing of a trajectory together, within all limits, by direct transcription and IPOPT.
 
-The least time or effort, plus what a failure would do, integrated over time. Positions and velocities at evenly spaced
-nodes and the duration are the variables (`spline_program`); limits, torque and clearance are constraints at nodes and
-between them, and checked densely afterwards by the independent judge. A local method: it improves what it begins with.
+The cost is time or effort, plus the impact of a failure integrated over time. The variables are the duration and the
+positions and velocities at evenly spaced nodes (`spline_program`). Limits, torque and clearance are constraints at
+nodes and between them; the independent judge checks the result densely. This is a local method: it improves the
+initial motion.
 """
 
 from __future__ import annotations
@@ -35,21 +36,21 @@ from graceful_plan.transcription.symbolic import symbolic_robot
 Array = np.ndarray
 
 _KEPT = 3
-"""Best iterates that are kept for the judge to choose from."""
+"""Number of best iterates kept for the judge."""
 _PATIENCE, _LEAST_GAIN = 30, 1e-3
-"""Iterations without a relative gain like that, after which a solve ends: clearance has kinks that IPOPT rattles at."""
+"""A solve ends after this many iterations without this relative gain, since IPOPT stalls at kinks of the clearance."""
 _STRETCH = 1.5
-"""How much longer than the motion to begin with one may take if time is not what is minimised."""
+"""Largest duration relative to the initial one if time is not the objective."""
 _ATTEMPTS = 3
-"""Solves, each with more clearance than the one before if the judge found a collision between samples."""
+"""Largest number of solves; each keeps more clearance than the last if the judge found a collision between samples."""
 _RESERVE = 0.2
-"""Seconds kept for the judge, at most a third of the time limit."""
+"""Time reserved for the judge [s], at most a third of the time limit."""
 _REST = 1e-6
-"""Greatest speed of a joint at rest [rad/s or m/s]."""
+"""Largest speed of a joint that counts as at rest [rad/s or m/s]."""
 
 
 class OptimisationStatus(Enum):
-    """How an optimisation ended; the value says what to do about it."""
+    """How an optimisation ended; the value is a sentence with a remedy."""
 
     SOLVED = "A local optimum within all limits."
     STOPPED = "A verified motion within all limits, perhaps not the best: budget or progress ended before an optimum."
@@ -66,13 +67,13 @@ class OptimisedTrajectory:
     trajectory: Trajectory | None = None
     """The best verified motion within all limits; None if there is none."""
     violated: tuple[Violation, ...] = ()
-    """If there is none: the limits that the last iterate breaks, the worst first."""
+    """The limits that the last iterate violates, worst first, if there is no trajectory."""
     cost: float = np.inf
-    """What was minimised, of the trajectory; see `optimise_trajectory`."""
+    """Cost of the trajectory; see `optimise_trajectory`."""
     initial_cost: float = np.inf
-    """The same of the motion to begin with, infinite if it breaks a limit or collides."""
+    """Cost of the initial motion; infinite if it violates a limit or collides."""
     verdict: Verdict = field(default_factory=Verdict)
-    """The judge's, of the trajectory."""
+    """The judge's verdict on the trajectory."""
     detail: str = ""
     stats: Mapping[str, float] = field(default_factory=dict)
     """Seconds, IPOPT iterations and solves."""
@@ -94,32 +95,33 @@ def optimise_trajectory(
     iterations: int = 300,
     cancelled: Callable[[], bool] | None = None,
 ) -> OptimisedTrajectory:
-    """Improve path and timing of a motion at once, from rest to rest between the same ends.
+    """Optimise path and timing of a motion together, from rest to rest between the same ends.
 
-    Minimised is the objective plus w times the integral of the impact of a failure over time. Objectives: "time", the
-    duration [s]; "effort", the integral of squared torques over their limits, summed over joints; "acceleration", the
-    same of accelerations; "length" in joint space [rad].
+    The cost is the objective plus w times the integral over time of the impact of a failure. Objectives: "time", the
+    duration [s]; "effort", the integral of (torque / limit)^2 summed over joints; "acceleration", the same with
+    accelerations; "length", the path length in joint space [rad].
 
     Args:
-        initial: Where to begin; a path is timed first. It need not keep the limits nor be free of collision.
-        scene: Robot, limits and surroundings. Entities that move are not looked at.
+        initial: Initial guess; a path is timed first. It may violate limits and collide.
+        scene: Robot, limits and surroundings. Moving entities are ignored.
         objective: "time", "effort", "acceleration" or "length".
-        w: Safety weight, what a second under an impact of 1 costs.
-        impact: What a failure would do; the default `ImpactCost` if None.
-        duration: Longest duration [s]; by default none for "time", else 1.5 times that of the motion to begin with.
-        jerk: Limit of the jerk, one or one a joint [rad/s^3]; none by default. With it, accelerations do not jump.
-        torque: Whether the torque limits of the scene count, with what is carried.
-        margin: Clearance to keep [m], where the motion to begin with keeps it near its ends.
-        intervals: Cubic pieces, all of the same time.
-        time_limit: Seconds for the whole call.
-        iterations: Of IPOPT, at most, per solve.
-        cancelled: Asked between iterations whether to stop.
+        w: Safety weight, the cost per second of an impact of 1.
+        impact: Impact model; the default `ImpactCost` if None.
+        duration: Longest duration [s]. The default is no limit for "time", else 1.5 times the initial duration.
+        jerk: Limit of the jerk, one for all joints or one per joint [rad/s^3]; none by default. With it, accelerations
+            are continuous.
+        torque: Whether to enforce the scene's torque limits, with the carried object as load.
+        margin: Clearance to keep [m]; near the ends, at most the clearance of the initial motion there.
+        intervals: Number of cubic pieces, all of the same duration.
+        time_limit: Time limit of the whole call [s].
+        iterations: Largest number of IPOPT iterations per solve.
+        cancelled: Called between iterations; the optimisation stops once it returns True.
 
     Returns:
-        A result whose trajectory `verify` passed; with what went wrong if there is none.
+        A result whose trajectory passed `verify`, or the violated limits if there is none.
 
     Raises:
-        GracefulPlanError: For misuse: wrong shapes, unknown objectives, settings outside of their range.
+        GracefulPlanError: For misuse: wrong shapes, unknown objectives, settings outside their range.
     """
     seconds = _checked_seconds(time_limit)
     budget = Budget(seconds - min(_RESERVE, seconds / 3.0), cancelled=cancelled or (lambda: False))
@@ -150,7 +152,7 @@ def optimise_trajectory(
 
 @final
 class _Optimisation:
-    """One call: the motion to begin with, the solves, and the judge's view of what they find."""
+    """State of one call: the initial motion, the solves, and the judge's verdicts on their results."""
 
     def __init__(self, task: MotionTask, first: Trajectory, budget: Budget, iterations: int) -> None:
         self.task, self.first, self.budget, self.iterations = task, first, budget, iterations
@@ -194,7 +196,7 @@ class _Optimisation:
         )
 
     def _search(self) -> tuple[tuple[Trajectory, Verdict] | None, SolveOutcome, tuple[Violation, ...]]:
-        """Solve, and again with more clearance for as long as the judge finds a collision between samples."""
+        """Solve, and repeat with more clearance as long as the judge finds a collision between samples."""
         outcome, broken, margin = SolveOutcome.FAILED, (), self.task.margin
         guess = self.first
         for _ in range(_ATTEMPTS):
@@ -225,7 +227,7 @@ class _Optimisation:
         return None, outcome, broken
 
     def _motion(self, program: SplineProgram, x: Float[Array, " variable"]) -> Trajectory:
-        """Return the trajectory of an iterate, slowed down by as little as rounding asks for."""
+        """Return the trajectory of an iterate, slowed down by the small amount that rounding needs."""
         layout, task = program.layout, self.task
         q, w = layout.nodes(x)
         h = layout.h(x)
@@ -236,7 +238,7 @@ class _Optimisation:
         return within_limits(timed, task.scene.limits, task.jerk, task.robot if task.torque else None)
 
     def _fate(self, motion: Trajectory) -> tuple[Verdict, tuple[Violation, ...]]:
-        """Return the judge's verdict and all limits that a motion breaks; collisions only if there are none."""
+        """Return the judge's verdict and the violated limits; collisions are checked only if no limit is violated."""
         task = self.task
         broken = violations(
             motion,
@@ -259,7 +261,7 @@ class _Optimisation:
         )
 
     def _hopeless(self) -> tuple[Violation, ...]:
-        """Limits that no motion between these ends can keep: positions of the ends, and the time for the distance."""
+        """Return limits that no motion between these ends can meet: positions of the ends, or time for the distance."""
         task, limits = self.task, self.task.scene.limits
         ends = Trajectory(
             self.first.t[[0, -1]], self.first.q[[0, -1]], np.zeros((2, len(task.scene.joints))),
@@ -286,7 +288,7 @@ class _Optimisation:
 
 @final
 class _Solve:
-    """Watches one solve: keeps the best feasible iterates, and ends it when budget or progress ends."""
+    """Watches one solve: keeps the best feasible iterates and ends it on timeout or lack of progress."""
 
     def __init__(self, program: SplineProgram, budget: Budget) -> None:
         self.program, self.budget = program, budget

@@ -1,1 +1,1 @@
-"""Fronts of motion against impact, and the choice of w."""
+"""Pareto fronts of motion against impact, and the choice of the safety weight w."""

@@ -1,4 +1,4 @@
-"""Candidates for a front: those that no other is better than, and the best few of them."""
+"""Archive of candidates for a front: the non-dominated ones, and selection of a representative subset."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from graceful_plan.planners.questions import checked_costs
 Array = np.ndarray
 
 EdgeTest = Callable[[Array, Array], Array]
-"""Which straight edges between configurations [n, nq] are free for certain: bool [n]."""
+"""Returns for each straight edge between configurations [n, nq] whether it is free at the finest check: bool [n]."""
 
 _SAME, _SAME_MOTION = 1e-6, 1e-9
-"""Relative differences of impact and of motion that are none."""
+"""Relative differences of impact and of motion below which values count as equal."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A free path and what it costs.
+    """A free path and its cost.
 
     Args:
         q: Vertices [rad or m].
         edges: Motion and impact of each edge.
-        made_by: What found it: "weight", "gap" or "roadmap".
-        made_with: The weight, or the impact that had to be undercut.
-        size: Of the moves that were tried on it, relative to its length; they shrink as it settles.
+        made_by: Method that found it: "weight", "gap" or "roadmap".
+        made_with: The weight, or the impact to undercut.
+        size: Size of the random moves tried on it, relative to its length; it shrinks as the path converges.
     """
 
     q: Float[Array, "n nq"]
@@ -50,7 +50,7 @@ class Candidate:
 
     @classmethod
     def of(cls, path: Path, objective: BoundObjective, made_by: str, made_with: float) -> Candidate:
-        """Charge a path.
+        """Evaluate the cost of a path.
 
         Raises:
             CostError: If the objective returns a NaN, an infinity or a negative number.
@@ -60,19 +60,19 @@ class Candidate:
         return cls(q=q, edges=edges, made_by=made_by, made_with=made_with)
 
     def moved_to(self, q: Float[Array, "n nq"], edges: Float[Array, "edge 2"]) -> Candidate:
-        """Return what it has become."""
+        """Return the candidate with a changed path."""
         return replace(self, q=q, edges=edges)
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Aimed:
-    """A candidate and what is to become of it: less motion and impact inside of a box, or less V + w S.
+    """A candidate with a target: less motion and impact inside a box, or less V + w S.
 
     Args:
-        candidate: Where it begins.
-        corner: Motion and impact of the corner of the box.
-        weight: w, where that is the aim.
+        candidate: The initial candidate.
+        corner: Motion and impact at the upper corner of the box.
+        weight: w, if V + w S is the target.
     """
 
     candidate: Candidate
@@ -80,13 +80,13 @@ class Aimed:
     weight: float | None = None
 
     def merit(self, cost: Float[Array, "n 2"]) -> Float[Array, " n"]:
-        """Area of the box above and to the right of some costs."""
+        """Return the area between costs and the corner of the box."""
         room = np.maximum(self.corner - cost, 0.0)
         return room[:, 0] * room[:, 1]
 
 
 def charged(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
-    """Motion and impact of edges, checked.
+    """Evaluate motion and impact of edges, and check them.
 
     Raises:
         CostError: If the objective returns a NaN, an infinity or a negative number.
@@ -101,7 +101,7 @@ def charged(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array
 
 @runtime_checkable
 class Costed(Protocol):
-    """What may be on a front."""
+    """An object with a cost, which can be on a front."""
 
     @property
     def cost(self) -> Float[Array, " 2"]:
@@ -114,7 +114,7 @@ C = TypeVar("C", bound=Costed)
 
 @final
 class Archive(Generic[C]):
-    """The candidates that no other is better than, sorted by motion."""
+    """The non-dominated candidates, sorted by motion."""
 
     def __init__(self) -> None:
         self.candidates: list[C] = []
@@ -125,11 +125,11 @@ class Archive(Generic[C]):
 
     @property
     def costs(self) -> Float[Array, "n 2"]:
-        """Motion and impact of each."""
+        """Motion and impact of each candidate."""
         return np.array([c.cost for c in self.candidates]).reshape(-1, 2)
 
     def offer(self, candidate: C) -> bool:
-        """Keep a candidate, and drop those that it is better than, unless one of them is as good."""
+        """Add a candidate and drop those it dominates, unless another is at least as good; return if it was added."""
         motion, impact = candidate.cost.tolist()
         at = bisect.bisect_right(self._motion, motion)
         if at and self.candidates[at - 1].cost[1] <= impact * (1.0 + _SAME):
@@ -143,24 +143,24 @@ class Archive(Generic[C]):
         return True
 
     def drop(self, candidate: C) -> None:
-        """Forget a candidate that turned out to be of no use."""
+        """Remove a candidate, for example one that the judge rejects."""
         at = next(i for i, other in enumerate(self.candidates) if other is candidate)
         del self.candidates[at], self._motion[at]
 
     def best_for(self, w: float) -> C:
-        """Return the candidate of least V + w S."""
+        """Return the candidate with the least V + w S."""
         return self.candidates[int(np.argmin(self.costs @ np.array([1.0, w])))]
 
     def chosen(self, count: int) -> list[C]:
-        """Return the candidates, at most so many, that stand for all of them best; see `best_subset`."""
+        """Return a subset of at most `count` candidates that represents the front best; see `best_subset`."""
         return [self.candidates[i] for i in best_subset(self.costs, count)]
 
 
 def scaled(costs: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-    """Both axes of a front from 0 to 1, the impact half as it is and half by its logarithm.
+    """Scale both axes of a front to 0 to 1, with the impact half linear and half logarithmic.
 
-    Its lower half matters as much to someone with a risk target as its upper half, and would vanish on a plain axis:
-    impact falls over two orders of magnitude along many a front.
+    Impact falls by two orders of magnitude along many fronts. On a linear axis the lower half would vanish, although
+    it matters just as much for a target impact.
     """
     motion, impact = costs[:, 0], costs[:, 1]
     span = max(float(np.ptp(motion)), 1e-300), max(float(impact.max()), 1e-300)
@@ -171,9 +171,9 @@ def scaled(costs: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
 
 
 def best_subset(costs: Float[Array, "n 2"], count: int) -> list[int]:
-    """Pick from a front sorted by motion the points whose dominated area, on `scaled` axes, is greatest; exact.
+    """Return the points of a front, sorted by motion, whose dominated area on `scaled` axes is largest; exact.
 
-    Both ends are always among them.
+    Both ends are always included.
     """
     n = len(costs)
     if n <= count:
@@ -181,7 +181,7 @@ def best_subset(costs: Float[Array, "n 2"], count: int) -> list[int]:
     if count < 2:
         return [0][:count]
     x, y = scaled(costs).T
-    area = (x[None, :] - x[:, None]) * (1.1 - y[:, None])  # of the strip from a point to the next one
+    area = (x[None, :] - x[:, None]) * (1.1 - y[:, None])  # strip from a point to the next
     area[np.tril_indices(n)] = -np.inf
     best = np.full(n, -np.inf)
     best[0] = 0.0
@@ -197,7 +197,7 @@ def best_subset(costs: Float[Array, "n 2"], count: int) -> list[int]:
 
 
 def widest_gaps(costs: Float[Array, "n 2"], count: int) -> Sequence[int]:
-    """Return the points of a front sorted by motion after which the largest empty rectangles lie, on `scaled` axes."""
+    """Return the points of a front, sorted by motion, after which the largest gaps lie on `scaled` axes."""
     if len(costs) < 2:
         return []
     steps = np.abs(np.diff(scaled(costs), axis=0))
@@ -205,7 +205,7 @@ def widest_gaps(costs: Float[Array, "n 2"], count: int) -> Sequence[int]:
 
 
 def coarse_to_fine(n: int) -> list[int]:
-    """Order 0 to n - 1: both ends, then the middle, then the middles of the halves, and so on."""
+    """Order 0 to n - 1 from coarse to fine: both ends, the middle, the middles of the halves, and so on."""
     order, step = [0, n - 1] if n > 1 else list(range(n)), 1
     while len(order) < n:
         step *= 2

@@ -1,11 +1,11 @@
-r"""All paths of a front down their own gradients at once.
+r"""Batched gradient descent of all paths of a front.
 
-Each path has a box (see `refine`) or a weight, and descends
+Each path has a box (see `refine`) or a weight, and minimises
 
 .. math:: f = -\log(V_\mathrm{box} - V) - \log(S_\mathrm{box} - S) \quad\mathrm{or}\quad f = \log(V + w S)
 
-by L-BFGS in the metric of smooth paths, which CHOMP uses, too. The paths do not wait for each other: each has its own
-step and its own memory, and what they share is the one call of the kernel that evaluates all of them.
+by L-BFGS in the metric of smooth paths, as in CHOMP. Each path has its own step size and its own memory; all paths are
+evaluated in one call of the kernel.
 
 References:
     J. Nocedal, "Updating quasi-Newton matrices with limited storage", Mathematics of Computation 1980.
@@ -32,19 +32,19 @@ from graceful_plan.tuning.archive import Aimed, Candidate, EdgeTest
 Array = np.ndarray
 
 EDGES = 24
-"""Of every path."""
+"""Edges of every path."""
 _MEMORY = 8
 _SLICE = 192
-"""Edges that are evaluated between two looks at the clock."""
+"""Edges that are evaluated between two checks of the time."""
 _THREADS = 2
 _FIRST_STEP = 0.01
-"""Greatest displacement of the first step, relative to the length of the path."""
+"""Largest displacement of the first step, relative to the length of the path."""
 _LARGEST_STEP = 0.1
 _SHRINK = 0.3
 _FAILURES = 4
-"""Steps in a row without success after which a path is left alone."""
+"""Consecutive unsuccessful steps after which a path stops."""
 _SETTLED = 1e-4
-"""Fall of f, a relative one of the costs, that is no success."""
+"""Decrease of f below which a step counts as unsuccessful; f is logarithmic, so this is a relative change of cost."""
 _ARMIJO = 1e-4
 
 
@@ -56,22 +56,22 @@ def descend(
     budget: Budget,
     steps: int,
 ) -> list[Candidate]:
-    """Return what becomes of those candidates that gradients improve; one iteration is one step of all of them.
+    """Descend and return the candidates that improved; one iteration is one step of all candidates.
 
     Args:
-        members: Candidates and their boxes.
+        members: Candidates with their targets.
         problem: Limits.
-        objective: Costs of weight 1 whose motion is length.
-        certain: Which edges are free, as finely as they can be checked.
+        objective: Costs at weight 1, with path length as motion.
+        certain: Returns which edges are free at the finest check.
         budget: Time and iterations.
-        steps: Most steps.
+        steps: Largest number of steps.
     """
     found = [_evened(member, certain) for member in members]
     kept = [(member, q) for member, q in zip(members, found, strict=True) if q is not None]
     if not kept:
         return []
     batch = _Batch([m for m, _ in kept], np.array([q for _, q in kept]), problem, objective, certain, budget)
-    # A scene's kernels may be asked from several threads at once; what users write is not asked to bear that.
+    # A scene's kernels are thread-safe; user-defined objectives need not be.
     with ThreadPoolExecutor(_THREADS) if isinstance(objective, SceneObjective) else nullcontext() as batch.pool:
         try:
             for _ in range(steps):
@@ -84,19 +84,19 @@ def descend(
 
 
 def _evened(member: Aimed, certain: EdgeTest) -> Float[Array, "n nq"] | None:
-    """Return evenly spaced vertices; None if there is nothing to move, or if they lead through something."""
+    """Return evenly spaced vertices; None if the path has no length or the new edges are not free."""
     path = Path(member.candidate.q)
     if len(path) < 2 or path.length == 0.0:
         return None
     if len(path) == EDGES + 1:
-        return path.q  # as a descent has left it
+        return path.q  # spaced by an earlier descent
     q = evenly(path.q, EDGES + 1)
     return q if np.all(certain(q[:-1], q[1:])) else None
 
 
 @final
 class _Batch:
-    """Paths with the same number of vertices, their costs and what L-BFGS remembers of each."""
+    """Paths with the same number of vertices, their costs and the L-BFGS memory of each."""
 
     def __init__(
         self,
@@ -126,7 +126,7 @@ class _Batch:
         self.pool: ThreadPoolExecutor | None = None
 
     def step(self) -> None:
-        """Move every path that is still alive by one step, or make its next step smaller."""
+        """Move every active path by one step; reduce the step size of paths that do not improve."""
         if not np.any(np.isfinite(self.value)):
             rows = np.arange(len(self.q))
             self.value, self.edges, self.gradient = self._evaluated(self.q, rows)
@@ -149,7 +149,7 @@ class _Batch:
         self.alive &= self.failures < _FAILURES
 
     def candidates(self) -> list[Candidate]:
-        """Return the paths that moved."""
+        """Return the paths that have moved."""
         return [
             self.members[k].candidate.moved_to(self.q[k], self.edges[k]) for k in np.flatnonzero(self.moved).tolist()
         ]
@@ -157,7 +157,7 @@ class _Batch:
     def _evaluated(
         self, q: Float[Array, "path vertex nq"], rows: Array
     ) -> tuple[Float[Array, " path"], Float[Array, "path edge 2"], Float[Array, "path inner nq"]]:
-        """Compute f of paths, the costs of their edges, and the derivative of f by their inner vertices."""
+        """Evaluate f, the costs of the edges, and the derivatives of f by the inner vertices."""
         q0, q1 = q[:, :-1].reshape(-1, q.shape[2]), q[:, 1:].reshape(-1, q.shape[2])
 
         def asked(first: int) -> tuple[Array, Array, Array]:
@@ -180,7 +180,7 @@ class _Batch:
         return value, cost, gradient
 
     def _aimed(self, cost: Float[Array, "path 2"], rows: Array) -> tuple[Float[Array, " path"], Float[Array, "path 2"]]:
-        """Compute f of costs, infinite outside of the box, and its derivatives by motion and impact."""
+        """Evaluate f from costs, infinite outside the box, and its derivatives by motion and impact."""
         weight = self.weight[rows]
         boxed = np.isnan(weight)
         room = np.where(boxed[:, None], self.corner[rows] - cost, 1.0)
@@ -192,7 +192,7 @@ class _Batch:
         return value, np.where(boxed[:, None], 1.0 / room, both / total[:, None])
 
     def _direction(self) -> Float[Array, "path inner nq"]:
-        """Where L-BFGS sends each path."""
+        """Return the L-BFGS direction of each path."""
         work = self.gradient.copy()
         shares = []
         for s, y, weight in reversed(self.pairs):
@@ -210,7 +210,7 @@ class _Batch:
         return direction * np.minimum(1.0, limit / np.maximum(largest, 1e-300))[:, None, None]
 
     def _curvature(self) -> Float[Array, " path"]:
-        """Scale of the metric: from the last step that a path took, or such that its first one is small."""
+        """Return the scale of the metric: from the last step of a path, or such that its first step is small."""
         smooth = np.einsum("ij,kjn->kin", self.smooth, self.gradient)
         largest = np.max(np.linalg.norm(smooth, axis=2), axis=1)
         scale = _FIRST_STEP * self.length / np.maximum(largest, 1e-300)
@@ -222,7 +222,7 @@ class _Batch:
         return scale
 
     def _remember(self, rows: Array, q: Array, value: Array, edges: Array, gradient: Array) -> None:
-        """Take steps, and what they say of the curvature."""
+        """Accept steps and store their curvature pairs."""
         s, y, weight = np.zeros_like(self.gradient), np.zeros_like(self.gradient), np.zeros(len(self.q))
         s[rows], y[rows] = q[:, 1:-1] - self.q[rows, 1:-1], gradient - self.gradient[rows]
         bend = np.sum(s * y, axis=(1, 2))

@@ -1,4 +1,4 @@
-"""Pareto fronts as JSON documents, written and read back without executing anything."""
+"""Pareto fronts as JSON documents; reading them executes no code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CHECK = {"passed", "worst", "limit", "first", "detail"}
 
 
 class FrontParts(NamedTuple):
-    """What a front is made of; see `ParetoFront`."""
+    """The fields of a front; see `ParetoFront`."""
 
     status: PlanStatus
     points: tuple[ParetoPoint, ...]
@@ -63,7 +63,7 @@ def read_front(source: str | FilePath) -> FrontParts:
     """Read a front from a file or from JSON text.
 
     Raises:
-        FormatError: If it is not such a document.
+        FormatError: If the document is not a front.
     """
     name, text = text_of(source, lambda text: text.lstrip().startswith("{"), "JSON")
     try:
@@ -75,7 +75,7 @@ def read_front(source: str | FilePath) -> FrontParts:
 
 @final
 class _FrontReader:
-    """Reads parts of a document and says which file and which part is wrong."""
+    """Reads the parts of a document; errors name the file and the part."""
 
     def __init__(self, name: str) -> None:
         self.name = name

@@ -1,4 +1,4 @@
-"""What a search for a front is about: ends, costs, and which edges are free for certain."""
+"""The problem of a front search: ends, costs, and the test for free edges."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from graceful_plan.planners.planner import BoundObjective, Budget, Problem
 from graceful_plan.tuning.archive import EdgeTest
 
 Seeds = Callable[[Budget], Sequence[Path]]
-"""Paths from elsewhere to begin with, within a budget; they need not be good, but different."""
+"""Returns initial paths within a budget; they should be different rather than good."""
 
 _SAME = 1e-9
-"""Largest difference between two configurations that are the same [rad or m]."""
+"""Largest difference between configurations that count as equal [rad or m]."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrontProblem:
-    """A problem, and its costs at every safety weight.
+    """A planning problem with its costs at every safety weight.
 
     Args:
-        problem: Endpoints, limits and obstacles, as planners see them.
-        objective_at: The objective with a safety weight.
-        certain: Which edges are free, as finely as they can be checked.
-        seeds: Where to take paths from to begin with, besides the planner's.
+        problem: Ends, limits and obstacles, as for planners.
+        objective_at: Returns the objective at a safety weight.
+        certain: Returns which edges are free at the finest check.
+        seeds: Source of initial paths in addition to the planner's.
     """
 
     problem: Problem
@@ -37,7 +37,7 @@ class FrontProblem:
     seeds: Seeds | None = None
 
     def is_solved_by(self, path: Path) -> bool:
-        """Whether a path leads from the start to one of the goals on edges that are free for certain."""
+        """Return whether a path connects the start to a goal by edges that are free at the finest check."""
         problem = self.problem
         away = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
         return bool(max(away) <= _SAME and np.all(self.certain(path.q[:-1], path.q[1:])))

@@ -1,9 +1,9 @@
-"""pareto(): the front of motion against impact between two configurations, verified point by point.
+"""pareto(): the front of motion against impact between two configurations, with every point verified.
 
-Paths come from minimisations of V + w S for weights up and down (`search`). From them smooth motions descend along J of
-their own timing, for weights all along the front (`motion_front`). Where there is no way down, as for costs of one's
-own, the paths themselves are refined as a whole (`refine`), and timed with their corners cut. Every point of the front
-is judged, and charged as it is timed (`judging`).
+Paths come from minimisations of V + w S over sweeps of the weight (`search`). From these paths, smooth motions descend
+along J with their own timing, at weights all along the front (`motion_front`). If the objective has no descent, as for
+user-defined costs, the paths themselves are refined as a whole (`refine`) and timed with rounded corners. Every point
+is checked by the judge, and its cost is that of the timed motion (`judging`).
 """
 
 from __future__ import annotations
@@ -56,20 +56,20 @@ Array = np.ndarray
 _MARGIN = 0.002
 """Clearance to keep [m]."""
 _NODES = 800
-"""Of the roadmap that the search begins with."""
+"""Nodes of the initial roadmap."""
 _PER_NODE = 5
-"""Iterations that there have to be for each of them."""
+"""Iterations of the budget per node of the roadmap."""
 _SEARCHING = 0.35
-"""Share of the time for paths where motions descend from them; half of the time is no better."""
+"""Fraction of the time for paths if motions descend from them; one half is no better."""
 _WEIGHTS, _SWEEP = 4, 0.45
-"""Weights in a sweep for such paths, and its share of their time."""
+"""Number of weights in a sweep for such paths, and the sweep's fraction of their time."""
 MOST_POINTS = 1000
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class FrontProgress:
-    """How far a search for a front has come: seconds since the call, its stage, and the candidates on the front."""
+    """Progress of a front search: time since the call [s], stage, and number of candidates on the front."""
 
     time: float
     stage: str
@@ -77,7 +77,7 @@ class FrontProgress:
 
 
 Tell = Callable[[FrontProgress], bool | None]
-"""Told now and then; returning True ends the search."""
+"""Progress callback; returning True ends the search."""
 
 
 def pareto(
@@ -95,27 +95,28 @@ def pareto(
     constraints: Iterable[Constraint] | None = None,
     callback: Tell | None = None,
 ) -> ParetoFront:
-    """Find the front of motion against impact, to choose a safety weight by what it costs and what it buys.
+    """Compute the front of motion against impact, for an informed choice of the safety weight.
 
     Args:
         start: Configuration [rad or m], or the name of a keyframe.
         goal: Configuration, keyframe, `PoseGoal` for the tool, or several of these.
-        scene: Robot, surroundings and what is carried.
-        points: Most points of the front; they are picked so that they stand for all that was found.
-        planner: Name of a planner or a settings object: minimises V + w S for single weights.
-        objective: Motion and impact; its own weight does not matter.
-        time_limit: Seconds for the whole call; 10 by default, none if `iterations` is given.
-        iterations: Of planner and refinement together; with these alone, the result depends on the seed only.
-        seed: Of all random numbers.
-        speed: As of `plan`.
-        constraints: As of `plan`: by default what goes without saying in the scene, none if the list is empty.
-        callback: Called now and then; returning True ends the search, what was found is still verified.
+        scene: Robot, surroundings and carried object.
+        points: Largest number of points; they are selected to represent all candidates found.
+        planner: Name of a planner, or its settings object; it minimises V + w S at single weights.
+        objective: Motion and impact; its own weight is ignored.
+        time_limit: Time limit of the whole call [s]; 10 by default, none if `iterations` is given.
+        iterations: Iterations of planner and refinement together. If no time limit is given, the result depends only
+            on the seed.
+        seed: Seed of all random numbers.
+        speed: As in `plan`.
+        constraints: As in `plan`: by default `default_constraints` of the scene; an empty list for none.
+        callback: Called with the progress; returning True ends the search. Candidates found so far are still verified.
 
     Returns:
         The front; its status is SOLVED if it has a point. Every point passed the independent judge.
 
     Raises:
-        GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside of their range.
+        GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside their range.
     """
     started = time.perf_counter()
     check_stands(scene, "pareto()")
@@ -148,7 +149,7 @@ def pareto(
 
 @final
 class _Tuner:
-    """One search for a front."""
+    """State of one front search."""
 
     def __init__(self, query: FrontQuery, points: int, budget: Budget) -> None:
         self.query, self.points, self.budget = query, points, budget
@@ -166,7 +167,7 @@ class _Tuner:
         self.motion_judging = Judging(self.motions, query.point_of, points, MOTION_LONGER)
 
     def front(self, rng: np.random.Generator, callback: Tell | None) -> ParetoFront:
-        """Search for paths, let motions descend from them if there is a way down, then judge."""
+        """Search for paths, descend from them to smooth motions if the objective allows it, then judge."""
         stopped = self._search(rng, callback)
         searched = self.budget.elapsed
         points = self._descend(rng, None if stopped else callback, stopped) if self.query.descends else []
@@ -184,13 +185,13 @@ class _Tuner:
 
     @property
     def refused(self) -> int:
-        """How many paths and motions the judge refused."""
+        """Number of paths and motions that the judge rejected."""
         return self.path_judging.refused + self.motion_judging.refused
 
     def _search(self, rng: np.random.Generator, callback: Tell | None) -> bool:
-        """Fill the archive of paths; returns whether the callback ended that."""
+        """Fill the archive of paths; return whether the callback ended the search."""
         settings = FrontSettings(planner=self.query.request.planner, capacity=max(8, self.points))
-        if self.query.descends:  # the motions are refined instead
+        if self.query.descends:  # motions are refined instead
             settings = replace(settings, weights=_WEIGHTS, sweep=_SWEEP, refines=False)
         sought = self._sought(int(rng.integers(2**31)))
         share = _SEARCHING if self.query.descends else 1.0
@@ -204,7 +205,7 @@ class _Tuner:
         return False
 
     def _descend(self, rng: np.random.Generator, callback: Tell | None, stopped: bool) -> list[ParetoPoint]:
-        """Fill the archive of motions, and judge these."""
+        """Fill the archive of motions, and judge them."""
         descents = MotionFront(self.query, self.problem, self.motions, self.points)
         reserve = self.motion_judging.reserve(self.budget.time_limit)
         with self.budget.share(self.budget.remaining_seconds - reserve) as part:
@@ -215,7 +216,7 @@ class _Tuner:
         return self.motion_judging.front(self.budget)
 
     def _keep_time_for(self, judging: Judging[Any], part: Budget) -> None:
-        """Let a part of the budget end so early that there is time to judge all points, once that is known."""
+        """Shorten a part of the budget such that all points can be judged, once the time per point is measured."""
         if np.isfinite(self.budget.time_limit) and judging.time_first():
             part.time_limit = self.budget.time_limit - judging.reserve(self.budget.time_limit)
 
@@ -232,10 +233,10 @@ class _Tuner:
         return FrontProblem(problem=problem, objective_at=self.query.at, certain=certain, seeds=seeds)
 
     def _roadmap(self, problem: SceneProblem, seed: int) -> Seeds | None:
-        """Make what builds a roadmap for these ends and takes its front: paths of many classes, none of them smooth."""
+        """Return a function that builds a roadmap and takes its front: paths of many homotopy classes, not smooth."""
         objective = self.query.request.objective.objective
         if objective.exposure == "waypoints":
-            return None  # edges have no price of their own
+            return None  # edges alone have no cost
         goals = problem.goals
 
         def paths(budget: Budget) -> list[Path]:
@@ -258,6 +259,6 @@ class _Tuner:
         if found:
             return PlanStatus.SOLVED, ""
         if self.refused:
-            return PlanStatus.TIMEOUT, f"the judge refused all {self.refused} paths that it was shown"
+            return PlanStatus.TIMEOUT, f"the judge rejected all {self.refused} paths"
         status = PlanStatus.TIMEOUT if self.budget.exhausted else PlanStatus.INFEASIBLE
         return status, f"no path after {self.budget.elapsed:.3f} s"

@@ -1,4 +1,4 @@
-"""From candidates to points of a front: each judged, and charged as it is timed."""
+"""Judging of candidates: from timed motions to verified points of a front."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from graceful_plan.tuning.points import ParetoPoint
 Array = np.ndarray
 
 _JUDGING = 0.03
-"""Seconds that timing and judging a point may take, at first guess."""
+"""Initial guess of the time to time and judge a point [s]."""
 LONGER = 2.5
-"""How much longer it takes than for the shortest path: those around something have more corners to time."""
+"""Judging time of a path relative to that of the shortest path; detours have more corners to time."""
 MOTION_LONGER = 1.5
-"""How much longer to judge a smooth motion takes than to judge the shortest one: 1.1 to 1.4 times, measured."""
+"""Judging time of a smooth motion relative to that of the shortest motion; measured: 1.1 to 1.4."""
 _JUDGING_SHARE = 0.35
-"""Share of the time limit that is kept for it at most."""
+"""Largest fraction of the time limit reserved for judging."""
 _LATE = 3
-"""Candidates that are judged after the time limit if none has passed."""
+"""Number of rejected candidates after which judging stops past the time limit, if none has passed."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrontMotion:
-    """A timed motion that is not yet judged.
+    """A timed motion that has not been judged.
 
     Args:
         motion: The motion.
-        made_by: What found it: "descent", or what found the path if it is a path with its corners cut.
-        made_with: The weight it descended by, or what the path was made with.
+        made_by: "descent", or the method that found the path if this is a path with rounded corners.
+        made_with: Weight of the descent, or `made_with` of the path.
     """
 
     motion: Motion
@@ -57,25 +57,25 @@ class FrontMotion:
 
     @property
     def whole(self) -> tuple[Path, int]:
-        """Where other motions may begin to descend, and which arrival it takes."""
+        """Path from which other motions may start their descent, and the index of its arrival."""
         return self.motion.path, self.motion.arrival
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class FrontQuery:
-    """What a front is asked for.
+    """The query of a front.
 
     Args:
-        ends: From where to where.
-        request: As of `plan`; its objective's own weight does not matter.
+        ends: Start and goals.
+        request: As for `plan`; the objective's own weight is ignored.
     """
 
     ends: Endpoints
     request: Request
 
     def at(self, w: float) -> SceneObjective:
-        """The objective with another weight."""
+        """Return the objective with another weight."""
         objective = self.request.objective
         return objective.objective.with_weight(w).bind(objective.scene, objective.paces)
 
@@ -85,18 +85,18 @@ class FrontQuery:
         return self.at(1.0).descended() is not None
 
     def point_along(self, candidate: Candidate) -> ParetoPoint | None:
-        """Time a path with its corners cut, judge and charge it; None if the judge refuses it."""
+        """Time a path with rounded corners, judge and evaluate it; None if the judge rejects it."""
         motions = along(Path(candidate.q), self.request, self.ends)
         return self._point(motions, candidate.made_by, candidate.made_with)
 
     def point_of(self, one: FrontMotion) -> ParetoPoint | None:
-        """Judge a motion; None if the judge refuses it."""
+        """Judge a motion; None if the judge rejects it."""
         return self._point([one.motion], one.made_by, one.made_with)
 
     def _point(self, motions: Iterable[Motion], made_by: str, made_with: float) -> ParetoPoint | None:
         try:
             judged = first_verified(motions, self.request)
-        except RetimingError:  # of a path that has no timing
+        except RetimingError:  # the path cannot be timed
             return None
         if judged is None or not judged.verdict.passed:
             return None
@@ -112,13 +112,13 @@ class FrontQuery:
 
 @final
 class Judging(Generic[C]):
-    """What of an archive has been judged.
+    """Judges the candidates of an archive and keeps the results.
 
     Args:
-        archive: Candidates; those that are refused are dropped from it.
-        point: Judges a candidate; None if it does not pass.
-        points: Most points of the front.
-        longer: How much longer it takes than for the shortest candidate.
+        archive: Candidates; rejected ones are dropped from it.
+        point: Judges a candidate; returns None if it is rejected.
+        points: Largest number of points of the front.
+        longer: Judging time of a candidate relative to that of the shortest one.
     """
 
     def __init__(
@@ -126,17 +126,17 @@ class Judging(Generic[C]):
     ) -> None:
         self._archive, self._point, self._points, self._longer = archive, point, points, longer
         self._passed: dict[int, ParetoPoint] = {}
-        """Points by the identity of their candidates, which `_kept` keeps alive."""
+        """Points by the id of their candidates, which `_kept` keeps alive."""
         self._kept: list[C] = []
         self._each, self._timed = _JUDGING, False
         self.refused = 0
 
     def reserve(self, limit: float) -> float:
-        """Return how much of a time limit to keep for judging all points [s]."""
+        """Return the part of a time limit to reserve for judging all points [s]."""
         return min(self._each * self._points, _JUDGING_SHARE * limit)
 
     def time_first(self) -> bool:
-        """Judge the shortest candidate, once there is any, to see how long that takes here and now; whether it did."""
+        """Judge the shortest candidate once, to measure the judging time; return whether it was done in this call."""
         if self._timed or not len(self._archive):
             return False
         self._timed = True
@@ -148,10 +148,10 @@ class Judging(Generic[C]):
         return True
 
     def front(self, budget: Budget) -> list[ParetoPoint]:
-        """Judge the candidates that stand for all best; others take the place of those that are refused."""
+        """Judge a representative subset of the archive; rejected candidates are replaced by others."""
         while True:
             chosen = self._archive.chosen(self._points)
-            # From coarse to fine: whenever time is over, what was judged covers the front.
+            # From coarse to fine, so that the judged points cover the front whenever time runs out.
             waiting = [chosen[i] for i in coarse_to_fine(len(chosen)) if id(chosen[i]) not in self._passed]
             if not waiting:
                 return [self._passed[id(candidate)] for candidate in chosen]

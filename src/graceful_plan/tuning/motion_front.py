@@ -1,14 +1,15 @@
-r"""From a front of paths to a front of smooth motions, each of which descended along J of its own timing.
+r"""From a front of paths to a front of smooth motions, each optimised along J with its own timing.
 
-The paths of a search have corners and are charged at a mean pace, so that those near the front are not near it any more
-once they are timed. So each of those that stand for it descends as a smooth motion, for a weight at which it is
-optimal, together with its neighbours and with motions that other weights have led to. Then the widest gap between two
-motions is filled, over and over: both of them, and bends of them, descend by the weight at which they cost the same,
+The paths of a search have corners and are evaluated at a mean pace, so paths near the front are no longer near it once
+they are timed. Therefore a representative subset of them descends as smooth motions. Each descends at a weight for
+which it is optimal, starting also from its neighbours and from motions found at other weights. Then the widest gap
+between two motions is filled repeatedly: both motions, and random moves of them, descend at the weight at which they
+have the same cost,
 
 .. math:: w = (V_b - V_a) / (S_a - S_b),
 
-which leads to a point in between wherever the front is convex. By turns with that, those that stand for the front
-descend finely, each by a weight between those of its neighbours.
+which leads to a point in between wherever the front is convex. In alternation, a representative subset of the front
+descends on a fine grid, each motion at a weight between those of its neighbours.
 
 References:
     Y. P. Aneja and K. P. K. Nair, "Bicriteria transportation problem", Management Science 1979 (weights of gaps).
@@ -40,21 +41,21 @@ from graceful_plan.tuning.search import sweep_weights
 
 Array = np.ndarray
 
-# These had the greatest hypervolumes and the least V + w S, at four weights on four tasks, of what was tried; half as
-# much or twice as much of any makes little difference.
+# Of the values tried, these had the largest hypervolume and the least V + w S, at four weights on four tasks. Halving
+# or doubling any of them makes little difference.
 _FROM_PATHS = 0.25
-"""Share of the time for motions from paths."""
+"""Fraction of the time for motions from paths."""
 _ASIDE = 4.0
-"""How far the weights are apart whose motions begin a descent besides the best one."""
+"""Ratio of the neighbouring weights whose best motions also start a descent."""
 _HOPS, _END_HOPS = 2, 4
-"""Bends of motions in a gap, and beyond the end of least impact, times the number of times that it has been tried.
+"""Random moves of the motions at a gap, and beyond the end of least impact, times the attempts at that gap.
 
-Least impact is what chance decides most, so that motions there descend finely at once."""
+The point of least impact depends most on chance, so motions there descend on a fine grid at once."""
 _DISCOUNT = 0.25
-"""What is left of the worth of a gap each time that it has been tried."""
+"""Factor on the value of a gap per attempt to fill it."""
 _THREADS = 2
 _MOST_TIMED = 4
-"""Curves of a round of descents that are timed."""
+"""Number of curves to time per round of descents."""
 _FINELY = DescentSettings(screens=False, fine=1, refinements=0)
 
 
@@ -63,29 +64,29 @@ class MotionFront:
     """Fills an archive with smooth motions.
 
     Args:
-        query: What was asked for; its objective can descend.
-        problem: What was searched in.
-        archive: For the motions.
-        points: Most points of the front.
+        query: The query; its objective must have a descent.
+        problem: The planning problem of the search.
+        archive: Archive to fill.
+        points: Largest number of points of the front.
     """
 
     def __init__(self, query: FrontQuery, problem: SceneProblem, archive: Archive[FrontMotion], points: int) -> None:
         self.query, self.problem, self.archive, self.points = query, problem, archive, points
         self._greatest = 0.0
-        """Weight of the end of least impact."""
+        """Weight at the end of least impact."""
         self._fine: set[FrontMotion] = set()
         self._tried: dict[tuple[FrontMotion, FrontMotion], int] = {}
 
     def fill(
         self, paths: Archive[Candidate], budget: Budget, rng: np.random.Generator, *, gaps: bool = True
     ) -> Iterator[str]:
-        """Let motions descend until the time is over; without a limit their number is fixed. Yields stages.
+        """Fill the archive until the time is over, or by a fixed number of descents without limit. Yields stages.
 
         Args:
-            paths: What to begin with.
-            budget: For descents; they spend no iterations.
-            rng: For bends.
-            gaps: Whether to look for motions in between.
+            paths: Initial paths.
+            budget: Time for the descents; they spend no iterations.
+            rng: Random numbers of the moves.
+            gaps: Whether to fill gaps between motions.
         """
         for _ in self._from_paths(paths, (budget, rng)):
             yield "descend"
@@ -105,7 +106,7 @@ class MotionFront:
                 return
 
     def _from_paths(self, paths: Archive[Candidate], means: tuple[Budget, np.random.Generator]) -> Iterator[None]:
-        """Let those that stand for all paths descend."""
+        """Descend from a representative subset of the paths."""
         budget, rng = means
         if not len(paths):
             return
@@ -133,14 +134,14 @@ class MotionFront:
             self.archive.offer(one)
 
     def _along(self, path: Path) -> list[Motion]:
-        """Return a motion along a path itself; none if it has no timing."""
+        """Return a motion along a path with rounded corners, in a list; empty if it cannot be timed."""
         try:
             return list(islice(along(path, self.query.request, self.query.ends), 1))
         except RetimingError:
             return []
 
     def _near(self, w: float) -> list[tuple[Path, int]]:
-        """What to begin a descent with: the motions that are best by the weight, and by one below and one above."""
+        """Return starts of a descent: the best motions at this weight, at a lower one and at a higher one."""
         if not len(self.archive):
             return []
         best = dict.fromkeys(self.archive.best_for(w * factor) for factor in (1.0, _ASIDE, 1.0 / _ASIDE))
@@ -159,7 +160,7 @@ class MotionFront:
             self.archive.offer(one)
 
     def _widest(self) -> tuple[FrontMotion, FrontMotion]:
-        """Return the rims of the gap that is worth most; beyond the end of least impact there is one, too."""
+        """Return both sides of the most valuable gap; the space beyond the end of least impact counts as one."""
         front = self.archive.candidates
         gaps = [*pairwise(front), (front[-1], front[-1])]
         areas = np.prod(np.abs(np.diff(scaled(self.archive.costs), axis=0)), axis=1)
@@ -167,7 +168,7 @@ class MotionFront:
         return gaps[int(np.argmax(worth))]
 
     def _rough(self) -> list[tuple[FrontMotion, float]]:
-        """Those that stand for the front and have not descended finely, from coarse to fine, and weights for that."""
+        """Return the representative motions that have not descended on a fine grid, coarse to fine, with weights."""
         chosen = self.archive.chosen(self.points)
         weights = optimal_weights(np.array([one.cost for one in chosen]), self._greatest)
         return [(chosen[k], weights[k]) for k in coarse_to_fine(len(chosen)) if chosen[k] not in self._fine]
@@ -198,11 +199,11 @@ class MotionFront:
 
 
 def optimal_weights(costs: Float[Array, "n 2"], greatest: float) -> list[float]:
-    """For each point of a front sorted by motion, a weight between those at which it costs as much as its neighbours.
+    """Return a weight per point of a front, sorted by motion: between those of equal cost with its neighbours.
 
     Args:
-        costs: Motion and impact, at least of one point; the weight of the first is 0.
-        greatest: Weight of the last one.
+        costs: Motion and impact of one or more points; the weight of the first is 0.
+        greatest: Weight of the last point.
     """
     slopes = [_slope(a, b) for a, b in pairwise(costs)]
     inner = [float(np.sqrt(a * b)) for a, b in pairwise(slopes)]
@@ -210,5 +211,5 @@ def optimal_weights(costs: Float[Array, "n 2"], greatest: float) -> list[float]:
 
 
 def _slope(a: Float[Array, " 2"], b: Float[Array, " 2"]) -> float:
-    """Weight at which two points cost the same."""
+    """Return the weight at which two points have the same cost."""
     return float(np.clip((b[0] - a[0]) / max(a[1] - b[1], 1e-300), 0.0, MAX_WEIGHT))

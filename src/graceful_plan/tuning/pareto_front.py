@@ -1,8 +1,8 @@
-r"""The front of motion against impact: which of its points to take, which weight leads there, how good it is.
+r"""The front of motion against impact: choice of a point, weight that leads to it, quality of the front.
 
-A point is better than another if it costs no more in motion V and in impact S, and less in one of them. A front holds
-only points that no other is better than. Minimising V + w S reaches the points on its lower convex hull, and those
-only: the rest is what other methods find, and no safety weight leads there.
+A point dominates another if it costs no more in motion V and in impact S, and less in one of them. A front holds only
+non-dominated points. Minimising V + w S reaches exactly the points on the lower convex hull. Other methods find the
+remaining points, which no safety weight leads to.
 
 References:
     I. Das and J. E. Dennis, "A closer look at drawbacks of minimizing weighted sums of objectives for Pareto set
@@ -34,11 +34,11 @@ from graceful_plan.tuning.points import ParetoPoint, dominated_area
 Array = np.ndarray
 
 REFERENCE = 1.1
-"""A front's own reference point lies at so many times its greatest motion and its greatest impact."""
+"""Factor on the largest motion and impact of a front that gives its own reference point."""
 
 
 class ChoiceStatus(Enum):
-    """How a choice ended; the value says what to do about it."""
+    """How a choice ended; the value is a sentence with a remedy."""
 
     MET = "A point of the front meets every demand."
     UNREACHABLE = "No point of the front meets every demand; relax one of them, or search longer."
@@ -48,14 +48,14 @@ class ChoiceStatus(Enum):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Choice:
-    """What a front offers to someone with demands.
+    """The point and weight that a front offers for given demands.
 
     Args:
-        status: Whether they can be met.
-        point: The point of least motion that meets them, or of least impact if only the detour is limited; if they
-            cannot be met, the nearest miss: the least impact within the detour, or at all.
+        status: Whether the demands can be met.
+        point: The point of least motion that meets them, or of least impact if only the detour is limited. If they
+            cannot be met, the nearest miss: the point of least impact within the detour, or overall.
         w: Smallest safety weight whose best point on the front meets the demands; None if there is none.
-        detail: What the status means here.
+        detail: Explanation of the status.
     """
 
     status: ChoiceStatus
@@ -67,14 +67,14 @@ class Choice:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParetoFront:
-    """Verified motions between one start and one goal, none of them better than another, the shortest first.
+    """Verified motions between one start and one goal, none dominated by another, sorted by motion.
 
     Args:
-        status: SOLVED if there is at least one point; otherwise why there is none, as of `plan`.
-        points: Sorted by motion.
-        detail: What the status means here.
+        status: SOLVED if there is at least one point; otherwise the reason, as in `plan`.
+        points: The points, sorted by motion.
+        detail: Explanation of the status.
         scene: Name of the scene.
-        stats: Seconds per stage, iterations spent, candidates that were refused.
+        stats: Seconds per stage, iterations spent, number of rejected candidates.
     """
 
     status: PlanStatus
@@ -93,14 +93,14 @@ class ParetoFront:
 
     @property
     def reference(self) -> Float[Array, " 2"]:
-        """The front's own reference point: `REFERENCE` times its greatest motion and impact."""
+        """The front's own reference point: `REFERENCE` times its largest motion and impact."""
         return REFERENCE * self.costs.max(axis=0) if len(self) else np.zeros(2)
 
     def hypervolume(self, reference: ArrayLike | None = None) -> float:
-        """Share of the rectangle between zero and the reference that is worse than some point of the front.
+        """Return the fraction of the rectangle between zero and the reference that the front dominates.
 
         Args:
-            reference: Motion and impact; the front's own by default. Fronts compare only with the same one.
+            reference: Motion and impact; by default the front's own. Compare fronts only at the same reference.
 
         Raises:
             SettingError: If the reference is not positive.
@@ -113,9 +113,9 @@ class ParetoFront:
 
     @property
     def knee(self) -> ParetoPoint | None:
-        """The point farthest below the chord of the front, both axes scaled to its extent; None if it is empty.
+        """The point farthest below the chord of the front, with both axes scaled to its extent; None if it is empty.
 
-        From there, less impact begins to cost much motion, and less motion much impact.
+        From there on, a further reduction of impact costs much motion, and a further reduction of motion much impact.
         """
         if not len(self):
             return None
@@ -124,15 +124,15 @@ class ParetoFront:
         return self.points[int(np.argmin(np.round(scaled.sum(axis=1), 12)))]
 
     def smallest_w(self, target_impact: float) -> float | None:
-        """Smallest safety weight whose best point on the front has at most this impact; None if there is none."""
+        """Return the smallest safety weight whose best point has at most this impact; None if there is none."""
         return self.choose(target_impact=target_impact).w
 
     def choose(self, *, target_impact: float | None = None, max_detour: float | None = None) -> Choice:
-        """Pick the point and the weight for a risk target, a limit on the detour, or both; without either, the knee.
+        """Choose point and weight for a target impact, a limit on the detour, or both; by default the knee.
 
         Args:
-            target_impact: Greatest impact S.
-            max_detour: Greatest motion beyond that of the shortest point, relative to it: 0.05 is 5 % longer.
+            target_impact: Largest impact S.
+            max_detour: Largest motion beyond that of the shortest point, relative to it: 0.05 allows 5 % more.
 
         Raises:
             SettingError: If a demand is not a number of at least 0.
@@ -156,7 +156,7 @@ class ParetoFront:
         chosen = (weighted[0] if target_impact is not None else weighted[-1]) if weighted else None
         detail = f"motion {100.0 * (point.motion / shortest - 1.0):.3g} % above the shortest" if shortest else ""
         if chosen is None:
-            detail += "; no weight leads to what meets the demands, as the front is not convex there"
+            detail += "; no weight leads to a point that meets the demands, as the front is not convex there"
         elif chosen is not point:
             detail += f"; w leads to motion {chosen.motion:.4g}, impact {chosen.impact:.4g}, as the front is not convex"
         return Choice(status=ChoiceStatus.MET, point=point, w=_weight(chosen), detail=detail)
@@ -184,12 +184,12 @@ class ParetoFront:
 
     @classmethod
     def load(cls, source: str | FilePath) -> ParetoFront:
-        """Read what `save` or `to_json` wrote, from a file or from JSON text (a string that starts with a brace).
+        """Read a front written by `save` or `to_json`, from a file or JSON text (a string that starts with a brace).
 
-        Nothing is executed. Costs and verdicts are those of the file: `verify` and `evaluate` tell whether they hold.
+        No code is executed. Costs and verdicts are those of the file; check them with `verify` and `evaluate`.
 
         Raises:
-            FormatError: If it is not such a document.
+            FormatError: If the document is not a front.
             GracefulPlanError: If a path or trajectory in it is broken.
         """
         parts = read_front(source)

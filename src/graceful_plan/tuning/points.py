@@ -21,18 +21,18 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParetoPoint:
-    """One verified motion of a front.
+    """A verified motion of a front.
 
     Args:
-        path: Its geometry.
-        trajectory: With times.
-        cost: Recomputed from the trajectory.
-        verdict: What the independent judge says of the trajectory; passed.
-        made_by: What found it: "descent", of a smooth motion along V + w S. Of a path with its corners cut: "weight", a
-            minimisation of V + w S; "gap", a minimisation between two neighbours; "roadmap", an exact search on a
-            roadmap.
-        made_with: The weight w; of a gap, the impact S that had to be undercut.
-        weights: From which to which safety weight it has the least V + w S of the front; None: at none.
+        path: Geometry of the motion.
+        trajectory: The timed motion.
+        cost: Cost recomputed from the trajectory.
+        verdict: Verdict of the independent judge on the trajectory; passed.
+        made_by: Method that found it. "descent": a smooth motion that minimises V + w S. For paths with rounded
+            corners, "weight": a minimisation of V + w S; "gap": a minimisation between two neighbours; "roadmap": an
+            exact search on a roadmap.
+        made_with: The weight w; for a gap, the impact S to undercut.
+        weights: Range of safety weights at which it has the least V + w S of the front; None if there are none.
     """
 
     path: Path
@@ -55,7 +55,7 @@ class ParetoPoint:
 
 
 def dominated_area(costs: Float[Array, "n 2"], reference: Float[Array, " 2"]) -> float:
-    """Area of what is worse than some point and better than the reference."""
+    """Return the area that is dominated by the points and below the reference."""
     inside = costs[np.all(costs < reference, axis=1)]
     front = inside[non_dominated(inside)]
     right = np.append(front[1:, 0], reference[0])
@@ -63,7 +63,7 @@ def dominated_area(costs: Float[Array, "n 2"], reference: Float[Array, " 2"]) ->
 
 
 def hull_weights(costs: Float[Array, "n 2"]) -> list[tuple[float, float] | None]:
-    """At which safety weights each point of a front, sorted by motion, has the least V + w S; None if at none."""
+    """Return the range of safety weights at which each point, sorted by motion, has the least V + w S, or None."""
     hull: list[int] = []
     for i in range(len(costs)):
         while len(hull) > 1 and _slope(costs, hull[-2], hull[-1]) >= _slope(costs, hull[-1], i):
@@ -77,12 +77,12 @@ def hull_weights(costs: Float[Array, "n 2"]) -> list[tuple[float, float] | None]
 
 
 def _slope(costs: Float[Array, "n 2"], a: int, b: int) -> float:
-    """Weight at which two points cost the same."""
+    """Return the weight at which two points have the same cost."""
     return float((costs[b, 0] - costs[a, 0]) / (costs[a, 1] - costs[b, 1]))
 
 
 def front_of(points: Sequence[ParetoPoint]) -> tuple[ParetoPoint, ...]:
-    """Drop the points that others are better than, sort the rest by motion and say which weights lead to each."""
+    """Return the non-dominated points sorted by motion, each with the range of weights that lead to it."""
     costs = np.array([(p.motion, p.impact) for p in points], dtype=np.float64).reshape(-1, 2)
     kept = non_dominated(costs)
     return tuple(replace(points[i], weights=w) for i, w in zip(kept.tolist(), hull_weights(costs[kept]), strict=True))

@@ -1,15 +1,15 @@
-r"""Refining a whole front at once: every path by moves that enlarge the area that the front dominates.
+r"""Refinement of a whole front: moves of its paths that enlarge the area that the front dominates.
 
-A weighted sum cannot hold a path in a dent of the front: it rolls to one of the rims. Here each path has a box
-instead, whose corner is the motion of its neighbour to the right and the impact of its neighbour to the left, and moves
-are taken that enlarge
+A weighted sum cannot hold a path in a concave part of the front: it slides to one end of that part. Therefore each
+path has a box, whose corner is the motion of its right neighbour and the impact of its left neighbour. Moves are
+accepted if they enlarge
 
 .. math:: (V_\mathrm{box} - V)\,(S_\mathrm{box} - S),
 
-its share of the dominated area. So it minimises motion under a bound on impact and impact under a bound on motion, the
-bounds follow the neighbours, and the paths spread out. Into the widest gaps, paths are sent from both sides. With
-derivatives, all paths first descend together (`descent`); random moves, all those of a round in one batch, do
-what is left: they change the number of vertices, slide along obstacles, and jump.
+its contribution to the dominated area. A path thus minimises motion under a bound on impact and impact under a bound
+on motion; the bounds follow its neighbours, and the paths spread out. Paths from both sides are sent into the widest
+gaps. With derivatives, all paths first descend together (`descent`). Random moves, batched per round, do the rest:
+they change the number of vertices, slide along obstacles, and jump.
 
 References:
     N. Beume, B. Naujoks and M. Emmerich, "SMS-EMOA: multiobjective selection based on dominated hypervolume", EJOR
@@ -39,45 +39,45 @@ Array = np.ndarray
 WEIGHTS = 0.02, 100.0
 """Range of weights, relative to the motion of the shortest path over its impact."""
 _WEIGHTS = 16
-"""How many of them the paths of a front descend by."""
+"""Number of these weights at which the paths of a front descend."""
 _ASIDE = 4.0
-"""How far the weights of neighbours are apart whose paths begin a descent, too."""
+"""Ratio of the neighbouring weights whose best paths also start a descent."""
 _STEPS = 40
-"""Steps down the gradients between two looks at the front as a whole."""
+"""Gradient steps between two evaluations of the whole front."""
 _ROUNDS, _ROUNDS_ALONE = 8, 32
-"""Rounds of random moves between two looks, after a descent and without one."""
+"""Rounds of random moves between two evaluations, after a descent and without one."""
 _TURN = 3
-"""Looks in a turn, at most."""
+"""Largest number of evaluations in a turn."""
 _PATIENCE, _GAIN = 2, 3e-4
-"""A turn ends after so many looks in a row at an area that has not grown so much, relatively."""
+"""A turn ends after this many evaluations in a row with a smaller relative gain of the area than this."""
 _PROPOSALS = 8
-"""Moves of each path in a round."""
+"""Moves of each path per round."""
 _CHUNK = 6
-"""Paths whose moves are evaluated in one batch."""
+"""Number of paths whose moves are evaluated in one batch."""
 _VERTICES = 24
-"""Of a path that moves, about."""
+"""Approximate number of vertices of a path for random moves."""
 _WIDE = 2
-"""Reach of the boxes of descents: to space the vertices of a path evenly costs it a little."""
+"""Reach of the boxes in descents: spacing the vertices of a path evenly increases its cost slightly."""
 _RIM = 0.1
-"""How far a box in a gap reaches beyond it, relative to its sides."""
+"""Extension of a box beyond a gap, relative to its sides."""
 _BEYOND = 1.1
-"""Where the boxes of both ends of a front reach to, relative to its greatest costs."""
+"""Corner of the boxes at both ends of a front, relative to its largest costs."""
 _EPS = 1e-9
-"""Relative growth of an area that is rounding."""
+"""Relative growth of an area that counts as rounding."""
 
 
 @final
 class Refinement:
-    """Improves the candidates of an archive, turn by turn.
+    """Improves the candidates of an archive turn by turn.
 
-    One iteration is one step of all paths down their gradients, or one round of random moves.
+    One iteration is one gradient step of all paths, or one round of random moves.
 
     Args:
-        sought: The problem; its costs are taken at weight 1.
-        archive: What to begin with; improved candidates are offered to it.
+        sought: The problem; its costs are evaluated at weight 1.
+        archive: Initial candidates; improved candidates are added to it.
         budget: Time and iterations.
         rng: Random numbers.
-        capacity: How many candidates are refined at a time, besides those sent into gaps.
+        capacity: Number of candidates refined at a time, not counting those sent into gaps.
     """
 
     def __init__(
@@ -88,11 +88,11 @@ class Refinement:
         self.smooth = _has_derivatives(self.objective, self.problem)
 
     def turn(self, found: Sequence[Candidate], rounds: int = _TURN) -> Iterator[None]:
-        """Improve what was found and then the whole front, for as long as that helps; yields now and then.
+        """Improve new candidates and then the whole front, as long as that helps; yields between the steps.
 
         Args:
-            found: Candidates of a sweep, whether or not they are in the archive: once refined, some of them may be.
-            rounds: Most rounds: what is not at hand cannot be refined, so that searching must have its turn, too.
+            found: Candidates of a sweep. They need not be in the archive; once refined, some may enter it.
+            rounds: Largest number of rounds, after which the search for new candidates continues.
         """
         self._descend(weighted(self.archive, found))
         yield
@@ -113,7 +113,7 @@ class Refinement:
         return [aimed for aimed in boxed(front, gaps, reach) if len(aimed.candidate.q) > 1]
 
     def _descend(self, members: list[Aimed]) -> None:
-        """Send candidates down their gradients, if there are any."""
+        """Descend from candidates if the objective has gradients."""
         if self.smooth and isinstance(self.objective, DifferentiableObjective):
             for candidate in descend(members, self.problem, self.objective, self.certain, self.budget, _STEPS):
                 self.archive.offer(candidate)
@@ -134,7 +134,7 @@ class Refinement:
 
 
 def _has_derivatives(objective: BoundObjective, problem: Problem) -> bool:
-    """Whether the objective knows its derivatives, and its motion is the length of the path."""
+    """Return whether the objective has derivatives, and path length as its motion."""
     if not isinstance(objective, DifferentiableObjective):
         return False
     q0, q1 = problem.start[None], problem.goals[:1]
@@ -143,7 +143,7 @@ def _has_derivatives(objective: BoundObjective, problem: Problem) -> bool:
 
 
 def weighted(archive: Archive[Candidate], found: Sequence[Candidate] = ()) -> list[Aimed]:
-    """Send candidates down V + w S: those found, and the best by weights below, at and above each of a range."""
+    """Return candidates to minimise V + w S: those found, and the best below, at and above weights of a range."""
     motion, impact = archive.candidates[0].cost.tolist()
     if not impact > 0.0:
         return []
@@ -160,12 +160,12 @@ def weighted(archive: Archive[Candidate], found: Sequence[Candidate] = ()) -> li
 
 
 def boxed(front: list[Candidate], gaps: int, reach: int = 1) -> list[Aimed]:
-    """Give each candidate of a front its box, and send both neighbours of the widest gaps into these.
+    """Return the box of each candidate of a front, and boxes of the widest gaps for both of their neighbours.
 
     Args:
         front: Candidates, sorted by motion.
-        gaps: How many gaps.
-        reach: To which of its neighbours a box reaches, 1 for the next.
+        gaps: Number of gaps.
+        reach: Distance in the front to the neighbours that define a box, 1 for the adjacent ones.
     """
     costs = np.array([c.cost for c in front])
     rim = np.broadcast_to(_BEYOND * costs.max(axis=0), (reach, 2))
@@ -173,7 +173,7 @@ def boxed(front: list[Candidate], gaps: int, reach: int = 1) -> list[Aimed]:
     left = np.append(rim[:, 1], costs[:, 1])[: len(costs)]
     members = [Aimed(candidate=c, corner=np.array(box)) for c, *box in zip(front, right, left, strict=True)]
     for k in widest_gaps(costs, gaps):
-        # A little wider than the gap: whoever stands on its rim has to find a way in.
+        # Slightly wider than the gap, because the neighbours themselves lie on its rim.
         corner = np.array([costs[k + 1, 0], costs[k, 1]]) + _RIM * np.abs(costs[k + 1] - costs[k])
         for candidate in front[k : k + 2]:
             sent = replace(candidate, made_by="gap", made_with=float(costs[k, 1]))
@@ -182,7 +182,7 @@ def boxed(front: list[Candidate], gaps: int, reach: int = 1) -> list[Aimed]:
 
 
 def _spaced(candidate: Candidate, objective: BoundObjective) -> Candidate:
-    """Subdivide long edges, so that every stretch has vertices to move."""
+    """Subdivide long edges, so that there are vertices to move everywhere."""
     path = Path(candidate.q)
     step = path.length / _VERTICES
     if path.segment_lengths.max() <= 2.0 * step:
@@ -199,7 +199,7 @@ def improved(
     rng: np.random.Generator,
     round_: int,
 ) -> list[Aimed]:
-    """Try one round of moves on some members, in one batch."""
+    """Try one round of moves on members, in one batch."""
     lines = [Line(m.candidate.q, m.candidate.edges[:, 0]) for m in members]
     proposals = [_proposals(line, m.candidate.size, rng, round_) for line, m in zip(lines, members, strict=True)]
     owner = np.repeat(np.arange(len(members)), [len(p) for p in proposals])
@@ -225,7 +225,7 @@ def improved(
 
 
 def _proposals(line: Line, size: float, rng: np.random.Generator, round_: int) -> list[Replacement]:
-    """Half of the rounds bend the path smoothly, by amounts that its past success suggests; the others cut and pull."""
+    """Propose moves: smooth displacements in half of the rounds, sized by past success; shortcuts in the others."""
     moves = (bend, leave_out, bend, move_aside, bend, cut, bend, straighten_joint)
     move = moves[round_ % len(moves)]
     if move is bend:
@@ -234,12 +234,12 @@ def _proposals(line: Line, size: float, rng: np.random.Generator, round_: int) -
 
 
 def bend(line: Line, n: int, size: float, rng: np.random.Generator) -> list[Replacement]:
-    """Push a random stretch smoothly aside, half of the time in one joint only.
+    """Displace a random stretch smoothly, half of the time in one joint only.
 
     Args:
         line: The path.
-        n: How many proposals.
-        size: Of the push, relative to the length of the path.
+        n: Number of proposals.
+        size: Size of the displacement, relative to the length of the path.
         rng: Random numbers.
     """
     last = len(line.q) - 1
@@ -266,7 +266,7 @@ def bend(line: Line, n: int, size: float, rng: np.random.Generator) -> list[Repl
 def _gains(
     members: list[Aimed], every: list[Replacement], owner: Array, after: Float[Array, "n 2"]
 ) -> Float[Array, " n"]:
-    """By how much each replacement enlarges the area of its owner's path; 0 if it does not."""
+    """Return the increase in area of each replacement; 0 if there is none."""
     gains = np.zeros(len(every))
     for k, member in enumerate(members):
         mine = np.flatnonzero(owner == k)
@@ -279,7 +279,7 @@ def _gains(
 
 
 def _free(wanted: Bool[Array, " n"], begin: Array, q0: Array, q1: Array, certain: EdgeTest) -> Bool[Array, " n"]:
-    """Check the replacements that are wanted, all in one batch."""
+    """Check the wanted replacements for collisions, in one batch."""
     free = wanted.copy()
     picked = np.flatnonzero(wanted)
     if len(picked):
@@ -290,7 +290,7 @@ def _free(wanted: Bool[Array, " n"], begin: Array, q0: Array, q1: Array, certain
 
 
 def _taken(member: Aimed, news: list[tuple[Replacement, Array]], tried: bool) -> Aimed:
-    """Apply the best replacements that do not overlap, as long as the area grows."""
+    """Apply the best non-overlapping replacements as long as the area grows."""
     candidate = member.candidate
     size = candidate.size * (1.3 if news else 0.93 if tried else 1.0)
     candidate = replace(candidate, size=float(np.clip(size, 1e-4, 0.2)))

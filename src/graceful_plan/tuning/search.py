@@ -1,4 +1,4 @@
-"""Search for a front, in turns: the planner at one weight after the other, then refinement of the front as a whole."""
+"""Search for a front in turns: the planner at one weight after another, then refinement of the whole front."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from graceful_plan.tuning.refine import WEIGHTS, Refinement
 Array = np.ndarray
 
 _SHORTEST = 0.06
-"""Share of the budget for the shortest path."""
+"""Fraction of the budget for the shortest path."""
 _ONLY = 0.5
-"""Share of the budget for the shortest path if it has no impact."""
+"""Fraction of the budget for the shortest path if it has no impact."""
 _SEEDS = 0.12
-"""Share of the time for other paths to begin with."""
+"""Fraction of the time for other initial paths."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class FrontSettings:
-    """How a front is searched for.
+    """Settings of a front search.
 
     Args:
-        planner: Minimises V + w S; if it has a field `initial`, it is told where to begin.
-        weights: Weights in each sweep.
-        capacity: Paths that are refined at a time.
-        sweep: Share of the budget for one sweep over the weights.
-        refines: Whether to refine paths as a front between the sweeps.
+        planner: Planner that minimises V + w S; if it has a field `initial`, it gets an initial path.
+        weights: Weights per sweep.
+        capacity: Number of paths refined at a time.
+        sweep: Fraction of the budget for one sweep over the weights.
+        refines: Whether to refine the paths as a front between sweeps.
     """
 
     planner: Planner
@@ -50,12 +50,12 @@ class FrontSettings:
 def search_front(
     sought: FrontProblem, settings: FrontSettings, archive: Archive[Candidate], budget: Budget, rng: np.random.Generator
 ) -> Iterator[str]:
-    """Fill an archive until the budget ends; yields the name of the stage after every step. Every path is free."""
+    """Fill an archive with free paths until the budget ends; yields the name of the stage after every step."""
     search = _Search(sought, settings, archive, budget, rng)
     yield from search.shortest()
     if not len(archive):
         return
-    if archive.candidates[0].cost[1] <= 0.0:  # nothing to weigh: only length is left to improve
+    if archive.candidates[0].cost[1] <= 0.0:  # without impact, only length can improve
         search.at(0.0, _ONLY)
         yield "shortest"
         return
@@ -66,7 +66,7 @@ def search_front(
         for _ in refinement.turn((), rounds=1) if settings.refines else ():
             yield "refine"
     for turn in range(1_000_000):
-        # The sweeps go up and down in turns, each over weights that lie between those of the one before.
+        # Sweeps alternate between upward and downward; the weights of each lie between those of the previous sweeps.
         before = budget.spent
         shift = np.modf(turn * 0.5 * (np.sqrt(5.0) - 1.0))[0]
         weights = sweep_weights(archive.candidates[0].cost, settings.weights, float(shift))
@@ -83,12 +83,12 @@ def search_front(
 
 
 def sweep_weights(shortest: Float[Array, " 2"], count: int, shift: float = 0.0) -> Float[Array, " count"]:
-    """Geometric weights around the one at which motion and impact of the shortest path count alike.
+    """Return geometric weights around the one at which motion and impact of the shortest path are equal in cost.
 
     Args:
-        shortest: Its motion and impact.
-        count: How many.
-        shift: By which part of the distance between two weights to move them all; the last one stays in range.
+        shortest: Motion and impact of the shortest path.
+        count: Number of weights.
+        shift: Shift of all weights as a fraction of their spacing; the last one is limited to the range.
     """
     if not shortest[1] > 0.0:
         return np.zeros(count)
@@ -99,7 +99,7 @@ def sweep_weights(shortest: Float[Array, " 2"], count: int, shift: float = 0.0) 
 
 @final
 class _Search:
-    """Minimisations of V + w S, one weight after the other."""
+    """Minimisations of V + w S at one weight after another."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class _Search:
         self.whole = budget.remaining_seconds, budget.remaining_iterations
 
     def shortest(self) -> Iterator[str]:
-        """Look for the shortest path, and go on until there is any."""
+        """Search for the shortest path, until some path is found."""
         share = _SHORTEST
         while not self.budget.exhausted and not len(self.archive):
             before = self.budget.spent
@@ -124,7 +124,7 @@ class _Search:
             share = self.settings.sweep
 
     def begin(self, seeds: Seeds) -> None:
-        """Offer paths from elsewhere."""
+        """Add initial paths from another source."""
         objective = self.sought.objective_at(1.0)
         with self.budget.share(seconds=_SEEDS * self.whole[0]) as part:
             paths = seeds(part)
@@ -134,7 +134,7 @@ class _Search:
                 self.archive.offer(dataclasses.replace(candidate, made_with=float(candidate.cost[1])))
 
     def at(self, w: float, share: float) -> list[Candidate]:
-        """Let the planner work for a share of the whole budget; offer all that it finds, and return the best."""
+        """Run the planner for a fraction of the whole budget; add all paths found, and return the best."""
         objective = self.sought.objective_at(w)
         planner = self.settings.planner
         planner = begun_at(planner, Path(self.archive.best_for(w).q)) if len(self.archive) else planner
@@ -148,7 +148,7 @@ class _Search:
 
 
 def begun_at(planner: Planner, path: Path) -> Planner:
-    """Return the planner with a path to begin with, if it has a field `initial`; otherwise as it is."""
+    """Return the planner with an initial path if it has a field `initial`; otherwise unchanged."""
     if not dataclasses.is_dataclass(planner) or all(field.name != "initial" for field in dataclasses.fields(planner)):
         return planner
     return dataclasses.replace(planner, initial=path)

@@ -308,5 +308,5 @@ def test_damaged_files_load_or_are_refused(tmp_path: Path, cuts: list[tuple[int,
 
 
 def test_a_name_that_no_file_has_is_refused(tmp_path):
-    with pytest.raises(SceneError, match="is the name of no file"):
+    with pytest.raises(SceneError, match="is not a file name"):
         read_scene(_write(tmp_path, _SCENE.replace("world: world.xml", 'world: "a\\0.xml"')))

@@ -197,9 +197,9 @@ def test_attributes_of_other_programs_are_left_out() -> None:
 def test_packages_are_not_left(tmp_path: Path) -> None:
     (tmp_path / "pack").mkdir()
     (tmp_path / "secret.stl").write_bytes(_binary(CUBE[FACES]))
-    with pytest.raises(SceneError, match="not to be found"):
+    with pytest.raises(SceneError, match="was not found"):
         found_mesh("package://pack/../secret.stl", None, [tmp_path])
-    with pytest.raises(SceneError, match="not to be found"):
+    with pytest.raises(SceneError, match="was not found"):
         found_mesh("package://pack/../secret.stl", None, {"pack": tmp_path / "pack"})
 
 

@@ -1,1 +1,1 @@
-"""How bad it is: tables of severity and of fragility."""
+"""How bad damage is and how likely: tables of severity and fragility."""

@@ -1,8 +1,8 @@
-"""How easily things are damaged: the probability of damage by the energy of a touch, for each entity class.
+"""Fragility: the probability of damage as a function of contact energy, for each entity class.
 
-The carried object has rows of its own, by its class. Falling on something soft takes a part of the energy only.
+The carried object has its own rows, by its class. When it falls on a soft entity, only a part of the energy counts.
 
-The shipped table is `fragility.yaml`; what it rests on is in the head of that file.
+The shipped table is `fragility.yaml`; its sources are in the head of that file.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _VALID = {"wetted": "in [0, 1]", "hardness": "in (0, 1]"}
 @final
 @dataclass(frozen=True)
 class Fragility:
-    """How easily an entity of some class is damaged.
+    """Fragility of an entity class.
 
     Args:
-        median: Kinetic energy at which half of them are damaged [J].
-        wetted: Probability that contents that reach it do harm.
+        median: Kinetic energy at which half of the entities are damaged [J].
+        wetted: Probability that contents do harm once they reach the entity.
         spread: Standard deviation of the logarithm of the energy.
-        hardness: Share of the energy of a touch that counts for the carried object when that falls on it; 1 for what
-            does not give way.
+        hardness: Fraction of the contact energy that counts for the carried object when it falls on this entity; 1 for
+            a rigid entity.
     """
 
     median: float
@@ -50,7 +50,7 @@ class Fragility:
                 raise SettingError(name, value, _VALID.get(name, "finite and above 0"))
 
     def probability(self, energy: float) -> float:
-        """Return the probability of damage by a touch with some kinetic energy [J]; 0 without any."""
+        """Return the probability of damage by a contact with this kinetic energy [J]; 0 if it is not positive."""
         if energy <= 0.0:
             return 0.0
         return 0.5 * math.erfc((math.log(self.median) - math.log(energy)) / (self.spread * math.sqrt(2.0)))
@@ -59,12 +59,12 @@ class Fragility:
 @final
 @dataclass(frozen=True)
 class FragilityTable(YamlTable):
-    """The fragility of each entity class, that of the carried object by its class, and that of all that is not listed.
+    """The fragility of entity classes, of carried objects by class, and of all other classes.
 
     Args:
-        rows: By entity class.
-        other: Of what is listed in neither.
-        carried: Of the carried object itself, on something hard.
+        rows: Fragility by entity class.
+        other: Fragility of classes that are not listed.
+        carried: Fragility of the carried object on a hard surface, by its class.
     """
 
     shipped_file = Path(__file__).parent / "fragility.yaml"
@@ -87,7 +87,7 @@ class FragilityTable(YamlTable):
 
     @classmethod
     def parsed(cls, root: Block) -> FragilityTable:
-        """Make it of the values in a file."""
+        """Build the table from the values of a file."""
         spread = root["spread"].number()
         rows = {category: _fragility(row, spread) for category, row in root["entities"].items()}
         own = {} if (carried := root.get("carried")) is None else dict(carried.items())
@@ -101,26 +101,26 @@ class FragilityTable(YamlTable):
         return self.rows.get(category, self.other)
 
     def of_carried(self, object_class: str) -> Fragility:
-        """Return the fragility of a carried object of some class."""
+        """Return the fragility of a carried object of this class."""
         return self.carried.get(object_class, self.other)
 
     def loss(self, object_class: str, category: str, energy: float) -> float:
-        """Return the probability that the carried object is damaged.
+        """Return the probability that the carried object is damaged in a fall.
 
         Args:
-            object_class: Its class.
-            category: Class of what it falls on; "" for what is no entity.
-            energy: Kinetic energy of the touch [J].
+            object_class: Class of the carried object.
+            category: Class of the entity it falls on; "" for surroundings that are not an entity.
+            energy: Kinetic energy of the contact [J].
         """
         return self.of_carried(object_class).probability(energy * self.of(category).hardness)
 
     def probability(self, category: str, striker: str, energy: float) -> float:
-        """Return the probability that an entity of some class is damaged.
+        """Return the probability that an entity is damaged by a component.
 
         Args:
-            category: The class.
-            striker: The component that touches it; of the contents, the energy does not matter.
-            energy: Kinetic energy of the touch [J].
+            category: Class of the entity.
+            striker: The component that touches it; for "contents", the energy does not matter.
+            energy: Kinetic energy of the contact [J].
         """
         row = self.of(category)
         return row.wetted if striker == "contents" else row.probability(energy)

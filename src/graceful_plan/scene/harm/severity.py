@@ -1,6 +1,6 @@
-"""How bad an impact is: a table of entity class x component class, read from YAML, overridable per scene.
+"""Severity of an impact: a table by entity class and component class, read from YAML, overridable per scene.
 
-The shipped table is `severity.yaml`; its anchors are in the head of that file.
+The shipped table is `severity.yaml`; its reference values are in the head of that file.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.yaml_file import Block, YamlTable
 
 ITSELF = "carried"
-"""Row of the loss of the carried object itself, by its class."""
+"""Row of the table for losing the carried object itself, by its class."""
 
 MAX_SEVERITY = 1e6
-"""The shipped table has at most 10; sums over all that may be hit stay finite."""
+"""Largest severity; the shipped table has at most 100. Sums over all entities stay finite."""
 
 
 @final
 @dataclass(frozen=True)
 class SeverityTable(YamlTable):
-    """Severity of each component class against each entity class.
+    """Severity of each component class for each entity class.
 
     Args:
-        rows: Severity by entity class, then component class; at least 0. A pair that is left out is not defined.
+        rows: Severity by entity class, then component class; at least 0. A missing pair is undefined.
         components: Names of the component classes.
     """
 
@@ -47,12 +47,12 @@ class SeverityTable(YamlTable):
         object.__setattr__(self, "rows", MappingProxyType(frozen))
 
     def __reduce__(self) -> tuple[type[SeverityTable], tuple[dict[str, dict[str, float]], tuple[str, ...]]]:
-        """Be copied and pickled as plain dictionaries, which views of them cannot be."""
+        """Return the arguments for a copy or pickle, as plain dictionaries because mapping views cannot be pickled."""
         return SeverityTable, ({category: dict(row) for category, row in self.rows.items()}, self.components)
 
     @classmethod
     def parsed(cls, root: Block) -> SeverityTable:
-        """Make it of the values in a file."""
+        """Build the table from the values of a file."""
         components = root["components"].strings()
         rows: dict[str, dict[str, float]] = {}
         for category, row in root["entities"].items():
@@ -86,11 +86,11 @@ class SeverityTable(YamlTable):
         return row[component]
 
     def with_overrides(self, overrides: Mapping[str, float | Mapping[str, float]]) -> SeverityTable:
-        """Return a table with some values replaced.
+        """Return a copy of the table with some values replaced.
 
         Args:
-            overrides: By entity class, one number for all component classes or numbers by component class. A class
-                that the table does not have is added.
+            overrides: By entity class, one number for all component classes or numbers by component class. New classes
+                are added.
         """
         rows = {category: dict(row) for category, row in self.rows.items()}
         for category, values in overrides.items():
@@ -100,7 +100,7 @@ class SeverityTable(YamlTable):
         return SeverityTable(rows, self.components)
 
     def check_class(self, category: str) -> None:
-        """Raise UnknownNameError unless there is such an entity class."""
+        """Raise UnknownNameError if there is no such entity class."""
         if not isinstance(category, str) or category not in self.rows:
             raise UnknownNameError("entity class", category, self.rows)
 
@@ -112,7 +112,7 @@ class SeverityTable(YamlTable):
 def given_severity(
     given: SeverityTable | Mapping[str, Any] | str | Path | None,
 ) -> tuple[SeverityTable, dict[str, Any]]:
-    """Return the table that was given, itself or by its file, else the shipped one; and replacements in it."""
+    """Return the table given as an object or file, or else the shipped one, and the overrides to apply to it."""
     if isinstance(given, SeverityTable):
         return given, {}
     if isinstance(given, str | Path):

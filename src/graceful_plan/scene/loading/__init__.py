@@ -1,1 +1,1 @@
-"""Scenes from files, and the bundled ones."""
+"""Scenes from files, and the bundled scenes."""

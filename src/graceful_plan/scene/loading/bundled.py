@@ -1,4 +1,4 @@
-"""Bundled scenes: pairs of a scene file and its MJCF world, those with robots that drive in a folder of their own."""
+"""Bundled scenes: pairs of a scene file and its MJCF world; those with mobile bases are in a separate folder."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _MOBILE = _FOLDER / "mobile"
 
 
 def scenes() -> tuple[str, ...]:
-    """Names of the bundled scenes with arms that stand still. Reads none of them."""
+    """Return the names of the bundled scenes with fixed arms, without reading them."""
     return _names(_FOLDER)
 
 
 def mobile_scenes() -> tuple[str, ...]:
-    """Names of the bundled scenes with robots that drive. Reads none of them."""
+    """Return the names of the bundled scenes with mobile bases, without reading them."""
     return _names(_MOBILE)
 
 
@@ -33,7 +33,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
     Raises:
         UnknownNameError: If there is no bundled scene of that name.
         SceneError: If the file is broken or hostile, with file and line.
-        UnsupportedError: If the model has features that cannot be represented.
+        UnsupportedError: If the model has unsupported features.
     """
     path = path_of(name_or_path)
     if path.suffix in (".yaml", ".yml"):

@@ -1,41 +1,42 @@
-"""Scene files: YAML next to a MJCF world. Unknown keys are refused; units are m, rad, s, litres, degrees Celsius.
+"""Scene files: YAML next to an MJCF world. Unknown keys are errors; units are m, rad, s, litres, degrees Celsius.
 
 version: 1
 name: tabletop                   # default: the file's name
 description: One sentence.
 world: tabletop.xml              # MJCF in the same folder or below it
 robot:
-  model: panda                   # a bundled robot or a MJCF file beside this one; none if the world has the robot in it
-  prefix: panda/                 # goes before the names of the robot's bodies, joints, sites; default "<model>/"
+    model: panda                   # a bundled robot or an MJCF file beside this one; omit if the world contains the
+    robot
+    prefix: panda/                 # prefix of the names of the robot's bodies, joints, sites; default "<model>/"
   position: [0, 0, 0]            # of the base in W
   quaternion: [1, 0, 0, 0]       # wxyz
-  body_class: arm_collapse       # how it fails: arm_collapse, arm_braked or base_coast
+    body_class: arm_collapse       # how the robot fails: arm_collapse, arm_braked or base_coast
   velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
   limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
-base:                            # how the robot drives, if it does: the fields of DiffDrive; default: the model's
+base:                            # differential drive, if any: the fields of DiffDrive; default: the model's
   joints: [jackal/base_x, jackal/base_y, jackal/base_yaw]
   radius: 0.098                  # and track, v_max, omega_max, a_max, alpha_max; slip, lateral_max, wheel_max, reverse
 tool: panda/tool                 # site, or body; default "<prefix>tool"
 fingers: 0.04                    # position of the joints behind the tool, or {joint: position}
-entities:                        # what can be harmed: each body with its subtree
+entities:                        # things that can be harmed: each body with its subtree
   mug: glass                     # its class
-  vase: {class: heirloom, severity: 40}    # or by component, or component class: {body: 40, carried: 30, hot: 9}
+    vase: {class: heirloom, severity: 40}    # or by component or component class: {body: 40, carried: 30, hot: 9}
 severity:                        # replaces values of the shipped table, by entity class
   table: {medium: 1}             # by component class, or one number for all
-objects:                         # what can be carried: defaults of attach() and of tasks
+objects:                         # objects that can be carried: defaults of attach() and of tasks
   mug:
     body: mug                    # default: the object's name
     class: glass                 # light, medium, heavy, sharp or glass; default: by mass
     grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame
     fingers: 0.035
     contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
-moving:                          # what can be harmed and moves: hazards, not obstacles; see MovingEntity
+moving:                          # moving entities: can be harmed, but are not obstacles; see MovingEntity
   person:
     class: adult
-    size: [0.25, 0.85]           # of an upright cylinder: radius and half height; of a box: three half sizes
+        size: [0.25, 0.85]           # upright cylinder: radius and half height; box: three half sizes
     t: [0, 3]
     position: [[1, -2, 0.85], [1, 2, 0.85]]    # of the centre at these times; yaw: [...] likewise, for boxes
-    spread: 0.05                 # standard deviation of the place at the first time, 0 by default
+        spread: 0.05                 # standard deviation of the position at the first time, 0 by default
     growth: 0.1                  # standard deviation of the velocity, 0 by default; severity: as for entities
 keyframes:
   ready: [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
@@ -45,7 +46,7 @@ tasks:
     start: ready                 # keyframe or configuration
     goal: [by_plate, by_window]  # keyframe, configuration, or a list of those to choose from
     object: mug
-    support: {start: counter, goal: table}    # what the object stands on at the ends: bodies or geoms
+        support: {start: counter, goal: table}    # supports of the object at the ends: bodies or geoms
 allowed_contacts:
   - {first: cable, second: pedestal, when: always}    # or: ends
 """
@@ -89,7 +90,7 @@ def read_scene(file: Path) -> Scene:
 
     Raises:
         SceneError: If it or its world is broken or hostile, with file and line.
-        UnsupportedError: If the model has features that cannot be represented.
+        UnsupportedError: If the model has unsupported features.
     """
     root = read_yaml(file)
     root.only(*_KEYS)
@@ -105,24 +106,24 @@ def read_scene(file: Path) -> Scene:
 
 
 def _check_promises(scene: Scene) -> None:
-    """Complain now, with a line, about what would fail only when somebody plans a task."""
+    """Check objects and tasks now, with line numbers, rather than when a task is planned."""
     notes = scene.notes
     check_keyframes(notes, scene.limits)
     for name in notes.objects:
         with notes.about(f"objects.{name}"):
             held = roles.held_note(scene.model, notes, scene.robot_bodies, name)
             Scene.build(scene.spec, replace(notes, held=held, file=None), scene.model)
-    scene.tasks  # noqa: B018  refuses tasks that name what does not exist
+    scene.tasks  # noqa: B018  raises if a task refers to a missing name
 
 
 @dataclass
 class _Lines:
-    """Remembers where named things stand."""
+    """Records the line numbers of named entries."""
 
     at: dict[str, int] = field(default_factory=dict)
 
     def table(self, root: Block, key: str, read: Callable[[str, Block], T]) -> dict[str, T]:
-        """Read a mapping of named things; none if it is absent."""
+        """Read a mapping of named entries; return an empty one if it is absent."""
         found = {}
         section = root.get(key)
         for name, block in section.items() if section else ():
@@ -204,7 +205,7 @@ def _prefix(robot: Block) -> str:
 
 
 def _spec(root: Block, file: Path, prefix: str) -> mujoco.MjSpec:
-    """Compose world and robot."""
+    """Compose world and robot into one MjSpec."""
     world = _relative(file, root["world"])
     spec = screening.load_spec(world)
     block = root["robot"].get("model")
@@ -224,10 +225,10 @@ def _spec(root: Block, file: Path, prefix: str) -> mujoco.MjSpec:
 
 
 def _relative(file: Path, block: Block) -> Path:
-    """Return a file beside the scene file or below it."""
+    """Return a file in the folder of the scene file or below it."""
     given = Path(block.string())
     if "\0" in str(given):
-        raise block.error(f"{str(given)!r} is the name of no file")
+        raise block.error(f"{str(given)!r} is not a file name")
     path = (file.parent / given).resolve()
     if given.is_absolute() or ".." in given.parts or not path.is_relative_to(file.parent.resolve()):
         raise block.error(f"{str(given)!r} is outside of the folder of the scene")

@@ -1,4 +1,4 @@
-"""Robot models of our own, by name. Limits that MJCF has no place for are custom numbers in the model files."""
+"""Bundled robot models, by name. Limits that MJCF cannot express are custom numerics in the model files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _FOLDER = Path(__file__).parents[1] / "robots"
 
 
 def robots() -> tuple[str, ...]:
-    """Names of the bundled robots."""
+    """Return the names of the bundled robots."""
     return tuple(sorted(file.stem for file in _FOLDER.glob("*.xml")))
 
 

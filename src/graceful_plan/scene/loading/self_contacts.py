@@ -1,4 +1,4 @@
-"""Which links of a robot touch each other wherever its joints are, and models whose filters leave all of that out."""
+"""Detect links that overlap in nearly all configurations, and warn if a model's filters disable self-collision."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ _LOG = logging.getLogger(__name__)
 
 _OBJ = mujoco.mjtObj
 _SAMPLES, _ALWAYS = 200, 0.95
-"""Configurations drawn, and in which share of them a pair of links has to touch to be one that always does."""
+"""Number of sampled configurations, and the fraction of them in which a pair must touch to count as always touching."""
 _MASKS = 31
-"""Bits that a filter of MuJoCo's may have."""
+"""Number of bits in MuJoCo's contype and conaffinity."""
 OFTEN = 0.25
-"""Share of configurations in which links may touch before meshes are divided: hulls of a UR5 do in half of them and its
-parts in a quarter, those of a Panda, xArm 7, Jaco or Z1 in 6 to 14 %."""
+"""Fraction of configurations with touching links above which meshes are divided. The hulls of a UR5 touch in half of
+them and its convex parts in a quarter; those of a Panda, xArm 7, Jaco or Z1 in 6 to 14 %."""
 KINDS = ("model", "links")
 
 
 @final
 @dataclass(frozen=True)
 class Touching:
-    """Which links touch, as far as it was looked at.
+    """Links that touch in sampled configurations.
 
     | field    | meaning                                                                                      |
     |----------|----------------------------------------------------------------------------------------------|
-    | contacts | pairs that a joint lies between, and those that touch nearly wherever the joints are          |
-    | often    | share of configurations in which other links touch, those aside that may                      |
+    | contacts | pairs with a joint in between, and pairs that touch in nearly all configurations             |
+    | often    | fraction of configurations in which other links touch, allowed contacts excepted             |
     """
 
     contacts: tuple[AllowedContact, ...]
@@ -48,13 +48,13 @@ class Touching:
 
 
 def touching(spec: mujoco.MjSpec, robot: str, tool: str, allowed: Sequence[AllowedContact] = ()) -> Touching:
-    """Find links that touch.
+    """Sample configurations and find the links that touch.
 
     Args:
-        spec: With the robot.
-        robot: Prefix of its bodies, or its root.
-        tool: Site of the tool: joints between the world and it are drawn evenly within their limits, others stay.
-        allowed: What may touch besides.
+        spec: Model that contains the robot.
+        robot: Prefix of its bodies, or its root body.
+        tool: Site of the tool. The joints between world and tool are sampled uniformly within limits; others stay.
+        allowed: Contacts that are allowed anyway.
     """
     model = compile_spec(spec)
     bodies = robot_bodies(model, robot)
@@ -80,21 +80,21 @@ def touching(spec: mujoco.MjSpec, robot: str, tool: str, allowed: Sequence[Allow
 def link_contacts(
     spec: mujoco.MjSpec, robot: str, tool: str, kind: str, allowed: Sequence[AllowedContact]
 ) -> tuple[AllowedContact, ...]:
-    """Let the filters of a MJCF model decide which links are tested against each other, or test all that can be.
+    """Return the contacts to allow so that self-collision is checked as `kind` requests.
 
     Args:
-        spec: Of the model; its filters are changed for "links".
-        robot: Prefix of the robot's bodies, or its root.
+        spec: The model; for "links" its filters are changed.
+        robot: Prefix of the robot's bodies, or its root body.
         tool: Site of the tool.
-        kind: "model": as the filters say, with a warning if that is none of three or more links. "links": all pairs of
-            links but excluded ones; those may touch that a joint lies between, and those that do nearly everywhere.
-        allowed: What may touch besides.
+        kind: "model": the model's filters decide. "links": all link pairs are checked except excluded ones, pairs with
+            a joint in between, and pairs that touch in nearly all configurations.
+        allowed: Contacts that are allowed anyway.
 
     Returns:
-        What may touch besides.
+        Contacts to allow in addition.
 
     Raises:
-        SettingError: If it is of no such kind.
+        SettingError: If the kind is unknown.
         UnsupportedError: If the model uses all bits of its filters.
     """
     if kind not in KINDS:
@@ -115,7 +115,7 @@ def link_contacts(
 
 
 def warn_of_untested_links(model: mujoco.MjModel, robot: frozenset[int], name: str) -> None:
-    """Say so if filters of a model let all links of a robot pass through each other."""
+    """Log a warning if the filters of a model let all links of a robot pass through each other."""
     pairs = tested_pairs(model, robot)
     count, unchecked = unchecked_links(model, robot, pairs, ())
     passing = len(unchecked.get("filters of the model", ()))
@@ -129,7 +129,7 @@ def warn_of_untested_links(model: mujoco.MjModel, robot: frozenset[int], name: s
 
 
 def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:
-    """Return the body nearest to the base that this one hangs on rigidly."""
+    """Return the root of the rigid group that contains a body."""
     while not model.body_jntnum[body] and int(model.body_parentid[body]) in robot:
         body = int(model.body_parentid[body])
     return body
@@ -138,7 +138,7 @@ def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:
 def _touched(
     model: mujoco.MjModel, group: Mapping[int, int], joints: Sequence[int]
 ) -> list[frozenset[tuple[int, int]]]:
-    """Return which links touch in each of some random configurations."""
+    """Return the pairs of links that touch in each of the sampled configurations."""
     data, rng, touched = mujoco.MjData(model), np.random.default_rng(0), list[frozenset[tuple[int, int]]]()
     for _ in range(_SAMPLES):
         for joint in joints:

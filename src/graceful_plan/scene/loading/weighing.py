@@ -1,7 +1,7 @@
-"""What MuJoCo would make of a file of a model, before it does: by headers and counts, with bounded memory and time.
+"""Size checks of asset files before MuJoCo loads them, by headers and counts, in bounded memory and time.
 
-A PNG says in its header how many pixels there are, but its data may unpack to a thousand times its size, and MuJoCo
-would unpack all of it. So it is unpacked here first, in pieces that are thrown away.
+The header of a PNG states its number of pixels, but its data may decompress to a thousand times that size, all of
+which MuJoCo would allocate. Therefore it is decompressed here first, in pieces that are discarded.
 """
 
 from __future__ import annotations
@@ -16,32 +16,31 @@ import numpy as np
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PACKED_TEXTS = (b"zTXt", b"iTXt", b"iCCP")
 _MOST_TEXTS = 8
-"""Chunks of a PNG that unpack to 16 MB each at most and are no pixels; pictures have one or two."""
+"""Number of compressed text chunks in a PNG, of up to 16 MB each when decompressed; images have one or two."""
 _PIECE = 1 << 20
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-"""Of a pixel, by a PNG's colour type."""
+"""Channels per pixel, by a PNG's colour type."""
 _OBJ_LINE = re.compile(rb"[\r\n][ \t]*[vf][ \t]")
 _STL_HEAD, _STL_FACE = 84, 50
 _VERTEX = 12
-"""Bytes of a vertex where it is three numbers of single precision."""
+"""Bytes of a vertex of three single-precision numbers."""
 _MIXED = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
-"""Odd numbers of 64 bits: three coordinates times these are a number that hardly any other corner has."""
+"""Odd 64-bit factors that hash the three coordinates of a vertex, with hardly any collisions."""
 MOST_OF_A_MESH = 1_000_000
-"""Vertices and faces in one file: a hull around 300,000 vertices on a sphere takes MuJoCo 4 s, around a million 12."""
+"""Vertices and faces per file: MuJoCo takes 4 s for the hull of 300,000 vertices on a sphere, 12 s for a million."""
 
 
 class Swollen(ValueError):
-    """A file that unpacks to more than its header says."""
+    """Raised if a file decompresses to more than its header states."""
 
 
 def weighed(tag: str, content: bytes, suffix: str) -> tuple[str, int | float] | None:
-    """Return what a file adds to which budget of a model; None for what weighs nothing.
+    """Return the budget of the model that a file counts towards and the amount; None if it counts towards none.
 
     Args:
-        tag: Of the element that names the file.
-        content: Of the file.
-        suffix: Of its name.
-
+        tag: Tag of the element that names the file.
+        content: Content of the file.
+        suffix: Suffix of its name.
     """
     if tag in ("texture", "hfield"):
         pixels = _png_pixels(content) if content.startswith(_SIGNATURE) else len(content)
@@ -52,7 +51,7 @@ def weighed(tag: str, content: bytes, suffix: str) -> tuple[str, int | float] | 
 
 
 def mesh_weight(content: bytes, suffix: str) -> int:
-    """Return how many vertices and faces a mesh has, those of a binary STL that are at one place counted once."""
+    """Return the number of vertices and faces of a mesh; coincident vertices of a binary STL are counted once."""
     if suffix.lower() == ".obj":
         return sum(1 for _ in _OBJ_LINE.finditer(content))
     if suffix.lower() != ".stl":
@@ -64,22 +63,22 @@ def mesh_weight(content: bytes, suffix: str) -> int:
 
 
 def _png_pixels(content: bytes) -> int:
-    """Return how many pixels a PNG has, without looking at its data."""
+    """Return the number of pixels of a PNG by its header."""
     width, height = (int.from_bytes(content[k : k + 4], "big") for k in (16, 20))
     return width * height
 
 
 def check_png(file: Path, content: bytes) -> None:
-    """Refuse a PNG whose data unpack to more than the pixels that it says it has.
+    """Check that the data of a PNG decompress to no more than the pixels its header states.
 
     Raises:
-        Swollen: If they do.
+        Swollen: If they decompress to more.
     """
     if not content.startswith(_SIGNATURE) or len(content) < 26:
         return
     width, height = (int.from_bytes(content[k : k + 4], "big") for k in (16, 20))
     bits = content[24] * _CHANNELS.get(content[25], 4)
-    most = 2 * height * (1 + (width * bits + 7) // 8) + _PIECE  # an interlaced one has more rows, of fewer pixels
+    most = 2 * height * (1 + (width * bits + 7) // 8) + _PIECE  # interlaced: more but shorter rows
     unpacked, texts, unpack = 0, 0, zlib.decompressobj()
     for kind, data in _chunks(content):
         texts += kind in _PACKED_TEXTS
@@ -87,7 +86,7 @@ def check_png(file: Path, content: bytes) -> None:
             try:
                 unpacked += len(unpack.decompress(data, _PIECE))
             except zlib.error:
-                return  # MuJoCo says it better
+                return  # MuJoCo's own error is better
             data = unpack.unconsumed_tail
             if unpacked > most:
                 raise Swollen(f"{file.name} unpacks to more than {width} x {height} pixels")
@@ -96,7 +95,7 @@ def check_png(file: Path, content: bytes) -> None:
 
 
 def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Yield kind and data of a PNG's chunks."""
+    """Yield kind and data of each chunk of a PNG."""
     place = len(_SIGNATURE)
     while place + 8 <= len(content):
         length = int.from_bytes(content[place : place + 4], "big")

@@ -1,1 +1,1 @@
-"""Bases that drive: how they do it, and goals for them."""
+"""Mobile bases: their kinematics and limits, and goals for them."""

@@ -1,4 +1,4 @@
-"""Goals given as where the base should stand."""
+"""Goals given as a pose of the base."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from graceful_plan.exceptions import SettingError
 
 @dataclass(frozen=True)
 class BasePose:
-    """Where a base should stand, the arm as it is at the start.
+    """A pose of the base as a goal; the arm stays in its start configuration.
 
     Args:
-        x: In W [m].
-        y: In W [m].
-        yaw: Heading [rad]; any if None.
+        x: Position in W [m].
+        y: Position in W [m].
+        yaw: Heading [rad]; None for any.
 
     Raises:
-        SettingError: If something is not a finite number.
+        SettingError: If a value is not a finite number.
     """
 
     x: float

@@ -1,4 +1,4 @@
-"""A base on two driven sides, of wheels or tracks: it rolls along its heading and turns in place, never sideways."""
+"""A differential-drive base, with wheels or tracks: it rolls along its heading and turns in place, never sideways."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
 
 _LEAST, _MOST = 1e-4, 1e3
-"""Of what a base has; of `wheel_max` times the radius too."""
+"""Range of all quantities of a base, and of `wheel_max` times the radius."""
 
 GRAVITY_SHARE = 2.0
-"""Default of what friction and the load stand across the heading [m/s^2]: a fifth of gravity, which nothing aboard tips
-or slides at that stands on 1/5 of its height."""
+"""Default `lateral_max` [m/s^2], for friction and load: a fifth of gravity. An object on deck neither tips nor slides
+if the height of its centre of mass is at most five times its support radius and its friction at least 0.2."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiffDrive:
-    """How a planar base drives; its joints are those of the model that is planned with.
+    """Kinematics and limits of a planar base; its joints are the planned model's.
 
     | field       | meaning                                                                          | unit    |
     |-------------|----------------------------------------------------------------------------------|---------|
-    | joints      | slide along x of the world, slide along y, hinge about z whose 0 looks along x   |         |
+    | joints      | slide along x of W, slide along y, hinge about z whose 0 points along x          |         |
     | radius      | of the driven wheels                                                             | m       |
-    | track       | between the middles of left and right wheels                                     | m       |
+    | track       | distance between the centres of left and right wheels                            | m       |
     | slip        | effective track over track: 1 for two wheels, about 1.5 for a skid-steer         |         |
-    | v_max       | greatest speed along the heading                                                 | m/s     |
-    | omega_max   | greatest rate of turning                                                         | rad/s   |
-    | a_max       | greatest acceleration along the heading                                          | m/s^2   |
-    | alpha_max   | greatest acceleration of turning                                                 | rad/s^2 |
-    | lateral_max | greatest acceleration across the heading, speed times rate of turning            | m/s^2   |
-    | wheel_max   | greatest rate of a wheel; default: that of `v_max` on the straight               | rad/s   |
+    | v_max       | largest speed along the heading                                                  | m/s     |
+    | omega_max   | largest yaw rate                                                                 | rad/s   |
+    | a_max       | largest acceleration along the heading                                           | m/s^2   |
+    | alpha_max   | largest yaw acceleration                                                         | rad/s^2 |
+    | lateral_max | largest lateral acceleration, speed times yaw rate                               | m/s^2   |
+    | wheel_max   | largest wheel rate; default: that of `v_max` on a straight line                  | rad/s   |
     | reverse     | whether it may drive backwards                                                   |         |
     | wheels      | bodies of the driven wheels, left ones first; in simulations they turn about y   |         |
-    | load        | share of the weight on the driven wheels; casters carry the rest                 |         |
+    | load        | fraction of the weight on the driven wheels; casters carry the rest              |         |
     | rotor       | inertia of a driven wheel with its motor and gears, about its axle               | kg m^2  |
 
-    Wheel rates are (v -+ omega slip track / 2) / radius, left with minus. For a skid-steer see A. Mandow et al.,
-    "Experimental kinematics for wheeled skid-steer mobile robots", IROS 2007. The origin of the joints is the point
-    that never moves sideways: the middle of the axle of two wheels; of a skid-steer the point about which it turns in
-    place, ahead of the middle of its wheels if its mass is.
+    Wheel rates are (v -+ omega slip track / 2) / radius, with minus for left wheels. For a skid-steer see A. Mandow et
+    al., "Experimental kinematics for wheeled skid-steer mobile robots", IROS 2007. The origin of the joints is the
+    point that never moves sideways. For two wheels it is the middle of their axle. For a skid-steer it is the point
+    about which it turns in place, which is ahead of the middle of its wheels if its centre of mass is.
 
     Raises:
         SettingError: If a number is not finite and above 0, or the joints are not three different names.
@@ -81,7 +81,7 @@ class DiffDrive:
         if self.rim_max > _MOST:
             raise SettingError("DiffDrive.wheel_max", self.wheel_max, f"at most {_MOST:g} m/s at the rim")
         if self.slip < 1.0:
-            raise SettingError("DiffDrive.slip", self.slip, "at least 1, the share of wheels that do not slip")
+            raise SettingError("DiffDrive.slip", self.slip, "at least 1, the value without slip")
         if self.load > 1.0:
             raise SettingError("DiffDrive.load", self.load, "a share of the weight, at most 1")
         if not isinstance(self.reverse, bool):
@@ -89,21 +89,21 @@ class DiffDrive:
 
     @property
     def lever(self) -> float:
-        """Half the effective track [m]: what one radian of turning moves a wheel."""
+        """Half the effective track [m]: distance that a wheel rolls per radian of turning in place."""
         return 0.5 * self.slip * self.track
 
     @property
     def wheel_base(self) -> float:
-        """Between front and rear wheels of a skid-steer, as its slip says; 0 for two wheels [m]."""
+        """Distance between front and rear wheels [m], for a skid-steer derived from its slip; 0 for two wheels."""
         return self.track * math.sqrt(self.slip - 1.0)
 
     @property
     def joint_limits(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Bounds of the speeds and accelerations of the three joints: what holds in all headings."""
+        """Limits of speed and acceleration of the three joints, valid for all headings."""
         hardest = math.hypot(self.a_max, self.lateral_max)
         return (self.v_max, self.v_max, self.omega_max), (hardest, hardest, self.alpha_max)
 
     @property
     def rim_max(self) -> float:
-        """Greatest speed of a wheel's rim [m/s]."""
+        """Largest speed of a wheel's rim [m/s]."""
         return float(self.wheel_max or 0.0) * self.radius

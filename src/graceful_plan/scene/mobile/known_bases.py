@@ -1,4 +1,4 @@
-"""How bundled robots drive, as their models say."""
+"""Bases of the bundled robots, as defined in their models."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from graceful_plan.scene.mobile.wheels import described_drive
 
 
 def known_base(name: str, prefix: str | None = None) -> DiffDrive:
-    """Return how a bundled robot drives.
+    """Return the base of a bundled robot.
 
     Args:
-        name: "jackal" or "fetch". What is published and what is assumed stands in their models.
-        prefix: Before the names of its joints and bodies; default: its name and "/".
+        name: "jackal" or "fetch". Comments in their models say which values are published and which are assumed.
+        prefix: Prefix of the names of its joints and bodies; default: its name and "/".
 
     Raises:
-        UnknownNameError: If there is no such robot.
+        UnknownNameError: If there is no such robot with a mobile base.
     """
     found = {robot: _base(robot) for robot in robots()}
     base = found.get(name)

@@ -1,7 +1,7 @@
-"""Imports of the room of everything that drives, by the rooms below it.
+"""Imports of the optional subpackage for mobile bases from packages that must not depend on it.
 
-Rooms below `graceful_plan.mobile` know it by contracts alone, and import what implements them once a scene has a base:
-an arm's call loads no module of it, and an installation may be without.
+Modules outside of `graceful_plan.mobile` know only its contracts and import the implementation once a scene has a
+base. Calls for fixed arms load none of its modules, and the library can be installed without it.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from graceful_plan.exceptions import UnsupportedError
 
 
 def mobile_room(part: str, of: str = "graceful_plan") -> ModuleType:
-    """Import a module of the room.
+    """Import a module of the subpackage `mobile`.
 
     Args:
-        part: Its name within the room, such as "coast.coast".
-        of: Package whose room it is: FailBench has one as well.
+        part: Name of the module within the subpackage, such as "coast.coast".
+        of: Package that contains the subpackage: FailBench has one, too.
 
     Raises:
-        UnsupportedError: If the room is not installed.
+        UnsupportedError: If the subpackage is not installed.
     """
     room = f"{of}.mobile"
     try:
-        import_module(room)  # empty: if it fails, the room is missing; errors inside of a part are told as they are
+        import_module(room)  # empty module: fails only if not installed; errors in a part propagate
     except ImportError as error:
         raise UnsupportedError(
-            f"the robot has a base that drives, which needs {room}: not installed; robots that stand work without it"
+            f"the robot has a mobile base, which needs {room}: not installed; fixed robots work without it"
         ) from error
     return import_module(f"{room}.{part}")

@@ -1,7 +1,7 @@
-"""What a model says of how its robot drives, and the same robot on wheels that turn, to be simulated.
+"""The drive described in a robot's model, and the same robot on rolling wheels for simulation.
 
-To plan with, a base has three joints in a plane, and wheels that do not turn. To simulate, it has a free joint instead,
-and hinges and motors at its wheels. All else is the same.
+For planning, a base has three planar joints and wheels that do not turn. For simulation, it has a free joint instead,
+and hinges and motors at its wheels. Everything else is equal.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 Array = np.ndarray
 
 KEEP_OUT = "keep_out"
-"""Geoms whose names begin so are there for planning only: over stairs going down, where a base must not drive."""
+"""Name prefix of geoms that exist only for planning: over stairs going down, where a base must not drive."""
 _FREE = "rolling"
-"""Name of the free joint, behind the robot's prefix."""
+"""Name of the free joint, after the robot's prefix."""
 _WHEEL = "wheel"
-"""Class of the defaults of hinges and motors of wheels, behind the robot's prefix."""
+"""Default class of the hinges and motors of wheels, after the robot's prefix."""
 
 
 def described_drive(spec: mujoco.MjSpec, robot: str) -> DiffDrive | None:
-    """Read how a robot drives from its model: texts and numerics "<robot>drive/FIELD", with the fields of DiffDrive.
+    """Read the drive of a robot from its model: texts and numerics "<robot>drive/FIELD", with the fields of DiffDrive.
 
-    Names of joints and wheels are without the prefix, divided by spaces.
+    Names of joints and wheels are without prefix, separated by spaces.
 
     Args:
         spec: The model.
-        robot: Prefix of the names of its bodies, or its root body.
+        robot: Prefix of the names of the robot's bodies, or its root body.
 
     Returns:
-        How it drives; None if the model does not say so.
+        The base; None if the model does not describe one.
 
     Raises:
-        SceneError: If the model says only a part of it.
+        SceneError: If the description is incomplete or has unknown fields.
     """
     prefix = robot[: robot.rfind("/") + 1] if is_name(robot) and spec.body(robot) is not None else robot
     start = f"{prefix}drive/"
@@ -62,24 +62,24 @@ def described_drive(spec: mujoco.MjSpec, robot: str) -> DiffDrive | None:
         raise SceneError(f"the drive of {robot!r} in its model {what}; its fields are {', '.join(known)}")
     if "reverse" in told:
         told["reverse"] = bool(told["reverse"])
-    return DiffDrive(**told)  # pyright: ignore[reportArgumentType]  checked there
+    return DiffDrive(**told)  # pyright: ignore[reportArgumentType]  checked by DiffDrive
 
 
 def rolling_spec(scene: SceneFacts) -> mujoco.MjSpec:
-    """Return the model of a scene in which its robot stands on wheels that turn, to be simulated.
+    """Return the model of a scene for simulation, with the robot on wheels that turn.
 
-    Hinges and velocity motors of the wheels have the wheels' names, and the defaults of the robot's class "wheel" if
-    its model has one. Give the options a timestep of at most 2 ms, an elliptic cone and an impratio of 10 or more:
-    what is said of the bundled robots is measured with these.
+    Hinges and velocity motors of the wheels have the wheels' names. They use the defaults of the robot's class "wheel"
+    if its model has one. Set a timestep of at most 2 ms, an elliptic cone and an impratio of 10 or more: the figures
+    for the bundled robots were measured with these options.
 
     Raises:
-        SettingError: If its robot does not drive or nobody says which its wheels are.
+        SettingError: If the robot has no base, or the base does not name its wheels.
     """
     base = scene.base
     if base is None or not base.wheels:
         raise SettingError("scene", scene.name, "a scene with a robot that drives: give it a DiffDrive with wheels")
     spec = scene.spec.copy()
-    for key in list(spec.keys):  # of another number of joints
+    for key in list(spec.keys):  # for another number of joints
         spec.delete(key)
     joints = [spec.joint(name) for name in base.joints]
     root = joints[0].parent
@@ -98,10 +98,10 @@ def rolling_spec(scene: SceneFacts) -> mujoco.MjSpec:
 
 
 def rolling_qpos(scene: SceneFacts, model: mujoco.MjModel, q: ArrayLike) -> Float[Array, " qpos"]:
-    """Return the state of the compiled `rolling_spec` in which everything is where it is planned to be at q.
+    """Return the qpos of the compiled `rolling_spec` that places everything as the planning model does at q.
 
     Args:
-        scene: The scene that it was made of.
+        scene: The scene given to `rolling_spec`.
         model: The compiled model.
         q: Configuration [m, m, rad, ...].
     """

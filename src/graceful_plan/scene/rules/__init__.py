@@ -1,1 +1,1 @@
-"""What may be asked of motions in a scene, as plain facts about its frames: for planners and judge alike."""
+"""Rules: constraints of motions as plain data about the frames of a scene, for planners and judge alike."""

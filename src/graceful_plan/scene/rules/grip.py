@@ -1,4 +1,4 @@
-"""A grasp between two pads: where they touch what is carried, and what load friction and pressure carry there."""
+"""A grasp between two pads: the contacts with the carried object, and the load that friction and pressure can carry."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _REACH = 0.004
-"""How far pads may be from what they hold in a scene [m]: its notes say how wide the fingers stand, a little wider."""
+"""Largest gap between pads and object [m]: the finger positions in scene notes are often a little too wide."""
 _FLUSH = 0.001
-"""How much farther than the nearest point of a pad others may be to touch as well, once the fingers close [m]."""
+"""Contacts up to this much farther than a pad's nearest one count: they touch once the fingers close [m]."""
 _FACING = 0.7
-"""Least cosine between the normal of a contact and the direction in which the fingers close."""
+"""Least cosine between a contact normal and the closing direction of the fingers."""
 _FAR = 1e6
-"""Beyond any command of a gripper: its drive gives what it can."""
+"""Control beyond any limit, so that the drive gives its largest force."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Grip:
-    """Two pads that press on the carried body from both sides; vectors are in its frame B.
+    """Two pads that press on the carried body from opposite sides; vectors are in the body's frame B.
 
-    Each contact carries friction inside an ellipsoid, tangential force over `friction` and torsion over `torsion` times
-    the force that presses, as MuJoCo's elliptic cones do and soft fingers about do (Howe and Cutkosky 1996).
+    The friction of each contact lies inside an ellipsoid: tangential force over `friction`, and torsion over `torsion`,
+    relative to the normal force. MuJoCo's elliptic cones have this shape, and soft fingers approximately (Howe and
+    Cutkosky 1996).
 
     | field    | meaning                                                                        | unit | shape |
     |----------|--------------------------------------------------------------------------------|------|-------|
-    | mass     | of what is carried                                                             | kg   |       |
-    | p_GC     | from the middle between the pads to its centre of mass                         | m    | 3     |
-    | p_BC     | its centre of mass                                                             | m    | 3     |
-    | axes     | rows: the direction in which the fingers close, and two across it              |      | 3 3   |
-    | half     | half the distance between the pads, then half the size of what they touch      |      |       |
+    | mass     | of the carried object                                                          | kg   |       |
+    | p_GC     | from the midpoint of the pads to the object's centre of mass                   | m    | 3     |
+    | p_BC     | the object's centre of mass                                                    | m    | 3     |
+    | axes     | rows: the closing direction of the fingers, and two axes across it             |      | 3 3   |
+    | half     | half the distance between the pads, then half the size of the contact area     |      |       |
     |          | along the two axes across                                                      | m    | 3     |
     | friction | coefficient                                                                    |      |       |
-    | torsion  | torque about the closing axis that a unit of pressing force carries            | m    |       |
-    | force    | what both fingers press with together; NaN where the model does not say        | N    |       |
+    | torsion  | torque about the closing axis per unit of normal force                         | m    |       |
+    | force    | total force of both fingers; NaN if the model does not define it               | N    |       |
     """
 
     mass: float
@@ -57,15 +58,16 @@ class Grip:
 
     @property
     def moments(self) -> Float[Array, "3 xyz"]:
-        """Rows that give the moment about each axis per unit of what the carried body feels [kg m]."""
+        """Rows that map the specific force of the carried body to the moment about each axis [kg m]."""
         return self.mass * np.cross(self.axes, self.p_GC)
 
     @property
     def pressed(self) -> tuple[bool, bool]:
-        """Whether the moments about the two axes across are carried by pressure that shifts, or else by friction.
+        """Whether the moment about each of the two axes across is carried by shifting pressure; otherwise by friction.
 
-        Pressure shifts to the rim of what the pads touch, friction pushes to opposite sides on both pads: what carries
-        more. A round handle between flat pads is turned about itself against friction alone.
+        Pressure shifts to the rim of the contact area; friction acts in opposite directions on the two pads. The
+        mechanism that carries more counts. A round handle between flat pads resists rotation about its own axis only by
+        friction.
         """
         h, first, second = self.half.tolist()
         return second > self.friction * h, first > self.friction * h
@@ -73,16 +75,16 @@ class Grip:
 
 @per_layout
 def find_grip(scene: Scene) -> Grip:
-    """Return how the gripper holds what is carried in a scene.
+    """Return the grasp of the carried object in a scene.
 
-    The pads are what MuJoCo finds in contact with the carried body among the geoms that move with the gripper's
-    joints; it combines coefficients of friction as it does in simulations.
+    The pads are the contacts that MuJoCo finds between the carried body and geoms moved by the gripper's joints.
+    Coefficients of friction are combined as in MuJoCo's simulation.
 
     Raises:
-        UnsupportedError: If nothing is carried, or not between two pads.
+        UnsupportedError: If nothing is carried, or the object is not held between two pads.
     """
     if scene.carried is None:
-        raise UnsupportedError("GraspHolds() asks that something is carried, and nothing is in this scene")
+        raise UnsupportedError("GraspHolds() needs a carried object; this scene has none")
     spec = scene.spec.copy()
     for geom in spec.geoms:
         geom.margin = _REACH
@@ -95,7 +97,7 @@ def find_grip(scene: Scene) -> Grip:
     pads = [_touched(model, data, finger, body) for finger in model.jnt_bodyid[joints].tolist()]
     touched = [pad for pad in pads if len(pad)]
     if len(touched) != 2:
-        raise UnsupportedError(f"{scene.carried.body!r} is held by {len(touched)} fingers; GraspHolds() knows two pads")
+        raise UnsupportedError(f"{scene.carried.body!r} is held by {len(touched)} fingers; GraspHolds() needs two")
     centres = [pad[:, :3].mean(axis=0) for pad in touched]
     closing = _unit(touched[0][:, 3:6].mean(axis=0) - touched[1][:, 3:6].mean(axis=0))
     away = data.site_xmat[site].reshape(3, 3)[:, 2]
@@ -119,14 +121,14 @@ def find_grip(scene: Scene) -> Grip:
 
 
 def _finger_joints(scene: Scene, model: mujoco.MjModel, tool: int) -> Int[Array, " joint"]:
-    """Return the joints that hang on the tool's body and are not planned."""
+    """Return the unplanned joints in the subtree of the tool's body."""
     hand = subtree(model, tool)
     planned = {int(model.joint(name).id) for name in scene.joints}
     return np.array([j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in hand and j not in planned], dtype=int)
 
 
 def _touched(model: mujoco.MjModel, data: mujoco.MjData, finger: int, body: int) -> Float[Array, "contact 8"]:
-    """Return contacts between a finger and what is carried: where, normal (both in W), friction, torsion [m]."""
+    """Return contacts between a finger and the carried object: position and normal in W, friction, torsion [m]."""
     mine, rows, dist = subtree(model, finger), [], []
     closing = data.xmat[finger].reshape(3, 3) @ model.jnt_axis[model.body_jntadr[finger]]
     for contact in data.contact[: data.ncon]:
@@ -137,7 +139,7 @@ def _touched(model: mujoco.MjModel, data: mujoco.MjData, finger: int, body: int)
         normal = np.array(contact.frame[:3])
         if abs(float(normal @ closing)) < _FACING:
             continue
-        # Normals point from the first geom to the second: from the finger to what it holds.
+        # Normals point from the first geom to the second; rows have them point from the finger to the object.
         rows.append([*contact.pos, *(normal * (-1.0 if hers[0] else 1.0)), contact.friction[0], _torsion(contact)])
         dist.append(float(contact.dist))
     flush = np.array(dist) < min(dist, default=0.0) + _FLUSH
@@ -149,7 +151,7 @@ def _torsion(contact: mujoco.MjContact) -> float:
 
 
 def _force(model: mujoco.MjModel, data: mujoco.MjData, joints: Int[Array, " joint"]) -> float:
-    """Return what drives press the fingers together with at most, all added up [N]; NaN if that cannot be told."""
+    """Return the largest total force of the fingers' drives [N]; NaN if it is unknown."""
     if not np.all(model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_SLIDE)):
         return float("nan")
     forces = []

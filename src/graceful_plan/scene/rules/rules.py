@@ -1,7 +1,7 @@
-"""What has to hold along a motion, as plain facts about the frames of a scene.
+"""Rules: constraints on a motion as plain data about the frames of a scene.
 
-Constraints say it in these words; planners turn them into tables for the core, the judge looks at them with its own
-kinematics alone. Frames: W world, T tool, O carried object, B box.
+Constraints produce rules; planners convert them to tables for the core; the judge checks them with its own
+kinematics. Frames: W world, T tool, O carried object, B box.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class DistanceRule:
 @final
 @dataclass(frozen=True, kw_only=True)
 class SpeedRule:
-    """The tool's origin is no faster than a limit [m/s]: everywhere, or where the robot is near an entity [m]."""
+    """The tool's origin moves at most at `limit` [m/s], everywhere or within a distance of an entity [m]."""
 
     name: str
     limit: float
@@ -71,7 +71,7 @@ class SpeedRule:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContentsRule:
-    """A part of the contents stays in the vessel: at rest, for what is felt in motion, and as they slosh."""
+    """A fraction `part` of the contents stays in the vessel at rest, in motion and while the contents slosh."""
 
     name: str
     vessel: Vessel
@@ -81,9 +81,9 @@ class ContentsRule:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GripRule:
-    """Two pads carry the load of what they hold: its weight and inertia, with their moment about the grasp.
+    """Two pads carry the load of the held object: weight and inertia, with their moments about the grasp.
 
-    `grip` says how; pads that are as good as `share` of it are enough.
+    The load must not exceed the fraction `share` of the capacity of `grip`.
     """
 
     name: str
@@ -94,11 +94,11 @@ class GripRule:
 @final
 @dataclass(frozen=True, kw_only=True)
 class StandsRule:
-    """What stands loose on the carried object neither slides nor tips.
+    """A loose load on the carried object neither slides nor tips.
 
-    Its centre of mass is at `point` in the object's frame [m]; `axis` points up from what it stands on. What is felt
-    there is off that axis by a slope of at most `friction`, and of at most `support`, the radius of what it stands on
-    over the height of its centre of mass.
+    Its centre of mass is at `point` in the object's frame [m]; `axis` is the upward normal of its support. The slope
+    of the specific force at that point relative to the axis is at most `friction` and at most `support`, the radius of
+    the load's base over the height of its centre of mass.
     """
 
     name: str
@@ -111,7 +111,7 @@ class StandsRule:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CustomRule:
-    """Whatever somebody asks of configurations: `residual` [n, nq] -> [n] is at most 0."""
+    """A user-defined constraint on configurations: `residual` [n, nq] -> [n] is at most 0."""
 
     name: str
     residual: Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
@@ -123,17 +123,17 @@ Rule = AxisRule | BoxRule | DistanceRule | SpeedRule | ContentsRule | GripRule |
 
 @runtime_checkable
 class Ruled(Protocol):
-    """What can say in plain facts what it asks for: every constraint can."""
+    """An object that provides a rule, such as every constraint."""
 
     def rule(self, scene: Scene) -> Rule:
-        """Return what has to hold in a scene; raise an error that says what is missing if that cannot be asked."""
+        """Return the rule for a scene; raise an error that names the missing part if it does not apply."""
         ...
 
 
 def default_rules(scene: Scene) -> tuple[Rule, ...]:
-    """Return what has to hold unless a call says otherwise.
+    """Return the rules that apply by default.
 
-    That is what the scene asks for, and that contents stay in the vessel that is carried.
+    These are the rules that the scene declares, and that contents stay in the carried vessel.
     """
     declared = tuple(asked.rule(scene) for asked in scene.notes.constraints if isinstance(asked, Ruled))
     vessel = find_vessel(scene)
@@ -143,7 +143,7 @@ def default_rules(scene: Scene) -> tuple[Rule, ...]:
 
 
 def checked_frame(scene: Scene, frame: str | None) -> str:
-    """Return the name of a frame: by default the carried object's, where nothing is carried the tool's.
+    """Return the name of a frame; by default "object" if something is carried, else "tool".
 
     Raises:
         SettingError: If there is no such frame.

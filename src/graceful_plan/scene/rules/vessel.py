@@ -1,4 +1,4 @@
-"""An open container as a cylinder: how much it keeps when it is tilted. Bundled containers are solid to MuJoCo."""
+"""An open container modelled as a cylinder: capacity by tilt. The geoms of bundled containers are solid to MuJoCo."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ REPOSE = np.deg2rad(33.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Vessel:
-    """A cylinder that is open at one end, in the frame of the carried body B.
+    """A cylinder open at one end, in the frame of the carried body B.
 
     | field   | meaning                                                                   | unit  |
     |---------|---------------------------------------------------------------------------|-------|
     | radius  | inner radius                                                              | m     |
     | height  | of the rim above the bottom                                               | m     |
-    | volume  | of what is in it, at most what it holds                                   | m^3   |
+    | volume  | of the contents, at most the capacity of the cylinder                     | m^3   |
     | axis    | from the bottom to the rim                                                |       |
-    | p_BR    | middle of the rim                                                         | m     |
-    | repose  | slope up to which the surface of the contents stands; 0 for liquids       | rad   |
+    | p_BR    | centre of the rim                                                         | m     |
+    | repose  | angle of repose of the contents; 0 for liquids                            | rad   |
     """
 
     radius: float
@@ -43,14 +43,14 @@ class Vessel:
 
     @property
     def p_BS(self) -> Float[Array, " xyz"]:
-        """Middle of the surface of the contents, upright [m]."""
+        """Centre of the contents' surface when the vessel is upright [m]."""
         return self.p_BR - (self.height - self.volume / (np.pi * self.radius**2)) * self.axis
 
     def capacity(self, tilt: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-        """Return what stays in at most [m^3] when the axis is off the felt vertical by `tilt` [rad].
+        """Return the volume that stays in the vessel at a tilt of its axis from the apparent vertical [rad, m^3].
 
-        The surface is a plane through the lowest point of the rim. As long as it does not reach the bottom, its middle
-        is as far below the rim as the tangent of the tilt times the radius; then what is left is a wedge.
+        The surface is a plane through the lowest point of the rim. As long as it does not reach the bottom, its centre
+        is below the rim by the radius times the tangent of the tilt; beyond that, the remaining contents form a wedge.
         """
         R, H = self.radius, self.height
         slope = np.tan(np.clip(tilt - self.repose, 1e-9, np.pi / 2 - 1e-9))
@@ -63,7 +63,7 @@ class Vessel:
 
     @cached_property
     def brim_tilt(self) -> float:
-        """Largest tilt at which all of the contents stay in, for a level surface [rad]."""
+        """Largest tilt at which all contents stay in, for a quasi-static surface [rad]."""
         low, high = 0.0, float(np.pi)
         for _ in range(60):
             middle = 0.5 * (low + high)
@@ -74,11 +74,10 @@ class Vessel:
 
 @per_layout
 def find_vessel(scene: Scene) -> Vessel | None:
-    """Return the container of what is carried, in the frame of the carried body; None if nothing is carried in one.
+    """Return the carried container, in the frame of the carried body; None if the carried object has no contents.
 
-    The geom of the contents gives the bottom and the radius, round about its z axis. The rim is the top of the highest
-    geom of the carried object that is round about the same axis: a bottle's neck, but not a teapot's handle. Lids are
-    taken to be off.
+    The geom of the contents gives bottom and radius, about its z axis. The rim is the top of the highest geom of the
+    carried object that is centred on the same axis: a bottle's neck, but not a teapot's handle. Lids count as open.
     """
     model = scene.model
     if scene.contents is None or scene.carried is None:
@@ -110,7 +109,7 @@ def find_vessel(scene: Scene) -> Vessel | None:
 def _top(
     model: mujoco.MjModel, geom: int, bottom: Float[Array, " xyz"], axis: Float[Array, " xyz"], radius: float
 ) -> float:
-    """Return how high above the bottom a geom ends; 0 if it is not round about the axis."""
+    """Return the height of a geom's top above the bottom; 0 if the geom is not centred on the axis."""
     R_BG = _rotation(model.geom_quat[geom])
     offset = model.geom_pos[geom] + R_BG @ model.geom_aabb[geom, :3] - bottom
     along = float(offset @ axis)

@@ -1,1 +1,1 @@
-"""Surroundings as sensors tell of them."""
+"""Surroundings from sensor data."""

@@ -1,4 +1,4 @@
-"""From cells of a grid that are full to few boxes that cover exactly these."""
+"""Merge occupied grid cells into a small set of boxes that covers exactly these cells."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from graceful_plan.scene.loading.naming import check_new
 Array = np.ndarray
 
 _ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-"""In which cells are joined to rows, rows to plates and plates to blocks; the one with the fewest boxes counts."""
+"""Axis orders in which cells are merged into rows, plates and blocks; the order with the fewest boxes is used."""
 MOST_BOXES = 20_000
-"""Of one body: MuJoCo takes seconds for more."""
+"""Largest number of boxes per body: MuJoCo takes seconds for more."""
 FARTHEST = 500.0
-"""From the origin of W: beyond is no place for a robot, and indices of cells stay small [m]."""
+"""Largest distance from the origin of W [m], far beyond any robot's reach; it keeps cell indices small."""
 _LEAST, _MOST = 1e-4, 100.0
 
 
 def check_width(name: str, value: object) -> None:
-    """Raise a SettingError if something is no width that cells may have [m]."""
+    """Raise SettingError if a value is not a valid cell width [m]."""
     if not (is_real(value) and _LEAST <= value <= _MOST):
         raise SettingError(name, value, f"a width above 0, {_LEAST:g} to {_MOST:g} m")
 
 
 def closed(full: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:
-    """Return the full cells of a grid, and those in gaps of up to two: grown by one cell to all sides, and shrunk."""
+    """Close gaps of up to two cells between occupied cells: dilate by one cell in all directions, then erode."""
     grown = full
     for grow in (True, False):
         for axis in range(3):
@@ -37,7 +37,7 @@ def closed(full: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:
 
 
 def _grown(full: Bool[Array, "x y z"], axis: int) -> Bool[Array, "x y z"]:
-    """Grow full cells by one along an axis; outside of the grid nothing is known."""
+    """Dilate occupied cells by one along an axis; cells outside the grid are ignored."""
     cells, found = np.moveaxis(full, axis, 0), full.copy()
     view = np.moveaxis(found, axis, 0)
     view[1:] |= cells[:-1]
@@ -46,10 +46,10 @@ def _grown(full: Bool[Array, "x y z"], axis: int) -> Bool[Array, "x y z"]:
 
 
 def joined(cells: Int[Array, "cell axis"]) -> tuple[Int[Array, "box axis"], Int[Array, "box axis"]]:
-    """Return the first cells of boxes, and the cells after their last ones; each cell is in one box, and no other is.
+    """Return the first cells of boxes and the cells after their last ones; the boxes partition the given cells.
 
     Args:
-        cells: Indices of the full ones, each once.
+        cells: Indices of the occupied cells, each once.
     """
     found = [_joined(cells, np.array(order)) for order in _ORDERS]
     return min(found, key=lambda boxes: len(boxes[0]))
@@ -76,14 +76,14 @@ def _joined(cells: Int[Array, "cell 3"], order: Int[Array, " 3"]) -> tuple[Int[A
 def add_boxes(
     spec: mujoco.MjSpec, name: str, lower: Float[Array, "box 3"], upper: Float[Array, "box 3"], finer: str
 ) -> None:
-    """Add a body at the origin of W that consists of boxes along the axes of W.
+    """Add a body at the origin of W that consists of boxes aligned with W.
 
     Args:
-        spec: What to change.
-        name: Of the body.
-        lower: Corners [m].
-        upper: Opposite corners [m].
-        finer: The setting that is to be increased if there are too many of them.
+        spec: The MjSpec to change.
+        name: Name of the body.
+        lower: Lower corners [m].
+        upper: Upper corners [m].
+        finer: Name of the setting to increase if there are too many boxes.
 
     Raises:
         SceneError: If the name is taken.

@@ -1,4 +1,4 @@
-"""Point clouds and depth images as obstacles: the cells of a grid that points are in."""
+"""Point clouds and depth images as obstacles: the grid cells that contain points."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from graceful_plan.scene.sensed.boxes import FARTHEST, add_boxes, check_width, c
 Array = np.ndarray
 
 _MOST_CELLS = 1e8
-"""In the box around all points, one byte each."""
+"""Largest number of cells in the bounding box of all points, one byte each."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointCloud:
-    """Points that a sensor saw, as an obstacle to put into a scene by `Scene.edit`.
+    """Points from a sensor, as an obstacle to add to a scene with `Scene.edit`.
 
-    All cells of a grid that a point is in are full, and gaps of up to two cells between these, without which noise
-    would make a thousand boxes of a table. Grown by `inflation` they are the obstacle, as boxes of one body. What was
-    not seen is free. Leave out the points on the robot itself and on what it carries.
+    Grid cells that contain a point are occupied, as are gaps of up to two cells between them; without this closing,
+    noise would turn a table into a thousand boxes. Grown by `inflation`, the cells are the obstacle, as boxes of one
+    body. Space that the sensor did not see counts as free. Leave out points on the robot and its carried object.
 
     | field      | meaning                                                                        | unit | shape   |
     |------------|--------------------------------------------------------------------------------|------|---------|
     | name       | of the new body                                                                |      |         |
-    | points     | in the frame of `pose`; those with NaN or infinity were not seen               | m    | point 3 |
+    | points     | in the frame of `pose`; those with NaN or infinity are ignored                 | m    | point 3 |
     | resolution | width of a cell                                                                | m    |         |
-    | inflation  | by which cells are grown to all sides                                          | m    |         |
+    | inflation  | growth of the cells in all directions                                          | m    |         |
     | pose       | of the frame of the points in W; W itself if None                              |      | 4 4     |
-    | entity     | its class if it can be harmed; an obstacle only if None                        |      |         |
+    | entity     | entity class if it can be harmed; None for an obstacle only                    |      |         |
 
     Raises:
-        ShapeError: If the points are no rows of three.
-        SettingError: If a width is out of its range, or a point farther than 500 m from W.
+        ShapeError: If the points are not an array of shape (n, 3).
+        SettingError: If a width is out of range, or a point is farther than 500 m from the origin of W.
     """
 
     name: str
@@ -82,23 +82,23 @@ class PointCloud:
         inflation: float = 0.0,
         entity: str | None = None,
     ) -> PointCloud:
-        """Return what a pinhole camera saw.
+        """Create a point cloud from the depth image of a pinhole camera.
 
         Args:
-            name: Of the new body.
+            name: Name of the new body.
             depth: Distance along the optical axis of each pixel [m], rows from the top; 0 and NaN where nothing was
-                seen.
-            intrinsics: Camera matrix, 3 x 3 [pixels], whose pixel centres are at whole numbers.
-            pose: Of the camera in W, 4 x 4: x to the right of the image, y down, z ahead.
-            near: Depths below are left out [m].
-            far: Depths above are left out [m].
-            resolution: As of a cloud.
-            inflation: As of a cloud.
-            entity: As of a cloud.
+                measured.
+            intrinsics: Camera matrix, 3 x 3 [pixels]; pixel centres are at integers.
+            pose: Pose of the camera in W, 4 x 4: x to the right in the image, y down, z forward.
+            near: Least depth to use [m].
+            far: Largest depth to use [m].
+            resolution: As in `PointCloud`.
+            inflation: As in `PointCloud`.
+            entity: As in `PointCloud`.
 
         Raises:
-            ShapeError: If depth or camera matrix are no such arrays.
-            SettingError: If a depth is out of its range, or the camera matrix cannot be inverted.
+            ShapeError: If depth or camera matrix has a wrong shape.
+            SettingError: If `near` or `far` is out of range, or the camera matrix is singular.
         """
         for word, value in (("near", near), ("far", far)):
             if not (is_real(value) and 0.0 <= value <= FARTHEST and near <= far):
@@ -117,7 +117,7 @@ class PointCloud:
 
     @property
     def boxes(self) -> tuple[Float[Array, "box 3"], Float[Array, "box 3"]]:
-        """Lower and upper corners in W [m] of what is taken to be full."""
+        """Lower and upper corners of the occupied boxes in W [m]."""
         points = np.asarray(self.points)
         if not len(points):
             return np.zeros((0, 3)), np.zeros((0, 3))

@@ -1,4 +1,4 @@
-"""Height maps as obstacles: columns up to what was seen from above."""
+"""Height maps as obstacles: columns up to the measured height."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeightMap:
-    """Heights over a grid, as an obstacle to put into a scene by `Scene.edit`: everything below them is full.
+    """Heights over a grid, as an obstacle to add to a scene with `Scene.edit`; all space below them is occupied.
 
     | field   | meaning                                                                | unit | shape   |
     |---------|------------------------------------------------------------------------|------|---------|
@@ -29,13 +29,13 @@ class HeightMap:
     | heights | in W, the first index along x, the second one along y; NaN or -infinity where empty | m    | x y     |
     | cell    | width of a cell                                                        | m    |         |
     | corner  | x and y in W of the corner of the first cell                           | m    | 2       |
-    | bottom  | height that columns begin at                                           | m    |         |
-    | step    | heights are rounded up to whole ones of these                          | m    |         |
-    | entity  | its class if it can be harmed; an obstacle only if None                |      |         |
+    | bottom  | height at which columns begin                                          | m    |         |
+    | step    | heights are rounded up to multiples of this                            | m    |         |
+    | entity  | entity class if it can be harmed; None for an obstacle only            |      |         |
 
     Raises:
-        ShapeError: If the heights are no grid.
-        SettingError: If a width is out of its range, or a place or a height farther than 500 m.
+        ShapeError: If the heights are not a two-dimensional array.
+        SettingError: If a width is out of range, or a place or height is farther than 500 m from the origin.
     """
 
     name: str
@@ -61,20 +61,20 @@ class HeightMap:
         farthest = np.abs(
             [self.bottom, *corner, *(corner + np.multiply(heights.shape, self.cell)), known.max(initial=0)]
         )
-        # A height without end would stand for nothing, and a robot would go where it was seen.
+        # An infinite height would be dropped below, and the robot would drive through the obstacle.
         if not farthest.max() <= FARTHEST:
             raise SettingError(self.name, float(farthest.max()), f"heights and places within {FARTHEST:g} m of W")
 
     @property
     def boxes(self) -> tuple[Float[Array, "box 3"], Float[Array, "box 3"]]:
-        """Lower and upper corners in W [m] of what is full."""
+        """Lower and upper corners of the occupied boxes in W [m]."""
         heights, corner = np.asarray(self.heights), np.asarray(self.corner)
         above = np.isfinite(heights) & (heights > self.bottom)
         x, y = np.nonzero(above)
         if not len(x):
             return np.zeros((0, 3)), np.zeros((0, 3))
         steps = np.ceil((heights[above] - self.bottom) / self.step - 1e-9).astype(np.int64)
-        # Columns of one height are cells of one layer, which no other layer is next to.
+        # Columns of equal height are cells of one layer; doubled layer indices keep layers from being adjacent.
         first, last = joined(np.stack([x, y, 2 * steps], axis=1))
         lower = np.column_stack([corner + first[:, :2] * self.cell, np.full(len(first), self.bottom)])
         top = self.bottom + first[:, 2] // 2 * self.step

@@ -1,1 +1,1 @@
-"""Robots from URDF, with what SRDF says of them."""
+"""Robots from URDF and SRDF."""

@@ -1,4 +1,4 @@
-"""A robot from URDF in a world."""
+"""Composition of a robot from URDF with a world."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from graceful_plan.scene.screening import load_spec
 from graceful_plan.scene.urdf.reading import UrdfJoint, UrdfRobot
 
 TOOL = "graceful_plan_tool"
-"""Name of the site in the frame of the tool's link."""
+"""Name of the site with the frame of the tool's link."""
 
 
 def composed(
     robot: UrdfRobot, tool: str, world: str | Path | mujoco.MjSpec | None, pose: ArrayLike | None
 ) -> mujoco.MjSpec:
-    """Put a robot into a world.
+    """Place a robot in a world.
 
     Args:
         robot: The robot.
         tool: Link whose frame is the tool's.
-        world: Where to; nothing but the robot if None.
-        pose: Of its root link in W, as a matrix; the identity if None.
+        world: The world; None for the robot alone.
+        pose: Pose of the robot's root link in W, as a matrix; the identity if None.
 
     Raises:
         SceneError: If names in the world clash with those of the robot.
@@ -50,21 +50,21 @@ def velocities(chain: Sequence[UrdfJoint]) -> list[float]:
     """Return the velocity limits of planned joints [rad/s or m/s].
 
     Raises:
-        SceneError: If one has none.
+        SceneError: If a joint has none.
     """
     without = [joint.name for joint in chain if not np.isfinite(joint.velocity)]
     if without:
-        raise SceneError(f"the URDF limits no velocity of {', '.join(without)}; give velocity=[{len(chain)} numbers]")
+        raise SceneError(f"no velocity limits in URDF: {', '.join(without)}; give velocity=[{len(chain)} numbers]")
     return [joint.velocity for joint in chain]
 
 
 def held_still(robot: UrdfRobot, chain: Sequence[UrdfJoint], position: float) -> dict[str, float]:
-    """Return positions of the joints of a gripper: those that hang on the last planned joint.
+    """Return positions of a gripper's joints: those in the subtree of the last planned joint.
 
     Args:
         robot: The robot.
         chain: Planned joints.
-        position: Of those that follow no other joint [rad or m].
+        position: Position of the joints that mimic no other joint [rad or m].
     """
     moving = [joint for joint in robot.joints if joint.kind != "fixed" and joint not in chain]
     behind = {chain[-1].child} if chain else set()

@@ -1,4 +1,4 @@
-"""Convex parts of a mesh: MuJoCo takes the hull of each, and that of a bent link fills its bend.
+"""Convex parts of a mesh: MuJoCo collides with convex hulls, and the hull of a bent link fills the bend.
 
 References:
     X. Wei et al., "Approximate Convex Decomposition for 3D Meshes with Collision-Aware Concavity and Tree Search",
@@ -26,40 +26,40 @@ Array = np.ndarray
 _LOG = logging.getLogger(__name__)
 
 _STICKS_OUT = 0.025
-"""How far the hull of a mesh may be from its surface [m] before it is divided: spheres stick out a centimetre, too,
-and a UR5 has 3.8 cm at its long links, 0.7 to 1.8 at others. Volumes do not say it, for many meshes are hollow."""
+"""Distance of a hull from the mesh surface above which the mesh is divided [m]. Collision spheres also protrude by
+1 cm. A UR5 has 3.8 cm at its long links, 0.7 to 1.8 at others. Volumes are no measure: many meshes are hollow."""
 _CONCAVITY = 0.05
-"""Of parts, at most, relative to the mesh: the library's default."""
+"""Largest concavity of a part relative to the mesh: the library's default."""
 _MOST_PARTS = 16
 _LARGE = 20_000
-"""Triangles from which on the library is to be swift, and takes four seconds instead of thirteen for a link of a Z1.
-With that, or with more parts, or for meshes that stick out less, fewer queries of UR3 and UR5 were solved."""
+"""Number of triangles from which the faster settings are used: for a link of a Z1, 4 s instead of 13 s.
+With them for all meshes, with more parts or a smaller threshold, fewer queries of UR3 and UR5 were solved."""
 _SWIFT = MappingProxyType({"preprocess_mode": "on", "preprocess_resolution": 30, "mcts_iterations": 60})
 _METHOD = 1
-"""Counts changes of what parts are like: those kept by an earlier version are not used."""
+"""Version of the method; cached parts of other versions are not used."""
 _SAMPLES = 20_000
-"""Points of the surface that have to be in one of the parts."""
+"""Surface points that must be inside a part."""
 _OUTSIDE = 1e-6
-"""How far they may be outside [m]."""
+"""Largest distance of these points outside all parts [m]."""
 _AT_A_TIME = 1_000_000
-"""Heights of points over faces that are computed at a time; 8 MB."""
+"""Number of point-to-face distances computed at a time; 8 MB."""
 _THICKNESS = 1e-4
-"""Of parts that have none [m]."""
+"""Thickness given to flat parts [m]."""
 HINT = "pip install 'graceful-plan[urdf]'"
 
 
 def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: bool) -> list[Float[Array, "_ 3"]]:
-    """Divide a mesh into parts of which the hulls fit well; return their vertices, or none if its own hull does.
+    """Divide a mesh into parts with tight hulls; return their vertices, or an empty list if its own hull is tight.
 
-    Every point of the surface that is looked at is in one of the hulls: those that are in none go to the nearest.
+    Every sampled point of the surface is inside a hull: points outside of all hulls are added to the nearest part.
 
     Args:
-        triangles: Of the mesh [m].
-        name: Of the mesh, for messages.
-        needed: Whether to raise where the library is not there, instead of a warning.
+        triangles: Triangles of the mesh [m].
+        name: Name of the mesh, for messages.
+        needed: Whether to raise, instead of logging a warning, if the library is missing.
 
     Raises:
-        UnsupportedError: If it is not there.
+        UnsupportedError: If `needed` and the library is missing.
     """
     surface, hull = _surface(triangles), _hull(triangles.reshape(-1, 3))
     if hull is None:
@@ -82,7 +82,7 @@ def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: 
         _LOG.warning(told)
         return []
     started = time.perf_counter()
-    _LOG.info("dividing %s into convex parts, which is kept for the next time", name)
+    _LOG.info("dividing %s into convex parts; the result will be cached", name)
     parts = _all_inside(_divided(coacd, triangles), surface)
     _LOG.info("%s has %d convex parts; found in %.1f s", name, len(parts), time.perf_counter() - started)
     kept.write(digest, np.vstack([np.column_stack([np.full(len(part), k), part]) for k, part in enumerate(parts)]))
@@ -99,7 +99,7 @@ def _divided(coacd: Any, triangles: Float[Array, "triangle 3 3"]) -> list[Float[
 
 
 def _all_inside(parts: Sequence[Float[Array, "_ 3"]], points: Float[Array, "n 3"]) -> list[Float[Array, "_ 3"]]:
-    """Add points of the surface that are outside of all parts to the nearest of them; keep vertices of hulls only."""
+    """Add surface points outside of all parts to the nearest part; keep only the vertices of hulls."""
     outside = np.stack([_outside(part, points) for part in parts])
     nearest, left = outside.argmin(axis=0), outside.min(axis=0) > _OUTSIDE
     grown = [np.vstack([part, points[left & (nearest == k)]]) for k, part in enumerate(parts)]
@@ -107,7 +107,7 @@ def _all_inside(parts: Sequence[Float[Array, "_ 3"]], points: Float[Array, "n 3"
 
 
 def _solid(part: Float[Array, "_ 3"]) -> Float[Array, "_ 3"]:
-    """Return a part, thickened if it is so flat that it has no hull: MuJoCo refuses such."""
+    """Return a part, thickened if it is so flat that it has no hull: MuJoCo rejects flat meshes."""
     thickness, grown = _THICKNESS, part
     while _hull(grown) is None:
         grown = np.vstack([part, *(part + thickness * axis for axis in np.eye(3))])
@@ -129,7 +129,7 @@ def _facets(hull: Any) -> Float[Array, "triangle 3 3"]:
 
 
 def _surface(triangles: Float[Array, "triangle 3 3"]) -> Float[Array, "n 3"]:
-    """Return the corners of a mesh, and points that are drawn evenly from its surface."""
+    """Return the corners of a mesh, and points sampled uniformly on its surface."""
     rng = np.random.default_rng(0)
     area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
     corners = np.unique(triangles.reshape(-1, 3), axis=0)
@@ -141,7 +141,7 @@ def _surface(triangles: Float[Array, "triangle 3 3"]) -> Float[Array, "n 3"]:
 
 
 def _outside(part: Float[Array, "_ 3"], points: Float[Array, "n 3"]) -> Float[Array, " n"]:
-    """Return how far points are outside of a hull, at least [m]; not above 0 inside."""
+    """Return a lower bound of the distance of points from a hull [m]; at most 0 inside."""
     hull = _hull(part)
     if hull is None:
         return np.linalg.norm(points[:, None] - part, axis=-1).min(axis=1)
@@ -151,7 +151,7 @@ def _outside(part: Float[Array, "_ 3"], points: Float[Array, "n 3"]) -> Float[Ar
 
 
 def _hull(points: Float[Array, "_ 3"]) -> Any:
-    """Return the hull of some points; None if they are in a plane."""
+    """Return the hull of points; None if they are coplanar."""
     spatial = importlib.import_module("scipy.spatial")
     try:
         return spatial.ConvexHull(points)

@@ -1,4 +1,4 @@
-"""The mesh files that a URDF names: where they are, and their content in a form that MuJoCo reads."""
+"""Mesh files named by a URDF: their location, and their content in a format that MuJoCo reads."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ Array = np.ndarray
 
 _MOST_BYTES = 100_000_000
 _READ = (".stl", ".obj")
-"""By MuJoCo itself; `.dae` is converted."""
+"""Formats that MuJoCo reads; `.dae` is converted."""
 
 
 def found_mesh(name: str, folder: Path | None, packages: Sequence[Path] | Mapping[str, Path]) -> Path:
-    """Return the file that a URDF means.
+    """Return the mesh file that a URDF refers to.
 
     Args:
         name: "package://PACKAGE/FILE", "file:///FILE", or a path relative to the URDF's folder.
-        folder: That folder, if there is one.
-        packages: Folders that are packages, or have them in them, or folders by the name of the package that they are.
-            The folders above the URDF are tried, too.
+        folder: Folder of the URDF, if it is a file.
+        packages: Folders that are or contain packages, or package folders by package name. The folders above the URDF
+            are searched as well.
 
     Raises:
-        SceneError: If it is nowhere there; says where it was looked for.
+        SceneError: If there is no such file; the message says what to give.
     """
     kind, _, rest = name.rpartition("://")
     rest = unquote(rest)
@@ -52,18 +52,18 @@ def found_mesh(name: str, folder: Path | None, packages: Sequence[Path] | Mappin
     for place in tried:
         if _is_file(place):
             return place
-    raise SceneError(f"the mesh {name[:200]!r} is not to be found; give {wanted}")
+    raise SceneError(f"the mesh {name[:200]!r} was not found; give {wanted}")
 
 
 def _is_file(place: Path) -> bool:
     try:
         return place.is_file()
-    except NOT_READ:  # such as a name that is too long
+    except NOT_READ:  # for example a name that is too long
         return False
 
 
 def _places(root: Path, package: str, inside: str) -> Iterable[Path]:
-    """Where a file of a package may be, but not outside of it."""
+    """Yield possible paths of a file of a package; paths outside the package are skipped."""
     for folder in (root / package, *([root] if root.name == package else [])):
         yield from _inside(folder, inside)
 
@@ -75,11 +75,11 @@ def _inside(folder: Path, inside: str) -> Iterable[Path]:
 
 
 def mesh_content(file: Path) -> tuple[bytes, str]:
-    """Return the content of a mesh file and its ending, converted if MuJoCo does not read it.
+    """Return the content of a mesh file and its suffix, converted if MuJoCo does not read the format.
 
     Raises:
         SceneError: If it cannot be read.
-        UnsupportedError: If it is of another kind, or the library that converts it is not there.
+        UnsupportedError: If the format is unknown, or the library for its conversion is missing.
     """
     ending = file.suffix.lower()
     if ending not in (*_READ, ".dae"):
@@ -98,10 +98,10 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
 
 
 def mesh_triangles(content: bytes, ending: str, name: str) -> Float[Array, "triangle 3 3"]:
-    """Return the triangles of what `mesh_content` returned [m, before any scale].
+    """Return the triangles of the content from `mesh_content` [m, before scaling].
 
     Raises:
-        SceneError: If it is broken.
+        SceneError: If the content is broken.
     """
     triangles = _binary_triangles(content) if ending == ".stl" else _obj_triangles(content)
     if triangles is None or not len(triangles) or not np.isfinite(triangles).all():
@@ -140,7 +140,7 @@ def obj_content(triangles: Float[Array, "triangle 3 3"]) -> bytes:
 
 
 def _is_text(content: bytes) -> bool:
-    """Whether an STL file is the kind in words; some binary ones begin with the same word."""
+    """Return whether an STL file is in text form; some binary files begin with the same word."""
     return content[:5].lower() == b"solid" and b"facet" in content[:1000] and len(content) != _binary_size(content)
 
 
@@ -176,6 +176,6 @@ def _converted(file: Path, content: bytes) -> bytes:
         raise UnsupportedError(f"{file}: {told}") from None
     try:
         mesh = trimesh.load(io.BytesIO(content), file_type="dae", force="mesh")
-    except Exception as error:  # whatever the library meets in a broken file
+    except Exception as error:  # the library may raise anything on a broken file
         raise SceneError(f"not a COLLADA file that can be read: {error}", file=str(file)) from None
     return _obj(np.asarray(mesh.triangles, dtype=float).reshape(-1, 3))

@@ -1,7 +1,7 @@
-"""From a URDF to a MjSpec that can be put into a world, and what MuJoCo leaves out of it.
+"""Conversion of a URDF to a MjSpec that can be placed in a world, with the data that MuJoCo omits.
 
-MuJoCo reads links, inertias, joints, their ranges and efforts. It has no place for velocity limits, and it looks for
-meshes by their bare names. Only collision geometry is taken.
+MuJoCo reads links, inertias, joints, their ranges and efforts. It ignores velocity limits, and it looks for meshes by
+bare file names. Only collision geometry is used.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content, mesh_trian
 
 _MOST_BYTES = 10_000_000
 _MOST_OF_MESHES = 2_000_000
-"""Vertices and faces of all meshes together."""
+"""Largest number of vertices and faces of all meshes together."""
 _MOVING = ("revolute", "continuous", "prismatic")
 _LEAST_INERTIA = 1e-7
-"""Of links, about any axis [kg m^2]: MuJoCo asks for some, and frames for sensors often have none, or less."""
+"""Least principal moment of a link [kg m^2]: MuJoCo needs one, and links that are only sensor frames often lack it."""
 _SETTINGS = {
     "fusestatic": "false",
     "strippath": "false",
@@ -36,7 +36,7 @@ _SETTINGS = {
     "boundmass": "1e-4",
     "boundinertia": str(_LEAST_INERTIA),
 }
-"""Of MuJoCo's compiler."""
+"""Attributes of MuJoCo's compiler element."""
 _PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[\w.-]+(?=[\s=/>])")
 _MOST_PREFIXES = 20
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -45,7 +45,7 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 @final
 @dataclass(frozen=True, kw_only=True)
 class UrdfJoint:
-    """A joint as the URDF has it.
+    """A joint of a URDF.
 
     | field    | meaning                                              | unit           |
     |----------|------------------------------------------------------|----------------|
@@ -53,8 +53,8 @@ class UrdfJoint:
     | kind     | "revolute", "continuous", "prismatic", "fixed", ...  |                |
     | parent   | link                                                 |                |
     | child    | link                                                 |                |
-    | velocity | limit, infinite if there is none                     | rad/s or m/s   |
-    | mimic    | joint that it follows, factor and offset; None       |                |
+    | velocity | limit, infinite if not given                         | rad/s or m/s   |
+    | mimic    | joint to follow, factor and offset; or None          |                |
     """
 
     name: str
@@ -68,18 +68,18 @@ class UrdfJoint:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UrdfRobot:
-    """A robot as the URDF has it: its name, its joints, and a MjSpec with bodies named like its links."""
+    """A robot from URDF: its name, its joints, and a MjSpec whose bodies have the names of its links."""
 
     name: str
     joints: tuple[UrdfJoint, ...]
     spec: mujoco.MjSpec
 
     def chain(self, link: str) -> list[UrdfJoint]:
-        """Return the joints from the root to a link that move it, the root's first.
+        """Return the joints that move a link, from the root on.
 
         Raises:
             UnknownNameError: If there is no such link.
-            UnsupportedError: If one of them follows another joint, or is of a kind that is not planned.
+            UnsupportedError: If such a joint mimics another, or is of a type that is not planned.
         """
         above = {joint.child: joint for joint in self.joints}
         links = {joint.parent for joint in self.joints} | above.keys()
@@ -97,19 +97,19 @@ class UrdfRobot:
 
 
 Packages = Sequence[str | Path] | Mapping[str, str | Path]
-"""Folders that are packages or have them in them, or folders by the names of the packages that they are."""
+"""Folders that are or contain packages, or package folders by package name."""
 
 
 def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | None = False) -> UrdfRobot:
-    """Read a URDF.
+    """Read a robot from URDF.
 
     Args:
         source: A file, or its text if it starts with "<".
-        packages: Folders that `package://` means: packages, or folders that have them in them; or folders by name.
-        decompose: Whether meshes that their hulls do not fit are divided into parts; where the library is, if None.
+        packages: Folders to resolve `package://`: packages, folders that contain packages, or folders by package name.
+        decompose: Whether to divide meshes far from convex into parts; with None, only if the library is installed.
 
     Raises:
-        SceneError: If it is broken, hostile, or has nothing that can collide.
+        SceneError: If the URDF is broken, hostile, or has no collision geometry.
         UnsupportedError: If it has meshes that cannot be read.
     """
     root, folder = parsed_robot(source)
@@ -147,7 +147,7 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
 
 
 def parsed_robot(source: str | Path) -> tuple[ET.Element, Path | None]:
-    """Read the XML of a robot from a file or from text; return its root, and the folder of the file.
+    """Parse the XML of a robot from a file or from text; return its root, and the folder of the file.
 
     Raises:
         SceneError: If it is broken or hostile.
@@ -179,7 +179,7 @@ def _parsed(text: str, source: str | Path) -> ET.Element:
     except ET.ParseError as error:
         raise SceneError(f"not XML: {error}", file=file, line=error.position[0]) from None
     except UnicodeEncodeError as error:
-        raise SceneError(f"no text that UTF-8 has: {error.reason}", file=file) from None
+        raise SceneError(f"not valid UTF-8: {error.reason}", file=file) from None
     if root.tag != "robot":
         raise SceneError(f"a URDF has the root <robot>, not <{root.tag}>", file=file)
     if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
@@ -191,7 +191,7 @@ def _parsed(text: str, source: str | Path) -> ET.Element:
 
 
 def _with_prefixes(text: str) -> str:
-    """Declare prefixes of other programs' attributes, such as `drake:`: published files often do not."""
+    """Declare undeclared attribute prefixes of other programs, such as `drake:`; published files often lack them."""
     used = set(_PREFIX.findall(text)) - {"xml", "xmlns"}
     missing = [prefix for prefix in sorted(used)[:_MOST_PREFIXES] if f"xmlns:{prefix}" not in text]
     declared = "".join(f' xmlns:{prefix}="{prefix}"' for prefix in missing)
@@ -199,7 +199,7 @@ def _with_prefixes(text: str) -> str:
 
 
 def _in_parts(content: bytes, ending: str, name: str, decompose: bool | None) -> list[tuple[bytes, str]]:
-    """Return the contents and endings of mesh files that stand for one."""
+    """Return contents and suffixes of the mesh files that replace a mesh: its convex parts, or the mesh itself."""
     if decompose is False:
         return [(content, ending)]
     parts = convex_parts(mesh_triangles(content, ending, name), Path(name).name, needed=bool(decompose))
@@ -207,7 +207,7 @@ def _in_parts(content: bytes, ending: str, name: str, decompose: bool | None) ->
 
 
 def _name_parts(link: ET.Element, collision: ET.Element, parts: Mapping[str, Sequence[str]]) -> None:
-    """Put the meshes that stand for one in its place, each in a collision element of its own."""
+    """Replace a mesh by its parts, each in a separate collision element."""
     mesh = collision.find("geometry/mesh")
     if mesh is None:
         return
@@ -224,7 +224,7 @@ def _name_parts(link: ET.Element, collision: ET.Element, parts: Mapping[str, Seq
 
 
 def _make_possible(inertia: ET.Element) -> None:
-    """Raise principal moments that no body can have, such as zeros."""
+    """Raise principal moments below the least possible ones, such as zeros."""
     xx, yy, zz, xy, xz, yz = (_number(inertia, name, 0.0, "inertia") for name in _MOMENTS)
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if not np.isfinite(matrix).all():
@@ -237,7 +237,7 @@ def _make_possible(inertia: ET.Element) -> None:
 
 
 def _put_on_a_base(root: ET.Element) -> None:
-    """Put the root link on another one: MuJoCo takes the root for the world, and it is to be a body of the robot."""
+    """Add a parent link to the root link, because MuJoCo merges a root link into the world body."""
     children = {child.get("link") for child in root.iterfind("joint/child")}
     roots = [str(link.get("name")) for link in root.iterfind("link") if link.get("name") not in children]
     if len(roots) != 1:
@@ -252,7 +252,7 @@ def _put_on_a_base(root: ET.Element) -> None:
 
 
 BASE = "graceful_plan_base"
-"""Name of a link below the root link."""
+"""Name of the added parent of the root link."""
 
 
 def _joint(element: ET.Element) -> UrdfJoint:

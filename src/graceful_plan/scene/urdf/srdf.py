@@ -1,4 +1,4 @@
-"""What SRDF says of a robot: pairs of links that may touch, and configurations by name."""
+"""SRDF: link pairs that may touch, and named configurations of a robot."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from graceful_plan.scene.urdf.reading import UrdfRobot, parsed_robot
 @final
 @dataclass(frozen=True, kw_only=True)
 class Srdf:
-    """What it says.
+    """The data read from an SRDF.
 
     | field  | meaning                                                                  |
     |--------|--------------------------------------------------------------------------|
-    | pairs  | links whose collisions are switched off                                  |
-    | states | joint positions by name of the state, then of the joint; later ones win  |
+    | pairs  | link pairs with disabled collisions                                      |
+    | states | joint positions by state, then joint; later ones win                     |
     """
 
     pairs: tuple[tuple[str, str], ...]
     states: dict[str, dict[str, float]]
 
     def contacts(self, robot: UrdfRobot) -> tuple[AllowedContact, ...]:
-        """Return the pairs whose links the robot has."""
+        """Return the pairs whose links exist in the robot, as allowed contacts."""
         links = {link for joint in robot.joints for link in (joint.parent, joint.child)}
         known = [pair for pair in self.pairs if links.issuperset(pair)]
         return tuple(AllowedContact(f"{robot.name}/{a}", f"{robot.name}/{b}", reason="SRDF") for a, b in known)
 
     def keyframes(self, joints: Sequence[str]) -> dict[str, list[float]]:
-        """Return the states that say where all of some joints are."""
+        """Return the states that define all of the given joints."""
         whole = {name: state for name, state in self.states.items() if all(joint in state for joint in joints)}
         return {name: [state[joint] for joint in joints] for name, state in whole.items()}
 
 
 def read_srdf(source: str | Path) -> Srdf:
-    """Read a SRDF, a file or its text.
+    """Read an SRDF, from a file or text.
 
     Raises:
         SceneError: If it is broken or hostile.
@@ -56,7 +56,7 @@ def read_srdf(source: str | Path) -> Srdf:
 
 def _positions(state: ET.Element) -> dict[str, float]:
     try:
-        # Joints of several degrees of freedom, such as floating bases, have several numbers and are left out.
+        # Joints with several degrees of freedom, such as floating bases, have several values and are skipped.
         values = {joint.get("name", ""): joint.get("value", "").split() for joint in state.iterfind("joint")}
         found = {name: float(value[0]) for name, value in values.items() if len(value) == 1}
     except ValueError as error:
