@@ -33,7 +33,7 @@ class BaseFailure:
     """One failure of a base.
 
     Args:
-        wheels: Behaviour of the wheels, one of `WHEELS` in the coast settings: "released" wheels turn freely, "locked"
+        wheels: Behaviour of the wheels, from `WHEELS` in the coast settings: "released" wheels turn freely, "locked"
             wheels are held, "driven" wheels go on as commanded for a while and then stop by their controllers.
             "side_locked" and "side_dead": the wheels of one side are held or turn freely while the other side goes on
             and then stops.

@@ -97,7 +97,7 @@ class CourseFollower:
     dt: float
     period: float = PERIOD
     commands: int = 0
-    """Number of commands so far."""
+    """Number of commands."""
     stops: int = 0
     """Number of emergency stops among the commands."""
     _last: DriveCommand | None = None

@@ -1,4 +1,4 @@
-r"""The coast model: impact of a base that fails while driving, continues along its arc and hits what is there.
+r"""The coast model: impact of a base that fails while driving, continues along its arc and hits entities.
 
 A base with speed v and turning rate :math:`\omega` continues along the arc of curvature :math:`\omega / v`. A
 skid-steer whose wheels are released straightens: it turns by at most :math:`c \omega^2`, then goes straight on.

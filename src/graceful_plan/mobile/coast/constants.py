@@ -39,7 +39,7 @@ class Way:
         deceleration: Deceleration at low speed [m/s^2]; for locked wheels, the friction of the tyres times gravity.
         drag: Additional deceleration per speed [1/s].
         delay: Time for which driven wheels go on at full speed before they stop [s].
-        wheels: Behaviour of the wheels, one of `WHEELS`.
+        wheels: Behaviour of the wheels, from `WHEELS`.
         bend: Curvatures added to that of the motion [1/m].
         steered: For one-sided failures: whether a controller unaware of the failure steers the working side along the
             path until the delay is over. Otherwise that side keeps its speed.
@@ -292,7 +292,7 @@ class CoastSettings(YamlTable):
         return weight / self._total * (1.0 - self.harmless)
 
     def _each(self) -> list[tuple[Way, float]]:
-        """Return the modes with non-zero weight, each with the probability of one of its combinations."""
+        """Return the modes with non-zero weight, each with the probability of one combination."""
         return [
             (way, self._probability(way.weight) / (len(way.deceleration) * len(way.delay) * len(way.bend)))
             for way in self.ways.values()

@@ -219,7 +219,7 @@ def resampled(places: Float[Array, "*batch time 5"], reach: float, count: int) -
     moved = np.concatenate([np.zeros((len(flat), 1)), np.cumsum(step, axis=1)], axis=1)
     out = np.empty((len(flat), count, 5))
     for row, (place, s) in enumerate(zip(flat, moved, strict=True)):
-        # # After one full turn the base sweeps the same area again.
+        # After one full turn the base sweeps the same area again.
         most = s[np.searchsorted(np.abs(place[:, 2]), 2.0 * np.pi)] if np.abs(place[-1, 2]) > 2.0 * np.pi else s[-1]
         at = np.linspace(0.0, most, count)
         out[row] = np.stack([np.interp(at, s + 1e-12 * np.arange(len(s)), place[:, k]) for k in range(5)], axis=-1)

@@ -162,8 +162,8 @@ def checked_state(state: DriveState) -> DriveState:
 
     Raises:
         ShapeError: If it is not five numbers.
-        NonFiniteError: If one of them is not finite: stop a base whose state is unknown.
-        SettingError: If one of them is too large.
+        NonFiniteError: If a number is not finite: stop a base whose state is unknown.
+        SettingError: If a number is too large.
     """
     row = finite_array("state", list(state), ndim=1, last=5)
     if np.abs(row[:3]).max() > FARTHEST or np.abs(row[3:]).max() > FASTEST:

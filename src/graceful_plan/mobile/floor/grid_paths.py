@@ -1,6 +1,6 @@
 """Paths of a point over the cells of a floor map, by Dijkstra, A* and Theta*, with a cost per metre in each cell.
 
-A step leads to one of the eight neighbours. Its cost is its length times one plus the mean charge of the two cells. A
+A step leads to any of the eight neighbours. Its cost is its length times one plus the mean charge of the two cells. A
 diagonal step needs both adjacent cells to be free, so no corner is cut. Dijkstra and A* are exact. Theta* [Daniel2010]
 connects cells in line of sight, at the cost of the cells between. Its cost is never above that over eight neighbours,
 but it is not always the least.

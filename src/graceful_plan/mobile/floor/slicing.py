@@ -64,14 +64,14 @@ def sliced(
             continue
         for row, column in np.argwhere(~part):
             data.geom_xpos[probe] = [*middle[row, column], 0.5 * (low + high)]
-            # # A cell that a geom only touches is occupied.
+            # A cell that a geom only touches is occupied.
             part[row, column] = mujoco.mj_geomDistance(model, data, probe, geom, 1.0, None) <= 0.0
     return occupied, (float(corner[0]), float(corner[1]))
 
 
 def _with_probe(scene: Scene, resolution: float, height: float) -> tuple[mujoco.MjModel, mujoco.MjData, int]:
     spec = scene.spec.copy()
-    # # Slightly smaller, so that a geom that ends at the border of a cell does not occupy the next one.
+    # Slightly smaller, so that a geom that ends at the border of a cell does not occupy the next one.
     half = [0.5 * resolution - 1e-6, 0.5 * resolution - 1e-6, 0.5 * height]
     body = spec.worldbody.add_body(name=_PROBE)
     body.add_geom(name=_PROBE, type=mujoco.mjtGeom.mjGEOM_BOX, size=half)
@@ -80,7 +80,7 @@ def _with_probe(scene: Scene, resolution: float, height: float) -> tuple[mujoco.
     data.qpos[:] = scene.home_qpos
     mujoco.mj_kinematics(model, data)
     names = [model.geom(k).name for k in range(model.ngeom)]
-    # # Body ids follow the order of the tree, so the probe, added last to the world, has the last geom.
+    # Body ids follow the order of the tree, so the probe, added last to the world, has the last geom.
     probe = names.index(_PROBE)
     assert probe == model.ngeom - 1
     return model, data, probe
@@ -96,7 +96,7 @@ def _upright(
     away = middle - data.geom_xpos[geom, :2]
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return np.linalg.norm(np.maximum(np.abs(away) - half, 0.0), axis=-1) <= model.geom_size[geom, 0]
-    # # Two rectangles are disjoint if a side of one of them separates them.
+    # Two rectangles are disjoint if a side of either separates them.
     turn, size = R[:2, :2], model.geom_size[geom, :2]
     mine = np.abs(away @ turn) <= size + half * np.abs(turn).sum(axis=0)
     cell = np.abs(away) <= np.abs(turn) @ size + half

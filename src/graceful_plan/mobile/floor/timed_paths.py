@@ -27,7 +27,7 @@ from graceful_plan.exceptions import SettingError, ShapeError
 Array = np.ndarray
 
 HEADINGS = 8
-"""Number of headings. The first is along x, and each leads to one of the eight neighbouring cells."""
+"""Number of headings. The first is along x, and each leads to a different neighbouring cell."""
 STEPS = tuple((round(np.cos(a)), round(np.sin(a))) for a in 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS)
 """Columns and rows of a move along each heading."""
 STANDS, LEAVES = 1, 2

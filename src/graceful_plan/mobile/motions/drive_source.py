@@ -1,7 +1,7 @@
-"""Motions of a base: curves descend from ways over the floor and from paths of a lattice, and are timed.
+"""Motions of a base: curves descend from short floor paths and from lattice paths, and are timed.
 
-Ways over the floor ignore headings. They are found in milliseconds, and most of them are good initial guesses. Where no
-curve near a way is free of collision, the lattice finds a path with turns in place and changes of gear.
+Floor paths ignore headings. They are found in milliseconds, and most of them are good initial guesses. Where no curve
+near a floor path is collision-free, the lattice finds a path with turns in place and changes of gear.
 """
 
 from __future__ import annotations
@@ -38,33 +38,33 @@ from graceful_plan.query.request import Request
 from graceful_plan.result import TracePoint
 
 _SPACING = 0.6
-"""Greatest length of a leg for each control point [m]."""
+"""Largest length of a leg per control point [m]."""
 _SEARCH_SHARE, _PREPARING_SHARE = 0.3, 0.4
-"""Of a round, for starts: of this, for searching paths."""
+"""Share of a round for preparing starts, and share of that for searching paths."""
 _COMPOSED_SHARE = 0.3
-"""Of the rest of a round, for one route of several legs."""
+"""Share of the rest of a round for one route of several legs."""
 _WORTH_TIMING = 1.1
-"""Ratio of a curve's J to that of the best up to which it is timed."""
+"""Largest ratio of a curve's J to the best J at which the curve is timed."""
 _TRIED, _COMPARED = 8, 3
-"""Routes that are tried for a first motion at most, and of how many that are free it is the best."""
+"""Largest number of routes tried for a first motion, and number of free ones among which the best is taken."""
 _STARTS = 3
-"""New curves that descend in a round."""
+"""Number of new curves that descend in a round."""
 _BASE = 3
 """Joints of the base, before those of the arm."""
 _ANOTHER_DRAW = 0.3
-"""Time of a round from which on postures are drawn once more along the same curve [s]."""
+"""Duration of a round above which postures are drawn again along the same curve [s]."""
 
 
 @final
 class DriveSource:
-    """Makes motions of a base for a request, each timed and with its cost, none of them verified.
+    """Generates timed motions of a base with their costs for a request; none of them is verified.
 
     Args:
-        request: What to plan.
-        ends: Both ends.
-        problem: Where to search.
-        rng: Chance.
-        charge: Whether motions have their impact in their cost.
+        request: Planning request.
+        ends: Start and goals.
+        problem: Planning problem for the search.
+        rng: Random generator.
+        charge: Whether costs of motions include the impact.
     """
 
     def __init__(
@@ -102,17 +102,17 @@ class DriveSource:
 
     @property
     def path_cost(self) -> float:
-        """Least cost of a path of a search, as the search estimates it."""
+        """Least cost of a searched path, as the search estimates it."""
         return self._path_cost if self._plain is None else self._plain.path_cost
 
     @property
     def restarts(self) -> bool:
-        """Whether there are rounds, each longer than the one before."""
+        """Whether the source works in rounds of increasing duration."""
         return True
 
     @property
     def effort(self) -> int:
-        """Number of descents that have ended."""
+        """Number of completed descents."""
         own = 0 if self._descents is None else self._descents.effort.descents
         return own + (0 if self._plain is None else self._plain.effort)
 
@@ -163,7 +163,7 @@ class DriveSource:
             yield along(*self._ends.joined(path), self._request)
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
-        """Yield motions of one round, those that are ranked before the best one known."""
+        """Yield those motions of one round that improve on the best ranking."""
         for motion in self._made(budget):
             if motion.ranking < best:
                 best = motion.ranking
@@ -188,7 +188,7 @@ class DriveSource:
         yield from self._timed(self._worth_timing(results), budget)
 
     def _prepared(self, budget: Budget) -> Iterator[Motion]:
-        """Add starts; yield the motions that come of them as they are."""
+        """Add starts for descents; yield motions along starts that are good enough without a descent."""
         if self._plain is not None:
             for plain in self._plain.round(budget, np.inf):
                 yield charged(plain, self._request)
@@ -208,7 +208,7 @@ class DriveSource:
                 else:
                     self._composed.append((route, arrival))
                     self._new_composed.append((route, arrival))
-        if self._descents is None or self._starts is None:  # nothing descends along these costs
+        if self._descents is None or self._starts is None:  # no descents for this request
             for path in [] if self._plain is not None else self._routes.searched.paths[-1:]:
                 yield along(*self._ends.joined(path), self._request)
             return
@@ -220,13 +220,13 @@ class DriveSource:
                 yield from self._timed((one for one in self._starts.add(curve) if one.value < self._ranking), budget)
 
     def take(self) -> tuple[list[Start], list[tuple[Route, int]]]:
-        """Take curves, and routes of several legs, that are new since they were taken last: to begin with elsewhere."""
+        """Take the curves and multi-leg routes found since the last call, for use as starts in another source."""
         taken = self._curves, self._new_composed
         self._curves, self._new_composed = [], []
         return taken
 
     def _worth_timing(self, results: Iterator[DescentResult]) -> Iterator[DescentResult]:
-        """Keep results of descents; yield those that are nearly as good as the best."""
+        """Store results of descents; yield those that are nearly as good as the best."""
         for result in results:
             self._results.append(result)
             self._curves.append(replace(result.start, curve=result.curve))
@@ -234,7 +234,7 @@ class DriveSource:
                 yield result
 
     def _timed(self, results: Iterable[DescentResult], budget: Budget) -> Iterator[Motion]:
-        """Yield motions along curves of one leg; none is begun late."""
+        """Yield motions along curves of one leg; timing stops when the budget is over."""
         for result in results:
             if budget.over:
                 return
@@ -247,11 +247,11 @@ class DriveSource:
 
     @property
     def _ranking(self) -> float:
-        """That of the best motion along a curve of one leg."""
+        """Ranking of the best motion along a curve of one leg."""
         return np.inf if self._best_motion is None else self._best_motion.ranking
 
     def _pose(self, budget: Budget) -> Iterator[DescentResult]:
-        """Let the arm begin in other postures along the best curve, if there is a new one, or time for another draw."""
+        """Start variants of the best curve with other arm postures, if the curve is new or time allows another draw."""
         objective, motion = self._request.objective, self._best_motion
         if self._starts is None or motion is None or self._best is None:
             return
@@ -281,9 +281,9 @@ class DriveSource:
         return self._driven(self._joined(chosen, arrival), arrival)
 
     def _coarse(self, route: Route, arrival: int, budget: Budget) -> tuple[float, Drive, Start | None] | None:
-        """Return what legs cost that became short and smooth, the drive, and its start if it has one leg.
+        """Return the total cost of coarsely descended legs, the drive, and its start if it has one leg.
 
-        None if one of them is not free.
+        None if a leg is not collision-free.
         """
         if self._descents is None:
             return None
@@ -304,7 +304,7 @@ class DriveSource:
         return timed_drive(drive, arrival, self._request, charge=self._charge)
 
     def _joined(self, parts: Sequence[RollingSpline | ArmMove], arrival: int) -> Drive:
-        """Return parts as a drive from the start to a goal, with the way of the arm there."""
+        """Return a drive from the start along the parts to a goal, including the arm's motion there."""
         q = self._ends.arrivals[arrival].q
         return joined(self._ends.departure.q[-1], [*parts, *(np.stack(edge) for edge in pairwise(q))], q[-1])
 

@@ -12,7 +12,7 @@ _TIGHT = "{}: free, but with less than 2 mm of clearance of the planner's sphere
 
 
 def rolling_endpoints(ends: Endpoints) -> Endpoints | PlanResult:
-    """Return the ends that a base can leave and reach rolling; a result that says so if there are none."""
+    """Return the ends that a base can leave and reach by rolling, or a failed result if there are none."""
     if len(ends.departure) > 1:
         return PlanResult(status=PlanStatus.INVALID_START, detail=_TIGHT.format("start"))
     clear = [k for k, arrival in enumerate(ends.arrivals) if len(arrival) == 1]

@@ -43,7 +43,7 @@ def read_picture(file: Path, most_pixels: int) -> GreyPicture:
         FormatError: If the file is missing, broken, truncated or too large.
     """
     try:
-        # # A pixel takes at most five digits and a space in a plain PGM, and two bytes in a binary one; a PNG is
+        # A pixel takes at most five digits and a space in a plain PGM, and two bytes in a binary one; a PNG is
         # compressed.
         content = read_content(file, 6 * most_pixels + _MOST_HEAD)
     except NOT_READ as error:
