@@ -2,7 +2,6 @@
 // order, because none of them can lower the cost of another (E. Dinic's observation on R. Dial, "Shortest-path forest
 // with topological ordering", CACM 12, 1969). Costs far ahead are kept in one unsorted list until their bucket is in
 // range.
-// Costs must be at least that of the current bucket; costs that rounding puts below it go into the current bucket.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +16,7 @@ class BucketQueue {
  public:
   explicit BucketQueue(double width) : scale_(1.0 / width), width_(width) {}
 
-  // Costs are at least that of the bucket that was taken last; what rounds below goes into that one.
+  // Costs must be at least that of the current bucket; costs that rounding puts below it go into the current bucket.
   void push(double cost, uint32_t item) {
     const double place = cost * scale_;
     const double ahead = place - first_;
