@@ -106,7 +106,7 @@ def drive(
     bare = scene if scene.carried is None else scene.detach()
     chosen = fitted_tracking(bare) if controller is None else controller
     if faults and start is not None:
-        raise SettingError("start", start, "None where something fails: the motion begins where it begins")
+        raise SettingError("start", start, "None with faults: the drive starts where the motion starts")
     q0, course = _course(motion, scene, chosen, start, seconds)
     wheels = wheeled(bare)
     loop = _Loop(wheels, CourseFollower(chosen, course, bare, TIMESTEP))
@@ -116,7 +116,7 @@ def drive(
         return driven
     if not driven.arrived:
         raise ExecutionRefused(
-            "the base", driven.duration, "it has not arrived; without faults `drive` says where it is"
+            "the base", driven.duration, "it has not arrived; call `drive` without faults to see where it stops"
         )
     followed = motion if isinstance(motion, Trajectory | PlanResult) else _along(course.path, q0, scene)
     report = validate(followed, scene, faults, controller=chosen, n=n, horizon=horizon, seed=seed)

@@ -124,7 +124,7 @@ def on_endless_floor(scene: Scene) -> Wheeled:
 def _stood(scene: Scene, *, endless: bool = False) -> Wheeled:
     base = scene.base
     if base is None or not base.wheels or len(base.wheels) % 2:
-        raise UnsupportedError("wheels that turn need a DiffDrive with `wheels`: left ones, then as many right ones")
+        raise UnsupportedError("rotating wheels need a DiffDrive with `wheels`: left ones, then as many right ones")
     if scene.carried is not None:
         raise UnsupportedError("a carried object cannot be simulated on wheels: use the scene without it")
     spec = scene.spec.copy()
@@ -132,7 +132,7 @@ def _stood(scene: Scene, *, endless: bool = False) -> Wheeled:
     loose = [name for name in scene.joints[_PLANAR:] if name not in servos]
     if loose:
         raise UnsupportedError(
-            f"no servo holds these joints, which would need an actuator of their name: {', '.join(loose)}"
+            f"these joints have no servo; each needs an actuator of the joint's name: {', '.join(loose)}"
         )
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

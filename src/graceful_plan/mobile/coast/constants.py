@@ -190,7 +190,7 @@ class CoastSettings(YamlTable):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise SettingError(name, getattr(self, name), "a finite number of at least 0")
         if not self._total > 0.0:
-            raise SettingError("ways", dict(self.ways), "one with a weight above 0 at least")
+            raise SettingError("ways", dict(self.ways), "at least one with a weight above 0")
         object.__setattr__(self, "ways", MappingProxyType(dict(self.ways)))
 
     def __hash__(self) -> int:

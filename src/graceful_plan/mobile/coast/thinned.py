@@ -14,7 +14,7 @@ from graceful_plan.mobile.coast.constants import ONE_SIDE, CoastSettings
 
 
 def thinned(settings: CoastSettings) -> CoastSettings:
-    """Reduce settings: no added curvatures, at most two decelerations and delays per mode, one one-sided mode."""
+    """Reduce settings to the mean curvature, at most two decelerations and delays per mode, and one one-sided mode."""
     happens = {name: way for name, way in settings.ways.items() if way.weight > 0.0}
     ways = {
         name: replace(

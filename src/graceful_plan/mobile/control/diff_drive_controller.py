@@ -94,7 +94,7 @@ class Pivot:
             if value is None and field.name.startswith("back_"):
                 continue
             if not (is_real(value) and math.isfinite(value)) or (above and value <= 0.0):
-                raise SettingError(f"Pivot.{field.name}", value, "a finite number, of the acceleration above 0")
+                raise SettingError(f"Pivot.{field.name}", value, "a finite number; accelerations above 0")
 
     def ahead(self, v: float, omega: float) -> float:
         """Return the distance of the point ahead of the origin [m]."""

@@ -101,7 +101,7 @@ class FloorMap:
         if not (is_real(self.occupied_from) and 1 <= self.occupied_from <= 100):
             raise SettingError("occupied_from", self.occupied_from, "a share from 1 to 100 per cent")
 
-    # --- making one ---------------------------------------------------------------------------------------------------
+    # --- construction -------------------------------------------------------------------------------------------------
 
     @classmethod
     def from_map_server(cls, file: str | Path, image: str | Path | None = None) -> FloorMap:
@@ -176,7 +176,7 @@ class FloorMap:
         """
         write_moving_ai(Path(file), self.occupied)
 
-    # --- questions ----------------------------------------------------------------------------------------------------
+    # --- queries ------------------------------------------------------------------------------------------------------
 
     @cached_property
     def occupied(self) -> Bool[Array, "row column"]:
@@ -245,7 +245,7 @@ class FloorMap:
             SettingError: If the map is rotated: boxes of a HeightMap are aligned with W. See `to_scene`.
         """
         if self.origin[2] != 0.0:
-            raise SettingError("origin", self.origin, "a yaw of 0: a HeightMap is not turned; see FloorMap.to_scene")
+            raise SettingError("origin", self.origin, "a yaw of 0: a HeightMap is not rotated; see FloorMap.to_scene")
         return HeightMap(
             name=name,
             heights=np.where(self.occupied.T, height, np.nan),

@@ -94,7 +94,7 @@ def _boxes(occupied: Bool[Array, "row column"], resolution: float) -> tuple[Arra
         return np.zeros((0, 2)), np.zeros((0, 2))
     first, last = joined(np.stack([column, row, np.zeros_like(row)], axis=1))
     if len(first) > MOST_BOXES:
-        raise SettingError("map", f"so rugged that it gives {len(first)} boxes", f"{MOST_BOXES} at most")
+        raise SettingError("map", f"so irregular that it gives {len(first)} boxes", f"{MOST_BOXES} at most")
     return first[:, :2] * resolution, last[:, :2] * resolution
 
 

@@ -81,7 +81,7 @@ def floor_plan(
         "room": (2.5 <= room <= 50.0, "from 2.5 to 50 m"),
         "furniture": (0 <= furniture <= 100, "from 0 to 100"),
         "people": (0 <= people <= 200, "from 0 to 200"),
-        "passage": (0.0 < passage <= 0.45, "above 0 and at most 0.45 m, for doors are 1 m wide"),
+        "passage": (0.0 < passage <= 0.45, "above 0 and at most 0.45 m, as doors are 1 m wide"),
         "resolution": (0.01 <= resolution <= 0.1, "from 0.01 to 0.1 m"),
     }
     _check(checks, locals())

@@ -36,8 +36,8 @@ class GridStatus(Enum):
     """Outcome of a search, with a remedy."""
 
     SOLVED = "a path was found"
-    NO_PATH = "no path leads from start to goal: a smaller radius or finer cells may"
-    STOPPED = "the time limit came before a path"
+    NO_PATH = "no path leads from start to goal: try a smaller radius or finer cells"
+    STOPPED = "the time limit was reached before a path was found"
     START_BLOCKED = "the start is off the map, or closer to an obstacle than the radius"
     GOAL_BLOCKED = "the goal is off the map, or closer to an obstacle than the radius"
 

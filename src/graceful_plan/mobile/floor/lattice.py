@@ -34,8 +34,8 @@ class LatticeStatus(Enum):
     """Outcome of a search, with a remedy."""
 
     SOLVED = "a path was found"
-    NO_PATH = "no path leads from start to goal on this lattice: more headings, finer cells or a smaller margin may"
-    STOPPED = "the limit of time or expansions came before a path"
+    NO_PATH = "no path leads from start to goal on this lattice: try more headings, finer cells or a smaller margin"
+    STOPPED = "the limit of time or expansions was reached before a path was found"
     START_BLOCKED = "the footprint at the start is not free with its margin"
     GOAL_BLOCKED = "the footprint at the goal is not free with its margin"
 
@@ -74,7 +74,7 @@ class LatticeSettings:
             "lead": (self.lead == 0.0 or 1.0 <= self.lead < math.inf, "a finite number >= 1, or 0"),
             "inflations": (
                 bool(self.lead or self.inflations) and all(1.0 <= one < math.inf for one in self.inflations),
-                "finite numbers >= 1, one at least without a lead",
+                "finite numbers >= 1, at least one unless `lead` is given",
             ),
             "shots": (self.shots >= 0, ">= 0"),
             "max_expansions": (self.max_expansions > 0, "> 0"),
@@ -148,7 +148,7 @@ class StateLattice:
         if not (discs[:, 2] > 0.0).all():
             raise SettingError("StateLattice.discs", float(discs[:, 2].min()), "radii > 0")
         if self.impact is None and self.impact_back is not None:
-            raise SettingError("StateLattice.impact", None, "an array, as `impact_back` is one")
+            raise SettingError("StateLattice.impact", None, "an array, because `impact_back` is given")
         native = _native.StateLattice(
             distance=distance,
             resolution=self.resolution,

@@ -16,7 +16,7 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _BASE = 3
-"""Joints of the base, before those of the arm."""
+"""Number of joints of the base, which precede those of the arm."""
 _DRAWN, _SHORTLIST = 3000, 80
 """Number of candidates, and number of those that are evaluated along the whole motion."""
 _SCALES = (0.4, 1.5)

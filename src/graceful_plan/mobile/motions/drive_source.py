@@ -50,7 +50,7 @@ _TRIED, _COMPARED = 8, 3
 _STARTS = 3
 """Number of new curves that descend in a round."""
 _BASE = 3
-"""Joints of the base, before those of the arm."""
+"""Number of joints of the base, which precede those of the arm."""
 _ANOTHER_DRAW = 0.3
 """Duration of a round above which postures are drawn again along the same curve [s]."""
 

@@ -15,7 +15,7 @@ from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 Array = np.ndarray
 
 _BASE = 3
-"""Joints of the base, before those of the arm."""
+"""Number of joints of the base, which precede those of the arm."""
 _CORNERS = 400
 """Number of random corners."""
 _SPREAD = (0.2, 1.5)

@@ -8,7 +8,7 @@ from graceful_plan.mobile.query.arm_ways import with_arm_ways
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.result import PlanResult, PlanStatus
 
-_TIGHT = "{}: free, but with less than 2 mm of clearance of the planner's sphere model, which a base cannot step out of"
+_TIGHT = "{}: free, but with less than 2 mm of clearance in the planner's sphere model; a base cannot step out of it"
 
 
 def rolling_endpoints(ends: Endpoints) -> Endpoints | PlanResult:

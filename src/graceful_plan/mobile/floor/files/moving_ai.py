@@ -85,7 +85,7 @@ def read_scenarios(file: str | Path) -> list[MovingAIScenario]:
             if not (0 <= y0 < rows and 0 <= y1 < rows and x0 >= 0 and x1 >= 0 and 0.0 <= length < np.inf):
                 raise ValueError("numbers out of their range")
         except ValueError as error:
-            raise FormatError(f"{file}:{number}", f"is no scenario: {error}") from None
+            raise FormatError(f"{file}:{number}", f"is not a scenario: {error}") from None
         found.append(MovingAIScenario((x0, rows - 1 - y0), (x1, rows - 1 - y1), length))
     return found
 
@@ -127,7 +127,7 @@ def _head(file: Path, lines: list[bytes]) -> tuple[int, int]:
         told = {name: int(value) for name, value in words[1:3] if len(value) <= 10}
         return told[b"height"], told[b"width"]
     except (ValueError, KeyError):
-        raise FormatError(str(file), "its height and width are no numbers of at most 10 digits") from None
+        raise FormatError(str(file), "its height and width are not numbers of at most 10 digits") from None
 
 
 def _content(file: Path, most: int) -> bytes:
