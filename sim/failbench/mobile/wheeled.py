@@ -21,8 +21,8 @@ TIMESTEP = 0.002
 """MuJoCo time step [s]."""
 ARMATURE = 0.1
 """Inertia of a wheel's drive about its axle [kg m^2]. Without it a skid-steer turns far too little, because soft
-contacts of light wheels creep. With it the effective track of a Jackal is 1.5 times the real one, as its maker
-states."""
+contacts of light wheels creep. With it the effective track of a Jackal is 1.5 times the real one, as in its
+maker's data."""
 _GAIN = 20.0
 """Gain of the wheels' speed controllers [N m s/rad]."""
 _UNDER = 0.002

@@ -22,9 +22,8 @@ _OVER_THE_FLOOR = 0.03
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
 _UPRIGHT = 0.99
 _ROUNDED = 1e-3
-"""Rounding of the mass parameters of a base [m]. Arm postures differ slightly between scenes, and rounding lets them
-share
-the cached tables of a robot."""
+"""Rounding of the mass parameters of a base [m]. Arm postures differ slightly between scenes, and with rounding
+they share the cached tables of a robot."""
 _WITHIN = 1e-3
 """Largest protrusion from another part at which a part of the footprint is left out [m]."""
 

@@ -57,7 +57,7 @@ class DWA:
     """Settings of the dynamic window approach.
 
     Args:
-        heading: Weight of the heading towards the path ahead, which is between 0 and 1.
+        heading: Weight of the alignment of the heading with the path ahead, which is between 0 and 1.
         velocity: Weight of progress, which is 1 at the greatest speed along the path.
         path: Weight of the distance to the path [1/m].
         clearance: Weight of the clearance along the arc, which is 1 from `near` on.

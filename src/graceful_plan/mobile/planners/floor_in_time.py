@@ -51,8 +51,7 @@ _FINE = 0.05
 _CRUISE = 0.7
 """Share of the fastest speed at which a cell is crossed in two ticks."""
 _TURNS = 0.5
-"""Share of the duration of a turn in place at the greatest rate; on a smooth curve, most of a turn happens while
-driving."""
+"""Share of the duration of a turn in place at the greatest rate; on smooth curves, most of it happens while driving."""
 _TURN_PRICE = 0.25
 """Additional cost of turning by a radian [m]: curves are slower and longer than straight paths."""
 _YAW = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
