@@ -1,1 +1,1 @@
-"""Robots that drive, on wheels that turn: what they do when they fail, and how well they follow what was planned."""
+"""Simulate wheeled robots with rotating wheels: their behaviour after failures and their tracking of plans."""

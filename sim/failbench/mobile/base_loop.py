@@ -1,8 +1,7 @@
-"""The loop that keeps a base on its motion: what is sent to its wheels, from where it is believed to be.
+"""Closed-loop wheel commands for a base that follows a motion, computed from its estimated pose.
 
-A healthy base knows where it is. From the onset of a fault of its encoders on it goes by odometry, which is right but
-for what the fault adds: where it is believed to be moves by what it really moves and by what the readings of the
-wheels are wrong by.
+A healthy base knows its true pose. From the onset of an encoder fault it uses odometry instead: the estimated pose
+moves by the true motion plus the error of the wheel readings. The fault is the only source of odometry error.
 """
 
 from __future__ import annotations
@@ -26,26 +25,26 @@ from graceful_plan.mobile.control.drive_state import DriveState
 Array = np.ndarray
 
 _SLACK = 0.5
-"""How far the angle that a wheel's servo is told may be from what it reads [rad]: its integral winds up no further."""
+"""Largest difference between the commanded and the measured angle of a wheel [rad]; limits integral wind-up."""
 
 
 @dataclass(frozen=True, eq=False)
 class BasePlan:
-    """What a base follows: made once for a motion.
+    """Data for following one motion, computed once per motion.
 
-    | field      | meaning                                                          | shape       |
-    |------------|------------------------------------------------------------------|-------------|
-    | rolling    | where the base is in the model                                   |             |
-    | course     | what is followed                                                 |             |
-    | controller | what follows it                                                  |             |
-    | scene      | what the controller sees: all but what is carried                |             |
-    | dt         | time step [s]                                                    |             |
-    | wheel      | addresses of the wheels in qpos                                  | wheel       |
-    | rim        | their dofs                                                       | wheel       |
-    | motor      | their actuators                                                  | wheel       |
-    | kp         | stiffness of their servos                                        | wheel       |
-    | kd         | their damping                                                    | wheel       |
-    | reach      | by how much the rims can get faster from one tick to the next [m/s] |          |
+    | field      | meaning                                                     | shape |
+    |------------|-------------------------------------------------------------|-------|
+    | rolling    | the base's addresses in the model                           |       |
+    | course     | states or path to follow                                    |       |
+    | controller | the controller that follows the course                      |       |
+    | scene      | scene the controller uses, without the carried object       |       |
+    | dt         | time step [s]                                               |       |
+    | wheel      | addresses of the wheels in qpos                             | wheel |
+    | rim        | dofs of the wheels                                          | wheel |
+    | motor      | actuators of the wheels                                     | wheel |
+    | kp         | stiffness of the wheel servos                               | wheel |
+    | kd         | damping of the wheel servos                                 | wheel |
+    | reach      | largest change of rim speed from one tick to the next [m/s] |       |
     """
 
     rolling: Rolling
@@ -62,15 +61,16 @@ class BasePlan:
 
     @classmethod
     def of(cls, world: World, trajectory: Trajectory, controller: object = None) -> BasePlan:
-        """Return what a world's base follows.
+        """Build the plan for the base of a world.
 
         Args:
-            world: Where.
-            trajectory: The motion.
-            controller: `Tracking` follows it in time, others its path; by default the former, as it fits the base.
+            world: World with the base.
+            trajectory: Motion to follow.
+            controller: `Tracking` follows the motion in time, other controllers follow its path. Default: `Tracking`
+                fitted to the base.
 
         Raises:
-            SettingError: If the controller is none.
+            SettingError: If `controller` is not a controller.
         """
         assert world.rolling is not None
         n, robot, dt = len(world.rolling.base.wheels), world.robot, world.settings.timestep
@@ -97,28 +97,28 @@ class BasePlan:
 
     @property
     def in_time(self) -> bool:
-        """Whether the motion is followed in time."""
+        """Whether the controller follows the motion in time."""
         return self.course.wanted is not None
 
     @property
     def seconds(self) -> float:
-        """For how long it is followed at most [s]."""
+        """Longest time the motion is followed [s]."""
         return self.course.seconds
 
     def loop(self, angles: Float[Array, " wheel"], summed: float = 0.0) -> BaseLoop:
-        """Return a loop whose servos stand at these angles of the wheels [rad]."""
+        """Return a loop whose servos start at these wheel angles [rad]."""
         return BaseLoop(self, np.array(angles, dtype=float), summed)
 
 
 @dataclass(eq=False)
 class BaseLoop:
-    """One base that follows its plan.
+    """Control loop of one base that follows its plan.
 
     Args:
-        plan: What it follows.
-        angles: What its servos are told that the wheels' angles should be [rad].
-        summed: Integral of commanded minus measured rate of turning [rad].
-        misread: How wrong the readings of the wheels are; None if they are right.
+        plan: Plan to follow.
+        angles: Commanded angles of the wheels [rad].
+        summed: Integral of commanded minus measured turning rate [rad].
+        misread: Errors of the wheel readings; None if the readings are correct.
     """
 
     plan: BasePlan
@@ -128,7 +128,7 @@ class BaseLoop:
     follower: CourseFollower = field(init=False)
     _believed: tuple[float, float, float] | None = field(default=None, init=False)
     _told: list[Array] = field(default_factory=list, init=False)
-    """Rates of the wheels that were asked for: as they turned at first, then in each tick [rad/s]."""
+    """Commanded wheel rates: the initial measured rates, then one entry per tick [rad/s]."""
     _before: tuple[tuple[float, float, float], Array] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -136,19 +136,19 @@ class BaseLoop:
         self.follower = CourseFollower(plan.controller, plan.course, plan.scene, plan.dt, TICK * plan.dt)
 
     def arrived(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> bool:
-        """Whether a path that is not followed in time is done."""
+        """Whether the base has reached the end of a path that is not followed in time."""
         return self.follower.arrived(DriveState(*self.plan.rolling.drives(qpos, qvel)))
 
     def commands(
         self, step: int, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"], lag: int = 0
     ) -> Float[Array, "tick wheel"]:
-        """Return what the wheels' servos are sent in the steps of this tick.
+        """Return the wheel servo commands for the steps of this tick.
 
         Args:
             step: Steps since the motion began.
-            qpos: Positions of everything.
-            qvel: Velocities.
-            lag: Steps by which the speeds that the base is told arrive late; its servos sum up what arrives.
+            qpos: Positions of the whole model.
+            qvel: Velocities of the whole model.
+            lag: Delay of the speed commands in steps; the servos integrate the delayed commands.
         """
         plan, base = self.plan, self.plan.rolling.base
         x, y, yaw, v, omega = plan.rolling.drives(qpos, qvel)
@@ -173,7 +173,7 @@ class BaseLoop:
         return after + plan.kd / plan.kp * arrived
 
     def _place(self, truth: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Return where the base is believed to be."""
+        """Return the estimated pose of the base."""
         if self.misread is None:
             return truth
         wrong = self.misread()
@@ -196,7 +196,7 @@ class BaseLoop:
 
 
 def _hardest(world: World) -> float:
-    """Return how hard the motors of a base speed it up on the straight [m/s^2]."""
+    """Return the greatest straight-line acceleration that the motors of a base can give [m/s^2]."""
     assert world.rolling is not None
     model, robot, base = world.model, world.robot, world.rolling.base
     n = len(base.wheels)
@@ -207,5 +207,5 @@ def _hardest(world: World) -> float:
 
 
 def _rim(most: float) -> tuple[float, float]:
-    """Bounds of what is sent, with room for what tracking adds to the fastest motion."""
+    """Return bounds of the wheel rates, with a reserve for tracking corrections at the greatest speed."""
     return -FASTER * most, FASTER * most

@@ -1,4 +1,4 @@
-"""What a base hits after it failed: rollouts from the very moment of the failure, with parameters drawn at random."""
+"""Rollouts of a base from failure onset, with randomly drawn parameters, and the entities it hits."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from graceful_plan.mobile.control.drive_state import DriveState
 Array = np.ndarray
 
 _STILL = 0.02
-"""Speed of the base below which it has come to rest [m/s]; it is looked at every `_LOOK` seconds."""
+"""Speed of the base below which it counts as stopped [m/s], checked every `_LOOK` seconds."""
 _LOOK = 0.05
 _SKEWS = 0.1
-"""Speed below which a base that turns is not held at an angle to its way [m/s]."""
+"""Speed below which the slip angle of a turning base is not applied to its initial heading [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -33,20 +33,21 @@ class BaseFailure:
     """One failure of a base.
 
     Args:
-        wheels: What they do, one of the words of the coast settings: "released" wheels turn freely, "locked" ones are
-            held, "driven" ones go on as commanded for a while and then stop by their controllers; "side_locked" and
-            "side_dead": those of one side are held or turn freely while the others go on and then stop.
-        deceleration: While it rolls, by friction in the drive, or while it stops [m/s^2]; with held wheels the
-            friction of tyres is this over gravity.
-        drag: What is added while it rolls, per speed [1/s].
-        delay: How long what is driven goes on before [s].
-        aside: How far to the left of where it was planned to be it fails [m].
-        askew: By how much its heading is off there [rad].
-        bend: Curvature that is added to what is commanded [1/m].
-        left: Which side fails, if one does.
-        steered: Whether a controller that does not know of it steers the other side until the delay is over.
-        friction: Coefficient of tyres, if wheels of one side turn freely.
-        brakes: Deceleration of the rims of the side that works, once it is stopped [m/s^2].
+        wheels: Behaviour of the wheels, from `WHEELS` in the coast settings: "released" wheels turn freely, "locked"
+            wheels are held, "driven" wheels go on as commanded for a while and then stop by their controllers.
+            "side_locked" and "side_dead": the wheels of one side are held or turn freely while the other side goes on
+            and then stops.
+        deceleration: Deceleration by drive friction while rolling, or while stopping [m/s^2]. With held wheels, the
+            friction coefficient of the tyres is this value over gravity.
+        drag: Additional deceleration per speed while rolling [1/s].
+        delay: Time for which driven wheels go on before they stop [s].
+        aside: Offset to the left of the planned position at the failure [m].
+        askew: Heading error at the failure [rad].
+        bend: Curvature added to the commanded one [1/m].
+        left: Whether the left side fails, for one-sided failures.
+        steered: Whether a controller unaware of the failure steers the working side until the delay is over.
+        friction: Friction coefficient of the tyres, if the wheels of one side turn freely.
+        brakes: Deceleration of the rims of the working side after the delay [m/s^2].
     """
 
     wheels: str
@@ -68,12 +69,12 @@ class BaseFailure:
 
 @dataclass(frozen=True)
 class BaseHit:
-    """The first touch of an entity.
+    """First contact of the base with an entity.
 
     Args:
-        entity: Its number in the scene.
-        speed: Of what touches it, along the normal [m/s].
-        time: After the failure [s].
+        entity: Index of the entity in the scene.
+        speed: Speed of the contact point along the normal [m/s].
+        time: Time after the failure [s].
     """
 
     entity: int
@@ -82,7 +83,7 @@ class BaseHit:
 
 
 def drawn(settings: CoastSettings, rng: np.random.Generator) -> BaseFailure:
-    """Draw a failure that is not harmless as the settings of the coast model say."""
+    """Draw a failure that is not harmless from the distribution of the coast settings."""
     names = list(settings.ways)
     weights = np.array([settings.ways[name].weight for name in names])
     way = settings.ways[names[int(rng.choice(len(names), p=weights / weights.sum()))]]
@@ -105,14 +106,14 @@ def drawn(settings: CoastSettings, rng: np.random.Generator) -> BaseFailure:
 def coasted(
     wheels: Wheeled, q: Float[Array, " nq"], qd: Float[Array, " nq"], failure: BaseFailure, seconds: float = 4.0
 ) -> Sequence[BaseHit]:
-    """Let a base fail while it drives; return whom it hits, in the order of time.
+    """Simulate a base that fails while driving; return its hits in order of time.
 
     Args:
-        wheels: The scene on wheels.
-        q: Where it was planned to be when it fails.
-        qd: How fast it drives there [m/s, rad/s].
-        failure: How it fails.
-        seconds: How long it is watched, unless it comes to rest before [s].
+        wheels: Scene with the base on wheels.
+        q: Planned configuration at the failure.
+        qd: Planned velocity at the failure [m/s, rad/s].
+        failure: Failure to simulate.
+        seconds: Longest duration of the rollout; it ends earlier if the base comes to rest [s].
     """
     hits: dict[int, BaseHit] = {}
     for data, before in coasting(wheels, q, qd, failure, seconds):
@@ -123,11 +124,12 @@ def coasted(
 def coasting(
     wheels: Wheeled, q: Float[Array, " nq"], qd: Float[Array, " nq"], failure: BaseFailure, seconds: float = 4.0
 ) -> Iterator[tuple[mujoco.MjData, Float[Array, " 3"]]]:
-    """Yield the data after each step of `coasted`; and the base's velocity in W before it [m/s], and rate of turning.
+    """Yield, for each step of `coasted`, the data after it and the base's planar velocity before it.
 
-    The data are changed.
+    The velocity is in W [m/s], with the turning rate as third entry [rad/s]. The yielded data are reused and modified.
 
-    It begins as a controller that keeps the base on its way has it drive: a skid-steer at an angle to its heading.
+    The rollout starts from the steady state that a tracking controller reaches: a skid-steer drives at an angle to its
+    heading.
     """
     v = float(qd[0] * np.cos(q[2]) + qd[1] * np.sin(q[2]))
     omega = float(qd[2])
@@ -158,7 +160,7 @@ def coasting(
 
 @dataclass(eq=False)
 class _Steers:
-    """A controller that follows the way that a base would have gone on, and does not know that it failed."""
+    """Controller that follows the motion a healthy base would have continued; it does not know of the failure."""
 
     wheels: Wheeled
     begin: tuple[float, float, float]
@@ -169,7 +171,7 @@ class _Steers:
     told: Float[Array, " wheel"] | None = None
 
     def rates(self, data: mujoco.MjData, time: float) -> Float[Array, " wheel"]:
-        """Return what it tells the wheels [rad/s], a time after the failure [s]."""
+        """Return the commanded wheel rates [rad/s] at a time after the failure [s]."""
         (x0, y0, yaw0), wheels = self.begin, self.wheels
         x, y, yaw = wheels.pose(data)
         ahead = data.qvel[wheels.dof] * np.cos(yaw) + data.qvel[wheels.dof + 1] * np.sin(yaw)
@@ -190,7 +192,7 @@ class _Steers:
 
 
 def _failing(wheels: Wheeled, failure: BaseFailure) -> mujoco.MjModel:
-    """Return the model with friction and actuators as they are after the failure."""
+    """Return a copy of the model with the friction and actuators of the failed base."""
     model, broken = copy.copy(wheels.model), _broken(wheels, failure)
     if failure.wheels in ("locked", "side_locked"):
         model.geom_friction[list(wheels.sphere), 0] = failure.deceleration / 9.81
@@ -208,14 +210,14 @@ def _failing(wheels: Wheeled, failure: BaseFailure) -> mujoco.MjModel:
 
 
 def _broken(wheels: Wheeled, failure: BaseFailure) -> Bool[Array, " wheel"]:
-    """Which wheels do not work."""
+    """Return a mask of the failed wheels."""
     if failure.wheels in ONE_SIDE:
         return (wheels.sides < 0.0) == failure.left
     return np.full(len(wheels.wheel), failure.wheels != "driven")
 
 
 def _moved(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Return the state of data of another model of the same size."""
+    """Return data for `model` with the state of `data`; both models have the same size."""
     found = mujoco.MjData(model)
     found.qpos[:], found.qvel[:], found.ctrl[:] = data.qpos, data.qvel, data.ctrl
     mujoco.mj_forward(model, found)

@@ -1,4 +1,4 @@
-"""Driving on wheels: a controller closes the loop, things walk, the base fails, and what comes of that is measured."""
+"""Closed-loop driving on wheels, with moving entities and optional failures, and measurements of the result."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Driven:
-    """What came of driving.
+    """Result of a drive.
 
-    | field    | meaning                                                                        | unit        |
-    |----------|--------------------------------------------------------------------------------|-------------|
-    | t        | times of samples                                                               | s           |
-    | pose     | where the base was: x, y, heading                                              | m, m, rad   |
-    | speed    | along its heading                                                              | m/s         |
-    | error    | distance to where it should have been; to the path, if that has no times       | m           |
-    | across   | distance to the nearest place of the motion                                    | m           |
-    | touched  | names of bodies, and of moving entities, that it touched, and when first       | s           |
-    | arrived  | whether it came to the end and stood there                                     |             |
-    | chosen   | how many commands were asked for, and how many of them were emergency stops    |             |
-    | failures | what it did harm to when it failed on its way; None if nothing was to fail     |             |
+    | field    | meaning                                                                  | unit      |
+    |----------|--------------------------------------------------------------------------|-----------|
+    | t        | sample times                                                             | s         |
+    | pose     | pose of the base: x, y, heading                                          | m, m, rad |
+    | speed    | speed along the heading                                                  | m/s       |
+    | error    | distance to the reference position; to the path, if it has no times      | m         |
+    | across   | distance to the nearest point of the motion                              | m         |
+    | touched  | names of touched bodies and moving entities, with times of first contact | s         |
+    | arrived  | whether the base reached the end and stopped there                       |           |
+    | chosen   | number of commands, and number of emergency stops among them             |           |
+    | failures | report of harm from the simulated failures; None without faults          |           |
     """
 
     t: Float[Array, " sample"]
@@ -64,7 +64,7 @@ class Driven:
 
     @property
     def duration(self) -> float:
-        """How long it drove [s]."""
+        """Duration of the drive [s]."""
         return float(self.t[-1])
 
 
@@ -80,33 +80,33 @@ def drive(
     start: Float[Array, " nq"] | None = None,
     seconds: float | None = None,
 ) -> Driven:
-    """Drive a base on wheels that turn, with a controller; and let it fail on its way.
+    """Drive a base on rotating wheels with a controller, optionally with failures on the way.
 
-    Moving entities of the scene walk as predicted, are seen by a `DynamicWindow`, and push nothing. Failures are those
-    of `validate(motion, scene, faults, controller=controller)`: the controller goes on after their onset.
+    Moving entities of the scene move as predicted. A `DynamicWindow` sees them, and they exert no forces. Failures are
+    those of `validate(motion, scene, faults, controller=controller)`: the controller keeps running after failure onset.
 
     Args:
         motion: A trajectory or the result of `plan`; or places on the floor, for controllers that need no times.
-        scene: Where; what it carries goes along in failures, and is left out of the healthy drive.
-        controller: `Tracking` follows a motion in time, `PurePursuit` and a `DynamicWindow` its path. Default:
+        scene: Scene to drive in. Its carried object is present in the failure runs and absent in the healthy drive.
+        controller: `Tracking` follows a motion in time; `PurePursuit` and `DynamicWindow` follow its path. Default:
             `fitted_tracking(scene)`.
-        faults: What fails: patterns of the registry's tags or names such as "power/*/severe", or faults.
+        faults: Faults to simulate: patterns of the registry's tags or names such as "power/*/severe", or faults.
         n: Number of failures, rounded up to a multiple of the number of faults.
-        horizon: How long is simulated after their onset [s].
-        seed: Of everything random.
-        start: Configuration from which it drives; where the motion begins by default.
-        seconds: How long it drives at most; default: what the motion takes, thrice that without times, and at least
-            20 s for paths.
+        horizon: Simulated time after failure onset [s].
+        seed: Random seed.
+        start: Start configuration. Default: the start of the motion.
+        seconds: Longest duration of the drive [s]. Default: with `Tracking`, the motion's duration plus a settling
+            time; otherwise three times the duration plus 5 s, and 20 s for a path.
 
     Raises:
         UnsupportedError: If the scene's robot cannot be put on wheels.
-        SettingError: If a path is to be tracked in time, or failures are to begin somewhere else than the motion.
-        ExecutionRefused: If something is to fail, and the healthy base does not arrive.
+        SettingError: If a path is to be tracked in time, or `start` is given together with faults.
+        ExecutionRefused: If faults are given and the healthy base does not arrive.
     """
     bare = scene if scene.carried is None else scene.detach()
     chosen = fitted_tracking(bare) if controller is None else controller
     if faults and start is not None:
-        raise SettingError("start", start, "None where something fails: the motion begins where it begins")
+        raise SettingError("start", start, "None with faults: the drive starts where the motion starts")
     q0, course = _course(motion, scene, chosen, start, seconds)
     wheels = wheeled(bare)
     loop = _Loop(wheels, CourseFollower(chosen, course, bare, TIMESTEP))
@@ -116,7 +116,7 @@ def drive(
         return driven
     if not driven.arrived:
         raise ExecutionRefused(
-            "the base", driven.duration, "it has not arrived; without faults `drive` says where it is"
+            "the base", driven.duration, "it has not arrived; call `drive` without faults to see where it stops"
         )
     followed = motion if isinstance(motion, Trajectory | PlanResult) else _along(course.path, q0, scene)
     report = validate(followed, scene, faults, controller=chosen, n=n, horizon=horizon, seed=seed)
@@ -172,14 +172,14 @@ def _course(
 
 
 def _along(path: Float[Array, "n 2"], q0: Float[Array, " nq"], scene: Scene) -> Trajectory:
-    """Return a motion along a path whose times do not count: controllers without times look at its places alone."""
+    """Return a trajectory along a path; its times are arbitrary, as path followers use only its positions."""
     q = np.tile(q0, (len(path), 1))
     q[:, :2] = path
     return retime(Path(q), scene.limits, scene.joints)
 
 
 class _Loop:
-    """A controller and the simulation that it is closed with."""
+    """Closed loop of a controller and the simulation."""
 
     def __init__(self, wheels: Wheeled, follower: CourseFollower) -> None:
         self.wheels, self.follower = wheels, follower
@@ -187,7 +187,7 @@ class _Loop:
         self._summed = 0.0
 
     def run(self, data: mujoco.MjData) -> Iterator[tuple[float, tuple[float, float, float], float]]:
-        """Yield time, pose and speed after each command; the data are changed."""
+        """Yield time, pose and speed after each command; `data` is modified."""
         follower = self.follower
         each = max(1, round(follower.period / TIMESTEP))
         for step in range(0, round(follower.course.seconds / TIMESTEP), each):
@@ -202,7 +202,7 @@ class _Loop:
             yield (step + each) * TIMESTEP, self.wheels.pose(data), self.state(data).v
 
     def state(self, data: mujoco.MjData) -> DriveState:
-        """Return where the base is and how fast it drives."""
+        """Return the pose and the speeds of the base."""
         x, y, yaw = self.wheels.pose(data)
         vx, vy = data.qvel[self.wheels.dof : self.wheels.dof + 2]
         v = float(vx * math.cos(yaw) + vy * math.sin(yaw))
@@ -227,7 +227,7 @@ class _Loop:
 
 
 def _to_polyline(points: Float[Array, "n 2"], path: Float[Array, "k 2"]) -> Float[Array, " n"]:
-    """Return the distance of points to a polyline [m]."""
+    """Return the distances of points to a polyline [m]."""
     path = thinned(path)
     begin, way = path[:-1], np.diff(path, axis=0)
     if not len(way):

@@ -1,4 +1,4 @@
-"""What a controller tells a base: in time along a motion, or along its path as fast as the controller chooses."""
+"""Commands of a controller that follows a motion in time, or its path at a speed the controller chooses."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ Array = np.ndarray
 Controller = Tracking | PurePursuit | DynamicWindow
 
 PERIOD = 0.02
-"""Between commands of controllers that have no period of their own [s]."""
+"""Command period of controllers without their own period [s]."""
 SETTLES = 0.5
-"""How long the robot is watched after the end of a motion [s]."""
+"""Observation time after the end of a motion [s]."""
 THERE = 0.08
 """Distance to the end of a path at which it counts as reached [m]."""
 SLOW = 0.02
 _APART = 0.02
-"""Least distance between places of a path [m]."""
+"""Smallest distance between points of a subsampled path [m]."""
 
 
 class Course(NamedTuple):
-    """What is followed: states in time steps, or a path that has none; and for how long at most."""
+    """Reference to follow: states at time steps, or a path without times; and the longest duration [s]."""
 
     wanted: Float[Array, "step 5"] | None
-    """x, y, heading, speed and rate of turning at each time step, from the beginning on; the last one holds."""
+    """x, y, heading, speed and turning rate at each time step from the start; the last state is held."""
     path: Float[Array, "n 2"]
     seconds: float
     begins: float = 0.0
-    """On the clock of those who move [s]."""
+    """Start time on the clock of the moving entities [s]."""
 
 
 def timed(motion: Trajectory, dt: float, seconds: float) -> Course:
-    """Return a motion to be followed in time.
+    """Return a course that follows a motion in time.
 
     Args:
-        motion: Of a base, and of an arm that may be on it.
+        motion: Motion of the base, including the joints of its arm if it has one.
         dt: Time step [s].
-        seconds: For how long.
+        seconds: Duration [s].
     """
     t = np.arange(0.0, seconds + 0.5 * dt, dt)
     state = motion.at(motion.t[0] + np.minimum(t, motion.duration))
@@ -60,35 +60,35 @@ def timed(motion: Trajectory, dt: float, seconds: float) -> Course:
 
 
 def untimed(motion: Trajectory, dt: float, seconds: float | None = None) -> Course:
-    """Return the path of a motion; thrice its time, and 5 s, is enough for it by default."""
+    """Return a course along the path of a motion; the default limit is three times the motion's duration plus 5 s."""
     whole = timed(motion, dt, motion.duration)
     limit = 3.0 * motion.duration + 5.0 if seconds is None else seconds
     return Course(None, thinned(whole.path), limit, whole.begins)
 
 
 def thinned(path: Float[Array, "n 2"]) -> Float[Array, "k 2"]:
-    """Leave out places that are nearer than 2 cm to the one before, the last one excepted."""
+    """Subsample a path to about one point per 2 cm of its length; the last point is kept."""
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     _, kept = np.unique(np.floor(s / _APART), return_index=True)
     return path[np.unique([*kept, len(path) - 1])]
 
 
 def check_course(controller: Controller, course: Course) -> None:
-    """Raise SettingError if a path is to be followed in time."""
+    """Raise SettingError if the controller tracks in time and the course has no times."""
     if isinstance(controller, Tracking) and course.wanted is None:
         raise SettingError("controller", controller, "PurePursuit or a DynamicWindow: a path has no times to track")
 
 
 @dataclass(eq=False)
 class CourseFollower:
-    """A controller on its way.
+    """State of a controller while it follows a course.
 
     Args:
-        controller: What decides.
-        course: What it follows.
-        scene: Where.
+        controller: Controller that chooses the commands.
+        course: Course to follow.
+        scene: Scene to drive in.
         dt: Time step [s].
-        period: Between commands, of controllers that have no period of their own [s].
+        period: Command period of controllers without their own period [s].
     """
 
     controller: Controller
@@ -97,9 +97,9 @@ class CourseFollower:
     dt: float
     period: float = PERIOD
     commands: int = 0
-    """How many it gave."""
+    """Number of commands."""
     stops: int = 0
-    """How many of these were emergency stops."""
+    """Number of emergency stops among the commands."""
     _last: DriveCommand | None = None
     _next: float = 0.0
 
@@ -109,11 +109,11 @@ class CourseFollower:
 
     @property
     def gains(self) -> Tracking:
-        """Those of the loop over the rate of turning."""
+        """Gains of the loop on the turning rate."""
         return self.controller if isinstance(self.controller, Tracking) else Tracking()
 
     def arrived(self, state: DriveState) -> bool:
-        """Whether a path that has no times is done; a motion in time takes its time."""
+        """Whether the base has reached the end of a path without times; always False for a motion followed in time."""
         if self.course.wanted is not None or not self.commands:
             return False
         x, y = self.course.path[-1]
@@ -121,11 +121,11 @@ class CourseFollower:
         return near and abs(state.v) < SLOW and abs(state.omega) < 5 * SLOW
 
     def command(self, state: DriveState, step: int) -> DriveCommand:
-        """Return what the base is to do; what it was told last, if its next command is not due yet.
+        """Return the current command; the previous command is held until the next one is due.
 
         Args:
-            state: Where it is believed to be.
-            step: Time steps since the beginning.
+            state: Estimated state of the base.
+            step: Time steps since the start.
         """
         now = step * self.dt
         if self._last is None or now >= self._next - 1e-9:
@@ -159,18 +159,17 @@ def within_reach(
     base: DiffDrive,
     reach: float,
 ) -> DriveCommand:
-    """Return what comes nearest to a command that the wheels can do before the next one.
+    """Return the nearest command that the wheels can reach before the next command.
 
-    Half of what motors give is kept for the speed: a base that asks for more turning than they have would stand and
-    spin.
+    Speed changes get at most half of the available acceleration; the rest is reserved for turning. Without the limit, a
+    base whose requested turning exceeds its motors would stop and spin.
 
     Args:
-        wanted: What the base should do.
-        before: Rates of the wheels that were asked for last, left ones first [rad/s]; where wheels are far from them,
-            the wheels count.
-        turning: Rates that they have [rad/s].
-        base: How it drives.
-        reach: By how much the rims can get faster until then [m/s].
+        wanted: Desired command.
+        before: Wheel rates commanded last, left ones first [rad/s]. They are clamped to within `BEHIND` of `turning`.
+        turning: Measured wheel rates [rad/s].
+        base: Parameters of the base.
+        reach: Largest change of rim speed until the next command [m/s].
     """
     rims = base.radius * np.clip(before, turning - BEHIND, turning + BEHIND)
     half = len(rims) // 2

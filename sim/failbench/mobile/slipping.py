@@ -1,4 +1,4 @@
-"""How a base slips, found by driving it: where it has no sideways speed, in place and in bends."""
+"""Measure the slip of a base in simulation: its point without sideways velocity, in place and along arcs."""
 
 from __future__ import annotations
 
@@ -18,37 +18,38 @@ from graceful_plan.scene.per_scene import per_scene
 Array = np.ndarray
 
 _RAMP, _MEASURED = 0.6, 0.8
-"""How long the base gets faster, and how long it is watched then [s]."""
+"""Durations of the acceleration ramp and of the measurement after it [s]."""
 _STEADY = 0.8
-"""How long a base is driven until it drives steadily [s]."""
+"""Driving time until the motion is taken as steady [s]."""
 _BENDS = ((0.25, 0.5), (0.5, 0.3), (0.5, 0.8), (1.0, 0.3), (1.0, 0.8))
-"""Shares of the greatest speed, and of the rate at which the acceleration across the heading is the greatest. They are
-driven forwards and backwards."""
+"""Measured arcs: shares of the greatest speed, and of the turning rate that the limits on turning rate and lateral
+acceleration allow at that speed. Each arc is driven forwards and backwards."""
 
 
 class Steady(NamedTuple):
-    """How a base drives that keeps its speed and its rate of turning, in its own frame."""
+    """Steady motion of a base at constant speed and turning rate, in its own frame."""
 
     forwards: float
     """Speed of its origin along the heading [m/s]."""
     sideways: float
-    """To the left of it [m/s]."""
+    """Speed of its origin to the left of the heading [m/s]."""
     omega: float
-    """Rate of turning [rad/s]."""
+    """Turning rate [rad/s]."""
     wheel: Float[Array, " wheel"]
-    """Rates of its wheels [rad/s]."""
+    """Wheel rates [rad/s]."""
 
 
 @per_scene(most=16)
 def steady_drive(scene: Scene, v: float, omega: float) -> Steady:
-    """Return how a base drives whose controller has brought it to a speed and a rate of turning.
+    """Return the steady motion of a base whose controller holds a speed and a turning rate.
 
-    It is driven on an empty floor without an end; two wheels on one axle do not slip, and nothing is measured then.
+    The base is simulated on an empty, unbounded floor. A base with two wheels on one axle has no slip, so the nominal
+    motion is returned without simulation.
 
     Args:
-        scene: Where it is.
-        v: Speed along its way [m/s].
-        omega: Rate of turning [rad/s].
+        scene: Scene with the base.
+        v: Speed along the direction of travel [m/s].
+        omega: Turning rate [rad/s].
     """
     wheels = on_endless_floor(scene)
     nominal = Steady(v, 0.0, omega, wheels.wheel_rates(v, omega))
@@ -73,9 +74,9 @@ def steady_drive(scene: Scene, v: float, omega: float) -> Steady:
 
 @per_scene
 def fitted_tracking(scene: Scene) -> Tracking:
-    """Return gains whose pivot is that of a scene's base; it is driven on an empty floor without an end.
+    """Return tracking gains with the pivot fitted to a scene's base on an empty, unbounded floor.
 
-    Two wheels on one axle have their pivot there, whatever they carry: nothing is measured then.
+    A base with two wheels on one axle pivots about the axle under any load, so nothing is measured for it.
     """
     wheels = on_endless_floor(scene)
     base = wheels.base
@@ -90,7 +91,7 @@ def fitted_tracking(scene: Scene) -> Tracking:
 
 
 def _bending(wheels: Wheeled, still: float, gear: float) -> tuple[float, float]:
-    """Return what bends add to where nothing moves sideways at most [m], and where half of it is reached [m/s^2]."""
+    """Fit a saturating pivot shift along arcs: its maximum [m], and the lateral acceleration at half of it [m/s^2]."""
     base, across, more = wheels.base, [], []
     for v_share, share in _BENDS:
         v = v_share * base.v_max
@@ -108,7 +109,7 @@ def _bending(wheels: Wheeled, still: float, gear: float) -> tuple[float, float]:
 
 
 def _ahead(wheels: Wheeled, v: float, omega: float) -> float:
-    """Drive along an arc; return how far ahead of the origin nothing moves sideways [m]."""
+    """Drive along an arc; return the distance of the point without sideways velocity ahead of the origin [m]."""
     model, data = _alone(wheels), wheels.placed(_home(wheels), 0.0, 0.0)
     found = []
     for step in range(int((_RAMP + _MEASURED) / TIMESTEP)):
@@ -127,7 +128,7 @@ def _home(wheels: Wheeled) -> Float[Array, " nq"]:
 
 
 def _alone(wheels: Wheeled) -> mujoco.MjModel:
-    """Return the model in which the robot touches nothing but the floor."""
+    """Return a copy of the model in which the robot collides with the floor only."""
     model = copy.copy(wheels.model)
     others = [g for g in range(model.ngeom) if g not in (wheels.robot | wheels.floor | set(wheels.sphere))]
     model.geom_contype[others] = model.geom_conaffinity[others] = 0

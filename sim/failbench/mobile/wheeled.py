@@ -1,4 +1,4 @@
-"""A scene whose base stands on wheels that turn, ready to be simulated."""
+"""Simulation model of a scene whose base stands on rotating wheels."""
 
 from __future__ import annotations
 
@@ -18,38 +18,39 @@ from graceful_plan.scene.per_scene import per_scene
 Array = np.ndarray
 
 TIMESTEP = 0.002
-"""Of MuJoCo [s]."""
+"""MuJoCo time step [s]."""
 ARMATURE = 0.1
-"""Inertia of a wheel's drive about its axle [kg m^2]. Without it a skid-steer turns far too little: soft contacts of
-light wheels creep. With it the effective track of a Jackal is 1.5 times the real one, as its maker says."""
+"""Inertia of a wheel's drive about its axle [kg m^2]. Without it a skid-steer turns far too little, because soft
+contacts of light wheels creep. With it the effective track of a Jackal is 1.5 times the real one, as in its
+maker's data."""
 _GAIN = 20.0
-"""Of the wheels' speed controllers [N m s/rad]."""
+"""Gain of the wheels' speed controllers [N m s/rad]."""
 _UNDER = 0.002
-"""By how much the rim that meets things is smaller than the sphere that stands on the floor [m]. All its radii are, or
-it would stand there too and carry half of the weight."""
+"""Radius difference between a wheel's floor contact sphere and the geom that collides with other bodies [m]. Every
+dimension equal to the wheel radius shrinks by it; otherwise the geom would also carry half of the weight."""
 _PLANAR = 3
-"""Planned joints of a base."""
+"""Number of planned joints of a base."""
 _FLOOR_BIT = 1 << 20
-"""Collision mask of floors and of what stands on them."""
+"""Collision mask of floors and of the parts that stand on them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wheeled:
-    """A model with a free base and wheels on hinges, and where its parts are.
+    """Model of a free base with hinged wheels, and the indices of its parts.
 
-    | field    | meaning                                                              |
-    |----------|----------------------------------------------------------------------|
-    | scene    | what is simulated                                                    |
-    | base     | how it drives                                                        |
-    | model    | the model; read only, copy it to change friction                     |
-    | body     | of the base                                                          |
-    | qpos     | address of the free joint; its dofs begin at `dof`                   |
-    | wheel    | dof of each wheel, left ones first                                   |
-    | motor    | actuator of each wheel; others hold the arm where it is placed       |
-    | sphere   | geoms that stand on the floor                                        |
-    | robot    | geoms of the robot that may hit something                            |
-    | floor    | geoms that it may always touch                                       |
-    | entity   | which entity each geom is of; -1 if of none                          |
+    | field  | meaning                                                                 |
+    |--------|-------------------------------------------------------------------------|
+    | scene  | simulated scene                                                         |
+    | base   | drive parameters of the base                                            |
+    | model  | the model; read only, copy it to change friction                        |
+    | body   | body of the base                                                        |
+    | qpos   | address of the free joint; its dofs begin at `dof`                      |
+    | wheel  | dof of each wheel, left ones first                                      |
+    | motor  | actuator of each wheel; other actuators hold the arm in its placed pose |
+    | sphere | geoms that roll on the floor                                            |
+    | robot  | geoms of the robot that may hit entities or obstacles                   |
+    | floor  | geoms that the robot may always touch                                   |
+    | entity | entity index of each geom; -1 if it belongs to none                     |
     """
 
     scene: Scene
@@ -67,16 +68,16 @@ class Wheeled:
 
     @property
     def sides(self) -> Float[Array, " wheel"]:
-        """-1 for left wheels, 1 for right ones: what turning adds to their speed."""
+        """-1 for left wheels, 1 for right ones: sign of the turning rate's contribution to the wheel speed."""
         half = len(self.wheel) // 2
         return np.concatenate([-np.ones(half), np.ones(half)])
 
     def wheel_rates(self, v: float, omega: float) -> Float[Array, " wheel"]:
-        """Rates of the wheels [rad/s] for a speed along the heading [m/s] and a rate of turning [rad/s]."""
+        """Return the wheel rates [rad/s] for a speed along the heading [m/s] and a turning rate [rad/s]."""
         return (v + self.sides * self.base.lever * omega) / self.base.radius
 
     def placed(self, q: Float[Array, " nq"], v: float, omega: float) -> mujoco.MjData:
-        """Return data with the base at a configuration, driving, its wheels rolling, and its arm held there."""
+        """Return data with the base at a configuration, driving with rolling wheels, and the arm held in place."""
         data = mujoco.MjData(self.model)
         a, d = self.qpos, self.dof
         for name, value in zip(self.scene.joints[_PLANAR:], q[_PLANAR:], strict=True):
@@ -93,7 +94,7 @@ class Wheeled:
         return data
 
     def pose(self, data: mujoco.MjData) -> tuple[float, float, float]:
-        """Where the base is: x, y [m] and heading [rad]."""
+        """Return the pose of the base: x, y [m] and heading [rad]."""
         R = data.xmat[self.body].reshape(3, 3)
         x, y = data.xpos[self.body][:2]
         return float(x), float(y), float(np.arctan2(R[1, 0], R[0, 0]))
@@ -101,21 +102,21 @@ class Wheeled:
 
 @per_scene
 def wheeled(scene: Scene) -> Wheeled:
-    """Put a scene's base on its wheels.
+    """Build the model of a scene with its base on wheels.
 
     Raises:
-        UnsupportedError: If it has no base or an odd number of wheels, if a joint of its arm has no servo of its name,
-            or if it carries something.
+        UnsupportedError: If the scene has no base, the base has an odd number of wheels, a joint of its arm has no
+            servo of its name, or it carries an object.
     """
     return _stood(scene)
 
 
 @per_scene
 def on_endless_floor(scene: Scene) -> Wheeled:
-    """Put a scene's base on wheels on floors without an end, to see how it drives; what stands there is still there.
+    """Build the model of a scene with its base on wheels and unbounded floors, to measure its drive; obstacles remain.
 
     Raises:
-        UnsupportedError: As `wheeled` does.
+        UnsupportedError: For the same reasons as `wheeled`.
     """
     return _stood(scene, endless=True)
 
@@ -123,15 +124,15 @@ def on_endless_floor(scene: Scene) -> Wheeled:
 def _stood(scene: Scene, *, endless: bool = False) -> Wheeled:
     base = scene.base
     if base is None or not base.wheels or len(base.wheels) % 2:
-        raise UnsupportedError("wheels that turn need a DiffDrive with `wheels`: left ones, then as many right ones")
+        raise UnsupportedError("rotating wheels need a DiffDrive with `wheels`: left ones, then as many right ones")
     if scene.carried is not None:
-        raise UnsupportedError("what is carried cannot be simulated on wheels: use the scene without it")
+        raise UnsupportedError("a carried object cannot be simulated on wheels: use the scene without it")
     spec = scene.spec.copy()
     servos = {actuator.name for actuator in spec.actuators}
     loose = [name for name in scene.joints[_PLANAR:] if name not in servos]
     if loose:
         raise UnsupportedError(
-            f"no servo holds these joints, which would need an actuator of their name: {', '.join(loose)}"
+            f"these joints have no servo; each needs an actuator of the joint's name: {', '.join(loose)}"
         )
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -1,5 +1,6 @@
-"""Everything that drives: floors and lattices, planners, smooth drives, controllers, and what failing bases do.
+"""Mobile bases: floors and lattices, planners, smooth drives, controllers, and models of failing bases.
 
-Rooms below know this one by contracts: `costs.models.failing_base`, `constraints.base_limits`,
-`query.endpoints.base_goals` and `query.driving`. They import it once a scene has a base (`scene.mobile.room`).
+Lower-level packages use this one only through contracts: `costs.models.failing_base`, `constraints.base_limits`,
+`query.endpoints.base_goals` and `query.driving`. They import it on demand, when a scene has a base
+(`scene.mobile.room`).
 """

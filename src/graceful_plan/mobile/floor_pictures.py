@@ -1,4 +1,4 @@
-"""A picture of a floor from above: what stands there, whom a failing base would harm, and how a motion passes them."""
+"""Pictures of a floor from above: obstacles, entities, the impact of a failing base, and a motion with clearances."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from graceful_plan.viz.style import HALO, PATH_COLOURS, STYLE, heat_map
 Array = np.ndarray
 
 _LAYER, _DIRECTIONS, _CRUISE = 0.2, 8, 0.6
-"""Cells of the risk layer [m], directions of driving over which it is a mean, and share of the fastest speed."""
+"""Cell width of the risk layer [m], number of driving directions it averages over, and share of the greatest speed."""
 _MOST_CELLS = 6_000
 _RIM = 9
-"""Points along each edge of a part of a base from which offsets are drawn."""
+"""Number of points along each edge of a part of the base, from which clearances are drawn."""
 _SHADES = 12
-"""Places at which the base and those who move are drawn."""
+"""Number of times at which the base and moving entities are drawn."""
 _WALKED = "#7a3fa0"
 
 
@@ -40,20 +40,21 @@ def draw_floor(
     floor: FloorMap | None = None,
     objective: Objective | None = None,
 ) -> None:
-    """Draw a floor, its risk, and how a motion passes everybody.
+    """Draw a floor, its risk, and the clearances of a motion to all entities.
 
-    The layer is the impact of a base that fails here at 0.6 of its fastest speed, the mean over directions of driving;
-    of those who move, where they are when the motion is nearest to them. A line shows the least clearance to each.
+    The layer is the impact of a base that fails at 0.6 of its greatest speed, averaged over driving directions. Moving
+    entities are taken at the time when the motion is nearest to the cell. A line shows the least clearance to each
+    entity.
 
     Args:
-        scene: With a robot that drives.
-        trajectory: Its motion; None draws the floor alone.
-        file: Where the picture goes; the ending says the format (png, pdf, svg).
-        floor: What stands there; cut out of the scene if None.
-        objective: Whose impact is shown; the default one if None.
+        scene: Scene with a base.
+        trajectory: Motion to draw; None draws the floor alone.
+        file: Output file; its suffix selects the format (png, pdf, svg).
+        floor: Map of the obstacles; default: cut from the scene.
+        objective: Objective whose impact is shown; default: `Objective()`.
 
     Raises:
-        SettingError: If the robot does not drive.
+        SettingError: If the robot has no base.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -118,7 +119,7 @@ def _draw_layer(
 def _times_near(
     scene: Scene, trajectory: Trajectory | None, at: Float[Array, "cell 2"]
 ) -> Float[Array, " cell"] | None:
-    """Return when the motion is nearest to each cell, if somebody moves [s]."""
+    """Return the time at which the motion is nearest to each cell [s]; None if the scene has no moving entity."""
     if not scene.moving:
         return None
     if trajectory is None:

@@ -1,4 +1,4 @@
-"""Planning on a floor map from the command line: the map, the robot on it, and who is there."""
+"""Command-line options for planning on a floor map: the map, its robot and its entities."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from graceful_plan.scene.scene import Scene
 
 PICTURES = (".png", ".pdf", ".svg")
 _HEIGHT, _RADIUS = 1.7, 0.25
-"""Of those who are named by class and place alone [m]."""
+"""Height and radius of entities given by class and place alone [m]."""
 
 
 def add_map(parser: argparse.ArgumentParser) -> None:
@@ -29,12 +29,12 @@ def add_map(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="plan on a floor map: YAML of map_server, or .map of MovingAI",
     )
-    parser.add_argument("--robot", default="jackal", help="who drives on it: jackal or fetch (default jackal)")
+    parser.add_argument("--robot", default="jackal", help="robot on the map: jackal or fetch (default jackal)")
     parser.add_argument(
         "--cell", type=float, default=0.05, metavar="M", help="width of a cell of a .map [m] (default 0.05)"
     )
     parser.add_argument(
-        "--entity", nargs=3, action="append", default=[], metavar=("CLASS", "X", "Y"), help="somebody who stands there"
+        "--entity", nargs=3, action="append", default=[], metavar=("CLASS", "X", "Y"), help="entity that stands there"
     )
     parser.add_argument(
         "--walker",
@@ -42,7 +42,7 @@ def add_map(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar=("CLASS", "X", "Y", "TO_X", "TO_Y", "SPEED"),
-        help="somebody who walks from one place to another [m, m/s]",
+        help="entity that walks from one place to another [m, m/s]",
     )
     parser.add_argument(
         "--picture", type=FilePath, metavar="FILE", help=f"draw map, risk and motion; ends in {', '.join(PICTURES)}"
@@ -50,10 +50,10 @@ def add_map(parser: argparse.ArgumentParser) -> None:
 
 
 def map_problem(args: argparse.Namespace) -> tuple[Scene, Any, Any]:
-    """Return scene, start and goal on a map.
+    """Return scene, start and goal of a planning problem on a map.
 
     Raises:
-        SettingError: If start or goal are missing or no poses, or there is a task besides.
+        SettingError: If start or goal are missing or not poses, or a task is given as well.
         FormatError: If the map cannot be read.
     """
     if args.task is not None:
@@ -69,7 +69,7 @@ def map_problem(args: argparse.Namespace) -> tuple[Scene, Any, Any]:
 
 
 def chosen_map(args: argparse.Namespace) -> FloorMap:
-    """Read the map that was named, with who stands on it."""
+    """Read the given map and add its standing entities."""
     if args.map.suffix == ".map":
         floor = FloorMap.from_moving_ai(args.map, args.cell)
     else:
@@ -87,7 +87,7 @@ def _walker(name: str, words: Sequence[str]) -> MovingEntity:
     x, y, to_x, to_y, speed = _numbers("--walker", words[1:], (5,))
     length = float(np.hypot(to_x - x, to_y - y))
     if not (speed > 0.0 and length > 0.0):
-        raise SettingError("--walker", " ".join(words), "two places and a speed above 0; see --entity for who stands")
+        raise SettingError("--walker", " ".join(words), "two places and a speed above 0; --entity adds standing ones")
     half = 0.5 * _HEIGHT
     ends = [[x, y, half], [to_x, to_y, half]]
     return MovingEntity(
@@ -96,7 +96,7 @@ def _walker(name: str, words: Sequence[str]) -> MovingEntity:
 
 
 def _numbers(option: str, words: Sequence[str] | None, counts: tuple[int, ...]) -> list[float]:
-    """Read numbers, with spaces or commas between them."""
+    """Parse numbers separated by spaces or commas."""
     parts = [part for word in words or () for part in word.split(",") if part]
     wanted = " or ".join(str(n) for n in counts) + " numbers"
     try:

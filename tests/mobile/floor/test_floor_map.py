@@ -240,7 +240,7 @@ def test_a_scene_is_cut_where_something_stands_between_two_heights():
     far = (np.abs(local) > np.array([0.6, 0.2]) + 0.036).any(axis=-1)
     far &= (np.linalg.norm(xy - (3.0, 1.0), axis=-1) > 0.19) & (np.linalg.norm(xy - (1.0, 3.0), axis=-1) > 0.24)
     assert floor.occupied[inside].all() and not floor.occupied[far].any()
-    with pytest.raises(SettingError, match="nothing is so high"):
+    with pytest.raises(SettingError, match="nothing at that height"):
         FloorMap.from_scene(scene, heights=(5.0, 6.0))
     with pytest.raises(SettingError, match="wider cells"):
         FloorMap.from_scene(scene, resolution=1e-3, bounds=(0.0, 100.0, 0.0, 100.0))

@@ -1,1 +1,1 @@
-"""What a base does after it failed: how far it goes on, and whom it meets."""
+"""Models of a base after a failure: its coasting distance and the entities it hits."""

@@ -1,8 +1,8 @@
-r"""Closed forms of what a base does after a failure: how far it goes, and how far aside. All take arrays.
+r"""Closed-form distances and deviations of a base after a failure. All functions broadcast over arrays.
 
-:math:`m_e = m + n J / r^2` is its mass with what turns in its n wheels of radius r, J the inertia of each with its
-motor; :math:`\tau_f` the friction of a wheel's gears, b its damping. On the level it loses
-:math:`a = n \tau_f / (r m_e)` and :math:`k v` with :math:`k = n b / (r^2 m_e)` of its speed per second.
+:math:`m_e = m + n J / r^2` is the effective mass of a base with n wheels of radius r, where J is the inertia of each
+wheel with its motor. :math:`\tau_f` is the friction torque of a wheel's gears and b their damping. On level floor the
+base decelerates by :math:`a = n \tau_f / (r m_e)` plus :math:`k v` with :math:`k = n b / (r^2 m_e)`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ GRAVITY = 9.81
 
 
 def coasting_distance(v: ArrayLike | float, a: ArrayLike | float, k: ArrayLike | float = 0.0) -> Float[Array, "*batch"]:
-    r"""Return how far a base rolls without power: :math:`v/k - (a/k^2) \ln(1 + k v / a)`.
+    r"""Compute the distance a base rolls without power: :math:`v/k - (a/k^2) \ln(1 + k v / a)`.
 
     Args:
         v: Speed [m/s].
@@ -32,25 +32,25 @@ def coasting_distance(v: ArrayLike | float, a: ArrayLike | float, k: ArrayLike |
 
 
 def sliding_distance(v: ArrayLike | float, friction: ArrayLike | float, load: float = 1.0) -> Float[Array, "*batch"]:
-    """Return how far a base slides whose wheels are held, a share of its weight on them: v^2 / (2 mu g load)."""
+    """Compute the sliding distance [m] with locked wheels that carry a share of the weight: v^2 / (2 mu g load)."""
     return np.asarray(np.square(v) / (2.0 * np.asarray(friction) * GRAVITY * load))
 
 
 def runaway_distance(v: ArrayLike | float, delay: ArrayLike | float, a: ArrayLike | float) -> Float[Array, "*batch"]:
-    """Return how far a base goes that a watchdog stops after a delay [s] with a deceleration [m/s^2], along its arc."""
+    """Compute the arc length [m] until a watchdog stops a base after a delay [s] with a deceleration [m/s^2]."""
     return np.asarray(np.abs(v) * np.asarray(delay) + np.square(v) / (2.0 * np.asarray(a)))
 
 
 def slope_acceleration(
     slope: ArrayLike | float, a: ArrayLike | float, mass: float, effective: float
 ) -> Float[Array, "*batch"]:
-    """Return the acceleration down a slope of a base without power; 0 where friction holds it.
+    """Compute the acceleration of an unpowered base down a slope; 0 where friction holds it.
 
     Args:
-        slope: Angle of the floor along the heading, downwards above 0 [rad].
-        a: Deceleration on the level by dry friction [m/s^2].
-        mass: Of the base [kg].
-        effective: With what turns in its wheels [kg].
+        slope: Angle of the floor along the heading, positive downwards [rad].
+        a: Deceleration on level floor by dry friction [m/s^2].
+        mass: Mass of the base [kg].
+        effective: Effective mass, including the rotating parts of the wheels [kg].
     """
     pull, held = GRAVITY * np.sin(slope) * mass / effective, np.asarray(a)
     return np.asarray(np.sign(pull) * np.maximum(0.0, np.abs(pull) - held))
@@ -59,14 +59,14 @@ def slope_acceleration(
 def slope_distance(
     v: ArrayLike | float, seconds: float, slope: ArrayLike | float, a: ArrayLike | float, share: float
 ) -> Float[Array, "*batch"]:
-    """Return how far a base without power gets down a slope in a time, if it drives down at first.
+    """Compute the distance an unpowered base rolls down a slope in a given time, starting at a downhill speed.
 
     Args:
         v: Speed, at least 0 [m/s].
-        seconds: After the failure [s].
-        slope: Downwards along the heading [rad].
-        a: Deceleration on the level by dry friction, without drag [m/s^2].
-        share: Mass over mass with what turns in the wheels.
+        seconds: Time after the failure [s].
+        slope: Angle of the floor along the heading, positive downwards [rad].
+        a: Deceleration on level floor by dry friction, without drag [m/s^2].
+        share: Ratio of mass to effective mass.
     """
     rate = GRAVITY * np.sin(slope) * share - np.asarray(a)
     moving = np.where(rate < 0.0, np.minimum(seconds, np.asarray(v) / np.maximum(-rate, 1e-12)), seconds)
@@ -74,29 +74,29 @@ def slope_distance(
 
 
 def spin_rate(rim: ArrayLike | float, base: DiffDrive) -> Float[Array, "*batch"]:
-    """Return the rate of turning once one side stands and the other has this speed of rims: rim / (slip track)."""
+    """Compute the turning rate when one side is locked and the other drives at a rim speed: rim / (slip track)."""
     return np.asarray(np.asarray(rim) / (base.slip * base.track))
 
 
 def pivot_radius(base: DiffDrive) -> float:
-    """Return the radius about which two wheels turn one of which is held [m]; skid-steers slide, see `four_wheel`."""
+    """Return the turning radius of a two-wheeled base with one locked wheel [m]; for skid-steers see `four_wheel`."""
     return 0.5 * base.track
 
 
 def sideways_of_bias(s: ArrayLike | float, bias: ArrayLike | float) -> Float[Array, "*batch"]:
-    """Return how far aside a bias of the curvature [1/m] in odometry leads, after a way [m]: bias s^2 / 2."""
+    """Compute the lateral error after a distance s [m] from an odometry curvature bias [1/m]: bias s^2 / 2."""
     return np.asarray(0.5 * np.asarray(bias) * np.square(s))
 
 
 def sideways_of_noise(s: ArrayLike | float, noise: ArrayLike | float) -> Float[Array, "*batch"]:
-    """Return the standard deviation of that of white noise of the curvature [1/m per root of m]: noise (s^3 / 3)^.5."""
+    """Compute the standard deviation of the lateral error from white curvature noise [m^-.5], noise (s^3 / 3)^.5."""
     return np.asarray(np.asarray(noise) * np.sqrt(np.power(s, 3.0) / 3.0))
 
 
 def overshoot_of_delay(
     v: ArrayLike | float, delay: ArrayLike | float, curvature: ArrayLike | float = 0.0
 ) -> Float[Array, "*batch 2"]:
-    """Return how far on and aside late commands lead: v delay, curvature (v delay)^2 / 2 [m]."""
+    """Compute the overshoot along and across the path from delayed commands [m]: v delay, curvature (v delay)^2 / 2."""
     far = np.abs(v) * np.asarray(delay)
     return np.stack(np.broadcast_arrays(far, 0.5 * np.asarray(curvature) * far**2), axis=-1)
 
@@ -104,15 +104,15 @@ def overshoot_of_delay(
 def straightening_angle(
     omega: ArrayLike | float, base: DiffDrive, mass: float, friction: float
 ) -> Float[Array, "*batch"]:
-    r"""Return by how much a skid-steer turns on once its wheels are let go [rad].
+    r"""Compute the angle by which a skid-steer still turns after its wheels are released [rad].
 
-    It straightens within :math:`t = (\omega \chi B / 2 r) J / (0.57 \mu m g r / 4)`, evenly.
+    Its turning rate falls linearly to 0 within :math:`t = (\omega \chi B / 2 r) J / (0.57 \mu m g r / 4)`.
 
     Args:
-        omega: Rate of turning [rad/s].
-        base: How it drives.
-        mass: Of the base [kg].
-        friction: Coefficient of its tyres.
+        omega: Turning rate at the release [rad/s].
+        base: Parameters of the base.
+        mass: Mass of the base [kg].
+        friction: Friction coefficient of the tyres.
     """
     rate = np.abs(omega)
     torque = 0.57 * friction * mass * GRAVITY * base.radius / 4.0

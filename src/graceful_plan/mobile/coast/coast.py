@@ -1,36 +1,39 @@
-r"""What a base does that fails while it drives: it goes on along its arc for a while, and meets what is there.
+r"""The coast model: impact of a base that fails while driving, continues along its arc and hits entities.
 
-A base at speed v and rate of turning :math:`\omega` goes on along the arc of curvature :math:`\omega / v`; a skid-steer
-whose wheels are let go straightens: it turns by :math:`c \omega^2` at most, then goes straight on. Ways to come
-to rest differ by deceleration a, drag k and delay T; it goes
+A base with speed v and turning rate :math:`\omega` continues along the arc of curvature :math:`\omega / v`. A
+skid-steer whose wheels are released straightens: it turns by at most :math:`c \omega^2`, then goes straight on.
+Stopping modes differ by deceleration a, drag k and delay T. The coasting distance is
 
-.. math:: D = |v| T + |v| / k - (a / k^2) \ln(1 + k |v| / a), \qquad D = |v| T + v^2 / 2a \text{ where } k = 0
+.. math:: D = |v| T + |v| / k - (a / k^2) \ln(1 + k |v| / a), \qquad D = |v| T + v^2 / 2a \text{ where } k = 0.
 
-far. After a way s it still has the share :math:`e = \min(1, 1 - (s - |v| T) / (D - |v| T))` of its energy, which is
-what severities are worth: :math:`\min(1, e v^2 / u^2)`, with u the speed that they are for. From above, the base is
-what its geoms are, rectangles that may be rounded; whether one of them touches a shape at a distance d is uncertain by
-:math:`\sigma(s)`: the position spread, and the drift times s. With the probabilities :math:`p_i` of the ways,
+After a distance s, the share :math:`e = \min(1, 1 - (s - |v| T) / (D - |v| T))` of the kinetic energy remains.
+Severities scale with :math:`\min(1, e v^2 / u^2)`, where u is the speed for which they are specified. The footprint of
+the base is a set of rectangles, possibly rounded, one for each geom. The distance d from the footprint to a shape is
+uncertain with standard deviation :math:`\sigma(s)`, which combines the position spread and the drift times s. With the
+mode probabilities :math:`p_i`, the expected severity share of a hit is
 
 .. math:: P = \sum_i p_i \max_s \Phi\left(-\frac{d(s)}{\sigma(s)}\right) B(s) \min(1, n(s) e_i(s) v^2 / u^2)
 
-where n is the share of the energy that is along the normal, from how fast the distance closes,
-:math:`\max(0, -d'(s))^2`; where :math:`\sigma` is large beside the size r of who is met, nobody knows the normal, and
-n goes to its mean of 1/2 with :math:`\sigma^2 / (\sigma^2 + r^2)`. B is the probability that no obstacle has stopped
-the base before and nobody else has taken its energy, n of it. P is the probability of a hit, times the share of the
-severity that its energy is worth. Bases of which one side fails go where `four_wheel` integrates them to, at tabulated
-places; odometry that drifts bends the arc.
+Here n is the share of the energy along the contact normal, :math:`\max(0, -d'(s))^2`. If :math:`\sigma` is large
+compared with the size r of the entity, the normal is unknown and n approaches its mean of 1/2 with weight
+:math:`\sigma^2 / (\sigma^2 + r^2)`. B is the probability that no obstacle has stopped the base before and no other
+entity has absorbed the normal share of its energy. P is thus the probability of a hit, weighted by the share of the
+severity that its energy causes. For one-sided failures, `four_wheel` integrates the motion, and places are interpolated
+from its tables. Abrupt odometry failures add a curvature to the arc.
 
-A base that errs in proportion about how far it goes (`astray`) does not leave its way at once: it follows it, ever
-farther beside it, past all turns that no state tells. So its harm counts where it is done instead of where it began: as
-likely as each other, it has been astray for times :math:`\tau` until somebody notices after T, and is
+A base with proportional odometry error (`astray`) does not leave its path at once. It follows the path with a growing
+lateral offset, through turns that one state does not show. Its harm is therefore assigned to the place where it occurs,
+not to the onset. The drift has lasted for a time :math:`\tau`, uniform up to the detection time T, and the pose error
+is
 
-.. math:: \pm \kappa \ell^2 / 2 \text{ aside, turned by } \pm \kappa \ell, \qquad \ell = c\, v_{max} \tau
+.. math:: \pm \kappa \ell^2 / 2 \text{ laterally, } \pm \kappa \ell \text{ in heading}, \quad \ell = c\, v_{max} \tau
 
-with pace c, and :math:`\kappa` what it misjudges of the speed of one side over the effective track. Whom it touches a
-moment later, and not yet, it meets at the rate :math:`|v|\, d\Phi / ds`; P has that rate times :math:`p T`, n and the
-energy. Along a way that adds up to how likely somebody beside it is met at all, at any speed; obstacles between keep
-it off. Ramps, which scenes do not have, how who is grazed turns the base aside, and what it pushes along are not
-modelled. Two constants are fitted, `harmless` and the pace c: `coast.yaml` says where they come from.
+with pace c, and :math:`\kappa` the relative error of one side's speed over the effective track. Entities touched within
+the next short step, but not yet, are hit at the rate :math:`|v|\, d\Phi / ds`; P is that rate times :math:`p T`, n and
+the energy share. Integrated along a path, this is the probability of hitting an entity beside it, at any speed.
+Obstacles between the path and the base reduce it. The model leaves out ramps (scenes have none), deflection of the base
+by grazing contacts, and objects pushed along. Two constants are fitted, `harmless` and the pace c; `coast.yaml` lists
+the sources.
 """
 
 from __future__ import annotations
@@ -60,21 +63,21 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True)
 class Coast(NativeModel, FailingBase):
-    """P that a failing base hits each entity; of a robot without a `DiffDrive` nobody fears it.
+    """Probability that a failing base hits each entity, weighted by energy; 0 for robots without a `DiffDrive`.
 
     Args:
-        settings: Constants; the shipped ones by default.
+        settings: Constants of the model; default: the shipped ones.
     """
 
     settings: CoastSettings = field(default_factory=CoastSettings.shipped)
 
     @property
     def components(self) -> tuple[str, ...]:
-        """The body alone: what it carries falls by the drop model."""
+        """Only the body: the drop model covers the carried object."""
         return ("body",)
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
-        """Return P of a hit, times what its energy is worth."""
+        """Return the probability of a hit, weighted by the severity share of its energy."""
         scene = batch.scene
         P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
         if scene.base is not None and P.size:
@@ -84,31 +87,31 @@ class Coast(NativeModel, FailingBase):
 
     @property
     def share(self) -> float:
-        """P that it is the base that fails, given a failure of a robot that has an arm besides."""
+        """Probability that the base is the failing part, given a failure of a robot with an arm."""
         return self.settings.share
 
     def of_base(self, scene: Scene) -> float:
-        """Return P that it is the base that fails."""
+        """Return the probability that the base is the failing part."""
         return self.settings.of_base(scene)
 
     def of_cargo(self, scene: Scene) -> float:
-        """Return P that it is not, or that a base without an arm throws off what stands on it."""
+        """Return the probability that a failure releases the carried object or throws it off a base without an arm."""
         return self.settings.of_cargo(scene)
 
     def worth(self, speed: float) -> float:
-        """Return the share of its energy at a speed [m/s] in what severities are for."""
+        """Return the ratio of the energy at a speed [m/s] to that at the reference speed of severities, at most 1."""
         return min(1.0, (speed / self.settings.reference_speed) ** 2)
 
     def meeting(self, scene: Scene) -> _native.MovingCoast:
-        """Return P that entities that move are met, times what the energy is worth: see `moving_coast`."""
+        """Return the native model for hits of moving entities, weighted by energy: see `moving_coast`."""
         return moving_coast(scene, self.settings)
 
     def roughly(self) -> Coast:
-        """Return a model of fewer ways to fail: see `thinned`."""
+        """Return a cheaper model with fewer stopping modes: see `thinned`."""
         return Coast(thinned(self.settings))
 
     def moving(self) -> MovingModel:
-        """Return the model for entities that move: a failing base meets them where they then are."""
+        """Return the model for moving entities: a failing base hits them at their predicted positions."""
         return MovingModel(drop=0.0, collapse=0.0, coast=1.0, base=self)
 
     def kernel(
@@ -118,7 +121,7 @@ class Coast(NativeModel, FailingBase):
         paces: tuple[float, float],
         own: OwnLoss | None = None,
     ) -> ImpactKernel:
-        """Return the native kernel; nobody is in it if the robot does not drive."""
+        """Return the native kernel; its impact is 0 if the robot has no base."""
         del own
         kernels = compile_scene(scene).kernels
         if scene.base is None:
@@ -132,6 +135,6 @@ class Coast(NativeModel, FailingBase):
     def gradients(
         self, batch: StateBatch, severity: Float[Array, "component entity"], own: OwnLoss | None = None
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """Return derivatives with respect to q and to the joint velocities, by differences in the core."""
+        """Return derivatives with respect to q and the joint velocities, computed in the core."""
         del own
         return self.kernel(batch.scene, severity, (1.0, 1.0)).state_slopes(batch.q, batch.qd)[1:]

@@ -22,27 +22,27 @@ Array = np.ndarray
 
 
 WHEELS = ("driven", "released", "locked", "side_locked", "side_dead")
-"""What wheels do: all go on as commanded and then stop, all turn freely, all are held; those of one side are held or
-turn freely while the other side goes on for the delay and then stops."""
+"""Wheel behaviours after a failure: all go on as commanded and then stop; all turn freely; all are locked; those of one
+side are locked or turn freely, while the other side goes on for the delay and then stops."""
 ONE_SIDE = ("side_locked", "side_dead")
 _MOMENTS = 4
-"""At which is seen where a base is that goes astray."""
+"""Number of moments at which the offset of a drifting base is evaluated."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Way:
-    """A way to come to rest; each deceleration is as likely as each other, and so is each delay.
+    """A stopping mode of a failed base. Its decelerations are equally likely, and so are its delays and its curvatures.
 
     Args:
-        weight: How often, compared with other ways.
-        deceleration: At low speed [m/s^2]; of wheels that are held the friction of tyres, times gravity.
-        drag: What is added to it per speed [1/s].
-        delay: How long what is driven goes on at full speed before [s].
-        wheels: What they do, one of `WHEELS`.
-        bend: Curvatures that are added to that of the motion, each as likely as each other [1/m].
-        steered: Of one side that fails: whether the other one is steered along the way until the delay is over, by a
-            controller that does not know of it, rather than going on at its speed.
+        weight: Relative frequency among the modes.
+        deceleration: Deceleration at low speed [m/s^2]; for locked wheels, the friction of the tyres times gravity.
+        drag: Additional deceleration per speed [1/s].
+        delay: Time for which driven wheels go on at full speed before they stop [s].
+        wheels: Behaviour of the wheels, from `WHEELS`.
+        bend: Curvatures added to that of the motion [1/m].
+        steered: For one-sided failures: whether a controller unaware of the failure steers the working side along the
+            path until the delay is over. Otherwise that side keeps its speed.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -78,14 +78,14 @@ class Way:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Astray:
-    """Bases that follow their way as they see it, and are wrong about where they are.
+    """Drifting bases: they follow their path with a proportional odometry error.
 
     Args:
-        weight: How often, compared with `ways`.
-        misread: By how much they misjudge the speed of one side, as a share of it.
-        lasts: For how long until somebody notices [s].
-        pace: Their mean speed while that lasts, as a share of the greatest.
-        spread: Standard deviation of how far aside they are, as a share of it.
+        weight: Relative frequency, compared with the weights of `ways`.
+        misread: Relative error of the measured speed of one side.
+        lasts: Time until the drift is detected [s].
+        pace: Mean speed during the drift, as a share of the greatest speed.
+        spread: Standard deviation of the lateral offset, as a share of the offset.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -106,16 +106,16 @@ class Astray:
             raise SettingError("astray.pace", self.pace, "a number in [0, 1]")
 
     def places(self, probability: float, base: DiffDrive, position_spread: float) -> Float[Array, "place 4"]:
-        """Return where such bases are beside their way, at moments that are evenly spread over while it lasts.
+        """Return the offsets of drifting bases from their path, at moments spread evenly over the drift.
 
         Args:
-            probability: Of such a failure.
-            base: Which turns by the difference of its sides.
-            position_spread: Standard deviation of where a base is across its way [m].
+            probability: Probability of this failure.
+            base: Parameters of the base.
+            position_spread: Standard deviation of the lateral position of a healthy base [m].
 
         Returns:
-            For how long [s] times probability, how far to the left [m], angle turned by [rad], standard deviation of
-            how far [m].
+            Duration times probability [s], offset to the left [m], heading error [rad], standard deviation of the
+            offset [m].
         """
         way = self.pace * base.v_max * self.lasts * (np.arange(_MOMENTS) + 0.5) / _MOMENTS
         bend = self.misread / (2.0 * base.lever) * np.array([[1.0], [-1.0]])
@@ -130,18 +130,20 @@ class CoastSettings(YamlTable):
     """Constants of the coast model.
 
     Args:
-        share: Of failures, those of the base rather than of gripper and arm; all of a robot that has neither are.
-        thrown: Of failures of a base without an arm, those that throw off what stands on it.
-        harmless: Of failures of the base, those that stop nothing and lead nowhere; the others go one of the ways.
-        reference_speed: Speed of a hit that severities are for [m/s].
-        position_spread: Standard deviation of where the base is across its way [m].
-        drift: How much farther it strays per metre [m/m].
-        straightens: Angle by which a skid-steer turns on after its wheels were let go, by its rate of turning squared
-            [s^2/rad].
-        friction: Coefficient of the tyres where only one side fails that turns freely.
-        brakes: Deceleration of the rims of the side that still works, once it is stopped [m/s^2].
-        ways: How it comes to rest.
-        astray: Those that do not, and are not where they think.
+        share: Share of failures that are base failures rather than failures of gripper or arm. It is 1 for a robot with
+            neither.
+        thrown: Share of failures of a base without an arm that throw off its load.
+        harmless: Share of base failures that neither stop nor divert the base. The others are distributed over `ways`
+            and `astray`.
+        reference_speed: Impact speed for which severities are specified [m/s].
+        position_spread: Standard deviation of the lateral position of the base [m].
+        drift: Growth of that deviation per distance [m/m].
+        straightens: Angle by which a skid-steer still turns after its wheels are released, over its turning rate
+            squared [s^2/rad].
+        friction: Friction coefficient of the tyres when the wheels of one side turn freely.
+        brakes: Deceleration of the rims of the working side after the delay [m/s^2].
+        ways: Stopping modes by name.
+        astray: Drifting bases, which do not stop at the failure.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -188,7 +190,7 @@ class CoastSettings(YamlTable):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise SettingError(name, getattr(self, name), "a finite number of at least 0")
         if not self._total > 0.0:
-            raise SettingError("ways", dict(self.ways), "one with a weight above 0 at least")
+            raise SettingError("ways", dict(self.ways), "at least one with a weight above 0")
         object.__setattr__(self, "ways", MappingProxyType(dict(self.ways)))
 
     def __hash__(self) -> int:
@@ -202,7 +204,7 @@ class CoastSettings(YamlTable):
 
     @classmethod
     def parsed(cls, root: Block) -> CoastSettings:
-        """Make them of the values in a file."""
+        """Build the settings from a parsed file."""
         ways, lost = {}, root["astray"]
         lost.only(*(item.name for item in fields(Astray)))
         astray = Astray(**{item.name: lost[item.name].number() for item in fields(Astray)})
@@ -222,25 +224,25 @@ class CoastSettings(YamlTable):
         return cls(**numbers, ways=ways, astray=astray)
 
     def of_base(self, scene: Scene) -> float:
-        """Return the share of failures that are the base's: all of them if there is nothing else that may fail."""
+        """Return the share of failures that are base failures; 1 if the robot has no other part that can fail."""
         if scene.base is None:
             return 0.0
         return 1.0 if scene.joints == scene.base.joints else self.share
 
     def of_cargo(self, scene: Scene) -> float:
-        """Return the share of failures in which what is carried is let go, or thrown off a base without an arm."""
+        """Return the share of failures that release the carried object, or throw it off a base without an arm."""
         if scene.base is None:
             return 1.0
         return self.thrown if scene.joints == scene.base.joints else 1.0 - self.share
 
     def stops(self, load: float = 1.0) -> Float[Array, "stop 6"]:
-        """Return every combination of ways in which both sides do the same.
+        """Return all combinations of parameters for stopping modes that act on both sides alike.
 
         Args:
-            load: Share of the weight on the driven wheels, which is what held tyres brake with.
+            load: Share of the weight on the driven wheels; it scales the braking of locked wheels.
 
         Returns:
-            Probability, deceleration [m/s^2], drag [1/s], delay [s], 1 if wheels are let go, curvature added [1/m].
+            Probability, deceleration [m/s^2], drag [1/s], delay [s], 1 if wheels are released, added curvature [1/m].
         """
         rows = [
             (p, a * (load if way.wheels == "locked" else 1.0), way.drag, delay, float(way.wheels == "released"), bend)
@@ -253,7 +255,7 @@ class CoastSettings(YamlTable):
         return np.array(rows).reshape(-1, 6)
 
     def one_sided(self) -> tuple[tuple[float, Way, float, float], ...]:
-        """Return every combination of ways in which one side fails: probability, way, deceleration, delay."""
+        """Return all combinations of parameters for one-sided failures: probability, mode, deceleration, delay."""
         return tuple(
             (p * len(way.bend), way, a, delay)
             for way, p in self._each()
@@ -263,18 +265,18 @@ class CoastSettings(YamlTable):
         )
 
     def beside(self, base: DiffDrive) -> Float[Array, "place 4"]:
-        """Return where a base is that went astray, as `Astray.places` has it."""
+        """Return the offsets of drifting bases from their path, as `Astray.places` defines them."""
         if self.astray.weight == 0.0:
             return np.zeros((0, 4))
         return self.astray.places(self._probability(self.astray.weight), base, self.position_spread)
 
     def only(self, *names: str) -> CoastSettings:
-        """Return settings with these ways alone, which all failures then go."""
+        """Return settings in which these modes alone account for all failures."""
         ways = {name: self.ways[name] for name in names}
         return replace(self, harmless=0.0, ways=ways, astray=replace(self.astray, weight=0.0))
 
     def of_the_moment(self) -> CoastSettings:
-        """Return settings for who looks at one moment alone: what leads astray bends off at once, as ways that bend."""
+        """Return settings for evaluating single states: drift counts as modes with added curvature."""
         bent = sum(way.weight for way in self.ways.values() if any(way.bend))
         more = 1.0 + self.astray.weight / bent if bent > 0.0 else 1.0
         ways = {
@@ -290,7 +292,7 @@ class CoastSettings(YamlTable):
         return weight / self._total * (1.0 - self.harmless)
 
     def _each(self) -> list[tuple[Way, float]]:
-        """Return ways that happen and the probability of each of their combinations."""
+        """Return the modes with non-zero weight, each with the probability of one combination."""
         return [
             (way, self._probability(way.weight) / (len(way.deceleration) * len(way.delay) * len(way.bend)))
             for way in self.ways.values()

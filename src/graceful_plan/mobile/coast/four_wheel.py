@@ -1,14 +1,14 @@
-r"""A base of which one side fails: four wheels with dry friction, integrated in time.
+r"""Time integration of a base with a one-sided failure: four wheels with dry friction.
 
-Each wheel carries its share of the weight on the driven ones and slides over the floor at the velocity s of its rim
-against it; the floor pushes with :math:`-\mu N s / \sqrt{|s|^2 + \epsilon^2}`. Rims on the side that works go on at
-their speed for the delay, or as a controller steers them (`steering`), and then stop; rims that are held stand; rims
-that turn freely are moved by the floor against the friction of their gears and the inertia of their motors. Two
-wheels with casters are four of which the front and rear ones coincide. Everything is per mass of the base, so that
-only its radius of gyration and its centre of mass count.
+Each wheel carries its share of the weight on the driven wheels. Its contact slides over the floor at the velocity s,
+and the floor exerts the force :math:`-\mu N s / \sqrt{|s|^2 + \epsilon^2}`. Rims of the working side keep their speed
+for the delay, or follow a controller (`steering`), and then stop. Locked rims stand still. Free rims are driven by the
+floor against the friction of their gears and the inertia of their motors. Two wheels with casters are modelled as four
+wheels whose front and rear ones coincide. All quantities are per mass of the base, so only its radius of gyration and
+its centre of mass matter.
 
-There are no closed forms: what comes out is tabulated over speeds and rates of turning, as `Coast` reads it. Tables
-are kept in a folder of the user's: see `kept`.
+There is no closed form. The results are tabulated over speeds and turning rates for `Coast`, and the tables are cached
+in a folder of the user: see `kept`.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 Array = np.ndarray
 
 _METHOD = 1
-"""Changes with whatever changes tables that are kept."""
+"""Version of the integration; change it together with anything that changes the cached tables."""
 SAMPLES = 40
-"""Places along each way."""
+"""Number of places along each trajectory."""
 _SPEEDS, _RATES = 8, 9
 _GRAVITY = 9.81
 _STEP = 0.004
 _AFTER = 0.5
-"""How long places are kept after the last rim has stopped [s]."""
+"""Time for which places are kept after the last rim has stopped [s]."""
 _KEPT = round(TICK / _STEP)
-"""Steps between places that are kept, and between commands."""
+"""Integration steps between stored places, and between commands."""
 _SMOOTH = 0.04
-"""Speed of sliding at which friction is 70 % of what it is at most [m/s]."""
+"""Sliding speed at which friction is 70 % of its maximum [m/s]."""
 _LEAST_ROTOR = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class BaseBody:
-    """What counts of a base that slides.
+    """Parameters of a sliding base.
 
     Args:
-        base: How it drives.
-        mass: Of all that moves with it [kg].
-        gyration: Radius of gyration about the vertical through its centre of mass [m].
-        centre: Of its mass, in the frame of its joints [m].
-        middle: Of its driven wheels, likewise.
+        base: Drive parameters.
+        mass: Mass of the base and everything that moves with it [kg].
+        gyration: Radius of gyration about the vertical axis through the centre of mass [m].
+        centre: Centre of mass in the frame of the base joints [m].
+        middle: Centre of the driven wheels in the same frame [m].
     """
 
     base: DiffDrive
@@ -64,15 +64,15 @@ class BaseBody:
 
 
 class Ways(NamedTuple):
-    """Where bases go of which one side fails.
+    """Tabulated trajectories of bases after a one-sided failure.
 
-    | field  | meaning                                                                 | shape                        |
-    |--------|-------------------------------------------------------------------------|------------------------------|
-    | share  | probability of each table                                               | table                        |
-    | speeds | along the heading when it fails, from 0 on [m/s]                        | speed                        |
-    | rates  | of turning then [rad/s]                                                 | rate                         |
-    | places | x, y, turned in the frame of the base then; speed of its fastest point  | speed rate table sample 5    |
-    |        | [m/s]; time [s]                                                         |                              |
+    | field  | meaning                                                              | shape                     |
+    |--------|----------------------------------------------------------------------|---------------------------|
+    | share  | probability of each table                                            | table                     |
+    | speeds | speed along the heading at the failure, from 0 [m/s]                 | speed                     |
+    | rates  | turning rate at the failure [rad/s]                                  | rate                      |
+    | places | x, y, angle turned in the frame of the base at the failure; speed of | speed rate table sample 5 |
+    |        | its fastest point [m/s]; time [s]                                    |                           |
     """
 
     share: Float[Array, " table"]
@@ -82,29 +82,29 @@ class Ways(NamedTuple):
 
 
 class Case(NamedTuple):
-    """One failure of one side; arrays may be of any shape that fits the states'."""
+    """Parameters of one-sided failures; arrays broadcast with the shape of the states."""
 
     left: Array
-    """Whether it is the left side."""
+    """Whether the left side fails."""
     held: Array
-    """Whether its wheels are held; else they turn freely."""
+    """Whether the wheels of the failed side are locked; otherwise they turn freely."""
     friction: Array
-    """Coefficient of tyres."""
+    """Friction coefficient of the tyres."""
     rolling: Array
-    """Deceleration of the base if all of its wheels turned freely [m/s^2]."""
+    """Deceleration of the base if all wheels turned freely [m/s^2]."""
     drag: Array
-    """What is added to it per speed [1/s]."""
+    """Additional deceleration per speed [1/s]."""
     delay: Array
-    """How long the other side goes on [s]."""
+    """Time for which the working side goes on [s]."""
     brakes: float
-    """Deceleration of its rims then [m/s^2]."""
+    """Deceleration of its rims after the delay [m/s^2]."""
     steered: Array = np.array(False)
-    """Whether a controller steers it until then."""
+    """Whether a controller steers it during the delay."""
 
 
 @lru_cache(maxsize=8)
 def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
-    """Tabulate where a base goes of which one side fails, for all ways of the settings; none if there are none."""
+    """Tabulate the trajectories after all one-sided failures of the settings; without any, the tables are empty."""
     base, found = body.base, settings.one_sided()
     speeds = np.linspace(0.0, base.v_max, _SPEEDS)
     rates = np.linspace(-base.omega_max, base.omega_max, _RATES)
@@ -133,16 +133,16 @@ def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
 def integrated(
     body: BaseBody, v: Float[Array, "*batch"], omega: Float[Array, "*batch"], case: Case
 ) -> Float[Array, "*batch time 5"]:
-    """Integrate failures of one side.
+    """Integrate one-sided failures.
 
     Args:
-        body: Of the base.
-        v: Speed along the heading when it fails [m/s].
-        omega: Rate of turning then [rad/s].
-        case: What fails.
+        body: Parameters of the base.
+        v: Speed along the heading at the failure [m/s].
+        omega: Turning rate at the failure [rad/s].
+        case: Parameters of the failures.
 
     Returns:
-        x, y [m], angle turned [rad] in the frame of the base when it fails; speed of its origin [m/s]; time [s].
+        x, y [m] and angle turned [rad] in the frame of the base at the failure; speed of its origin [m/s]; time [s].
     """
     base, batch = body.base, np.shape(v)
     v, omega = np.atleast_1d(v, omega)
@@ -185,12 +185,12 @@ def integrated(
 
 @dataclass(eq=False)
 class _Drive:
-    """What the rims of a side that works do.
+    """Rim speeds of the working side.
 
     Args:
-        case: What fails.
-        told: Speeds that the rims are told, at first those that they have [m/s].
-        steering: Who tells them.
+        case: Parameters of the failures.
+        told: Commanded rim speeds, initially the actual ones [m/s].
+        steering: Controller that commands them.
     """
 
     case: Case
@@ -198,14 +198,14 @@ class _Drive:
     steering: OneSideSteering
 
     def tell(self, time: float, pose: tuple[Array, Array, Array], rate: Array, rim: Array) -> None:
-        """Ask the controller what is next, where there is one that nobody has stopped; see `OneSideSteering`."""
+        """Update the commands of steered cases whose delay is not over; see `OneSideSteering`."""
         asked = np.asarray(self.case.steered) & (time <= np.asarray(self.case.delay))
         if asked.any():
             told = self.steering.tell(time, pose, rate, (rim[..., 0], rim[..., 2]))
             self.told = np.where(asked[..., None], np.repeat(np.stack(told, axis=-1), 2, axis=-1), self.told)
 
     def going(self, time: float, rim: Float[Array, "*batch wheel"]) -> Float[Array, "*batch wheel"]:
-        """Return the speeds of rims a step after they had these [m/s]; who steers has no more than the motors give."""
+        """Return the commanded rim speeds after a step [m/s]; steered ones change within the limits of the motors."""
         late = np.maximum(0.0, time - np.asarray(self.case.delay))[..., None]
         going = np.sign(self.told) * np.maximum(0.0, np.abs(self.told) - self.case.brakes * late)
         faster = MOTORS * self.steering.base.a_max * _STEP
@@ -213,13 +213,13 @@ class _Drive:
 
 
 def resampled(places: Float[Array, "*batch time 5"], reach: float, count: int) -> Float[Array, "*batch count 5"]:
-    """Thin places out so that the farthest point of the base moves as far from each to the next."""
+    """Resample trajectories so that the farthest point of the base moves equally far between successive places."""
     flat = places.reshape(-1, *places.shape[-2:])
     step = np.hypot(*np.moveaxis(np.diff(flat[..., :2], axis=1), -1, 0)) + reach * np.abs(np.diff(flat[..., 2], axis=1))
     moved = np.concatenate([np.zeros((len(flat), 1)), np.cumsum(step, axis=1)], axis=1)
     out = np.empty((len(flat), count, 5))
     for row, (place, s) in enumerate(zip(flat, moved, strict=True)):
-        # Once round is round: what it sweeps later it has swept.
+        # After one full turn the base sweeps the same area again.
         most = s[np.searchsorted(np.abs(place[:, 2]), 2.0 * np.pi)] if np.abs(place[-1, 2]) > 2.0 * np.pi else s[-1]
         at = np.linspace(0.0, most, count)
         out[row] = np.stack([np.interp(at, s + 1e-12 * np.arange(len(s)), place[:, k]) for k in range(5)], axis=-1)
@@ -227,7 +227,7 @@ def resampled(places: Float[Array, "*batch time 5"], reach: float, count: int) -
 
 
 def _fastest(places: Float[Array, "*batch time 5"], base: DiffDrive) -> Float[Array, "*batch time"]:
-    """Return the speed of what is farthest from the origin of a base that spins: that is what hits [m/s]."""
+    """Return the speed of the outermost point of a spinning base, which is the one that hits [m/s]."""
     turned, speed = places[..., 2], places[..., 3]
     return speed + _reach(base) * np.abs(np.diff(turned, axis=-1, append=turned[..., -1:])) / TICK
 

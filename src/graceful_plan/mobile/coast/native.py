@@ -1,4 +1,4 @@
-"""The coast model in the core: what it is told of a base, its failures and what stands around."""
+"""Builds the coast model in the C++ core from a scene and the coast settings."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 SKIDS = 1.2
-"""Effective track over track above which a base is a skid-steer."""
+"""Ratio of effective track to track above which a base is a skid-steer."""
 
 
 def _turns_on(scene: Scene, settings: CoastSettings) -> float:
-    """How far a base turns on after its wheels were let go, by its rate of turning squared [s^2/rad]."""
+    """Angle a base still turns after its wheels are released, over its turning rate squared [s^2/rad]."""
     assert scene.base is not None
     return settings.straightens if scene.base.slip > SKIDS else 1e6
 
 
 @per_scene(most=4)
 def coast_model(scene: Scene, settings: CoastSettings) -> _native.CoastModel:
-    """Return the model in the core, for a scene with a base."""
+    """Return the native coast model of a scene with a base."""
     tables = coast_tables(scene)
     return _native.CoastModel(
         compile_scene(scene).kernels.core,
@@ -40,7 +40,7 @@ def coast_model(scene: Scene, settings: CoastSettings) -> _native.CoastModel:
 
 
 def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Float[Array, "..."]]:
-    """Return what the core needs to know of a base and of how it fails, by the names that it has there."""
+    """Return the arrays that describe a base and its failures, by their parameter names in the core."""
     assert scene.base is not None
     tables = coast_tables(scene)
     ways = one_sided_ways(tables.body, settings)

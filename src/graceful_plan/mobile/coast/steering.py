@@ -1,10 +1,10 @@
-r"""What a controller tells the wheels of a base of which it does not know that one side fails.
+r"""A path-tracking controller that is unaware that one side of its base has failed.
 
-It leads the base back to its way, as `graceful_plan.mobile.control`'s `Tracking` does, in fewer words: the speed is
-:math:`v \cos e_h + k_x e_x`, the rate of turning :math:`\omega + v k_y e_y + (|v| k_h + k_x) \sin e_h`, what is
-corrected at most :math:`\sqrt{2 \alpha |e|}`, and what gyros miss of it is added (Kanayama et al., ICRA 1990). One side
-does not do what it is told, so that the base swings about its way. The way goes on with the rate of turning that it
-has, and gets as fast as the base may be: who is slow at a place is fast again soon after it.
+It is a vectorised form of `Tracking` in `graceful_plan.mobile.control`. The speed is :math:`v \cos e_h + k_x e_x` and
+the turning rate :math:`\omega + v k_y e_y + (|v| k_h + k_x) \sin e_h`. The correction is limited to :math:`\sqrt{2
+\alpha |e|}`, and the turning-rate error measured by gyros is fed back (Kanayama et al., ICRA 1990). One side does not
+follow its commands, so the base swings about the reference. The reference keeps its turning rate and accelerates to the
+greatest speed of the base, because planned motions pass slow places only briefly.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 Array = np.ndarray
 
 TICK = 0.02
-"""Time between two commands [s]."""
+"""Time between commands [s]."""
 MOTORS = 2.5
-"""How hard motors speed up rims, over the acceleration that motions have: 2.5 of a Jackal, 3.3 of a Fetch."""
+"""Ratio of the motors' rim acceleration to the acceleration limit of motions; 2.5 for a Jackal, 3.3 for a Fetch."""
 _ALONG, _ACROSS, _HEADING = 6.0, 20.0, 6.0
 _SPARE = 3.0
-"""Angular acceleration to bring it back from a turn [rad/s^2]."""
+"""Angular acceleration available to recover from a turn [rad/s^2]."""
 _RATE, _SUM, _WINDS = 1.0, 5.0, 0.15
 BEHIND = 3.0
-"""How far from what was told the rates of wheels may be before they count instead [rad/s]."""
+"""Largest difference between commanded and measured wheel rates; commands are clamped to it [rad/s]."""
 FASTER = 1.3
-"""Greatest speed of rims that is told, over that of motions: room for what tracking adds to the fastest."""
+"""Ratio of the greatest commanded rim speed to the limit of motions; a reserve for tracking corrections."""
 
 
 def gone_on(base: DiffDrive, v: Float[Array, "*batch"], time: float) -> tuple[Array, Array]:
-    """Return how far a motion has gone on a time after it had a speed [m], and the speed that it has then [m/s].
+    """Return the distance a reference has covered [m] and its speed [m/s], a time after it had a given speed.
 
     Args:
-        base: How it drives.
-        v: Along the heading, backwards below 0 [m/s].
-        time: Afterwards [s].
+        base: Parameters of the base.
+        v: Initial speed along the heading, negative backwards [m/s].
+        time: Time since then [s].
     """
     speed = np.abs(v)
     faster = np.minimum(time, np.maximum(base.v_max - speed, 0.0) / base.a_max)
@@ -51,16 +51,16 @@ class OneSideSteering:
     """Controllers of a batch of bases.
 
     Args:
-        base: How they drive.
+        base: Parameters of the bases.
         v: Speed along the heading when one side fails [m/s].
-        omega: Rate of turning then [rad/s].
+        omega: Turning rate at that time [rad/s].
     """
 
     base: DiffDrive
     v: Float[Array, "*batch"]
     omega: Float[Array, "*batch"]
     _told: tuple[Array, Array] = field(init=False)
-    """Speeds of the left and the right rim [m/s]."""
+    """Commanded speeds of the left and right rims [m/s]."""
     _summed: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -71,13 +71,13 @@ class OneSideSteering:
     def tell(
         self, time: float, pose: tuple[Array, Array, Array], rate: Array, rims: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Return the speeds of the left and the right rim that it wants [m/s].
+        """Return the commanded speeds of the left and right rims [m/s].
 
         Args:
-            time: After the failure [s].
-            pose: x, y and angle turned of the base, in its frame then.
-            rate: Of turning [rad/s].
-            rims: Speeds that the left and the right rim have [m/s].
+            time: Time after the failure [s].
+            pose: x, y and angle turned, in the frame of the base at the failure.
+            rate: Measured turning rate [rad/s].
+            rims: Actual speeds of the left and right rims [m/s].
         """
         v, turn = self._wanted(time, pose)
         self._summed = np.clip(self._summed + TICK * (turn - rate), -_WINDS, _WINDS)
@@ -94,7 +94,7 @@ class OneSideSteering:
         return self._told
 
     def _wanted(self, time: float, pose: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        """Return the speed and the rate of turning that lead back to the way."""
+        """Return the speed and turning rate that lead back to the reference."""
         (x, y, turned), omega = pose, self.omega
         far, v = gone_on(self.base, self.v, time)
         way = omega * time

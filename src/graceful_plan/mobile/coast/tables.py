@@ -1,4 +1,4 @@
-"""What the coast model sees of a scene: the outline of the base, and what stands at its height, both from above."""
+"""Planar view of a scene for the coast model: the footprint of the base and the shapes at its height."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _OVER_THE_FLOOR = 0.03
-"""What is lower than this over the lowest point of the base is rolled over or under [m]."""
+"""Height above the lowest point of the base below which it rolls over geoms [m]."""
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
 _UPRIGHT = 0.99
 _ROUNDED = 1e-3
-"""To what the masses of a base are placed [m]: arms hang a little differently in each scene, and the tables of a robot
-are worth keeping."""
+"""Rounding of the mass parameters of a base [m]. Arm postures differ slightly between scenes, and with rounding
+they share the cached tables of a robot."""
 _WITHIN = 1e-3
-"""What a part of the base sticks out of another one by at most for it to be left out [m]."""
+"""Largest protrusion from another part at which a part of the footprint is left out [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CoastTables:
-    """The base and what it may meet.
+    """The base, and the shapes it can hit.
 
-    | field   | meaning                                                                         | unit | shape   |
-    |---------|---------------------------------------------------------------------------------|------|---------|
-    | outline | parts of the base, as shapes, in the frame of its joints                        | m    | part 7  |
-    | entity  | which entity a shape is of; -1 for obstacles                                    |      | shape   |
-    | shape   | rectangles from above: centre, direction, half sizes, and by how much rounded   | m    | shape 7 |
-    | body    | its mass, and where it is                                                       |      |         |
-    | height  | from what it rolls over to its highest point                                    | m    | 2       |
+    | field   | meaning                                                           | unit | shape   |
+    |---------|-------------------------------------------------------------------|------|---------|
+    | outline | parts of the footprint in the frame of the base joints, as shapes | m    | part 7  |
+    | entity  | entity index of each shape; -1 for obstacles                      |      | shape   |
+    | shape   | planar rectangles: centre, direction, half sizes, rounding radius | m    | shape 7 |
+    | body    | mass parameters of the base                                       |      |         |
+    | height  | range from the highest part it rolls over to its highest point    | m    | 2       |
     """
 
     outline: Float[Array, "part 7"]
@@ -50,7 +50,7 @@ class CoastTables:
 
 @per_scene
 def coast_tables(scene: Scene) -> CoastTables:
-    """Collect them, everything that stands in its initial pose."""
+    """Compute the tables of a scene with all objects in their initial poses."""
     assert scene.base is not None
     model, data = scene.model, scene.data_at(np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T))
     body = int(model.jnt_bodyid[model.joint(scene.base.joints[2]).id])
@@ -78,7 +78,7 @@ def coast_tables(scene: Scene) -> CoastTables:
 
 
 def _body(base: DiffDrive, model: mujoco.MjModel, data: mujoco.MjData, body: int) -> BaseBody:
-    """Add up the masses that move with the base, the arm where it is."""
+    """Sum the masses that move with the base, with the arm in its current posture."""
     bodies = sorted(subtree(model, body))
     mass, x = model.body_mass[bodies], data.xipos[bodies][:, :2]
     total = float(mass.sum())
@@ -103,7 +103,7 @@ def _rounded(length: float) -> float:
 
 
 def _outline(rows: Float[Array, "geom 7"], pose: Float[Array, " 3"]) -> Float[Array, "part 7"]:
-    """Return parts in the frame of a base, without those that are within others."""
+    """Transform the parts into the frame of the base and drop those contained in others."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     to_base = np.array([[c, s], [-s, c]])
     rows = np.column_stack([(rows[:, :2] - pose[:2]) @ to_base.T, rows[:, 2:4] @ to_base.T, rows[:, 4:]])
@@ -116,7 +116,7 @@ def _outline(rows: Float[Array, "geom 7"], pose: Float[Array, " 3"]) -> Float[Ar
 
 
 def _is_within(row: Float[Array, " 7"], other: Float[Array, " 7"]) -> bool:
-    """Whether a rounded rectangle sticks out of another one by next to nothing."""
+    """Whether a rounded rectangle lies within another one, up to a small tolerance."""
     x, y = row[2:4], np.array([-row[3], row[2]])
     corners = np.array([row[:2] + a * row[4] * x + b * row[5] * y for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
     u, w = corners - other[:2], np.stack([other[2:4], [-other[3], other[2]]])
@@ -126,7 +126,7 @@ def _is_within(row: Float[Array, " 7"], other: Float[Array, " 7"]) -> bool:
 
 
 def _from_above(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Float[Array, " 7"], float, float]:
-    """Return centre, direction, half sizes and rounding of a geom from above, its bottom and its top."""
+    """Return a geom's planar shape (centre, direction, half sizes, rounding radius), its bottom and its top [m]."""
     kind, R = int(model.geom_type[geom]), data.geom_xmat[geom].reshape(3, 3)
     half, p = model.geom_aabb[geom, 3:], data.geom_xpos[geom] + R @ model.geom_aabb[geom, :3]
     x = R[:2, int(np.argmin(np.abs(R[2])))]

@@ -1,7 +1,7 @@
-"""A coast model of few ways, for searches among those who move: three times faster than the whole one, and close to it.
+"""A coast model with fewer stopping modes, three times faster, for searches among moving entities.
 
-How many decelerations and delays there are hardly decides whom a base meets. On 3,000 random states around somebody who
-walks, sums of P differ by 1 %, with a correlation of 0.997.
+The number of decelerations and delays hardly changes which entities a base hits. On 3,000 random states around a
+pedestrian, sums of P differ from the full model by 1 %, with a correlation of 0.997.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from graceful_plan.mobile.coast.constants import ONE_SIDE, CoastSettings
 
 
 def thinned(settings: CoastSettings) -> CoastSettings:
-    """Return settings without ways that bend, each with two decelerations and delays at most, and one of one side."""
+    """Reduce settings to the mean curvature, at most two decelerations and delays per mode, and one one-sided mode."""
     happens = {name: way for name, way in settings.ways.items() if way.weight > 0.0}
     ways = {
         name: replace(

@@ -1,7 +1,7 @@
-"""Whom of those who move a base meets that fails, by the coast model: who goes on at the velocity of that moment.
+"""Coast model for moving entities, which continue at the velocity they have at the failure.
 
-Obstacles and those who stand stop the base before, as everybody else. Where somebody is at the moment of the failure is
-uncertain by the spread of the prediction then. Without times, P is the mean over the predicted path.
+Obstacles and standing entities stop the base earlier, as in the static model. The position of a moving entity at the
+failure has the spread of its prediction at that time. Without times, P is the mean over the predicted path.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _SOON = 1e-3
-"""Time over which a velocity is looked at [s]."""
+"""Interval of the finite difference for velocities [s]."""
 
 
 @per_scene(most=4)
 def moving_coast(scene: Scene, settings: CoastSettings) -> _native.MovingCoast:
-    """Return P that a failing base meets each moving entity, times what its energy is worth."""
+    """Return the native model for hits of moving entities by a failing base, weighted by energy."""
     bottom, top = coast_tables(scene).height
     return _native.MovingCoast(moving_table(scene), coast_model(scene, settings), bottom=bottom, top=top)
 
@@ -35,7 +35,7 @@ def moving_coast(scene: Scene, settings: CoastSettings) -> _native.MovingCoast:
 def seen_from_above(
     entity: MovingEntity, t: Float[Array, " n"]
 ) -> tuple[Float[Array, "n 7"], Float[Array, "n 2"], Float[Array, " n"]]:
-    """Return outlines of a moving entity at times, as in `CoastTables.shape`, its velocities [m/s] and spreads [m]."""
+    """Return planar shapes of a moving entity at times, as in `CoastTables`, its velocities [m/s] and spreads [m]."""
     there, soon = entity.at(t), entity.at(t + _SOON)
     shape = outlines(entity, there.position[:, :2], there.yaw)
     return shape, (soon.position - there.position)[:, :2] / _SOON, there.spread

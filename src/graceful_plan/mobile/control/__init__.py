@@ -1,1 +1,1 @@
-"""Controllers of bases that drive: pure functions and frozen settings, without any simulation."""
+"""Controllers for mobile bases: pure functions and frozen settings, without simulation."""

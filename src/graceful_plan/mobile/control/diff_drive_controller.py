@@ -1,4 +1,4 @@
-"""From what a base should do to what its wheels should: limits of body, accelerations and wheels, slip, tracking."""
+"""Conversion of body commands into wheel commands: limits, slip compensation and trajectory tracking."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 Array = np.ndarray
 
 _DRIVES = 0.4
-"""Speed at which a base is held at half the angle to its way that the bend asks for [m/s]."""
+"""Speed at which the base is held at half of the slip angle of its arc [m/s]."""
 _TURNS = 0.3
-"""Rate of turning from which on a base that turns in place is held behind its place [rad/s]."""
+"""Turning rate above which the full offset of `Tracking.share` applies when turning in place [rad/s]."""
 
 
 def wheel_speeds(command: DriveCommand, base: DiffDrive) -> tuple[float, float]:
@@ -30,24 +30,24 @@ def wheel_speeds(command: DriveCommand, base: DiffDrive) -> tuple[float, float]:
 
 
 def body_speeds(left: float, right: float, base: DiffDrive) -> DriveCommand:
-    """Return what the base does whose wheels turn at these rates [rad/s]; inverse of `wheel_speeds`."""
+    """Return the body command for wheel rates [rad/s]; inverse of `wheel_speeds`."""
     return DriveCommand(0.5 * (left + right) * base.radius, 0.5 * (right - left) * base.radius / base.lever)
 
 
 def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: float) -> DriveCommand:
-    """Return what comes nearest to a command within the base's limits, a time after another command.
+    """Return the nearest command within the base's limits that is reachable from the previous command.
 
-    Speeds and accelerations of the body come first. Where wheels would be too fast, the speed gives way and not the
-    rate of turning, so that the base stays on its way.
+    Limits on body speeds and accelerations apply first. If a wheel would still be too fast, the speed is reduced and
+    not the turning rate, so that the base stays on its path.
 
     Args:
-        wanted: What it should do.
-        before: What it was told before.
-        base: Its limits.
-        dt: Time between the two [s], above 0.
+        wanted: Desired command.
+        before: Previous command.
+        base: Base with its limits.
+        dt: Time between the two commands [s], above 0.
 
     Raises:
-        SettingError: If the time is not above 0.
+        SettingError: If `dt` is not above 0.
         NonFiniteError: If a speed is not finite.
     """
     if not dt > 0.0:
@@ -63,23 +63,23 @@ def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: flo
 
 
 _WINDS = 0.15
-"""Greatest integral of the rate of turning that is missed [rad]."""
+"""Bound of the integral of the turning-rate error [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pivot:
-    r"""Where a base has no sideways speed: ahead of its origin by :math:`p_0 + p_1 v |\omega| / (|v \omega| + a)`.
+    r"""Point without sideways velocity, ahead of the origin by :math:`p_0 + p_1 v |\omega| / (|v \omega| + a)`.
 
-    A skid-steer whose centre of mass is not in the middle turns about another point than its origin, and in bends its
-    tyres have to carry it sideways: it drives at an angle to its heading. Backwards the other tyres carry more of it.
-    Measure it by driving (A. Mandow et al., IROS 2007).
+    A skid-steer whose centre of mass is off its middle turns about a point other than its origin. Along arcs its tyres
+    need sideways slip for the lateral force, so the base drives at an angle to its heading. Backwards, the other axle
+    carries more of that force. Identify the parameters by driving (A. Mandow et al., IROS 2007).
 
     Args:
-        still: p_0, where it turns in place [m].
-        bend: p_1, what fast bends add at most [m].
-        acceleration: a, acceleration across the heading at which that is half of it [m/s^2].
-        back_bend: p_1 where it drives backwards [m]; as forwards by default.
-        back_acceleration: a, likewise [m/s^2].
+        still: p_0, the offset when turning in place [m].
+        bend: p_1, the largest additional offset along fast arcs [m].
+        acceleration: a, lateral acceleration at which the additional offset is p_1 / 2 [m/s^2].
+        back_bend: p_1 when driving backwards [m]; default: the value for forwards.
+        back_acceleration: a when driving backwards [m/s^2]; default: the value for forwards.
     """
 
     still: float = 0.0
@@ -94,10 +94,10 @@ class Pivot:
             if value is None and field.name.startswith("back_"):
                 continue
             if not (is_real(value) and math.isfinite(value)) or (above and value <= 0.0):
-                raise SettingError(f"Pivot.{field.name}", value, "a finite number, of the acceleration above 0")
+                raise SettingError(f"Pivot.{field.name}", value, "a finite number; accelerations above 0")
 
     def ahead(self, v: float, omega: float) -> float:
-        """Return how far ahead of the origin it is [m]."""
+        """Return the distance of the point ahead of the origin [m]."""
         across, bend, half = abs(v * omega), self.bend, self.acceleration
         if v < 0.0:
             bend = bend if self.back_bend is None else self.back_bend
@@ -107,30 +107,32 @@ class Pivot:
 
 @dataclass(frozen=True, kw_only=True)
 class Tracking:
-    r"""Follows a motion: :math:`v = v_r \cos e_h + k_x e_x`, and a rate of turning that also heeds the rate it has.
+    r"""Trajectory tracking with :math:`v = v_r \cos e_h + k_x e_x` and feedback on the measured turning rate.
 
-    :math:`\omega = \omega_r + v_r k_y e_y + (|v_r| k_h + k_x) \sin e_h`, to which :math:`k_r (\omega - \omega_m)` and
-    its integral are added, :math:`\omega_m` being the measured rate: a skid-steer slips less the faster it drives. In
-    bends the base is held at the angle to its way at which its origin does not leave it (`Pivot`), but not before it
-    drives: no base that gets going turns so fast. Where it turns in place, its origin has to go round the pivot; it is
-    kept `share` of that behind, so that it is off less to the side. What is corrected is bounded by
-    :math:`\sqrt{2 \alpha |e|}`, e being the heading that is missed and what the way aside counts as: from a faster turn
-    the motors could not bring it back, and it would swing about its way.
+    The turning rate is :math:`\omega = \omega_r + v_r k_y e_y + (|v_r| k_h + k_x) \sin e_h`. The terms :math:`k_r
+    (\omega - \omega_m)` and its integral are added, where :math:`\omega_m` is the measured rate, because a skid-steer
+    slips less the faster it drives.
+
+    Along arcs the base is held at the slip angle at which its origin stays on the path (`Pivot`). This fades in with
+    speed, because a starting base cannot turn that fast. When the base turns in place, its origin circles the pivot.
+    The base is then held behind its reference by `share` of the pivot offset, which reduces the lateral error.
+    Corrections are limited to :math:`\sqrt{2 \alpha |e|}`, where e is the heading error plus the lateral error
+    converted to an angle. Motors could not stop a faster turn in time, and the base would oscillate about its path.
 
     Y. Kanayama et al., "A stable tracking control method for an autonomous mobile robot", ICRA 1990.
 
     Args:
-        k_x: Along the heading [1/s].
-        k_y: Across it [1/m^2].
-        k_h: Of the heading [1/m].
-        k_rate: Of the rate of turning as a gyro measures it.
-        k_integral: Of its integral [1/s].
-        alpha: Angular acceleration that motors have to spare [rad/s^2].
-        lead: What motors need until they do as they are told [s]: speeds are looked up as much ahead.
-        pivot: Where the base has no sideways speed.
-        share: Of the distance to the pivot, where it turns in place.
-        slant: Greatest angle to its way at which the base is held [rad]. Bends may ask for more, but where it turns
-            so tightly, it cannot get there and back in time.
+        k_x: Gain on the error along the heading [1/s].
+        k_y: Gain on the lateral error [1/m^2].
+        k_h: Gain on the heading error [1/m].
+        k_rate: Gain on the error of the turning rate, as measured by a gyro.
+        k_integral: Gain on the integral of that error [1/s].
+        alpha: Angular acceleration the motors have in reserve [rad/s^2].
+        lead: Response time of the motors [s]; reference speeds are looked up ahead by this time.
+        pivot: Point without sideways velocity.
+        share: Share of the pivot offset by which the base is held behind when turning in place.
+        slant: Largest slip angle at which the base is held [rad]. Tight arcs may need more, but the base could not
+            reach that angle and return from it in time.
     """
 
     k_x: float = 6.0
@@ -148,11 +150,11 @@ class Tracking:
         check_numbers(self, ("k_x", "k_y", "k_h", "k_rate", "k_integral", "alpha", "lead", "share", "slant"))
 
     def command(self, state: DriveState, wanted: DriveState) -> DriveCommand:
-        """Return what leads to a state that moves on, before the measured rate of turning counts.
+        """Return the command that leads to a moving reference state, before feedback of the measured turning rate.
 
         Args:
-            state: Where the base is and how fast.
-            wanted: Where it should be now and how fast.
+            state: Current state of the base.
+            wanted: Reference state at this time.
 
         Raises:
             NonFiniteError: If a number is not finite.
@@ -174,7 +176,7 @@ class Tracking:
         return DriveCommand(v, wanted.omega + self._pull(wanted.v, across, heading))
 
     def _pull(self, v: float, across: float, heading: float) -> float:
-        """Return the rate of turning that leads back to the way [rad/s]."""
+        """Return the turning rate that corrects lateral and heading errors [rad/s]."""
         stiff = abs(v) * self.k_h + self.k_x
         pull = v * self.k_y * across + stiff * math.sin(heading)
         missed = abs(heading) + (abs(v) * self.k_y * abs(across) / stiff if stiff else 0.0)
@@ -182,31 +184,31 @@ class Tracking:
         return min(max(pull, -most), most)
 
     def summed(self, before: float, command: DriveCommand, state: DriveState, dt: float) -> float:
-        """Return the integral of commanded minus measured rate of turning a time later [rad].
+        """Return the integral of commanded minus measured turning rate after a time step [rad].
 
-        It stops growing where it asks for more than slip ever does: motors at their limit would wind it up.
+        It is clamped at a value beyond any real slip, otherwise saturated motors would wind it up.
 
         Args:
-            before: What it was.
-            command: What the base should do.
-            state: What it does.
-            dt: Time [s].
+            before: Integral before the step [rad].
+            command: Commanded speeds.
+            state: Measured state.
+            dt: Time step [s].
         """
         return min(max(before + dt * (command.omega - state.omega), -_WINDS), _WINDS)
 
     def held(self, command: DriveCommand, state: DriveState, summed: float) -> DriveCommand:
-        """Return what to tell the wheels so that the base turns as commanded, though it slips.
+        """Return the wheel-level command that makes the base turn as commanded in spite of slip.
 
         Args:
-            command: What the base should do.
-            state: What it does.
-            summed: Integral of commanded minus measured rate of turning [rad].
+            command: Commanded speeds.
+            state: Measured state.
+            summed: Integral of commanded minus measured turning rate [rad].
         """
         off = command.omega - state.omega
         return DriveCommand(command.v, command.omega + self.k_rate * off + self.k_integral * summed)
 
 
 def drive_states(q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, "n 5"]:
-    """Return x, y, yaw, speed along it and rate of turning of configurations whose first three joints drive."""
+    """Return x, y, yaw, forward speed and turning rate of configurations whose first three joints are the base."""
     c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
     return np.column_stack([q[:, :3], qd[:, 0] * c + qd[:, 1] * s, qd[:, 2]])

@@ -1,4 +1,4 @@
-"""What controllers of a base see and say."""
+"""Inputs and outputs of base controllers: states, commands and surroundings."""
 
 from __future__ import annotations
 
@@ -17,54 +17,54 @@ from graceful_plan.path import finite_array, is_real
 Array = np.ndarray
 
 FARTHEST = 1e4
-"""Of places [m], and of angles [rad]."""
+"""Largest coordinate of a place [m], and largest angle [rad]."""
 FASTEST = 1e3
-"""[m/s, rad/s]."""
+"""Largest speed [m/s] and turning rate [rad/s]."""
 MOST_PLACES = 100_000
-"""Of a path that a controller follows: it looks at all of it again for every command."""
+"""Largest number of points of a path; controllers process all of them for every command."""
 
 
 class DriveState(NamedTuple):
-    """Where a base is and how fast it drives."""
+    """Pose and speeds of a base."""
 
     x: float
-    """In W [m]."""
+    """Position in W [m]."""
     y: float
     yaw: float
     """Heading [rad]."""
     v: float
-    """Along the heading [m/s]."""
+    """Speed along the heading [m/s]."""
     omega: float
-    """Rate of turning [rad/s]."""
+    """Turning rate [rad/s]."""
 
 
 class DriveCommand(NamedTuple):
-    """How fast a base is to drive."""
+    """Commanded speeds of a base."""
 
     v: float
-    """Along the heading [m/s]."""
+    """Speed along the heading [m/s]."""
     omega: float
-    """Rate of turning [rad/s]."""
+    """Turning rate [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What stands or moves around a base, from above: rectangles that may be rounded.
+    """Planar shapes of static and moving objects around a base: rectangles, possibly rounded.
 
-    | field    | meaning                                                                              | unit | shape   |
-    |----------|--------------------------------------------------------------------------------------|------|---------|
-    | shape    | centre, direction of the first side, half sizes, and by how much it is rounded       | m    | shape 7 |
-    | entity   | which entity it is of; -1 for obstacles, which nobody harms                          |      | shape   |
-    | velocity | how fast it moves in W; not at all by default                                        | m/s  | shape 2 |
-    | severity | of each entity, if the base hits it at the speed that severities are for             |      | entity  |
+    | field    | meaning                                                                 | unit | shape   |
+    |----------|-------------------------------------------------------------------------|------|---------|
+    | shape    | centre, direction of the first side, half sizes, rounding radius        | m    | shape 7 |
+    | entity   | entity index of each shape; -1 for obstacles, which have no severity    |      | shape   |
+    | velocity | velocity in W; default: 0                                               | m/s  | shape 2 |
+    | severity | severity of each entity, for a hit at the reference speed of severities |      | entity  |
 
-    A cylinder has half sizes 0 and its radius as rounding.
+    A cylinder has half sizes 0 and its radius as rounding radius.
 
     Raises:
         ShapeError: If the arrays do not fit together.
         NonFiniteError: If a number is NaN or infinite.
         SettingError: If a severity or a size is below 0, a direction is not of length 1, a number is too large, or a
-            shape is of an entity that has no severity.
+            shape refers to an entity without severity.
     """
 
     shape: Float[Array, "shape 7"]
@@ -119,10 +119,10 @@ class Surroundings:
         """Return surroundings of discs.
 
         Args:
-            centre: Of each [m].
-            radius: Of each [m].
-            velocity: Of each [m/s].
-            severity: Of each, if they are entities; 0 for what is none.
+            centre: Centre of each disc [m].
+            radius: Radius of each disc [m].
+            velocity: Velocity of each disc [m/s].
+            severity: Severity of each disc that is an entity; 0 for obstacles.
         """
         places = np.atleast_2d(finite_array("centre", centre))
         places = finite_array("centre", places if places.size else places.reshape(0, 2), ndim=2, last=2)
@@ -139,10 +139,10 @@ def check_numbers(settings: object, names: Iterable[str], *, above: bool = False
     """Raise SettingError unless all of these settings are numbers of at least 0.
 
     Args:
-        settings: A settings object of a controller.
-        names: Of its fields.
-        above: Whether 0 is none of them.
-        finite: Whether infinity is none of them.
+        settings: Settings object of a controller.
+        names: Names of the fields to check.
+        above: Whether 0 is excluded.
+        finite: Whether infinity is excluded.
     """
     for name in names:
         value = getattr(settings, name)
@@ -153,17 +153,17 @@ def check_numbers(settings: object, names: Iterable[str], *, above: bool = False
 
 
 def wrapped(angle: float) -> float:
-    """Return an angle in [-pi, pi)."""
+    """Wrap an angle to [-pi, pi)."""
     return math.remainder(angle, 2.0 * math.pi)
 
 
 def checked_state(state: DriveState) -> DriveState:
-    """Return a state that controllers may reckon with.
+    """Validate a state for the controllers.
 
     Raises:
         ShapeError: If it is not five numbers.
-        NonFiniteError: If one of them is not finite: a base that does not know where it is has to be stopped.
-        SettingError: If one of them is too large.
+        NonFiniteError: If a number is not finite: stop a base whose state is unknown.
+        SettingError: If a number is too large.
     """
     row = finite_array("state", list(state), ndim=1, last=5)
     if np.abs(row[:3]).max() > FARTHEST or np.abs(row[3:]).max() > FASTEST:
@@ -172,11 +172,11 @@ def checked_state(state: DriveState) -> DriveState:
 
 
 def checked_places(path: ArrayLike) -> Float[Array, "n 2"]:
-    """Return a path on the floor, of whose columns the first two count.
+    """Return the first two columns of a path on the floor after validating it.
 
     Raises:
-        ShapeError: If it has not from one to `MOST_PLACES` rows of at least two columns.
-        NonFiniteError: If a number of it is not finite.
+        ShapeError: If it does not have 1 to `MOST_PLACES` rows of at least two columns.
+        NonFiniteError: If a number is not finite.
         SettingError: If a place is too far away.
     """
     places = finite_array("path", path)

@@ -1,20 +1,20 @@
-r"""The dynamic window approach: of the speeds that a base can reach in a short time, the one whose arc is best.
+r"""The dynamic window approach: choose, among speeds reachable in a short time, those with the best arc.
 
 D. Fox, W. Burgard and S. Thrun, "The dynamic window approach to collision avoidance", IEEE Robotics & Automation
-Magazine 4 (1997). A pair :math:`(v, \omega)` is admissible if the base can stand before it touches anything on its arc.
-Among those the greatest
+Magazine 4 (1997). A pair :math:`(v, \omega)` is admissible if the base can stop before it touches anything on its arc.
+The controller chooses the admissible pair with the greatest score
 
 .. math:: \alpha\, \text{heading} + \beta\, \text{progress} - \gamma\, \text{off the path} + \delta\, \text{clearance}
           - w \sum_e P_e S_e - \text{share of the horizon after a touch}
 
-is taken, where differs from the paper: heading is towards the path ahead of the arc's end (and middle), progress is
-along the path, as a share of what the greatest speed makes of the horizon, and P is the probability that the base hits
-an entity if it fails at the next command or half of the horizon later, times what the energy of the hit is worth, by
-the coast model. What moves is expected to go on as it does. Speeds from which the base cannot stop at the end of the
-path, whose acceleration across the heading is too great, or whose wheels turn too fast are not looked at.
+Differences from the paper: heading is measured towards the path ahead of the arc's end (and middle). Progress is
+measured along the path, relative to the distance covered at the greatest speed. P is the probability that the base hits
+an entity, weighted by the energy of the hit. It is the mean over failures at the next command and half a horizon later,
+by the coast model. Moving entities keep their velocity. Pairs are excluded if the base could not stop at the end of the
+path, its lateral acceleration would be too great, or its wheels would turn too fast.
 
-Candidates are looked at best first, by what they are worth at most, until no other can be better: that changes nothing
-but the time that it takes.
+Candidates are evaluated in order of an upper bound on their score, until no other candidate can be better. This does
+not change the result.
 """
 
 from __future__ import annotations
@@ -57,21 +57,21 @@ class DWA:
     """Settings of the dynamic window approach.
 
     Args:
-        heading: Weight of heading for the path ahead, which is between 0 and 1.
+        heading: Weight of the alignment of the heading with the path ahead, which is between 0 and 1.
         velocity: Weight of progress, which is 1 at the greatest speed along the path.
         path: Weight of the distance to the path [1/m].
         clearance: Weight of the clearance along the arc, which is 1 from `near` on.
-        impact: Weight of what is hit if the base fails, in units of severity: the w of `plan`.
-        most_impact: What that may be at most; where it is more for all, the least is taken.
-        horizon: How far arcs are followed [s].
+        impact: Weight of the impact if the base fails, per unit of severity: the w of `plan`.
+        most_impact: Largest acceptable impact. If all candidates exceed it, the one with the least impact is taken.
+        horizon: Duration of the evaluated arcs [s].
         period: Time until the next command [s].
-        window: For how long the base may accelerate to speeds that are looked at, at least the period [s].
-        near: Clearance that is enough [m].
-        margin: Clearance that is needed [m].
-        ahead: How far ahead of an arc's end the path is headed for [m].
-        tolerance: Distance to the end of the path at which it comes to a stop [m].
-        speeds: Speeds that are looked at.
-        rates: Rates of turning that are looked at, besides straight on and the arc to the path ahead.
+        window: Time of acceleration that bounds the candidate speeds, at least the period [s].
+        near: Clearance beyond which more gains nothing [m].
+        margin: Required clearance [m].
+        ahead: Distance along the path from an arc's end to the point it should head for [m].
+        tolerance: Distance to the end of the path at which the base stops [m].
+        speeds: Number of candidate speeds.
+        rates: Number of candidate turning rates, in addition to straight ahead and the arc to the path ahead.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -112,15 +112,15 @@ class DWA:
                 raise SettingError(f"DWA.{name}", value, "a whole number between 2 and 1000")
 
     def bind(self, scene: Scene, coast: CoastSettings | None = None) -> DynamicWindow:
-        """Return the controller of a scene's base.
+        """Create the controller for a scene's base.
 
         Args:
-            scene: Of which the base, its limits and its outline are taken; what stands there is not (see `seen`).
-            coast: How it fails; the shipped settings by default. What leads astray counts as what bends off at once: a
-                window looks at one moment alone.
+            scene: Scene that provides the base, its limits and its footprint; its obstacles are not used (see `seen`).
+            coast: Failure settings; default: the shipped ones. Odometry drift counts as an immediate change of
+                curvature, because the window evaluates single states.
 
         Raises:
-            SettingError: If its robot does not drive.
+            SettingError: If the scene's robot has no base.
         """
         if scene.base is None:
             raise SettingError("scene", scene.name, "a scene with a robot that drives: give it a DiffDrive")
@@ -128,29 +128,29 @@ class DWA:
 
 
 class WindowChoice(NamedTuple):
-    """What a base is to do, and why."""
+    """The chosen command and its evaluation."""
 
     command: DriveCommand
     score: float
-    """Of the best candidate; 0 if there was none."""
+    """Score of the chosen candidate; 0 if there was none."""
     clearance: float
-    """Least one along its arc, at most `DWA.near` [m]."""
+    """Least clearance along its arc, at most `DWA.near` [m]."""
     impact: float
-    """Of a failure there."""
+    """Impact of a failure along its arc."""
     admissible: bool
-    """False if nothing was: then it brakes as hard as it can."""
+    """False if no candidate was admissible; the command then brakes at the limit."""
     evaluated: int
-    """Candidates whose arcs were looked at."""
+    """Number of candidates whose arcs were evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
 class DynamicWindow:
-    """Chooses commands for one base. Made by `DWA.bind`.
+    """Dynamic-window controller of one base. Created by `DWA.bind`.
 
     Args:
-        settings: As given.
-        scene: Whose base it is.
-        coast: How it fails.
+        settings: Settings of the controller.
+        scene: Scene with the base.
+        coast: Failure settings.
     """
 
     settings: DWA
@@ -180,14 +180,14 @@ class DynamicWindow:
         """Choose the next command.
 
         Args:
-            state: Where the base is and how fast it drives.
-            path: Where to go, from place to place; it stops at the last one [m].
-            around: What stands and moves there.
-            every: Whether all candidates are looked at, which changes nothing but the time that it takes.
+            state: Pose and speeds of the base.
+            path: Points to follow in order; the base stops at the last one [m].
+            around: Static and moving shapes around the base.
+            every: Whether all candidates are evaluated; this only takes longer and does not change the result.
 
         Raises:
             ShapeError: If state or path are not of the right shape.
-            NonFiniteError: If a number of them is not finite: a base that does not know where it is has to be stopped.
+            NonFiniteError: If a number of them is not finite: stop a base whose state is unknown.
             SettingError: If a number of them is too large.
         """
         state, places = checked_state(state), checked_places(path)
@@ -211,12 +211,12 @@ class DynamicWindow:
 
 
 def seen(scene: Scene, t: float = 0.0, *, static: bool = True) -> Surroundings:
-    """Return what a scene says that there is around its base, from above.
+    """Return the surroundings of a scene's base, projected onto the floor.
 
     Args:
-        scene: Where.
-        t: When, on the clock of its moving entities [s].
-        static: Whether what stands still is in it too.
+        scene: Scene with the base.
+        t: Time on the clock of its moving entities [s].
+        static: Whether static objects are included.
     """
     tables = _standing(scene)
     moving = [seen_from_above(entity, np.array([t])) for entity in scene.moving.values()]

@@ -1,6 +1,6 @@
-r"""Pure pursuit: along the arc that leads to a point of the path some way ahead.
+r"""Pure pursuit: follow a path along arcs to a point some distance ahead on it.
 
-The arc from the base to a point at the distance L and the angle :math:`\alpha` off the heading has the curvature
+The arc from the base to a point at distance L and angle :math:`\alpha` off the heading has the curvature
 :math:`2 \sin \alpha / L`. R. C. Coulter, "Implementation of the pure pursuit path tracking algorithm", CMU-RI-TR-92-01.
 """
 
@@ -27,13 +27,13 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class PurePursuit:
-    """Settings.
+    """Settings of pure pursuit.
 
     Args:
-        seconds: How far ahead the point is, in time at the present speed [s].
-        nearest: Its least distance [m].
-        speed: Cruising speed, if the base may go so fast [m/s].
-        in_place: Angle off the heading above which the base turns in place first [rad].
+        seconds: Look-ahead time at the current speed [s].
+        nearest: Least look-ahead distance [m].
+        speed: Cruising speed, limited by the base [m/s].
+        in_place: Angle off the heading above which the base first turns in place [rad].
 
     Raises:
         SettingError: If a number is out of its range.
@@ -48,12 +48,13 @@ class PurePursuit:
         check_numbers(self, ("seconds", "nearest", "speed", "in_place"), above=True, finite=False)
 
     def command(self, state: DriveState, path: Float[Array, "n 2"], base: DiffDrive) -> DriveCommand:
-        """Return what leads along a path, forwards, to a stop at its end.
+        """Return the command that follows a path forwards and stops at its end.
 
         Args:
-            state: Where the base is.
-            path: Places on the floor in W [m].
-            base: Its limits; they hold for what is returned, accelerations do not (see `limited`).
+            state: State of the base.
+            path: Points on the floor in W [m].
+            base: Base with its limits. The command respects the speed limits but not the acceleration limits (see
+                `limited`).
 
         Raises:
             ShapeError: If state or path are not of the right shape.
@@ -88,13 +89,13 @@ def lengths(path: Float[Array, "n 2"]) -> Float[Array, " n"]:
 
 
 def at_length(path: Float[Array, "n 2"], s: float) -> tuple[float, float]:
-    """Return the place at a length of a polyline; its ends beyond them."""
+    """Return the point at a length along a polyline, clamped to its ends."""
     length = lengths(path)
     return float(np.interp(s, length, path[:, 0])), float(np.interp(s, length, path[:, 1]))
 
 
 def foot(path: Float[Array, "n 2"], state: DriveState) -> tuple[float, float]:
-    """Return the length at which a polyline is nearest to a base, and how near [m]."""
+    """Return the length along a polyline of the point nearest to a base, and its distance [m]."""
     p, begin = np.array([state.x, state.y]), path[:-1, :2]
     way = path[1:, :2] - begin
     squared = np.maximum((way**2).sum(axis=1), 1e-12)

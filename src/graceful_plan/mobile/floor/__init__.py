@@ -1,1 +1,1 @@
-"""Maps of floors and what is planned on them: curves of bases that steer, and lattices over (x, y, heading)."""
+"""Floor maps and planning on them: curves of steered bases, grids, and lattices over (x, y, heading)."""

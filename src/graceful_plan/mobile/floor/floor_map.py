@@ -1,7 +1,7 @@
-"""Maps of floors: which cells something stands on, how far the next obstacle is, and who may be harmed there.
+"""Floor maps: occupied cells, distances to obstacles, and the entities on the floor.
 
-Cells are counted as in ROS's OccupancyGrid: row 0 is the lowest, rows lead along y of the map, columns along x. The
-origin is the pose of the lower left corner of the map in W.
+Cells are indexed as in the ROS OccupancyGrid: row 0 is the lowest, rows increase along y of the map, columns along x.
+The origin is the pose of the lower left corner of the map in W.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from graceful_plan.scene.sensed.height_map import HeightMap
 Array = np.ndarray
 
 UNKNOWN = -1
-"""Occupancy of a cell that nobody has seen."""
+"""Occupancy of an unknown cell."""
 MAX_CELLS = 2**26
-"""Of a map: 8192 x 8192."""
+"""Largest number of cells of a map: 8192 x 8192."""
 _FAR = 2.0**40
-"""Cells from the origin; what is farther is no less off the map."""
+"""Largest cell index; points farther away are off the map anyway and are clamped to it."""
 WALL_HEIGHT = 1.0
-"""Default height of what stands on occupied cells, as a scene [m]: above the bundled bases."""
+"""Default height of occupied cells in a scene [m]; above the bundled bases."""
 
 
 @final
@@ -46,17 +46,17 @@ WALL_HEIGHT = 1.0
 class FloorMap:
     """A map of a floor; frozen, like a Scene. Its arrays are read-only.
 
-    | field         | meaning                                                                | unit      | shape      |
-    |---------------|------------------------------------------------------------------------|-----------|------------|
-    | occupancy     | 0 free to 100 occupied, -1 unknown; row 0 is the lowest                | per cent  | row column |
-    | resolution    | width of a cell                                                        | m         |            |
-    | origin        | x, y, yaw in W of the lower left corner of cell (0, 0)                 | m, m, rad |            |
-    | entities      | what can be harmed, besides what is occupied: Solids with a class      |           |            |
-    | occupied_from | occupancy from which a cell is an obstacle; unknown ones always are    | per cent  |            |
-    | name          | what to call it                                                        |           |            |
+    | field         | meaning                                                               | unit      | shape      |
+    |---------------|-----------------------------------------------------------------------|-----------|------------|
+    | occupancy     | 0 free to 100 occupied, -1 unknown; row 0 is the lowest               | per cent  | row column |
+    | resolution    | width of a cell                                                       | m         |            |
+    | origin        | x, y, yaw in W of the lower left corner of cell (0, 0)                | m, m, rad |            |
+    | entities      | entities on the floor, as Solids with a class                         |           |            |
+    | occupied_from | least occupancy of an obstacle cell; unknown cells are obstacles, too | per cent  |            |
+    | name          | name of the map                                                       |           |            |
 
     Raises:
-        ShapeError: If the occupancy has not two axes or too many cells.
+        ShapeError: If the occupancy does not have two axes or has too many cells.
         SettingError: If a value is out of its range or an entity has no class.
     """
 
@@ -101,28 +101,28 @@ class FloorMap:
         if not (is_real(self.occupied_from) and 1 <= self.occupied_from <= 100):
             raise SettingError("occupied_from", self.occupied_from, "a share from 1 to 100 per cent")
 
-    # --- making one ---------------------------------------------------------------------------------------------------
+    # --- construction -------------------------------------------------------------------------------------------------
 
     @classmethod
     def from_map_server(cls, file: str | Path, image: str | Path | None = None) -> FloorMap:
-        """Read a map of ROS's map_server: YAML, and the PGM or PNG that it names.
+        """Read a map of the ROS map_server: a YAML file, and the PGM or PNG that it names.
 
         Args:
             file: The YAML file.
-            image: Another picture than the one that it names, which has to be in the same folder or below.
+            image: Image to use instead of the named one, which must be in the folder of the YAML file or below.
 
         Raises:
-            FormatError: If a file is broken, truncated, too large or hostile, or not there.
+            FormatError: If a file is missing, broken, truncated, too large or malicious.
         """
         read = read_map_server(path_of(file), None if image is None else path_of(image), MAX_CELLS)
         return cls(occupancy=read.occupancy, resolution=read.resolution, origin=read.origin, name=_name_of(file))
 
     @classmethod
     def from_moving_ai(cls, file: str | Path, resolution: float = 1.0) -> FloorMap:
-        """Read a .map of the MovingAI benchmarks; "." "G" and "S" are free, and its first row is the uppermost.
+        """Read a .map file of the MovingAI benchmarks; "." "G" and "S" are free, and its first row is the uppermost.
 
         Raises:
-            FormatError: If the file is broken, truncated or too large, or not there.
+            FormatError: If the file is missing, broken, truncated or too large.
         """
         blocked = read_moving_ai(path_of(file), MAX_CELLS)
         return cls(occupancy=blocked, resolution=resolution, name=_name_of(file))
@@ -136,13 +136,13 @@ class FloorMap:
         resolution: float = 0.05,
         bounds: Sequence[float] | None = None,
     ) -> FloorMap:
-        """Cut a map out of a scene: what stands between two heights, with exact geometry; no robot, nothing carried.
+        """Build a map from the exact geometry of a scene between two heights, without robot and carried object.
 
         Args:
-            scene: What is cut.
-            heights: From what the base drives over to how high the robot is [m].
+            scene: Source of the geometry.
+            heights: Height up to which the base drives over things, and height of the robot [m].
             resolution: Width of a cell [m].
-            bounds: Least x, greatest x, least y, greatest y [m]; if None, around everything that is cut.
+            bounds: Least x, greatest x, least y, greatest y [m]; default: around all geometry between the heights.
 
         Raises:
             SettingError: If a setting is out of its range, nothing is cut, or there would be too many cells.
@@ -151,7 +151,7 @@ class FloorMap:
         return cls(occupancy=occupied, resolution=resolution, origin=(*corner, 0.0), name=scene.name)
 
     def with_entities(self, *entities: Solid) -> FloorMap:
-        """Return this map with more that can be harmed.
+        """Return this map with additional entities.
 
         Raises:
             SettingError: If one has no class.
@@ -161,26 +161,26 @@ class FloorMap:
     # --- files --------------------------------------------------------------------------------------------------------
 
     def save(self, file: str | Path) -> None:
-        """Write it as files of ROS's map_server: FILE.yaml and FILE.pgm beside it. Entities have no place there.
+        """Write the map as files of the ROS map_server, FILE.yaml and FILE.pgm; entities are not written.
 
         Raises:
-            FormatError: If the name does not end in .yaml, or it cannot be written.
+            FormatError: If the name does not end in .yaml, or a file cannot be written.
         """
         write_map_server(Path(file), np.asarray(self.occupancy), self.resolution, self.origin)
 
     def save_moving_ai(self, file: str | Path) -> None:
-        """Write it as a .map of the MovingAI benchmarks.
+        """Write the map as a .map file of the MovingAI benchmarks.
 
         Raises:
-            FormatError: If it cannot be written.
+            FormatError: If the file cannot be written.
         """
         write_moving_ai(Path(file), self.occupied)
 
-    # --- questions ----------------------------------------------------------------------------------------------------
+    # --- queries ------------------------------------------------------------------------------------------------------
 
     @cached_property
     def occupied(self) -> Bool[Array, "row column"]:
-        """Which cells are obstacles; what is unknown is one."""
+        """Mask of obstacle cells, including unknown ones."""
         occupancy = np.asarray(self.occupancy)
         found = (occupancy >= self.occupied_from) | (occupancy == UNKNOWN)
         found.flags.writeable = False
@@ -188,7 +188,7 @@ class FloorMap:
 
     @cached_property
     def distance(self) -> Float[Array, "row column"]:
-        """From the centre of each cell to the nearest point of an obstacle [m]; what is off the map is one."""
+        """Distance from the centre of each cell to the nearest obstacle [m]; the outside of the map is an obstacle."""
         blocked = np.ascontiguousarray(self.occupied, dtype=np.uint8)
         found = _native.distance_field(blocked=blocked, resolution=self.resolution, outside=True)
         found.flags.writeable = False
@@ -196,30 +196,30 @@ class FloorMap:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Numbers of rows and columns."""
         rows, columns = np.shape(self.occupancy)
         return rows, columns
 
     @property
     def size(self) -> tuple[float, float]:
-        """Along x and y of the map [m]."""
+        """Extent along x and y of the map [m]."""
         rows, columns = self.shape
         return columns * self.resolution, rows * self.resolution
 
     def on_map(self, xy: Sequence[float] | ArrayLike) -> Float[Array, "*batch 2"]:
-        """Return points of W in the frame of the map [m]."""
+        """Transform points from W to the frame of the map [m]."""
         x, y, yaw = self.origin
         c, s = math.cos(yaw), math.sin(yaw)
         return (finite_array("xy", np.asarray(xy), last=2) - (x, y)) @ np.array([[c, -s], [s, c]])
 
     def in_world(self, xy: Sequence[float] | ArrayLike) -> Float[Array, "*batch 2"]:
-        """Return points of the map in W [m]."""
+        """Transform points from the frame of the map to W [m]."""
         x, y, yaw = self.origin
         c, s = math.cos(yaw), math.sin(yaw)
         return finite_array("xy", np.asarray(xy), last=2) @ np.array([[c, s], [-s, c]]) + (x, y)
 
     def cells(self, xy: Sequence[float] | ArrayLike) -> Int[Array, "*batch 2"]:
-        """Return column and row of the cells that points of W are in; they may be off the map."""
+        """Return column and row of the cells that contain points of W; cells may be off the map."""
         return np.floor(np.clip(self.on_map(xy) / self.resolution, -_FAR, _FAR)).astype(int)
 
     def centres(self, cells: Sequence[Any] | ArrayLike) -> Float[Array, "*batch 2"]:
@@ -227,7 +227,7 @@ class FloorMap:
         return self.in_world((finite_array("cells", np.asarray(cells), last=2) + 0.5) * self.resolution)
 
     def clearance(self, xy: Sequence[float] | ArrayLike) -> Float[Array, "*batch"]:
-        """Return how far obstacles are from points of W, at least [m]; 0 off the map and on what is occupied."""
+        """Return a lower bound on the distance of points in W to obstacles [m]; 0 off the map and on occupied cells."""
         points = np.clip(self.on_map(xy), -_FAR * self.resolution, _FAR * self.resolution)
         cells = np.floor(points / self.resolution).astype(int)
         rows, columns = self.shape
@@ -239,13 +239,13 @@ class FloorMap:
     # --- as a scene ---------------------------------------------------------------------------------------------------
 
     def walls(self, name: str = "walls", height: float = WALL_HEIGHT) -> HeightMap:
-        """Return what is occupied as an obstacle for `Scene.edit(add=...)`: few boxes that cover just these cells.
+        """Return the occupied cells as an obstacle for `Scene.edit(add=...)`: few boxes that cover exactly these cells.
 
         Raises:
-            SettingError: If the map is turned: boxes of a HeightMap lie along x and y of W. See `to_scene`.
+            SettingError: If the map is rotated: boxes of a HeightMap are aligned with W. See `to_scene`.
         """
         if self.origin[2] != 0.0:
-            raise SettingError("origin", self.origin, "a yaw of 0: a HeightMap is not turned; see FloorMap.to_scene")
+            raise SettingError("origin", self.origin, "a yaw of 0: a HeightMap is not rotated; see FloorMap.to_scene")
         return HeightMap(
             name=name,
             heights=np.where(self.occupied.T, height, np.nan),
@@ -261,19 +261,19 @@ class FloorMap:
         severity: Mapping[str, Any] | str | Path | None = None,
         keyframes: Mapping[str, ArrayLike] | None = None,
     ) -> Scene:
-        """Return a scene in which a bundled robot stands on this floor, for all that plans, judges and simulates.
+        """Build a scene in which a bundled robot stands on this floor.
 
-        Occupied cells, and a border around the map, become few boxes, entities what they are. The robot may drive
-        nowhere else than on the map.
+        Occupied cells and a border around the map become few boxes, and entities become solids. The position limits of
+        the base are those of the map.
 
         Args:
             robot: "jackal" or "fetch".
-            height: Of what is occupied [m].
+            height: Height of occupied cells [m].
             severity: As in `Scene.from_mjcf`.
             keyframes: Configurations by name.
 
         Raises:
-            UnknownNameError: If there is no such robot that drives, or no such class.
+            UnknownNameError: If there is no such robot with a base, or no such class.
             SettingError: If there are too many boxes.
         """
         return furnished(
@@ -290,5 +290,5 @@ class FloorMap:
 
 
 def _name_of(file: str | Path) -> str:
-    """Return a file's name as a text that any scene may have."""
+    """Return the stem of a file's name with unprintable characters replaced, as a scene name."""
     return "".join(letter if letter.isprintable() else "_" for letter in Path(file).stem)

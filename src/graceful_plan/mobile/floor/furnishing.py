@@ -1,4 +1,4 @@
-"""Scenes out of floor maps: a bundled robot that drives, boxes for what is occupied, and who may be harmed."""
+"""Build scenes from floor maps: a bundled robot with a base, boxes for occupied cells, and entities."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ def furnished(
     keyframes: Mapping[str, ArrayLike] | None,
     name: str,
 ) -> Scene:
-    """Return a scene with a robot on a floor.
+    """Build a scene with a robot on a floor.
 
     Raises:
-        UnknownNameError: If there is no such robot that drives, or no such class.
+        UnknownNameError: If there is no such robot with a base, or no such class.
         SettingError: If there are too many boxes, or a height is not above 0.
     """
     base = known_base(robot)
     if not 0.0 < height < math.inf:
-        raise SettingError("height", height, "a finite height of what is occupied above 0 [m]")
+        raise SettingError("height", height, "a finite height of occupied cells above 0 [m]")
     rows, columns = occupied.shape
     x, y, yaw = origin
     size = np.array([columns, rows]) * resolution
@@ -88,13 +88,13 @@ def furnished(
 
 
 def _boxes(occupied: Bool[Array, "row column"], resolution: float) -> tuple[Array, Array]:
-    """Lower and upper corners in the frame of the map [m] of few boxes over just what is occupied."""
+    """Return corners in the frame of the map [m] of few boxes that cover exactly the occupied cells."""
     row, column = np.nonzero(occupied)
     if not len(row):
         return np.zeros((0, 2)), np.zeros((0, 2))
     first, last = joined(np.stack([column, row, np.zeros_like(row)], axis=1))
     if len(first) > MOST_BOXES:
-        raise SettingError("map", f"so rugged that it gives {len(first)} boxes", f"{MOST_BOXES} at most")
+        raise SettingError("map", f"so irregular that it gives {len(first)} boxes", f"{MOST_BOXES} at most")
     return first[:, :2] * resolution, last[:, :2] * resolution
 
 
@@ -115,7 +115,7 @@ def _add(body: mujoco.MjsBody, lower: Sequence[float], upper: Sequence[float], h
 
 
 def _limits(size: Array, origin: tuple[float, float, float]) -> list[tuple[float, float]]:
-    """Least and greatest x and y of the map in W [m]."""
+    """Return the least and greatest x and y of the map in W [m]."""
     x, y, yaw = origin
     c, s = math.cos(yaw), math.sin(yaw)
     corners = np.array([[0.0, 0.0], [size[0], 0.0], [0.0, size[1]], size]) @ np.array([[c, s], [-s, c]]) + (x, y)

@@ -1,7 +1,6 @@
-"""Floors made by chance, as many unseen ones as a study needs: rooms with doors, furniture and people; and courses.
+"""Random floors for studies: rooms with doors, furniture and entities; and obstacle courses.
 
-The same seed gives the same floor. Whatever is put down leaves a way for a disc of some width between all rooms, or it
-is not put down.
+The same seed gives the same floor. An object is only placed if a disc of given radius can still pass between all rooms.
 """
 
 from __future__ import annotations
@@ -21,13 +20,13 @@ from graceful_plan.scene.edit import Solid
 Array = np.ndarray
 
 _WALL = 0.15
-"""Thickness [m]."""
+"""Thickness of walls [m]."""
 _DOOR = (1.0, 1.3)
-"""Widths [m]."""
+"""Range of door widths [m]."""
 _CLEAR = 0.15
-"""What starts and goals have besides the passage [m]."""
+"""Clearance at starts and goals, in addition to the passage radius [m]."""
 _RADIUS = {"adult": 0.25, "child": 0.18, "pet": 0.15, "heirloom": 0.15, "glass": 0.1}
-"""Of the cylinders that stand for who may be harmed [m]."""
+"""Radii of the cylinders that represent entities [m]."""
 _HEIGHT = {"adult": 1.7, "child": 1.1, "pet": 0.5, "heirloom": 0.6, "glass": 0.5}
 _TRIES = 200
 CYLINDER = 0.075
@@ -37,13 +36,13 @@ CYLINDER = 0.075
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GeneratedFloor:
-    """A floor and what is asked for on it.
+    """A floor and a planning problem on it.
 
     Args:
         floor: The map.
         start: Pose of the base in W, (x, y, yaw) [m, m, rad].
-        goal: Likewise.
-        length: Of the shortest way between them for the disc that was left room for [m].
+        goal: Goal pose, likewise.
+        length: Length of the shortest path between them for a disc of the passage radius [m].
     """
 
     floor: FloorMap
@@ -62,15 +61,15 @@ def floor_plan(
     passage: float = 0.4,
     resolution: float = 0.05,
 ) -> GeneratedFloor:
-    """Make a floor of rooms with doors, furniture and who may be harmed, and two ends in different rooms.
+    """Generate a floor of rooms with doors, furniture and entities, with start and goal in different rooms.
 
     Args:
-        seed: At least 0.
-        rooms: How many along x and y.
-        room: About how wide they are [m].
-        furniture: Pieces in each room, at most.
-        people: Who may be harmed, in all: adults, children, pets and things.
-        passage: Radius of the disc that a way is left for between all rooms [m].
+        seed: Random seed, at least 0.
+        rooms: Number of rooms along x and y.
+        room: Approximate width of a room [m].
+        furniture: Largest number of pieces in each room.
+        people: Total number of entities: adults, children, pets and things.
+        passage: Radius of the disc that can pass between all rooms [m].
         resolution: Width of a cell [m].
 
     Raises:
@@ -82,7 +81,7 @@ def floor_plan(
         "room": (2.5 <= room <= 50.0, "from 2.5 to 50 m"),
         "furniture": (0 <= furniture <= 100, "from 0 to 100"),
         "people": (0 <= people <= 200, "from 0 to 200"),
-        "passage": (0.0 < passage <= 0.45, "above 0 and at most 0.45 m, for doors are 1 m wide"),
+        "passage": (0.0 < passage <= 0.45, "above 0 and at most 0.45 m, as doors are 1 m wide"),
         "resolution": (0.01 <= resolution <= 0.1, "from 0.01 to 0.1 m"),
     }
     _check(checks, locals())
@@ -119,18 +118,18 @@ def obstacle_course(
     passage: float = 0.3,
     resolution: float = 0.05,
 ) -> GeneratedFloor:
-    """Make a course of cylinders of 0.075 m, of the kind of the BARN challenge: from one end to the other, straight on.
+    """Generate a course of cylinders of radius 0.075 m in the style of the BARN challenge, to be crossed end to end.
 
     D. Perille, A. Truong, X. Xiao, P. Stone, "Benchmarking metric ground navigation", SSRR 2020: cells of 0.15 m are
-    filled by chance, then smoothed by a cellular automaton. Courses without a way for the disc are drawn again.
+    filled at random, then smoothed by a cellular automaton. Courses that the disc cannot pass are drawn again.
 
     Args:
-        seed: At least 0.
-        length: Between start and goal [m].
-        width: Of the course [m].
-        fill: Share of cells that are filled at first.
-        passage: Radius of the disc that a way is left for [m].
-        resolution: Width of a cell of the map [m]; those of cylinders are 0.15 m.
+        seed: Random seed, at least 0.
+        length: Distance between start and goal [m].
+        width: Width of the course [m].
+        fill: Share of cells filled before smoothing.
+        passage: Radius of the disc that can pass [m].
+        resolution: Width of a cell of the map [m]; the cells of cylinders are 0.15 m wide.
 
     Raises:
         SettingError: If a setting is out of its range.
@@ -159,7 +158,7 @@ def obstacle_course(
             floor = FloorMap(occupancy=occupied, resolution=resolution, name=f"obstacle_course_{seed}")
             start, goal = (np.array([*end, 0.0]) for end in ends)
             return GeneratedFloor(floor=floor, start=start, goal=goal, length=float(way))
-    raise SettingError("fill", fill, f"so few cells that one of {_TRIES} courses leaves a way")
+    raise SettingError("fill", fill, f"a smaller share: none of {_TRIES} courses can be passed")
 
 
 def _check(checks: dict[str, tuple[bool, str]], given: dict[str, object]) -> None:
@@ -169,7 +168,7 @@ def _check(checks: dict[str, tuple[bool, str]], given: dict[str, object]) -> Non
 
 
 class _Field:
-    """What is occupied so far, and whether something more still leaves a way between the places."""
+    """Occupied cells, with a check that a set of places stays connected when objects are added."""
 
     def __init__(self, occupied: Bool[Array, "row column"], resolution: float, passage: float, places: Array) -> None:
         self.occupied, self.resolution, self.passage, self.places = occupied, resolution, passage, places
@@ -179,14 +178,14 @@ class _Field:
         return _native.distance_field(blocked=blocked, resolution=self.resolution, outside=True)
 
     def lengths(self, start: Float[Array, " 2"]) -> Float[Array, "row column"]:
-        """Lengths of the shortest ways from a point to all cells."""
+        """Return the lengths of the shortest paths from a point to all cells."""
         closed = np.ascontiguousarray(self.distance() < self.passage, dtype=np.uint8)
         grid = _native.FloorGrid(closed=closed, resolution=self.resolution, charge=None)
         column, row = (start / self.resolution).astype(int).tolist()
         return grid.costs(column, row)
 
     def put(self, more: Bool[Array, "row column"]) -> bool:
-        """Put something down; return False, and leave it, if that parts the places."""
+        """Add an object; undo this and return False if it disconnects the places."""
         before, self.occupied = self.occupied, self.occupied | more
         ways = self.lengths(self.places[0])
         column, row = (np.asarray(self.places) / self.resolution).astype(int).T
@@ -199,7 +198,7 @@ class _Field:
 def _walls(
     rng: np.random.Generator, rooms: tuple[int, int], room: float, resolution: float
 ) -> tuple[Bool[Array, "row column"], Float[Array, "room 2"]]:
-    """Return walls with doors, through which each room can be reached, and the middles of the rooms."""
+    """Return walls with doors such that every room can be reached, and the centres of the rooms."""
     borders = []
     for n in rooms:
         inner = room * np.arange(1, n) + rng.uniform(-0.15, 0.15, n - 1) * room
@@ -224,7 +223,7 @@ def _walls(
 
 
 def _doors(rng: np.random.Generator, rooms: tuple[int, int]) -> Iterator[tuple[tuple[int, int], int]]:
-    """Yield walls, by the room before and the axis across, that have doors: those of a random tree, a third more."""
+    """Yield the walls with doors, by room and axis: those of a random spanning tree and a third of the others."""
     walls = [((i, j), axis) for i in range(rooms[0]) for j in range(rooms[1]) for axis in (0, 1)]
     walls = [wall for wall in walls if wall[0][wall[1]] + 1 < rooms[wall[1]]]
     group = {(i, j): (i, j) for i in range(rooms[0]) for j in range(rooms[1])}
@@ -249,7 +248,7 @@ def _rectangle(
 def _disc(
     shape: tuple[int, ...], resolution: float, at: Float[Array, " 2"], radius: float
 ) -> Bool[Array, "row column"]:
-    """Cells that a disc touches."""
+    """Return the cells that a disc touches."""
     cells = np.zeros(shape, dtype=bool)
     first = np.maximum(np.floor((at - radius) / resolution).astype(int), 0)
     last = np.ceil((at + radius) / resolution).astype(int)
@@ -264,7 +263,7 @@ def _disc(
 def automaton(
     rng: np.random.Generator, shape: tuple[int, int], fill: float, smoothings: int = 2
 ) -> Bool[Array, "row column"]:
-    """Cells filled by chance, then smoothed: a cell is filled if five of nine are, and stays so with two besides."""
+    """Fill cells at random, then smooth: a cell is filled if 5 of its 3 x 3 cells are, and stays filled with 3."""
     filled = rng.uniform(size=shape) < fill
     for _ in range(smoothings):
         around = np.pad(filled, 1).astype(int)
@@ -281,7 +280,7 @@ def _person(name: str, category: str, at: Float[Array, " 2"]) -> Solid:
 
 
 def _ends(rng: np.random.Generator, field: _Field, least: float) -> tuple[Array, Array, float]:
-    """Two poses with room to turn, the way between which is as long as asked for, or as long as was found."""
+    """Return two poses with clearance to turn, and their path length: at least `least`, or the longest found."""
     row, column = np.nonzero(field.distance() > field.passage + _CLEAR)
     if len(row) == 0:
         row, column = np.nonzero(field.distance() >= field.passage)

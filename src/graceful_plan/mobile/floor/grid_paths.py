@@ -1,9 +1,9 @@
-"""Paths of a point over the cells of a floor map: Dijkstra, A* and Theta*, with what a metre costs in each cell.
+"""Paths of a point over the cells of a floor map, by Dijkstra, A* and Theta*, with a cost per metre in each cell.
 
-A step leads to one of eight neighbours and costs its length times one plus the mean charge of the two cells; a diagonal
-one needs both cells beside it, so that no corner is cut. Dijkstra and A* are exact; Theta* [Daniel2010] goes from cell
-to any cell in sight, at what the cells on the way cost, which is never more than over eight neighbours, and not always
-the least there is.
+A step leads to any of the eight neighbours. Its cost is its length times one plus the mean charge of the two cells. A
+diagonal step needs both adjacent cells to be free, so no corner is cut. Dijkstra and A* are exact. Theta* [Daniel2010]
+connects cells in line of sight, at the cost of the cells between. Its cost is never above that over eight neighbours,
+but it is not always the least.
 
 [Daniel2010] K. Daniel, A. Nash, S. Koenig, A. Felner, "Theta*: any-angle path planning on grids", JAIR 39.
 """
@@ -29,15 +29,15 @@ Array = np.ndarray
 
 METHODS = ("a_star", "dijkstra", "theta_star")
 MOST_CHARGE = 1e12
-"""Of a cell: so much longer than on free floor a metre may count."""
+"""Largest charge of a cell: additional cost per metre [m/m]."""
 
 
 class GridStatus(Enum):
-    """How a search ended, and what may help."""
+    """Outcome of a search, with a remedy."""
 
     SOLVED = "a path was found"
-    NO_PATH = "no path leads from start to goal: a smaller radius or finer cells may"
-    STOPPED = "the time limit came before a path"
+    NO_PATH = "no path leads from start to goal: try a smaller radius or finer cells"
+    STOPPED = "the time limit was reached before a path was found"
     START_BLOCKED = "the start is off the map, or closer to an obstacle than the radius"
     GOAL_BLOCKED = "the goal is off the map, or closer to an obstacle than the radius"
 
@@ -45,15 +45,15 @@ class GridStatus(Enum):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridPath:
-    """What a search found.
+    """Result of a search.
 
-    | field      | meaning                                                    | unit | shape   |
-    |------------|------------------------------------------------------------|------|---------|
-    | status     | how it ended                                               |      |         |
-    | xy         | centres of cells in W, from the start's to the goal's      | m    | point 2 |
-    | cells      | the same as column and row                                 |      | point 2 |
-    | cost       | length and charges                                         | m    |         |
-    | expansions | cells that were looked at                                  |      |         |
+    | field      | meaning                                              | unit | shape   |
+    |------------|------------------------------------------------------|------|---------|
+    | status     | outcome                                              |      |         |
+    | xy         | centres of the path's cells in W, from start to goal | m    | point 2 |
+    | cells      | column and row of these cells                        |      | point 2 |
+    | cost       | length and charges                                   | m    |         |
+    | expansions | number of expanded cells                             |      |         |
     """
 
     status: GridStatus
@@ -64,19 +64,19 @@ class GridPath:
 
     @property
     def length(self) -> float:
-        """Of the path [m]; infinite without one."""
+        """Length of the path [m]; infinite without one."""
         return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum()) if len(self.xy) else math.inf
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FloorGrid:
-    """Where a point may be on a map, made once and searched many times.
+    """Free cells of a map for a point with a radius; made once, searched many times.
 
     Args:
         floor: The map.
-        radius: What the point keeps from obstacles [m], such as the radius of a round base; at least 0.
-        charge: What a metre costs in each cell besides itself, at least 0; None: nothing. Such as w times an impact.
+        radius: Distance to keep from obstacles [m], such as the radius of a round base; at least 0.
+        charge: Additional cost per metre in each cell, at least 0, such as w times an impact; None: 0.
 
     Raises:
         ShapeError: If the charge does not fit the map.
@@ -88,7 +88,7 @@ class FloorGrid:
     radius: float = 0.0
     charge: Float[Array, "row column"] | None = None
     native: _native.FloorGrid = field(init=False, repr=False)
-    """The same in the core."""
+    """The grid in the core."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.radius < math.inf:
@@ -114,13 +114,13 @@ class FloorGrid:
         method: str = "a_star",
         time_limit: float = math.inf,
     ) -> GridPath:
-        """Search a path between the cells that two points of W are in.
+        """Search a path between the cells of two points in W.
 
         Args:
             start: x and y [m].
-            goal: Likewise.
+            goal: x and y [m].
             method: "a_star", "dijkstra" (both exact over eight neighbours), or "theta_star" (any angle).
-            time_limit: [s], above 0.
+            time_limit: Time limit [s], above 0.
 
         Raises:
             ShapeError: If a point is not (2,).
@@ -154,7 +154,7 @@ class FloorGrid:
         )
 
     def costs(self, start: Sequence[float] | ArrayLike) -> Float[Array, "row column"]:
-        """Return the least costs [m] from the cell of a point of W to all cells, exactly; infinite where none leads.
+        """Return the exact least costs [m] from the cell of a point in W to all cells; infinite for unreachable ones.
 
         Raises:
             ShapeError: If the point is not (2,).

@@ -1,9 +1,10 @@
-"""A lattice over (x, y, heading): moves between states that a base can drive, searched by A*.
+"""A* on a state lattice over (x, y, heading) whose moves a base can drive.
 
-Moves are curves of bounded curvature that end on states exactly [Pivtoraiko2009]; states that are expanded are tried to
-be joined to the goal by a curve of [ReedsShepp1990], see [Dolgov2010]. The heuristic is first trusted too much, then
-less (anytime by restarting, [Richter2010]). Free means free: a footprint of discs is checked against a distance field
-along whole moves, with what the disc moves between checks and how far it is off a cell's centre taken off.
+Moves are curves of bounded curvature that end exactly on states [Pivtoraiko2009]. Expanded states are connected to the
+goal by a curve of [ReedsShepp1990] where it is free, as in [Dolgov2010]. The heuristic is inflated in the first search
+and less so in later ones (anytime by restarting, [Richter2010]). The collision check is conservative: the discs of the
+footprint are checked against a distance field along whole moves. The motion of a disc between checks and its offset
+from a cell's centre are subtracted.
 
 [Pivtoraiko2009] M. Pivtoraiko, R. A. Knepper, A. Kelly, "Differentially constrained mobile robot motion planning in
 state lattices", J. Field Robotics 26. [Dolgov2010] D. Dolgov, S. Thrun, M. Montemerlo, J. Diebel, "Path planning for
@@ -30,18 +31,18 @@ Array = np.ndarray
 
 
 class LatticeStatus(Enum):
-    """How a search ended, and what may help."""
+    """Outcome of a search, with a remedy."""
 
     SOLVED = "a path was found"
-    NO_PATH = "no path leads from start to goal on this lattice: more headings, finer cells or a smaller margin may"
-    STOPPED = "the limit of time or expansions came before a path"
+    NO_PATH = "no path leads from start to goal on this lattice: try more headings, finer cells or a smaller margin"
+    STOPPED = "the limit of time or expansions was reached before a path was found"
     START_BLOCKED = "the footprint at the start is not free with its margin"
     GOAL_BLOCKED = "the footprint at the goal is not free with its margin"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LatticeSettings:
-    """How a lattice is made and searched.
+    """Settings of a lattice and its search.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -49,20 +50,21 @@ class LatticeSettings:
 
     steering: Steering
     headings: int = 72
-    """A multiple of 4, from 8 on. 72: every 5 degrees, as Hybrid-A* of nav2 has."""
+    """Number of headings, a multiple of 4, at least 8. 72 headings are 5 degrees apart, as in Hybrid-A* of nav2."""
     margin: float = 0.0
-    """What discs keep from obstacles [m], >= 0."""
+    """Clearance of the discs to obstacles [m], >= 0."""
     lead: float = 1.5
-    """Weight, >= 1, of an estimate of what is left to go, for a first path soon: how far it is from the best one is not
-    known beforehand, and `bound` says so afterwards. 0: no such search."""
+    """Weight, >= 1, of an estimated cost to go in an initial search that finds a first path soon. The estimate gives no
+    guarantee in advance; `bound` is computed afterwards. 0: no such search."""
     inflations: tuple[float, ...] = ()
-    """Weights of a bound of what is left, one search each, >= 1: the path costs at most so many times the best on the
-    lattice."""
+    """Weights, >= 1, of a lower bound on the cost to go, one search for each: the path then costs at most this factor
+    times
+    the best path on the lattice."""
     shots: int = 1
-    """Curves to the goal, one every `shots` expansions per radius of distance to go; 0: none."""
+    """Connection attempts to the goal: one every `shots` expansions per radius of remaining distance; 0: none."""
     max_expansions: int = 2_000_000
     time_limit: float = math.inf
-    """[s], > 0; the clock is read every 2048 expansions."""
+    """Time limit [s], > 0; the clock is read every 2048 expansions."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "inflations", tuple(self.inflations))
@@ -72,7 +74,7 @@ class LatticeSettings:
             "lead": (self.lead == 0.0 or 1.0 <= self.lead < math.inf, "a finite number >= 1, or 0"),
             "inflations": (
                 bool(self.lead or self.inflations) and all(1.0 <= one < math.inf for one in self.inflations),
-                "finite numbers >= 1, one at least without a lead",
+                "finite numbers >= 1, at least one unless `lead` is given",
             ),
             "shots": (self.shots >= 0, ">= 0"),
             "max_expansions": (self.max_expansions > 0, "> 0"),
@@ -85,36 +87,36 @@ class LatticeSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LatticePath:
-    """What a search found."""
+    """Result of a search."""
 
     status: LatticeStatus
     curve: Curves | None = None
-    """The path from the start to the goal, exactly; None without one. Its measure is that of `impact` too."""
+    """Path from start to goal, exactly; None without one. `impact` is integrated over its measure."""
     cost: float = math.inf
     """Cost of the curve [m] + w x impact."""
     impact: float = math.inf
     """Integral of the impact over the measure of the curve [m]."""
     bound: float = math.inf
-    """The cost is at most so many times that of the best path on the lattice."""
+    """Upper bound on the ratio of the cost to that of the best path on the lattice."""
     first_cost: float = math.inf
-    """Cost of the path that the first search found."""
+    """Cost of the first path found."""
     expansions: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StateLattice:
-    """A lattice on one map for one footprint; made once, searched many times.
+    """State lattice for one map and one footprint; made once, searched many times.
 
     Args:
-        distance: For each cell, row by row along y, a distance [m] not above that from its centre to the next obstacle;
-            what is off the map is an obstacle.
+        distance: For each cell, row by row along y, a lower bound on the distance [m] from its centre to the next
+            obstacle. The outside of the map is an obstacle.
         resolution: Size of a cell [m].
         discs: Cover of the footprint, (x, y, radius) in the frame of the base [m].
-        settings: How it is made and searched.
+        settings: Settings of the lattice and its search.
         origin: Pose (x, y, yaw) of the lower left corner of cell (0, 0) in the world.
-        impact: For each cell and heading k, whose yaw on the map is 2 pi k / headings, of a base that drives forward,
-            >= 0; None: 0.
-        impact_back: Likewise of one that drives backwards; None: the same as forward.
+        impact: Impact per metre for each cell and heading k, with yaw 2 pi k / headings on the map, of a base that
+            drives forward, >= 0; None: 0.
+        impact_back: The same for a base that drives backwards; None: equal to forward.
 
     Raises:
         ShapeError: If arrays do not fit each other.
@@ -130,7 +132,7 @@ class StateLattice:
     impact: Float[Array, "row column heading"] | None = None
     impact_back: Float[Array, "row column heading"] | None = None
     native: _native.StateLattice = field(init=False, repr=False)
-    """The same in the core."""
+    """The lattice in the core."""
 
     def __post_init__(self) -> None:
         distance = np.ascontiguousarray(finite_array("distance", self.distance), dtype=np.float32)
@@ -146,7 +148,7 @@ class StateLattice:
         if not (discs[:, 2] > 0.0).all():
             raise SettingError("StateLattice.discs", float(discs[:, 2].min()), "radii > 0")
         if self.impact is None and self.impact_back is not None:
-            raise SettingError("StateLattice.impact", None, "an array, as `impact_back` is one")
+            raise SettingError("StateLattice.impact", None, "an array, because `impact_back` is given")
         native = _native.StateLattice(
             distance=distance,
             resolution=self.resolution,
@@ -164,7 +166,7 @@ class StateLattice:
 
         Args:
             start: Pose (x, y, yaw) in the world [m, m, rad]; need not be on the lattice.
-            goal: Likewise.
+            goal: Goal pose, likewise.
             w: Weight of the impact, >= 0.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Shortest curves of a base that steers, without obstacles: forward and back, forward only, with turns in place.
+"""Shortest curves of a steered base without obstacles: forward and backward, forward only, or with turns in place.
 
 [ReedsShepp1990] J. A. Reeds, L. A. Shepp, "Optimal paths for a car that goes both forwards and backwards", Pacific
 Journal of Mathematics 145. [Dubins1957] L. E. Dubins, "On curves of minimal length with a constraint on average
@@ -23,23 +23,23 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class Steering:
-    """How a base may drive, and what that costs in metres.
+    """Steering limits of a base, and costs of its moves in metres.
 
-    With `yaw_length` a curve is the cheapest of those of a car and of (turn, straight, turn); without it, the cheapest
-    of [ReedsShepp1990], or of [Dubins1957] where it may not drive backwards.
+    With `yaw_length`, a curve is the cheapest among those of a car and (turn, straight, turn). Without it, a curve is
+    the cheapest of [ReedsShepp1990], or of [Dubins1957] if the base may not drive backwards.
 
     Raises:
         SettingError: If a number is out of its range.
     """
 
     radius: float
-    """Of the tightest curve [m], > 0."""
+    """Radius of the tightest curve [m], > 0."""
     reverse: bool = True
-    """Whether it may drive backwards."""
+    """Whether the base may drive backwards."""
     yaw_length: float | None = None
-    """What a radian of turning in place costs [m/rad], > 0; None: it does not turn in place."""
+    """Cost of turning in place [m/rad], > 0; None: the base does not turn in place."""
     reverse_penalty: float = 1.0
-    """What a metre backwards costs [m/m], >= 1."""
+    """Cost of driving backwards [m/m], >= 1."""
 
     def __post_init__(self) -> None:
         yaw_length = 1.0 if self.yaw_length is None else self.yaw_length
@@ -50,7 +50,7 @@ class Steering:
             raise SettingError("Steering.reverse_penalty", self.reverse_penalty, "a finite number >= 1")
 
     def native(self) -> _native.Steering:
-        """Return the same for the core."""
+        """Return the steering object of the core."""
         return _native.Steering(
             radius=self.radius,
             reverse=self.reverse,
@@ -61,10 +61,10 @@ class Steering:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curves:
-    """Curves from poses, each of pieces that are driven with one steering angle.
+    """Curves that start at poses, each made of pieces with a constant steering angle.
 
     A piece is (length [m], negative backwards; curvature [1/m], positive to the left; turn in place [rad], whose length
-    is 0). Those that are not needed are 0.
+    is 0). Unused pieces are 0.
     """
 
     steering: Steering
@@ -73,21 +73,21 @@ class Curves:
 
     @property
     def measure(self) -> Float[Array, "*batch piece"]:
-        """How long each piece is: metres driven, and `yaw_length` for a radian in place [m]."""
+        """Measure of each piece [m]: metres driven, plus `yaw_length` for each radian turned in place."""
         length, turn = np.abs(self.pieces[..., 0]), np.abs(self.pieces[..., 2])
         return length + (self.steering.yaw_length or 0.0) * turn
 
     @property
     def cost(self) -> Float[Array, "*batch"]:
-        """What they cost [m]: their measure, with the penalty for driving backwards."""
+        """Cost of each curve [m]: its measure, with the penalty for driving backwards."""
         backwards = np.maximum(-self.pieces[..., 0], 0.0)
         return np.asarray((self.measure + (self.steering.reverse_penalty - 1.0) * backwards).sum(axis=-1))
 
     def at(self, s: ArrayLike) -> Float[Array, "*batch n xyyaw"]:
-        """Return the poses at measures s [m] from their starts; yaw goes on beyond pi.
+        """Return the poses at measures s [m] from the starts; yaw is continuous beyond pi.
 
         Args:
-            s: As many for each curve; beyond an end it is the end.
+            s: Measures, equally many for each curve; values beyond an end give the end.
         """
         batch, s = self.start.shape[:-1], np.asarray(s, dtype=float)
         wanted = np.broadcast_to(s, (*batch, s.shape[-1]))
@@ -100,7 +100,7 @@ class Curves:
         return found.reshape(*batch, -1, 3)
 
     def sampled(self, spacing: float) -> Float[Array, "n xyyaw"]:
-        """Return poses along one curve, at the ends of its pieces and at most `spacing` [m] of its measure apart."""
+        """Sample poses along one curve, at the ends of its pieces and at most `spacing` [m] of measure apart."""
         if self.start.ndim != 1:
             raise ShapeError("start", self.start.shape, "(3,): one curve, see `at` for several")
         if not spacing > 0.0:
@@ -117,8 +117,8 @@ def shortest_curves(start: ArrayLike, goal: ArrayLike, steering: Steering) -> Cu
 
     Args:
         start: Poses (x, y, yaw) [m, m, rad].
-        goal: Likewise; batch axes of both are broadcast.
-        steering: How the base may drive.
+        goal: Goal poses, likewise; batch axes of both are broadcast.
+        steering: Steering limits and costs of the base.
 
     Raises:
         ShapeError: If the last axis of poses is not 3.

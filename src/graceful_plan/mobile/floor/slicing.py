@@ -1,6 +1,6 @@
-"""Floor maps out of scenes: which cells something stands on, between two heights.
+"""Compute floor maps from scenes: which cells are occupied between two heights.
 
-Every cell is a box of its own width between the heights, whose distance to each geom MuJoCo tells exactly.
+Each cell is a box of its width between the heights; MuJoCo computes its exact distance to each geom.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ Array = np.ndarray
 
 _PROBE = "floor_map_probe"
 _AROUND = 1
-"""Cells that are kept free around what is cut."""
+"""Number of free cells around the cut geometry."""
 
 
 def sliced(
     scene: Scene, heights: tuple[float, float], resolution: float, bounds: Sequence[float] | None, most_cells: int
 ) -> tuple[Bool[Array, "row column"], tuple[float, float]]:
-    """Return which cells are occupied, and where the lower left corner is in W [m].
+    """Return the occupied cells, and the position of the lower left corner in W [m].
 
     Raises:
         SettingError: If a setting is out of its range, nothing is cut, or there would be too many cells.
@@ -64,14 +64,14 @@ def sliced(
             continue
         for row, column in np.argwhere(~part):
             data.geom_xpos[probe] = [*middle[row, column], 0.5 * (low + high)]
-            # Touching is standing there.
+            # A cell that a geom only touches is occupied.
             part[row, column] = mujoco.mj_geomDistance(model, data, probe, geom, 1.0, None) <= 0.0
     return occupied, (float(corner[0]), float(corner[1]))
 
 
 def _with_probe(scene: Scene, resolution: float, height: float) -> tuple[mujoco.MjModel, mujoco.MjData, int]:
     spec = scene.spec.copy()
-    # A hair smaller, so that what ends at the border of a cell is not in the next one.
+    # Slightly smaller, so that a geom that ends at the border of a cell does not occupy the next one.
     half = [0.5 * resolution - 1e-6, 0.5 * resolution - 1e-6, 0.5 * height]
     body = spec.worldbody.add_body(name=_PROBE)
     body.add_geom(name=_PROBE, type=mujoco.mjtGeom.mjGEOM_BOX, size=half)
@@ -80,7 +80,7 @@ def _with_probe(scene: Scene, resolution: float, height: float) -> tuple[mujoco.
     data.qpos[:] = scene.home_qpos
     mujoco.mj_kinematics(model, data)
     names = [model.geom(k).name for k in range(model.ngeom)]
-    # Bodies are numbered in the order of the tree: what was last in the world comes last.
+    # Body ids follow the order of the tree, so the probe, added last to the world, has the last geom.
     probe = names.index(_PROBE)
     assert probe == model.ngeom - 1
     return model, data, probe
@@ -89,14 +89,14 @@ def _with_probe(scene: Scene, resolution: float, height: float) -> tuple[mujoco.
 def _upright(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, middle: Float[Array, "row column 2"], half: float
 ) -> Bool[Array, "row column"] | None:
-    """Tell which cells an upright box or cylinder touches, all at once; None for other geoms."""
+    """Return which cells an upright box or cylinder touches; None for other geoms."""
     R, kind = data.geom_xmat[geom].reshape(3, 3), model.geom_type[geom]
     if abs(R[2, 2]) < 1.0 - 1e-12 or kind not in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER):
         return None
     away = middle - data.geom_xpos[geom, :2]
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return np.linalg.norm(np.maximum(np.abs(away) - half, 0.0), axis=-1) <= model.geom_size[geom, 0]
-    # Two rectangles are apart if they are along a side of one of them.
+    # Two rectangles are disjoint if a side of either separates them.
     turn, size = R[:2, :2], model.geom_size[geom, :2]
     mine = np.abs(away @ turn) <= size + half * np.abs(turn).sum(axis=0)
     cell = np.abs(away) <= np.abs(turn) @ size + half
@@ -104,7 +104,7 @@ def _upright(
 
 
 def _extent(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Float[Array, "2 3"]:
-    """Lower and upper corner of the box along the axes of W around a geom."""
+    """Return the lower and upper corners of the axis-aligned bounding box of a geom in W."""
     R, centre = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
     aabb = model.geom_aabb[geom]
     middle, half = centre + R @ aabb[:3], np.abs(R) @ aabb[3:]
@@ -121,7 +121,7 @@ def _area(
         low, high = area[:, 0], area[:, 1]
     else:
         if not cut:
-            raise SettingError("bounds", None, "least x, greatest x, least y, greatest y [m]: nothing is so high")
+            raise SettingError("bounds", None, "least x, greatest x, least y, greatest y [m]: nothing at that height")
         low = np.min([box[0, :2] for box in cut.values()], axis=0) - _AROUND * resolution
         high = np.max([box[1, :2] for box in cut.values()], axis=0) + _AROUND * resolution
     counts = np.maximum(np.ceil((high - low) / resolution - 1e-9), 1.0)

@@ -1,12 +1,11 @@
-"""Paths of a base over the cells of a floor, over headings and over time, where others walk: exact, in the native core.
+"""Cheapest paths of a base over cells, headings and time among moving entities, exact, in the native core.
 
-Time goes in ticks. A base waits, turns in place to the next of eight headings, or drives to the next cell along its
-heading: fast, slowly, or backwards. Each move takes a number of ticks and has a price; besides, it costs what failures
-on it would do to those who stand and to those who move, where they then are. No move comes closer to those who move
-than it must, and being close has a price.
+Time is divided into ticks. A base waits, turns in place to the next of eight headings, or drives to the next cell along
+its heading: fast, slowly, or backwards. Each move takes a number of ticks and has a price. The expected impact of
+failures during the move is added, for static and moving entities at their positions at that time. Moves closer to
+moving entities than a limit are excluded, and small clearances have a price.
 
-A* finds the cheapest path of all: what is left to pay without those who move is known from a search before, and bounds
-the rest from below.
+A* finds the path of least cost. A preceding search without moving entities gives a lower bound on the cost to go.
 
 References:
     D. Silver, "Cooperative pathfinding", AIIDE 2005.
@@ -28,17 +27,17 @@ from graceful_plan.exceptions import SettingError, ShapeError
 Array = np.ndarray
 
 HEADINGS = 8
-"""The first is along x; each drives to one of the eight cells around."""
+"""Number of headings. The first is along x, and each leads to a different neighbouring cell."""
 STEPS = tuple((round(np.cos(a)), round(np.sin(a))) for a in 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS)
 """Columns and rows of a move along each heading."""
 STANDS, LEAVES = 1, 2
-"""Bits of a cell and heading: the base may be there; from there it may drive forward."""
+"""Bits of a cell and heading: the base may be there; it may drive forward from there."""
 MOST_STATES = 2**28
-"""Cells times headings times ticks."""
+"""Largest number of states: cells times headings times ticks."""
 
 
 class MoveKind(IntEnum):
-    """What a move does, as the core has it."""
+    """Kind of a move; values as in the core."""
 
     WAIT = 0
     TURN = 1
@@ -48,7 +47,7 @@ class MoveKind(IntEnum):
 
 
 class TimedMove(NamedTuple):
-    """A move that begins in a heading; turns are counted in headings, to the left."""
+    """A move that begins in a heading; turns are counted in headings, positive to the left."""
 
     heading: int
     columns: int
@@ -62,15 +61,15 @@ class TimedMove(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimedPaces:
-    """How long moves take, and their prices.
+    """Durations of moves and their prices.
 
-    | field    | meaning                                                     | unit |
-    |----------|-------------------------------------------------------------|------|
-    | turn     | ticks of a turn to the next heading                         |      |
-    | reverse  | whether the base drives backwards                           |      |
-    | width    | price of a cell's width, driven                             |      |
-    | second   | price of a tick                                             |      |
-    | turning  | price of a turn                                             |      |
+    | field   | meaning                             | unit |
+    |---------|-------------------------------------|------|
+    | turn    | ticks of a turn to the next heading |      |
+    | reverse | whether the base drives backwards   |      |
+    | width   | price of driving a cell's width     |      |
+    | second  | price of a tick                     |      |
+    | turning | price of a turn                     |      |
     """
 
     turn: int = 1
@@ -80,7 +79,7 @@ class TimedPaces:
     turning: float = 0.2
 
     def moves(self) -> tuple[TimedMove, ...]:
-        """Return all moves: a cell in two ticks, or three along a diagonal; twice as many slowly and backwards."""
+        """Return all moves: a cell takes two ticks, three along a diagonal, and twice that slowly or backwards."""
         found = []
         for h, (c, r) in enumerate(STEPS):
             ticks = 3 if c and r else 2
@@ -101,20 +100,20 @@ class TimedPaces:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Others:
-    """Those who move, as the core has them; nobody by default.
+    """Moving entities in the format of the core; none by default.
 
-    | field    | meaning                                                                    | shape                 |
-    |----------|----------------------------------------------------------------------------|-----------------------|
-    | shape    | rectangles seen from above, in the frame of the cells, at half ticks [m]:  | other half 7          |
-    |          | x, y, cosine and sine of the yaw, half length, half width, radius around   |                       |
-    | velocity | which class of velocities theirs is in                                     | other half            |
-    | beside   | price of a second of fast driving, by where the base is seen from them,    | class heading place   |
-    |          | along x and y                                                              | place                 |
-    | apart    | between places [m]                                                         |                       |
-    | driving  | clearance below which nothing drives or turns [m]                          |                       |
-    | standing | clearance below which nothing waits [m]                                    |                       |
-    | wanted   | clearance below which being close has a price [m]                          |                       |
-    | close    | price of a second without any                                              |                       |
+    | field    | meaning                                                                 | shape         |
+    |----------|-------------------------------------------------------------------------|---------------|
+    | shape    | planar rectangles in the frame of the cells, at half ticks [m]: x, y,   | other half 7  |
+    |          | cosine and sine of the yaw, half length, half width, rounding radius    |               |
+    | velocity | velocity class                                                          | other half    |
+    | beside   | price of a second of fast driving, by the position of the base relative | class heading |
+    |          | to the entity along x and y                                             | place place   |
+    | apart    | distance between these positions [m]                                    |               |
+    | driving  | clearance below which no move drives or turns [m]                       |               |
+    | standing | clearance below which no move waits [m]                                 |               |
+    | wanted   | clearance below which closeness has a price [m]                         |               |
+    | close    | price of a second at zero clearance                                     |               |
     """
 
     shape: Float[Array, "other half 7"] = field(default_factory=lambda: np.zeros((0, 1, 7)))
@@ -130,14 +129,14 @@ class Others:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimedPath:
-    """Cells, headings and the ticks at which the base is there.
+    """Cells and headings of a path, with the ticks at which the base is there.
 
-    | field      | meaning                                                | unit | shape   |
-    |------------|--------------------------------------------------------|------|---------|
-    | nodes      | column, row, heading and tick, from the start on       |      | point 4 |
-    | cost       | sum of the prices; infinite if no path leads there     |      |         |
-    | expansions | states that were looked at                             |      |         |
-    | stopped    | whether time was up                                    |      |         |
+    | field      | meaning                                          | unit | shape   |
+    |------------|--------------------------------------------------|------|---------|
+    | nodes      | column, row, heading and tick, from the start    |      | point 4 |
+    | cost       | sum of the prices; infinite if no path was found |      |         |
+    | expansions | number of expanded states                        |      |         |
+    | stopped    | whether the time was up                          |      |         |
     """
 
     nodes: Int[Array, "point 4"] = field(default_factory=lambda: np.zeros((0, 4), dtype=np.int32))
@@ -149,17 +148,17 @@ class TimedPath:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimedLattice:
-    """Cells and headings of which some are open.
+    """Lattice of cells and headings, some of which are open.
 
     Args:
-        open: `STANDS` and `LEAVES` of each, of eight headings.
-        width: Of a cell [m].
-        tick: Of time [s].
-        ticks: The last one.
+        open: `STANDS` and `LEAVES` bits of each cell, for eight headings.
+        width: Width of a cell [m].
+        tick: Duration of a tick [s].
+        ticks: Last tick.
         outline: Discs that cover the base, in its frame: x, y, radius [m].
-        paces: How long moves take.
-        rate: Price of a second of fast driving for those who stand, in each cell and heading; None for nothing.
-        slow: Share of it, and of that beside those who move, on moves that are slow or backwards.
+        paces: Durations and prices of moves.
+        rate: Price of a second of fast driving in each cell and heading, for static entities; None: 0.
+        slow: Factor on `rate`, and on the price beside moving entities, for slow and backward moves.
 
     Raises:
         ShapeError, SettingError: If they do not fit, or there would be too many states.
@@ -192,14 +191,14 @@ class TimedLattice:
         ending: Float[Array, " heading"] | None = None,
         late: Callable[[], bool] = lambda: False,
     ) -> TimedPath:
-        """Return the path of least cost from a column, row and heading at tick 0 to a cell by the last tick.
+        """Return the cheapest path from a column, row and heading at tick 0 to a cell by the last tick.
 
         Args:
-            start: Where it begins.
-            goal: Column and row.
-            others: Those who move.
-            ending: What each heading costs at the goal; nothing by default.
-            late: Asked from time to time; the search ends once it is.
+            start: Column, row and heading of the start.
+            goal: Column and row of the goal.
+            others: Moving entities.
+            ending: Price of each heading at the goal; default: 0.
+            late: Polled during the search; the search stops once it returns True.
         """
         _, rows, columns = self.open.shape
         for name, (column, row) in (("start", start[:2]), ("goal", goal)):

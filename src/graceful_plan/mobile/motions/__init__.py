@@ -1,1 +1,1 @@
-"""Motions of bases: curves that they can roll along, descents of these, and their timing."""
+"""Motions of bases: rolling curves, their optimisation by descent, and their timing."""

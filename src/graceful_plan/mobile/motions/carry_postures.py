@@ -1,7 +1,7 @@
-"""Postures of the arm that lower the impact along a motion: initial guesses for descents.
+"""Arm postures that lower the impact along a motion; they are initial guesses for descents.
 
 Candidates are random postures around those at both ends, projected onto the constraints that keep a vessel level. The
-few with the least cost along the whole motion are kept; the cost includes the motion of the arm to a posture and back.
+few with the least cost along the whole motion are kept. The cost includes moving the arm to the posture and back.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _BASE = 3
-"""Joints of the base, before those of the arm."""
+"""Number of joints of the base, which precede those of the arm."""
 _DRAWN, _SHORTLIST = 3000, 80
-"""Candidates, and how many of them are evaluated along the whole motion."""
+"""Number of candidates, and number of those that are evaluated along the whole motion."""
 _SCALES = (0.4, 1.5)
 """Standard deviation of the joint displacements, from the first candidate to the last [rad, or share of a range]."""
 _MOVED = 0.5
-"""Share of the joints that do."""
+"""Share of the joints that are displaced."""
 _PLACES = 6
-"""Along the motion."""
+"""Number of evaluated states along the motion."""
 _FREE_SHARE = 0.6
-"""Of these, where a posture has to be free: at both ends of a motion there may be less room."""
+"""Least share of these states at which a posture must be free; there may be less clearance at the ends of a motion."""
 _KEPT, _APART = 3, 0.3
 """Number of postures, and the least difference between two of them in some joint [rad or m]."""
 _RAMP = 0.3
-"""Share of a motion in which the arm gets there, and in which it goes on to the end."""
+"""Share of a motion in which the arm moves to the posture, and in which it moves on to the end."""
 
 
 def carry_postures(
     motion: Trajectory, problem: SceneProblem, objective: SceneObjective, rng: np.random.Generator
 ) -> Float[Array, "posture arm"]:
-    """Return postures that cost less along a motion than those that it has, the best first.
+    """Return arm postures that cost less along a motion than its own, the best first.
 
     Args:
         motion: The motion.
         problem: Collision and constraints.
-        objective: The cost to minimise, as if nothing moved.
-        rng: For candidates.
+        objective: Cost to minimise, with all moving entities removed.
+        rng: Random generator for candidates.
     """
     ends = motion.q[[0, -1], _BASE:]
     t = motion.t[0] + motion.duration * (np.arange(_PLACES) + 0.5) / _PLACES
@@ -57,11 +57,11 @@ def carry_postures(
     arms = arms[np.argsort(np.where(free, harm, np.inf))[: min(_SHORTLIST, int(free.sum()))]]
     q, qd = _with_arms(state.q, arms), _with_arms(state.qd, np.zeros_like(arms))
     free = problem.states_free(q).reshape(-1, _PLACES)
-    # Where a posture is not free the arm has to be as it is now.
+    # Where a posture is not free, the arm keeps its current one.
     harm = seconds * np.where(free, objective.quick_states(q, qd).reshape(-1, _PLACES), now).sum(axis=1)
     arms, harm = (of[free.mean(axis=1) >= _FREE_SHARE] for of in (arms, harm))
     way = np.linalg.norm(arms[:, None] - ends, axis=2).sum(axis=1) - np.linalg.norm(ends[1] - ends[0])
-    # The arm moves while the base does: beside a long way its own hardly counts.
+    # Base and arm move at the same time, so the arm's motion adds little to a long drive.
     length = max(motion.path.length, 1e-3)
     cost = objective.w * harm + np.hypot(length, way) - length
     chosen: list[int] = []
@@ -74,7 +74,7 @@ def carry_postures(
 
 
 def with_posture(controls: Float[Array, "control column"], arm: Float[Array, " arm"]) -> Float[Array, "control column"]:
-    """Return control points of a `RollingSpline` with the arm in another posture but towards both ends."""
+    """Return control points of a `RollingSpline` with the arm in another posture except near both ends."""
     share = np.linspace(0.0, 1.0, len(controls))[:, None]
     near = np.clip(np.minimum(share, 1.0 - share) / _RAMP, 0.0, 1.0)
     near = near * near * (3.0 - 2.0 * near)
@@ -84,7 +84,7 @@ def with_posture(controls: Float[Array, "control column"], arm: Float[Array, " a
 
 
 def _with_arms(rows: Float[Array, "place nq"], arms: Float[Array, "posture arm"]) -> Float[Array, "n nq"]:
-    """Return each of some rows with each of some arms, one posture after the other."""
+    """Return each row with each of the arm postures, one posture after the other."""
     found = np.tile(rows, (len(arms), 1))
     found[:, _BASE:] = np.repeat(arms, len(rows), axis=0)
     return found

@@ -1,4 +1,4 @@
-"""Curves of a whole motion of a base with an arm: smooth curves to roll along, turns in place, motions of the arm."""
+"""Curves of a whole motion of a base with an arm: rolling curves, turns in place, and arm motions."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from graceful_plan.timing.blend import CurveGrid, places
 Array = np.ndarray
 
 _SAME = 1e-9
-"""Difference between two configurations that are the same [rad or m]."""
+"""Largest difference between two equal configurations [rad or m]."""
 _INTERVALS = 16
-"""Of the coarsest grid of a move."""
+"""Number of intervals of a move's coarsest grid."""
 _FULL = 0.98
-"""Share of the fastest speed from which on a curve is driven as fast as it can be."""
+"""Share of the fastest speed above which a curve counts as driven at full speed."""
 
 
 @dataclass(frozen=True, eq=False)
 class StraightMove:
-    """A turn in place, or a move of the arm: straight in joint space.
+    """A turn in place or an arm motion, straight in joint space.
 
     Args:
         begin: First configuration [rad or m].
-        end: Last one.
+        end: Last configuration [rad or m].
     """
 
     begin: Float[Array, " nq"]
     end: Float[Array, " nq"]
 
     def grid(self, density: int) -> CurveGrid:
-        """Sample it for timing; see `Curve`."""
+        """Sample the move for timing; see `Curve`."""
         u = places(_INTERVALS * density, from_rest=True, to_rest=True)
         way = self.end - self.begin
         q = self.begin + u[:, None] * way
@@ -47,16 +47,16 @@ class StraightMove:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Curves one after the other, with a rest at the end of each.
+    """A sequence of curves, with a rest at the end of each.
 
     Args:
-        parts: At least one; each begins where the one before ends.
+        parts: At least one curve; each begins where the previous one ends.
     """
 
     parts: tuple[RollingSpline | StraightMove, ...]
 
     def grid(self, density: int) -> CurveGrid:
-        """Sample it for timing; see `Curve`."""
+        """Sample the drive for timing; see `Curve`."""
         grids = [part.grid(density) for part in self.parts]
         begins = np.cumsum([0.0, *(grid.s[-1] for grid in grids)])
         s = [grid.s[1:] + begin for grid, begin in zip(grids, begins, strict=False)]
@@ -69,7 +69,7 @@ class Drive:
         )
 
     def share(self, grid: CurveGrid) -> Float[Array, " point"] | None:
-        """Return which share of the fastest speed is used at the points of a grid of it; None if all of it is."""
+        """Return the share of the fastest speed at the points of a grid; None if it is full speed everywhere."""
         share, begin = np.ones(len(grid.s)), 0.0
         for part in self.parts:
             if isinstance(part, RollingSpline):
@@ -84,12 +84,12 @@ class Drive:
 def joined(
     start: Float[Array, " nq"], curves: Sequence[RollingSpline | Float[Array, "2 nq"]], end: Float[Array, " nq"]
 ) -> Drive:
-    """Return curves and moves of the arm one after the other, with turns in place where headings differ.
+    """Concatenate curves and arm motions, with turns in place where headings differ.
 
     Args:
         start: First configuration [rad or m].
-        curves: Curves, and moves of the arm as their two configurations, of which the headings do not count.
-        end: Last configuration, at any whole turn of the heading.
+        curves: Curves, and arm motions as pairs of configurations, whose headings are ignored.
+        end: Last configuration; its heading may be off by whole turns.
     """
     parts: list[RollingSpline | StraightMove] = []
     heading = start[2]
@@ -107,14 +107,14 @@ def joined(
 
 
 def with_heading(q: Float[Array, " nq"], heading: float) -> Float[Array, " nq"]:
-    """Return a configuration at another heading."""
+    """Return a configuration with another heading."""
     turned = q.copy()
     turned[2] = heading
     return turned
 
 
 def nearest(heading: float, to: float) -> float:
-    """Return a heading at the whole turn that is nearest to another one."""
+    """Return the heading shifted by whole turns so that it is nearest to `to` [rad]."""
     return float(to + np.remainder(heading - to + np.pi, 2.0 * np.pi) - np.pi)
 
 

@@ -1,4 +1,4 @@
-"""Limits of a base on how fast a curve is travelled."""
+"""Limits of a base on the speed along a curve."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from graceful_plan.timing.blend import CurveGrid
 Array = np.ndarray
 
 _KEPT = 0.99
-"""Share of the acceleration along the heading that is used: between two points of a grid it is up to 1 % more."""
+"""Share of the acceleration limit along the heading that is used; between grid points it is exceeded by up to 1 %."""
 
 
 def drive_limits(base: DiffDrive, grid: CurveGrid) -> Float[Array, "interval limit 3"]:
     """Return limits a u + b x <= c of a base on path acceleration u and squared path speed x.
 
-    What is along and across the heading, and the rims of the wheels: rate of turning and its acceleration are limits of
-    the heading's joint. At the end of an interval the squared speed is x + 2 step u.
+    They bound the acceleration along and across the heading, the speed, and the rims of the wheels. The turning rate
+    and its acceleration are limits of the heading's joint. At the end of an interval the squared speed is x + 2 step u.
     """
     steps, rows = np.diff(grid.s), []
     for end in (0, 1):

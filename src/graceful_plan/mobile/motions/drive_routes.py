@@ -1,4 +1,4 @@
-"""Routes of a request: along ways over the floor, and along paths of a search."""
+"""Routes for a planning request: along short floor paths (`ways`), and along paths of a search."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 
 _GOALS, _SHORTEST = 3, 2
-"""Goals that ways lead to, and ways for a first motion."""
+"""Number of goals for floor paths, and number of floor paths for a first motion."""
 _LATEST = 2
-"""Paths of a search that are new to a round, at most."""
+"""Largest number of new search paths in a round."""
 
 
 @final
 class DriveRoutes:
-    """Finds routes, each with the arrival that it leads to.
+    """Finds routes, each with its index of arrival.
 
     Args:
-        request: What to plan, without regard for impact.
-        ends: Both ends.
-        problem: Where to search.
-        rng: Chance of the planner.
+        request: Planning request, without impact.
+        ends: Start and goals.
+        problem: Planning problem for the search.
+        rng: Random generator of the planner.
     """
 
     def __init__(self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator) -> None:
@@ -57,20 +57,20 @@ class DriveRoutes:
 
     @property
     def searched(self) -> Search:
-        """The search of the planner."""
+        """Current result of the planner's search."""
         return self._run.found
 
     def search(self, budget: Budget, *, to_first: bool = False) -> None:
-        """Go on searching until the budget ends, or until there is a path."""
+        """Continue the search until the budget ends, or until the first path."""
         self._run.advance(budget, to_first=to_first)
 
     def shortest(self) -> list[tuple[Route, int]]:
-        """Return routes along the shortest ways to the goal that is wanted most; none where there is nowhere to go."""
+        """Return routes along the shortest floor paths to the preferred goal; none if the start is a goal."""
         stays = (self._problem.goals == self._problem.start).all(axis=1).any()
         return [] if stays else self._along_ways(1, _SHORTEST)
 
     def new(self) -> list[tuple[Route, int]]:
-        """Return routes that no round has seen yet."""
+        """Return routes that no previous round has returned."""
         found = [] if self._asked_for_ways else self._along_ways(_GOALS, None)
         self._asked_for_ways = True
         paths = self.searched.paths
@@ -85,7 +85,7 @@ class DriveRoutes:
         return [(route, arrival) for route in routes(path, moves_arm=self.moves_arm)]
 
     def start(self, leg: RollingLeg, arrival: int) -> Start:
-        """Return a leg as a start of descents."""
+        """Return the start of a descent from a leg."""
         kind = RollingCurves(
             self._base,
             before=float(leg.q[0, 2]),
@@ -99,7 +99,7 @@ class DriveRoutes:
         return Start(Path(leg.q), arrival=arrival, kind=kind)
 
     def _along_ways(self, goals: int, most: int | None) -> list[tuple[Route, int]]:
-        """Return routes along ways over the floor, those that are tried first in front, unless a planner was named."""
+        """Return routes along floor paths, in the order in which to try them; none if another planner was chosen."""
         if not isinstance(self._request.planner, DriveLattice):
             return []
         start, found = self._problem.start, list[tuple[Route, int]]()

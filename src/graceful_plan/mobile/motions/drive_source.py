@@ -1,7 +1,7 @@
-"""Motions of a base: curves descend from ways over the floor and from paths of a lattice, and are timed.
+"""Motions of a base: curves descend from short floor paths and from lattice paths, and are timed.
 
-Ways over the floor ignore headings. They are found in milliseconds, and most of them are good initial guesses. Where no
-curve near a way is free of collision, the lattice finds a path with turns in place and changes of gear.
+Floor paths ignore headings. They are found in milliseconds, and most of them are good initial guesses. Where no curve
+near a floor path is collision-free, the lattice finds a path with turns in place and changes of gear.
 """
 
 from __future__ import annotations
@@ -38,39 +38,39 @@ from graceful_plan.query.request import Request
 from graceful_plan.result import TracePoint
 
 _SETTINGS = DescentSettings(bends=0)
-"""Starts are ways and postures: a random bend of a way mostly ends in a wall."""
+"""No random bends of starts: most of them end in a wall."""
 _SPACING = 0.6
-"""Greatest length of a leg for each control point [m]."""
+"""Largest length of a leg per control point [m]."""
 _SEARCH_SHARE, _PREPARING_SHARE = 0.3, 0.4
-"""Of a round, for starts: of this, for searching paths."""
+"""Share of a round for preparing starts, and share of that for searching paths."""
 _PLAIN_SHARE = 0.6
-"""Of the time for starts: for motions as if w were 0, whose curves are starts."""
+"""Share of the time for starts that goes to motions planned with w = 0, whose curves become starts."""
 _COMPOSED_SHARE = 0.3
-"""Of the rest of a round, for one route of several legs."""
+"""Share of the rest of a round for one route of several legs."""
 _WORTH_TIMING = 1.1
-"""Ratio of a curve's J to that of the best up to which it is timed."""
+"""Largest ratio of a curve's J to the best J at which the curve is timed."""
 _TRIED, _COMPARED = 8, 3
-"""Routes that are tried for a first motion at most, and of how many that are free it is the best."""
+"""Largest number of routes tried for a first motion, and number of free ones among which the best is taken."""
 _STARTS = 3
-"""New curves that descend in a round."""
+"""Number of new curves that descend in a round."""
 _BASE = 3
-"""Joints of the base, before those of the arm."""
+"""Number of joints of the base, which precede those of the arm."""
 _DRAW_SECONDS = 0.1
-"""Time that a draw of postures takes at most [s]."""
+"""Upper bound on the time of one draw of postures [s]."""
 _ANOTHER_DRAW = 0.3
-"""Time of a round from which on postures are drawn once more along the same curve [s]."""
+"""Duration of a round above which postures are drawn again along the same curve [s]."""
 
 
 @final
 class DriveSource:
-    """Makes motions of a base for a request, each timed and with its cost, none of them verified.
+    """Generates timed motions of a base with their costs for a request; none of them is verified.
 
     Args:
-        request: What to plan.
-        ends: Both ends.
-        problem: Where to search.
-        rng: Chance.
-        charge: Whether motions have their impact in their cost.
+        request: Planning request.
+        ends: Start and goals.
+        problem: Planning problem for the search.
+        rng: Random generator.
+        charge: Whether costs of motions include the impact.
     """
 
     def __init__(
@@ -110,17 +110,17 @@ class DriveSource:
 
     @property
     def path_cost(self) -> float:
-        """Least cost of a path of a search, as the search estimates it."""
+        """Least cost of a searched path, as the search estimates it."""
         return self._path_cost if self._plain is None else self._plain.path_cost
 
     @property
     def restarts(self) -> bool:
-        """Whether there are rounds, each longer than the one before."""
+        """Whether the source works in rounds of increasing duration."""
         return True
 
     @property
     def effort(self) -> int:
-        """Number of descents that have ended."""
+        """Number of completed descents."""
         own = 0 if self._descents is None else self._descents.effort.descents
         return own + (0 if self._plain is None else self._plain.effort)
 
@@ -172,7 +172,7 @@ class DriveSource:
             yield along(*self._ends.joined(path), self._request)
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
-        """Yield motions of one round, those that are ranked before the best one known."""
+        """Yield those motions of one round that improve on the best ranking."""
         for motion in self._made(budget):
             if motion.ranking < best:
                 best = motion.ranking
@@ -198,7 +198,7 @@ class DriveSource:
             yield from self._timed(self._worth_timing(results))
 
     def _prepared(self, budget: Budget) -> Iterator[Motion]:
-        """Add starts; yield the motions that come of them as they are."""
+        """Add starts for descents; yield motions along starts that are good enough without a descent."""
         if self._plain is not None:
             with budget.share(
                 _PLAIN_SHARE * budget.remaining_seconds, _PLAIN_SHARE * budget.remaining_iterations
@@ -221,7 +221,7 @@ class DriveSource:
                 else:
                     self._composed.append((route, arrival))
                     self._new_composed.append((route, arrival))
-        if self._descents is None or self._starts is None:  # nothing descends along these costs
+        if self._descents is None or self._starts is None:  # no descents for this request
             for path in [] if self._plain is not None else self._routes.searched.paths[-1:]:
                 yield along(*self._ends.joined(path), self._request)
             return
@@ -233,13 +233,13 @@ class DriveSource:
                 yield from self._timed(one for one in self._starts.add(curve) if one.value < self._ranking)
 
     def take(self) -> tuple[list[Start], list[tuple[Route, int]]]:
-        """Take curves, and routes of several legs, that are new since they were taken last: to begin with elsewhere."""
+        """Take the curves and multi-leg routes found since the last call, for use as starts in another source."""
         taken = self._curves, self._new_composed
         self._curves, self._new_composed = [], []
         return taken
 
     def _worth_timing(self, results: Iterator[DescentResult]) -> Iterator[DescentResult]:
-        """Keep results of descents; yield those that are nearly as good as the best."""
+        """Store results of descents; yield those that are nearly as good as the best."""
         for result in results:
             self._results.append(result)
             if result.value <= _WORTH_TIMING * min(other.value for other in self._results):
@@ -247,7 +247,7 @@ class DriveSource:
                 yield result
 
     def _timed(self, results: Iterable[DescentResult]) -> Iterator[Motion]:
-        """Yield motions along curves of one leg, as long as the call has time for one more."""
+        """Yield motions along curves of one leg while the call has time for one more."""
         for result in results:
             if self._call.over or self._call.remaining_seconds < self._timing_seconds:
                 return
@@ -261,11 +261,11 @@ class DriveSource:
 
     @property
     def _ranking(self) -> float:
-        """That of the best motion along a curve of one leg."""
+        """Ranking of the best motion along a curve of one leg."""
         return np.inf if self._best_motion is None else self._best_motion.ranking
 
     def _pose(self, budget: Budget) -> Iterator[DescentResult]:
-        """Let the arm begin in other postures along the best curve, if there is a new one, or time for another draw."""
+        """Start variants of the best curve with other arm postures, if the curve is new or time allows another draw."""
         objective, motion = self._request.objective, self._best_motion
         if self._starts is None or motion is None or self._best is None:
             return
@@ -296,9 +296,9 @@ class DriveSource:
         return self._driven(self._joined(chosen, arrival), arrival)
 
     def _coarse(self, route: Route, arrival: int, budget: Budget) -> tuple[float, Drive, Start | None] | None:
-        """Return what legs cost that became short and smooth, the drive, and its start if it has one leg.
+        """Return the total cost of coarsely descended legs, the drive, and its start if it has one leg.
 
-        None if one of them is not free.
+        None if a leg is not collision-free.
         """
         if self._descents is None:
             return None
@@ -319,7 +319,7 @@ class DriveSource:
         return timed_drive(drive, arrival, self._request, charge=self._charge)
 
     def _joined(self, parts: Sequence[RollingSpline | ArmMove], arrival: int) -> Drive:
-        """Return parts as a drive from the start to a goal, with the way of the arm there."""
+        """Return a drive from the start along the parts to a goal, including the arm's motion there."""
         q = self._ends.arrivals[arrival].q
         return joined(self._ends.departure.q[-1], [*parts, *(np.stack(edge) for edge in pairwise(q))], q[-1])
 

@@ -1,6 +1,6 @@
-"""Curves of a base that descents begin with: short and smooth ones, also slower and with the arm in other postures.
+"""Initial curves for descents of a base: short smooth ones, and variants that are slower or change the arm posture.
 
-They wait in the order of J as they are, so that those descend first that promise most.
+The queue is ordered by J before the descent, so the most promising curves descend first.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from graceful_plan.planners.planner import Budget
 Array = np.ndarray
 
 _LOOK = replace(MIDDLE, evaluations=0)
-"""Tells J of a curve as it is."""
+"""Evaluates J of a curve without descending."""
 _PACES = ((0.6, 0.0, 1.0), (0.35, 0.0, 1.0), (0.25, 0.0, 0.3), (0.25, 0.2, 0.5), (0.25, 0.4, 0.7))
 """Initial shares of the speed for curves that collide with a moving entity, and the part of the curve they hold for."""
 _KEPT = 2
-"""Variants of a curve."""
+"""Number of variants of a curve that are kept."""
 _POINTS = 64
-"""Of a curve, as a path."""
+"""Number of points of a curve when it is converted to a path."""
 
 
 @final
 class DriveStarts:
-    """Curves that wait to descend.
+    """Queue of curves for descents.
 
     Args:
-        descents: The descents they are for.
+        descents: Descents that the curves are for.
     """
 
     def __init__(self, descents: MotionDescents) -> None:
@@ -45,16 +45,16 @@ class DriveStarts:
         self._arms: list[Float[Array, " arm"]] = []
 
     def pose(self, best: Start, arms: Float[Array, "posture arm"]) -> Iterator[DescentResult]:
-        """Add variants of the best curve with other postures of the arm; curves that are added later get them, too.
+        """Add variants of the best curve with other arm postures; curves added later get these postures as well.
 
-        Yields curves that are free, with J as they are.
+        Yields the collision-free curves with their J before the descent.
         """
         self._arms = list(arms) or self._arms
         for arm in arms:
             yield from self._look(_posed(best, arm), ())
 
     def add(self, start: Start) -> Iterator[DescentResult]:
-        """Add a curve; yield its best variant if it is free, with J as it is."""
+        """Add a curve; yield its best variant, with J before the descent, if it is free."""
         yield from self._look(start, self._arms)
 
     def take(self, most: int, *, again: bool) -> list[Start]:
@@ -66,7 +66,7 @@ class DriveStarts:
         return [start for _, start in taken]
 
     def _look(self, start: Start, arms: Sequence[Float[Array, " arm"]]) -> Iterator[DescentResult]:
-        """Keep the best variants of a start in the order of J; yield the best if it is free."""
+        """Queue the best variants of a start in the order of J; yield the best if it is free."""
         looked = [found for one in (start, *(_posed(start, arm) for arm in arms)) if (found := self._value(one))]
         if not looked:
             return
@@ -82,13 +82,13 @@ class DriveStarts:
             yield DescentResult(best.curve, value, best)
 
     def _value(self, start: Start) -> tuple[float, Start, float] | None:
-        """Return J of a start as it is, itself, and the gap that it keeps to entities that move."""
+        """Return J of a start before the descent, the start, and its clearance to moving entities."""
         descent = self._descents.descended(start, _LOOK, Budget())
         return None if descent is None else (descent.value, start, descent.gap)
 
 
 def smooth(start: Start, descents: MotionDescents, budget: Budget) -> Start | None:
-    """Return a start with a curve instead of a path, coarsely descended; None if there is no time for it."""
+    """Return a start whose path is replaced by a coarsely descended curve; None if there is no time for it."""
     descent = descents.descended(start, COARSE, budget)
     if descent is None:
         return None
@@ -103,7 +103,7 @@ def _posed(start: Start, arm: Float[Array, " arm"]) -> Start:
 
 
 def _paced(start: Start) -> Iterator[Start]:
-    """Yield a start at slower paces."""
+    """Yield slower variants of a start."""
     assert isinstance(start.curve, RollingSpline)
     along = np.linspace(0.0, 1.0, len(start.curve.controls))
     for slow, begin, end in _PACES:

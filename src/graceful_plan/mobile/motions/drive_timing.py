@@ -1,4 +1,4 @@
-"""From drives to timed motions with their cost."""
+"""Time drives and evaluate the cost of the resulting motions."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ Array = np.ndarray
 _INTO = 1e6
 """Added to the ranking of motions that collide with a moving entity."""
 _FREE = 1e9
-"""Squared path speed where nothing is to be slower."""
+"""Squared path speed where there is no restraint."""
 
 
 def timed_drive(drive: Drive, arrival: int, request: Request, *, charge: bool = True) -> Motion | None:
-    """Time a drive at its shares of the fastest speed; None if no timing keeps the constraints.
+    """Time a drive at its shares of the fastest speed; None if no timing satisfies the constraints.
 
     Args:
         drive: The drive.
-        arrival: The way to a goal that it takes.
-        request: What to plan.
-        charge: Whether the impact is part of the cost. It takes longer than all the rest.
+        arrival: Index of the arrival at a goal that it takes.
+        request: Planning request.
+        charge: Whether the cost includes the impact, which takes most of the time.
     """
     try:
         trajectory = request.constraints.timed(drive, speed=request.speed)
@@ -57,7 +57,7 @@ def _uncharged(trajectory: Trajectory, arrival: int, request: Request) -> Motion
 
 
 def charged(motion: Motion, request: Request) -> Motion:
-    """Return a motion that was made for another weight with its cost by a request."""
+    """Return a motion, planned for another weight, with its cost under this request."""
     return _ranked(costed_anew(motion, request), request)
 
 
@@ -72,7 +72,7 @@ def along(whole: Path, arrival: int, request: Request) -> Motion:
 
 
 def slower(drive: Drive, t: Float[Array, " point"], qd: Float[Array, "point nq"]) -> Restraint | None:
-    """Return limits on the path speed at the shares that a drive has of its fastest motion; None if it has all of it.
+    """Return limits on the path speed from the shares of a drive's fastest motion; None if it drives at full speed.
 
     Args:
         drive: The drive.
@@ -103,10 +103,10 @@ def _ranked(motion: Motion, request: Request) -> Motion:
 
 
 def _hits_moving_entity(motion: Trajectory, request: Request) -> bool:
-    """Tell whether the healthy robot collides with a moving entity, by the fast checker."""
+    """Return whether the healthy robot collides with a moving entity, according to the fast checker."""
     among = request.objective.among_moving
     if among is None:
         return False
-    moves = is_moving(motion.qd)  # a moving entity walks into a robot that stands
+    moves = is_moving(motion.qd)  # a moving entity that walks into a standing robot does not count
     gap, _, _ = among.moving.gaps(motion.q[moves], motion.t[moves], 0.0)
     return bool((gap < 0.0).any())

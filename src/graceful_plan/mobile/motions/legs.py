@@ -1,6 +1,6 @@
-"""From paths of straight stretches and turns in place to legs: what a base drives in one gear.
+"""Split paths of straight stretches and turns in place into legs: parts that a base drives in one gear.
 
-Turns at either end of a leg are free: a curve may turn instead, partly or as a whole.
+Turns at either end of a leg are free: a curve may turn instead, partly or entirely.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from graceful_plan.path import Path
 Array = np.ndarray
 
 _SHARP = 1.2
-"""Angle from which on a base had better turn in place first [rad]."""
+"""Heading change above which the base should first turn in place [rad]."""
 _BACKWARD = 0.1
-"""Length by which a way must be shorter to be tried backward before forward [m]."""
+"""Length that driving backward must save to be tried before forward [m]."""
 _SMALL = 0.3
-"""Turns in place below which no curve differs that makes them itself [rad]."""
+"""Turns in place below this are always made by the curve, as the alternatives hardly differ [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class RollingLeg:
     """A part of a route in one gear, with turns in place before and after where the route has them.
 
-    | field        | meaning                                             | unit     | shape     |
-    |--------------|-----------------------------------------------------|----------|-----------|
-    | q            | vertices; the headings at both ends are as before turning, and after | rad or m | vertex nq |
-    | forward      | whether it drives forward                           |          |           |
-    | turns_before | whether it may turn in place first                  |          |           |
-    | turns_after  | whether it may turn in place at the end             |          |           |
+    | field        | meaning                                                        | unit     | shape     |
+    |--------------|----------------------------------------------------------------|----------|-----------|
+    | q            | vertices; first heading before the turn, last heading after it | rad or m | vertex nq |
+    | forward      | whether it drives forward                                      |          |           |
+    | turns_before | whether it may turn in place first                             |          |           |
+    | turns_after  | whether it may turn in place at the end                        |          |           |
     """
 
     q: Float[Array, "vertex nq"]
@@ -45,14 +45,14 @@ class RollingLeg:
 
 ArmMove = Float[Array, "2 nq"]
 Route = tuple[RollingLeg | ArmMove, ...]
-"""Legs, and moves of the arm where the base stands."""
+"""Legs, and arm motions while the base stands."""
 
 
 def routes(path: Path, *, moves_arm: bool = True) -> Iterator[Route]:
-    """Yield routes along a path, from those that turn and move the arm on the way to those that do it at rests.
+    """Yield routes along a path: first those that turn and move the arm while driving, then those that stop for it.
 
     Args:
-        path: Straight stretches, turns in place and motions of the arm.
+        path: Straight stretches, turns in place and arm motions.
         moves_arm: Whether the arm may move while the base does.
     """
     parts = stages(path)
@@ -71,16 +71,16 @@ def along_ways(
     *,
     moves_arm: bool = True,
 ) -> Iterator[Route]:
-    """Yield routes along ways over the floor: forward, then backward, each with turns at the ends or without.
+    """Yield routes along floor paths: forward and backward, each with and without turns in place at the ends.
 
-    Those that turn least by themselves where they need not come first.
+    Shorter routes with less turning, and without needless turns in place, come first.
 
     Args:
-        over: The ways.
-        start: Where they begin, with heading and arm.
-        goal: Where they end.
+        over: Floor paths.
+        start: Start configuration, with heading and arm.
+        goal: Goal configuration.
         reverse: Whether the base may drive backwards.
-        moves_arm: Whether the arm may move while the base does; else it moves at the end.
+        moves_arm: Whether the arm may move while the base does; otherwise it moves at the end.
     """
     found: list[tuple[float, Route]] = []
     for way in over:
@@ -110,12 +110,12 @@ def _off(direction: Float[Array, "2"], heading: float, forward: bool) -> float:
 
 
 def _done(xy: Float[Array, "point 2"]) -> Float[Array, " point"]:
-    """Return the length of a way up to each of its points [m]."""
+    """Return the length of a polyline up to each of its points [m]."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
 
 
 def _parts(parts: list[DriveStage]) -> Iterator[RollingLeg | ArmMove]:
-    """Yield legs and moves of the arm; turns in place belong to the legs beside them."""
+    """Yield legs and arm motions; turns in place belong to the adjacent legs."""
     before: Float[Array, " nq"] | None = None
     leg: RollingLeg | None = None
     for stage in parts:
@@ -135,12 +135,12 @@ def _parts(parts: list[DriveStage]) -> Iterator[RollingLeg | ArmMove]:
         before = None
     if leg is not None:
         yield leg
-    elif before is not None and all(stage.kind is Move.TURN for stage in parts):  # it goes nowhere
+    elif before is not None and all(stage.kind is Move.TURN for stage in parts):  # the path only turns in place
         yield np.stack([before, parts[-1].q[-1]])
 
 
 def _turning(route: Route) -> Iterator[Route]:
-    """Yield a route whose curves turn instead of the base in place, at its ends, where that makes a difference."""
+    """Yield variants of a route in which the first and last curve make the turns at its ends, where it has any."""
     legs = [k for k, part in enumerate(route) if isinstance(part, RollingLeg)]
     if not legs:
         yield route
@@ -159,7 +159,7 @@ def _turning(route: Route) -> Iterator[Route]:
 
 
 def _arm_moved_on_the_way(route: Route) -> Route:
-    """Return a route whose arm moves along its longest leg, from where it is at the start to where it is at the end."""
+    """Return a route whose arm moves along its longest leg, from its posture at the start to that at the end."""
     legs = [k for k, part in enumerate(route) if isinstance(part, RollingLeg)]
     if not legs:
         return route

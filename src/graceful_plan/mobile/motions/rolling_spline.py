@@ -1,6 +1,6 @@
-"""Smooth curves that a base rolls along: its heading is that of the tangent, or of the opposite in reverse.
+"""Smooth curves that a base rolls along: its heading follows the tangent, or the opposite direction in reverse.
 
-Curvature is continuous, as the splines are cubic, and so is the rate of turning.
+The splines are cubic, so curvature and turning rate are continuous.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from graceful_plan.timing.spline import Spline
 Array = np.ndarray
 
 _INTERVALS, _BY_METRE = 128, 25.0
-"""Of the coarsest grid: in all and by length [1/m], at least. Between the points of such a grid, the
-sideways speed stays below 0.2 mm/s at 2 m/s."""
+"""Least number of intervals of the coarsest grid, and least number per length [1/m]. With such a grid, the sideways
+speed between its points stays below 0.2 mm/s at 2 m/s."""
 _LEAST_SQUARED = 1e-12
 """Squared length of a tangent below which a curve has no direction."""
 
@@ -28,11 +28,11 @@ _LEAST_SQUARED = 1e-12
 class RollingSpline:
     """A clamped cubic B-spline of a base and its arm.
 
-    | field    | meaning                                                                                          |
-    |----------|--------------------------------------------------------------------------------------------------|
+    | field    | meaning                                                                                            |
+    |----------|----------------------------------------------------------------------------------------------------|
     | controls | x and y of the base [m], joints of the arm [rad or m], logarithm of the share of the fastest speed |
-    | forward  | whether the heading is that of the tangent, or the opposite                                      |
-    | before   | heading of the base at the start, whole turns included [rad]                                     |
+    | forward  | whether the heading is that of the tangent, or the opposite                                        |
+    | before   | heading of the base at the start, whole turns included [rad]                                       |
     """
 
     controls: Float[Array, "control column"]
@@ -41,16 +41,16 @@ class RollingSpline:
 
     @property
     def spans(self) -> int:
-        """Number of intervals between knots; the parameter goes from 0 to it."""
+        """Number of knot intervals; the parameter ranges from 0 to it."""
         return len(self.controls) - 3
 
     @property
     def samples(self) -> Float[Array, "n nq"]:
-        """Configurations on it at the parameters of the coarsest grid."""
+        """Configurations at the parameters of the coarsest grid."""
         return self._at(self._parameters(1))[0]
 
     def even(self, n: int) -> Float[Array, "n nq"]:
-        """Return configurations on it at even parameters, both ends among them."""
+        """Return configurations at evenly spaced parameters, including both ends."""
         return self._at(np.linspace(0.0, self.spans, n))[0]
 
     def with_controls(self, n: int) -> RollingSpline:
@@ -58,11 +58,11 @@ class RollingSpline:
         return replace(self, controls=Spline(self.controls).with_controls(n).controls)
 
     def share(self, u: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Return which share of the fastest speed is used at parameters."""
+        """Return the share of the fastest speed at parameters."""
         return np.exp(_native.spline(np.ascontiguousarray(self.controls), u)[0][:, -1])
 
     def grid(self, density: int) -> CurveGrid:
-        """Sample it for timing; see `Curve`."""
+        """Sample the curve for timing; see `Curve`."""
         u = self._parameters(density)
         q, slope, bend, third = self._at(u)
         both = np.stack([bend[:-1], bend[1:]], axis=1)
@@ -72,7 +72,7 @@ class RollingSpline:
         return CurveGrid(u, q, np.stack([slope[:-1], slope[1:]], axis=1), both, stop)
 
     def _parameters(self, density: int) -> Float[Array, " n"]:
-        """Return parameters that have all knots among them, where the third derivative jumps."""
+        """Return parameters that include all knots, where the third derivative jumps."""
         length = float(np.linalg.norm(np.diff(self.controls[:, :2], axis=0), axis=1).sum())
         each = int(np.ceil(max(_INTERVALS, _BY_METRE * length) / self.spans))
         u = places(density * each * self.spans, from_rest=True, to_rest=True) * self.spans
@@ -82,9 +82,10 @@ class RollingSpline:
     def _at(
         self, u: Float[Array, " n"]
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"], Float[Array, "n nq"], Float[Array, "interval 2"]]:
-        """Return configurations, their first two derivatives, and what third ones add to that of the heading.
+        """Return configurations, first and second derivatives, and a correction of the heading's second derivative.
 
-        The second derivative of the heading is that of both arrays, the latter at both ends of each interval.
+        The heading's second derivative is the sum of its entry in the third array and the correction, which is given at
+        both ends of each interval because the third derivative of the spline jumps at knots.
         """
         value, slope, bend = (part[:, :-1] for part in _native.spline(np.ascontiguousarray(self.controls), u))
         v, a = slope[:, :2], bend[:, :2]
@@ -103,16 +104,16 @@ class RollingSpline:
 class RollingCurves:
     """Curves of a base between two headings; a kind of curve for descents.
 
-    | field        | meaning                                                                   | unit |
-    |--------------|---------------------------------------------------------------------------|------|
-    | base         | how the robot drives                                                      |      |
-    | before       | heading of the base at the start                                          | rad  |
-    | after        | heading at the end                                                        | rad  |
-    | forward      | whether it drives forward                                                 |      |
-    | turns_before | whether the base may turn in place first                                  |      |
-    | turns_after  | whether it may turn in place at the end                                   |      |
-    | holds_arm    | whether the arm stays as it is at the start                               |      |
-    | speed        | fraction of the limits of speed to use                                    |      |
+    | field        | meaning                                        | unit |
+    |--------------|------------------------------------------------|------|
+    | base         | drive parameters of the base                   |      |
+    | before       | heading of the base at the start               | rad  |
+    | after        | heading at the end                             | rad  |
+    | forward      | whether it drives forward                      |      |
+    | turns_before | whether the base may turn in place first       |      |
+    | turns_after  | whether it may turn in place at the end        |      |
+    | holds_arm    | whether the arm keeps its posture of the start |      |
+    | speed        | fraction of the speed limits to use            |      |
     """
 
     base: DiffDrive
@@ -124,7 +125,7 @@ class RollingCurves:
     holds_arm: bool = False
     speed: float = 1.0
     rolling: _native.Rolling = field(init=False)
-    """The same, as the core takes it."""
+    """These settings in the core."""
 
     def __post_init__(self) -> None:
         base, share = self.base, self.speed

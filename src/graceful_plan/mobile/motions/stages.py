@@ -1,4 +1,4 @@
-"""The stages of a path of a base: where it rolls in one gear, where it turns, where the arm moves."""
+"""Stages of a base's path: rolling in one gear, turning in place, moving the arm."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from graceful_plan.path import Path
 Array = np.ndarray
 
 _STILL = 1e-9
-"""Movements below which a joint stands still [rad or m]."""
+"""Displacement below which a joint counts as standing still [rad or m]."""
 _SHARP = 0.6 * np.pi
-"""Turns in place beyond which a base stops and turns, since no smooth curve near them is worth it [rad]."""
+"""Turns in place above this stay separate stages, as no smooth curve near them pays off [rad]."""
 
 
 class Move(Enum):
-    """What an edge of a path does."""
+    """Kind of motion along an edge of a path."""
 
     FORWARD = "forward"
     BACKWARD = "backward"
@@ -34,8 +34,8 @@ class DriveStage:
     """Consecutive edges that one stretch of a drive replaces.
 
     Args:
-        kind: What they do; turns between two moves in one gear are part of those.
-        q: Their vertices.
+        kind: Kind of motion; turns between two moves in one gear are included in their stage.
+        q: Vertices of the edges.
     """
 
     kind: Move
@@ -43,9 +43,9 @@ class DriveStage:
 
 
 def stages(path: Path) -> list[DriveStage]:
-    """Divide a path of straight stretches and turns in place.
+    """Divide a path of straight stretches and turns in place into stages.
 
-    Turns between two moves of one gear are left to the curve that replaces both, unless they are sharp.
+    Turns between two moves in one gear are left to the curve that replaces both, unless they are sharp.
     """
     kinds = [_kind(a, b) for a, b in zip(path.q[:-1], path.q[1:], strict=True)]
     turning = np.abs(np.diff(path.q[:, 2]))
@@ -71,7 +71,7 @@ def _kind(a: Float[Array, " nq"], b: Float[Array, " nq"]) -> Move:
 
 
 def _runs(kinds: list[Move], kind: Move) -> Iterator[tuple[int, int]]:
-    """Yield where unbroken runs of a kind begin and end."""
+    """Yield begin and end of unbroken runs of a kind."""
     begin = 0
     for found, group in groupby(kinds):
         end = begin + len(list(group))

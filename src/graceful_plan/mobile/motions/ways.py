@@ -1,8 +1,8 @@
-"""Ways of a base over the floor: short ones that differ, as descents begin with them.
+"""Short, distinct floor paths of a base ("ways"), used as initial guesses for descents.
 
-A disc goes over the cells of a map that is cut out of the scene; a small one gets through everywhere, a large one keeps
-clear. Further searches add a cost to cells near the ways that were found before, until no new way is found. Ways are
-not checked for collision of the robot: the curves that descend from them are.
+A disc moves over the cells of a map cut from the scene. A small disc passes everywhere, a large one keeps clear of
+obstacles. Further searches add a cost to cells near previous paths, until no new path is found. The paths are not
+checked for collision of the robot; the curves that descend from them are.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ Array = np.ndarray
 _CELL, _AROUND = 0.05, 8.0
 """Width of a cell, and the margin of the map around both ends [m]."""
 _SHARES = (0.0, 0.5)
-"""Of the way from the disc inside the robot to the one around it: what keeps clear."""
+"""Disc radii, interpolated from the disc inside the robot (0) to the one around it (1)."""
 _MOST, _NEAR, _DEAR = 4, 0.6, 1.5
-"""Number of ways at most; distance from a way within which cells cost more [m], and their cost for each metre."""
+"""Largest number of paths; distance from a path within which cells cost more [m], and their extra cost per metre."""
 _APART = 0.4
-"""Distance by which ways differ somewhere [m]."""
+"""Least distance between different paths, at the point where they are farthest apart [m]."""
 _LOOKED_AT = 40
-"""Points of a way that are compared."""
+"""Number of points of a path that are compared."""
 _HARDLY = 1e-3
-"""Length of a way that is none [m]."""
+"""Length of a path below which there is nothing to drive [m]."""
 _SECONDS = 1.0
-"""Of one search, at most [s]."""
+"""Time limit of one search [s]."""
 
 
 def ways(scene: Scene, start: Float[Array, " nq"], goal: Float[Array, " nq"]) -> Iterator[Float[Array, "point 2"]]:
-    """Yield ways from the place of a base to another, the shortest first.
+    """Yield floor paths from a base's start to its goal, the shortest first.
 
     Args:
-        scene: With a base.
-        start: Where it is, and the posture of its arm.
-        goal: Where it goes.
+        scene: Scene with a base.
+        start: Start configuration, including the arm posture.
+        goal: Goal configuration.
     """
     if np.hypot(*(goal - start)[:2]) < _HARDLY:
         return
@@ -85,7 +85,7 @@ def _differs(way: Float[Array, "point 2"], others: Sequence[Float[Array, "_ 2"]]
 
 
 def _dear(floor: FloorMap, found: Sequence[Float[Array, "_ 2"]]) -> Float[Array, "row column"]:
-    """Return the additional cost of cells near ways."""
+    """Return the additional cost of cells near previous paths."""
     near = np.zeros(floor.shape, dtype=np.uint8)
     for way in found:
         n = int(np.ceil(np.linalg.norm(np.diff(way, axis=0), axis=1).sum() / floor.resolution)) + 2

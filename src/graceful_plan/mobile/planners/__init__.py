@@ -10,7 +10,7 @@ DRIVING: dict[str, type[Planner]] = {
     planner.name: planner
     for planner in (DriveLattice, FloorInTime, FloorThetaStar, ReedsSheppPRM, ReedsSheppRRT, ReedsSheppRRTStar)
 }
-"""Every planner for bases that `plan(planner=...)` knows by name."""
+"""All planners for bases, by the name that `plan(planner=...)` accepts."""
 
 __all__ = [
     "DRIVING",

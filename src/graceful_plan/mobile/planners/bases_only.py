@@ -1,4 +1,4 @@
-"""Planners for bases refuse robots that have none."""
+"""Check that a robot has a base before a planner for bases runs."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 
 def of_a_base(objective: BoundObjective, planner: str) -> tuple[SceneObjective, DiffDrive]:
-    """Return the objective, which knows a scene, and the base in it.
+    """Return the objective as a scene objective, and the base of its scene.
 
     Args:
-        objective: As a planner gets it.
-        planner: Its name.
+        objective: Objective passed to the planner.
+        planner: Name of the planner.
 
     Raises:
-        SettingError: If there is no scene, or its robot has no base that drives.
+        SettingError: If there is no scene, or its robot has no base.
     """
     if isinstance(objective, SceneObjective) and objective.scene.base is not None:
         return objective, objective.scene.base

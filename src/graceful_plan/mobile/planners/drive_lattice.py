@@ -28,16 +28,17 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 @final
 @dataclass(frozen=True, kw_only=True)
 class DriveLattice(Planner):
-    """Paths of straight stretches and turns in place, better and better ones on finer and finer lattices.
+    """Anytime search for paths of straight stretches and turns in place on successively finer lattices.
 
-    In paths, the arm keeps its posture while the base moves: that of the start, and it moves at the goal; or that of
-    the goal, and it moves at the start. Motions near them move both together. One iteration expands one node.
+    Along a path, the arm keeps one posture while the base moves. It either keeps the start posture and moves at the
+    goal, or takes the goal posture at the start. Motions refined from these paths move base and arm together. One
+    iteration expands one node.
 
     Args:
         cells: Lengths of a move of the base [m], one lattice after the other.
-        weights: Of the heuristic, one search after the other on each lattice: the first is quick and finds a path that
-            costs at most so many times the best of its lattice, the last has to be 1.
-        max_nodes: A lattice is given up when it holds more nodes.
+        weights: Weights of the heuristic, one search after the other on each lattice. A search with weight c finds a
+            path that costs at most c times the best of its lattice. The weights decrease, and the last must be 1.
+        max_nodes: Number of nodes above which a lattice is abandoned.
         moves_arm: Whether the arm may move while the base does, in motions near the paths.
     """
 
@@ -64,15 +65,15 @@ class DriveLattice(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths.
+        """Yield paths of decreasing cost.
 
         Raises:
-            SettingError: If the robot has no base that drives.
+            SettingError: If the robot has no base.
         """
         del rng
         charging, base = of_a_base(objective, self.name)
         best, short = np.inf, charging.objective.with_weight(0.0).bind(charging.scene, charging.paces)
-        # A shortest path first: where impact decides, a search that looks at it everywhere takes its time.
+        # The shortest path comes first: where impact decides, evaluating it everywhere takes time.
         searches = [(self.cells[0], short), *((cell, objective) for cell in self.cells)]
         for cell, charged in searches if objective.w > 0.0 else searches[1:]:
             for begin in postures(problem):
@@ -84,7 +85,7 @@ class DriveLattice(Planner):
     def _searched(
         self, begin: Path, cell: float, base: DiffDrive, asked: tuple[Problem, BoundObjective, Budget]
     ) -> Iterator[Path]:
-        """Search one lattice with one weight after the other."""
+        """Search one lattice with decreasing weights of the heuristic."""
         problem, objective, budget = asked
         lattice = _native.Drive(
             native_space(problem, objective),

@@ -1,10 +1,10 @@
-"""Paths over the cells of a floor map, headings and time, among those who move: before or behind somebody, or waiting.
+"""Paths over floor cells, headings and time among moving entities: passing before or behind them, or waiting.
 
-The robot's outline at the heading of travel, as discs, goes over coarse cells in the core
-(`mobile.floor.timed_paths`). A move costs its length, its time and w times what those around would suffer if the base
-failed on it, where they then are; nobody is driven into, and nobody is waited for where they walk. Where no way is
-found, cells are halved. What is found becomes turns in place and straight stretches, and loses its times: the law of
-time is found again on the smooth curve.
+The footprint of the robot, as discs at the heading of travel, moves over coarse cells in the core
+(`mobile.floor.timed_paths`). A move costs its length, its time, and w times the impact of a base failure during the
+move, with all entities at their positions at that time. The base never drives into a moving entity, nor waits where one
+walks. If no path is found, the cells are halved. The path becomes turns in place and straight stretches without times;
+the timing is computed again on the smooth curve.
 """
 
 from __future__ import annotations
@@ -47,27 +47,27 @@ from graceful_plan.scene.moving import MovingEntity
 Array = np.ndarray
 
 _FINE = 0.05
-"""Cells of the map that is cut out of the scene [m]."""
+"""Width of the cells of the map cut from the scene [m]."""
 _CRUISE = 0.7
 """Share of the fastest speed at which a cell is crossed in two ticks."""
 _TURNS = 0.5
-"""Of the time that a turn in place takes at the fastest rate: on a smooth curve most of it passes while it drives."""
+"""Share of the duration of a turn in place at the greatest rate; on smooth curves, most of it happens while driving."""
 _TURN_PRICE = 0.25
-"""What a radian costs besides [m]: bends are slow, and longer than straight ways."""
+"""Additional cost of turning by a radian [m]: curves are slower and longer than straight paths."""
 _YAW = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
 _REACH, _APART = 3.0, 0.3
-"""How far off somebody is looked at, and between these places [m]."""
+"""Distance from a moving entity up to which impact is evaluated, and spacing of the evaluated positions [m]."""
 _MOST_VELOCITIES = 4
 _COARSE = 2
-"""Impact on those who stand is looked at in every so manieth cell of a row and a column."""
+"""Row and column stride of the cells in which impact on static entities is evaluated."""
 _DRIVING, _STANDING, _WANTED = 0.1, 0.0, 0.3
-"""Clearance to those who move below which discs do not drive, do not wait, and cost something [m]."""
+"""Clearances to moving entities below which discs do not drive, do not wait, and have a price [m]."""
 _CLOSE = 2.0
-"""What a second costs besides without any clearance [m/s]."""
+"""Additional cost of a second at zero clearance [m/s]."""
 _FINER = (1.0, 0.5)
-"""Widths of cells, as shares, one after the other until there is a way."""
+"""Factors on the cell width, tried one after the other until a path is found."""
 _REPAIRS = 6
-"""Most searches at one width: cells of moves that turn out not to be free are closed."""
+"""Largest number of searches at one width; after each, the cells of colliding moves are closed."""
 
 
 @final
@@ -75,12 +75,12 @@ _REPAIRS = 6
 class FloorInTime(Planner):
     """A* over cells, headings and time.
 
-    The arm stays as it is at the start. One iteration is one search.
+    The arm keeps its start posture. One iteration is one search.
 
     Args:
         cell: Width of a cell [m].
-        around: How far beyond start and goals the map reaches, if the limits of the base let it [m].
-        late: How many seconds it may take, besides one for each metre of length and width of the map.
+        around: Extent of the map beyond start and goals, within the limits of the base [m].
+        late: Latest arrival [s], in addition to one second for each metre of length and width of the map.
     """
 
     name: ClassVar[str] = "floor_in_time"
@@ -102,7 +102,7 @@ class FloorInTime(Planner):
         """Yield a path, if there is one.
 
         Raises:
-            SettingError: If the robot has no base that drives.
+            SettingError: If the robot has no base.
         """
         del rng
         charging, base = of_a_base(objective, self.name)
@@ -133,7 +133,7 @@ class FloorInTime(Planner):
     def _found(
         self, cells: _Cells, beside: _Beside, discs: Float[Array, "disc 3"], budget: Budget
     ) -> Float[Array, "vertex nq"] | None:
-        """Search once; return the path, None if there is none or no time."""
+        """Search once; return the path, or None if there is none or the time is up."""
         base, width = beside.base, cells.width
         tick = 0.5 * width / (_CRUISE * base.v_max)
         seconds = width * sum(cells.open.shape[1:]) + self.late
@@ -162,7 +162,7 @@ class FloorInTime(Planner):
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Coarse cells, one of them around the start: their centres in W, which headings are open there, and the ends."""
+    """Coarse cells aligned with the start: their centres in W, the open headings of each, and both ends."""
 
     xy: Float[Array, "row column 2"]
     open: UInt8[Array, "heading row column"]
@@ -212,7 +212,7 @@ class _Cells:
         return turns_and_straights(xy, *self.ends, gears)
 
     def close(self, a: Float[Array, "edge nq"], b: Float[Array, "edge nq"]) -> None:
-        """Close what edges that are not free lead over."""
+        """Close the cells under edges that are not free."""
         origin = self.xy[0, 0]
         for from_, to in zip(a, b, strict=True):
             n = max(2, math.ceil(float(np.linalg.norm(to[:2] - from_[:2])) / (0.5 * self.width)) + 1)
@@ -224,11 +224,11 @@ class _Cells:
 
 
 class _Over(Exception):
-    """The search is given up, for its time is."""
+    """The search is abandoned because its time is up."""
 
 
 class _Beside:
-    """What failures cost beside those who stand and those who move."""
+    """Cost of base failures beside static and moving entities."""
 
     def __init__(self, objective: SceneObjective, base: DiffDrive, start: Float[Array, " nq"], budget: Budget) -> None:
         self.objective, self.base, self.start, self.budget = objective, base, start, budget
@@ -240,7 +240,7 @@ class _Beside:
         return SceneObjective(of.objective, as_if_nobody_moved(of.scene), of.paces)
 
     def standing(self, xy: Float[Array, "row column 2"]) -> Float[Array, "heading row column"] | None:
-        """Return the price of a second of driving in each cell and heading, for those who stand."""
+        """Return the price of a second of driving in each cell and heading for static entities; None if w is 0."""
         if self.objective.w == 0.0:
             return None
         coarse = xy[::_COARSE, ::_COARSE]
@@ -253,7 +253,7 @@ class _Beside:
         return rate.repeat(_COARSE, axis=1).repeat(_COARSE, axis=2)[:, : xy.shape[0], : xy.shape[1]]
 
     def others(self, origin: Float[Array, " 2"], half: float, halves: int) -> Others:
-        """Return those who move, at half ticks [s], as seen from the first cell; nobody where nobody does."""
+        """Return the moving entities at half ticks [s], relative to the first cell; empty if there are none."""
         if not self.objective.scene.moving:
             return Others()
         t = half * np.arange(halves)
@@ -281,7 +281,7 @@ class _Beside:
     def _beside(
         self, entity: MovingEntity, t: float, places: Float[Array, " place"]
     ) -> Float[Array, "heading place place"]:
-        """Return the price of a second of driving beside somebody, as they are at a time."""
+        """Return the price of a second of driving beside an entity, at its state at a time."""
         impact, n = self.objective.objective.impact, len(places)
         table = np.zeros((HEADINGS, n, n))
         if self.objective.w == 0.0 or not isinstance(impact, ImpactCost):
@@ -296,12 +296,12 @@ class _Beside:
         return table
 
     def _go_on(self) -> None:
-        """Raise `_Over` once there is no time left for the search."""
+        """Raise `_Over` once the search has no time left."""
         if self.budget.over:
             raise _Over
 
     def _driving(self, xy: Float[Array, "n 2"], heading: int) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """Return configurations and velocities of the base that drives there."""
+        """Return configurations and velocities of a base that drives at these places and heading."""
         q = np.tile(self.start, (len(xy), 1))
         qd = np.zeros_like(q)
         q[:, :2], q[:, 2] = xy, _YAW[heading]
@@ -310,7 +310,7 @@ class _Beside:
 
 
 def _classes(velocity: Float[Array, "half 2"]) -> tuple[int, Int[Array, " half"]]:
-    """Return how many classes of velocities there are, and which each is in."""
+    """Return the number of velocity classes, and the class of each velocity."""
     known, row = np.unique(np.round(velocity, 1), axis=0, return_inverse=True)
     if len(known) > _MOST_VELOCITIES:
         often = np.argsort(-np.bincount(row.ravel()), kind="stable")[:_MOST_VELOCITIES]
@@ -322,7 +322,7 @@ def _classes(velocity: Float[Array, "half 2"]) -> tuple[int, Int[Array, " half"]
 def _clear(
     floor: FloorMap, xy: Float[Array, "row column 2"], discs: Float[Array, "disc 3"], yaw: float
 ) -> Bool[Array, "row column"]:
-    """Tell where discs around a robot with this heading touch nothing."""
+    """Return where the discs around a robot with this heading touch nothing."""
     c, s = np.cos(yaw), np.sin(yaw)
     offset = np.column_stack([c * discs[:, 0] - s * discs[:, 1], s * discs[:, 0] + c * discs[:, 1]])
     found = np.ones(xy.shape[:2], dtype=bool)
@@ -332,5 +332,5 @@ def _clear(
 
 
 def _turned(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Return angles from -pi to pi."""
+    """Wrap angles to [-pi, pi)."""
     return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi

@@ -1,9 +1,9 @@
-"""Any-angle paths over a floor map that is cut out of the scene: first paths over large floors.
+"""Any-angle paths over a floor map cut from the scene: first paths over large floors.
 
-The map has what stands between the floor and the robot's top. A disc around the robot, in which it can turn anywhere,
-goes over its cells by Theta*; where none gets through, smaller ones are tried. What is found becomes turns in place and
-straight stretches, which the exact checks of `plan` see, and smooth drives take their place. Impact is the mean over
-directions of driving: a point on a map has none.
+The map contains everything between the floor and the robot's top. Theta* moves a disc around the robot, in which the
+robot can turn anywhere; if it does not pass, smaller discs are tried. The path becomes turns in place and straight
+stretches, which `plan` checks exactly and replaces by smooth drives. The impact is averaged over driving directions,
+because a point on a map has no heading.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from graceful_plan.planners.trivial import stays_at_goal
 Array = np.ndarray
 
 _COARSE = 4
-"""Impact is looked at in every so manieth cell of a row and a column."""
+"""Row and column stride of the cells in which impact is evaluated."""
 _DIRECTIONS = 8
 _CRUISE = 0.6
-"""Share of the fastest speed at which the impact of a metre is counted."""
+"""Share of the fastest speed at which the impact per metre is evaluated."""
 _SHARES = (1.0, 0.5, 0.0)
-"""Of the way from the disc inside of the robot to the one around it: what keeps clear, one after the other."""
+"""Disc radii tried in order, interpolated from the disc inside the robot (0) to the one around it (1)."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class FloorThetaStar(Planner):
-    """Theta* over the cells of a floor map, without a look at headings; one path for each disc that gets through.
+    """Theta* over the cells of a floor map, ignoring headings; one path for each disc that passes.
 
-    The arm keeps its posture, as for `DriveLattice`. One iteration is one search.
+    The arm keeps one posture, as in `DriveLattice`. One iteration is one search.
 
     Args:
         resolution: Width of a cell [m].
-        around: How far beyond start and goals the map reaches, if the limits of the base let it [m].
+        around: Extent of the map beyond start and goals, within the limits of the base [m].
     """
 
     name: ClassVar[str] = "floor_theta_star"
@@ -65,10 +65,10 @@ class FloorThetaStar(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths.
+        """Yield paths of decreasing cost.
 
         Raises:
-            SettingError: If the robot has no base that drives.
+            SettingError: If the robot has no base.
         """
         del rng
         charging, _ = of_a_base(objective, self.name)
@@ -86,7 +86,7 @@ class FloorThetaStar(Planner):
         inside, outside = radii(discs)
         ends = np.array([start, *problem.goals])[:, :2]
         floor = floor_around(objective.scene, top, ends, (self.resolution, self.around))
-        # What costs nothing first: where impact decides, looking at it takes its time.
+        # The search without impact comes first, because evaluating the impact takes time.
         for charged in (False, True)[: 1 + (objective.w > 0.0)]:
             charge = objective.w * self._impact(floor, objective, start, budget) if charged else None
             for share in _SHARES:
@@ -104,7 +104,7 @@ class FloorThetaStar(Planner):
     def _impact(
         self, floor: FloorMap, objective: SceneObjective, start: Float[Array, " nq"], budget: Budget
     ) -> Float[Array, "row column"]:
-        """Return the mean impact of a metre over directions, where somebody is near; 0 elsewhere."""
+        """Return the mean impact per metre over directions near entities; 0 elsewhere."""
         base = objective.scene.base
         assert base is not None
         speed = _CRUISE * base.v_max

@@ -1,4 +1,4 @@
-"""Between scenes and floor maps: discs around a robot, the map around where it may be, and ways over points."""
+"""Discs around a robot, the floor map around its start and goals, and paths through points on the floor."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _SLICES = 5
-"""Discs of a cover, at most."""
+"""Largest number of discs of a cover."""
 NEAR = 2.5
-"""How far from entities impact is looked at [m]: a base that fails at 2 m/s hardly goes farther."""
+"""Distance from entities within which impact is evaluated [m]; a base that fails at 2 m/s hardly goes farther."""
 _FLOOR = 0.03
-"""Heights that a base drives over [m]."""
+"""Height up to which a base drives over objects [m]."""
 
 
 def footprint(scene: Scene, q: Float[Array, " nq"]) -> tuple[Float[Array, "disc 3"], float]:
@@ -50,18 +50,18 @@ def footprint(scene: Scene, q: Float[Array, " nq"]) -> tuple[Float[Array, "disc 
 
 
 def radii(discs: Float[Array, "disc 3"]) -> tuple[float, float]:
-    """Return the radii of the largest disc and of one around all of them, about the origin of the base [m]."""
+    """Return the radius of the largest disc, and that of a disc around all of them centred on the base's origin [m]."""
     return float(discs[:, 2].max()), float((np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]).max())
 
 
 def floor_around(scene: Scene, top: float, ends: Float[Array, "end 2"], settings: tuple[float, float]) -> FloorMap:
-    """Cut the map around where a base may be out of a scene.
+    """Cut the floor map around a base's start and goals from a scene.
 
     Args:
         scene: The scene.
-        top: How high the robot is [m].
+        top: Height of the robot [m].
         ends: Start and goals [m].
-        settings: Width of a cell, and how far beyond the ends the map reaches, if the limits of the base let it [m].
+        settings: Width of a cell, and extent of the map beyond the ends, within the limits of the base [m].
     """
     resolution, around = settings
     bounds = []
@@ -72,7 +72,7 @@ def floor_around(scene: Scene, top: float, ends: Float[Array, "end 2"], settings
 
 
 def near_entities(xy: Float[Array, "row column 2"], scene: Scene) -> Bool[Array, "row column"]:
-    """Tell which places are near somebody who stands, or something that can be harmed."""
+    """Return which places are near a static entity."""
     data = scene.data_at(np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T))
     near = np.zeros(xy.shape[:2], dtype=bool)
     for entity in scene.entities.values():
@@ -88,13 +88,13 @@ def turns_and_straights(
     goal: Float[Array, " nq"],
     gears: Bool[Array, " edge"] | None = None,
 ) -> Float[Array, "vertex nq"]:
-    """Return the way through points with a turn in place at each; headings go on beyond pi.
+    """Return the path through points with a turn in place at each; headings are continuous beyond pi.
 
     Args:
         xy: The points.
-        start: Takes the place of the first.
-        goal: Takes the place of the last.
-        gears: Whether each stretch is driven forward; all of them by default.
+        start: Replaces the first point.
+        goal: Replaces the last point.
+        gears: Whether each stretch is driven forward; default: all of them.
     """
     points = np.concatenate([start[None, :2], xy[1:-1], goal[None, :2]])
     ahead = np.ones(len(points) - 1, dtype=bool) if gears is None else gears

@@ -1,6 +1,6 @@
-"""Poses of a base inside OMPL: its Reeds-Shepp space, with collisions and costs of this library, in short slices.
+"""Poses of a base in OMPL: its Reeds-Shepp space with this library's collision checks and costs, in short slices.
 
-Imports OMPL at the top: planners import this module when they are run. See `session` on what the bindings need.
+The module imports OMPL, so planners import it only when they run. See `session` for the requirements of the bindings.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ Pose = tuple[float, float, float]
 _SLICE_SECONDS = 0.02
 _SLICE_ITERATIONS = 100
 _CHORD = 0.1
-"""Length of the chords that stand for curves, at most [m]."""
+"""Largest length of the chords that approximate curves [m]."""
 _TURN = 0.35
-"""How far a curve turns over a chord, at most [rad]."""
+"""Largest turn of a curve over a chord [rad]."""
 _KEPT_CURVES = 20_000
 _ROADMAP = "PRM"
-"""Its `solve` looks at its clock and for paths on a second thread, which waits for Python forever: the roadmap alone is
-OMPL's, on this thread, and paths over it are looked for here."""
+"""The planner whose `solve` is not used: it checks the clock and searches paths on a second thread, which deadlocks
+with
+Python. OMPL only grows the roadmap, on this thread; paths over it are searched here."""
 _GROWN = 1.3
-"""By how much a roadmap has grown when it is looked at again."""
+"""Growth factor of a roadmap between searches for a path."""
 _JOINED = 10
-"""Milestones that an end is joined to."""
+"""Number of milestones that each end is connected to."""
 
 
 @final
@@ -47,9 +48,9 @@ class PoseSession:
 
     Args:
         asked: Problem, objective and budget.
-        seed: For OMPL's generator, > 0.
-        kind: Which planner.
-        ends: Where it starts, and goals in the same posture of the arm.
+        seed: Seed of OMPL's generator, > 0.
+        kind: The planner.
+        ends: Start, and goals with the same arm posture.
     """
 
     def __init__(
@@ -63,10 +64,10 @@ class PoseSession:
         self.seed, self.kind, (self.start, self.goals) = seed, kind, ends
 
     def run(self, radius: float, around: float) -> Iterator[Float[Array, "vertex nq"]]:
-        """Yield each path that OMPL finds and that has not been found before; see `PoseSpace` for the settings."""
+        """Yield each new path that OMPL finds; see `PoseSpace` for the settings."""
         curves = _Curves(self.problem, self.objective, Steering(radius=radius), self.start)
         with quiet():
-            ou.RNG.setSeed(self.seed)  # before anything that draws is built
+            ou.RNG.setSeed(self.seed)  # before any object that draws random numbers is built
             space = ob.ReedsSheppStateSpace(radius)
             space.setBounds(self._bounds(around))
             si = ob.SpaceInformation(space)
@@ -116,7 +117,7 @@ class PoseSession:
         return poses
 
     def _over_roadmap(self, si: ob.SpaceInformation, planner: og.PRM, curves: _Curves) -> Float[Array, "pose 3"] | None:
-        """Return the poses of the shortest way over the roadmap, both ends joined to it."""
+        """Return the poses of the shortest path over the roadmap after connecting both ends to it."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import dijkstra
 
@@ -175,7 +176,7 @@ class PoseSession:
         parts = [self.start[None]]
         for a, b in zip(poses[:-1].tolist(), poses[1:].tolist(), strict=True):
             part = curves.chords(tuple(a), tuple(b)).copy()
-            # Headings go on beyond pi from one curve to the next.
+            # Headings are continuous beyond pi from one curve to the next.
             part[:, 2] += 2.0 * np.pi * np.round((parts[-1][-1, 2] - part[0, 2]) / (2.0 * np.pi))
             parts.append(part)
         q = np.concatenate(parts)
@@ -189,7 +190,7 @@ def _pose(state: ob.SE2StateType) -> Pose:
 
 
 class _Curves:
-    """Curves between poses as straight stretches and small turns in place: whether they are free, what they cost."""
+    """Curves between poses as straight stretches and small turns in place: collision checks and costs."""
 
     def __init__(
         self, problem: Problem, objective: BoundObjective, steering: Steering, start: Float[Array, " nq"]
@@ -235,7 +236,7 @@ class _Curves:
 
 @final
 class _CurveValidator(ob.MotionValidator):
-    """Checks motions in one batch each."""
+    """Checks the chords of a motion in one batch."""
 
     def __init__(self, si: ob.SpaceInformation, curves: _Curves) -> None:
         super().__init__(si)
@@ -254,7 +255,7 @@ class _CurveObjective(ob.OptimizationObjective):
         self._curves = curves
 
     def isSymmetric(self) -> bool:
-        return self._curves.objective.w == 0.0  # what a failing base hits depends on where it drives
+        return self._curves.objective.w == 0.0  # the impact of a failing base depends on its direction
 
     def stateCost(self, s: ob.State) -> ob.Cost:
         return ob.Cost(0.0)

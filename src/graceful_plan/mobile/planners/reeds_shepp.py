@@ -1,9 +1,9 @@
-"""RRT, RRT* and PRM over poses of a base, joined by the shortest curves of Reeds and Shepp, as OMPL implements them.
+"""RRT, RRT* and PRM over poses of a base, connected by Reeds-Shepp curves, as implemented in OMPL.
 
-They know nothing of turns in place: a base that has them drives curves of a radius all the same, and what is found is a
-start for smooth drives, as lattices are. The arm stays as it is. Each motion is checked, and charged, in one batch of
-chords of its curve; OMPL asks for one motion at a time, by callbacks into Python. Its generator is seeded per process:
-do not interleave two of these planners where results must be reproducible.
+These planners do not turn in place: a base that can turn in place still drives curves with a least radius. Their paths
+are starts for smooth drives, like those of lattices. The arm keeps its posture. Each motion is checked and evaluated in
+one batch of chords of its curve. OMPL requests one motion at a time, by callbacks into Python. Its generator is seeded
+per process: do not interleave two of these planners where results must be reproducible.
 
 References:
     [LaValle1998] Rapidly-exploring random trees. [Karaman2011] S. Karaman, E. Frazzoli, "Sampling-based algorithms for
@@ -33,11 +33,11 @@ from graceful_plan.planners.trivial import stays_at_goal
 
 @dataclass(frozen=True, kw_only=True)
 class PoseSpace:
-    """What the planners share.
+    """Settings shared by the planners.
 
     Args:
-        radius: Of the tightest curve [m].
-        around: How far beyond start and goals poses are drawn, if the limits of the base let it [m].
+        radius: Radius of the tightest curve [m].
+        around: Extent of the sampled area beyond start and goals, within the limits of the base [m].
     """
 
     radius: float = 0.3
@@ -54,8 +54,8 @@ class ReedsSheppRRT(Planner):
     """Rapidly-exploring random tree; stops at the first path. One iteration is one sample.
 
     Args:
-        poses: Curves, and where poses are drawn.
-        range: Longest extension [m]; by default OMPL's fifth of the extent of the space.
+        poses: Curves and sampled area.
+        range: Longest extension [m]; default: a fifth of the extent of the space (OMPL's default).
         goal_bias: Share of samples that are a goal (OMPL's default).
     """
 
@@ -95,10 +95,10 @@ class ReedsSheppRRTStar(Planner):
     """RRT* by J = V + w S of the curves. One iteration is one sample.
 
     Args:
-        poses: Curves, and where poses are drawn.
-        range: Longest extension [m]; by default OMPL's fifth of the extent of the space.
+        poses: Curves and sampled area.
+        range: Longest extension [m]; default: a fifth of the extent of the space (OMPL's default).
         goal_bias: Share of samples that are a goal (OMPL's default).
-        rewire_factor: Multiplies the least number of neighbours (OMPL's default).
+        rewire_factor: Factor on the least number of neighbours (OMPL's default).
     """
 
     name: ClassVar[str] = "reeds_shepp_rrt_star"
@@ -119,7 +119,7 @@ class ReedsSheppRRTStar(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths.
+        """Yield paths of decreasing cost.
 
         Raises:
             SettingError: If the robot has no base that drives both ways.
@@ -134,13 +134,13 @@ class ReedsSheppRRTStar(Planner):
 @final
 @dataclass(frozen=True, kw_only=True)
 class ReedsSheppPRM(Planner):
-    """Probabilistic roadmap by OMPL, and the shortest ways over it while it grows; those of less J are kept.
+    """Probabilistic roadmap of OMPL; yields the shortest paths over it while it grows, if their J improves.
 
-    Edges are compared by the length of their curves. One iteration is one look of OMPL at its clock.
+    Edges are compared by the length of their curves. One iteration is one check of the clock by OMPL.
 
     Args:
-        poses: Curves, and where poses are drawn.
-        neighbours: Of a new pose, that are joined to it (OMPL's default).
+        poses: Curves and sampled area.
+        neighbours: Number of neighbours that a new pose is connected to (OMPL's default).
     """
 
     name: ClassVar[str] = "reeds_shepp_prm"
@@ -158,7 +158,7 @@ class ReedsSheppPRM(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths.
+        """Yield paths of decreasing cost.
 
         Raises:
             SettingError: If the robot has no base that drives both ways.
@@ -173,7 +173,7 @@ def _improvements(
     kind: Kind,
     asked: tuple[Problem, BoundObjective, Budget, np.random.Generator],
 ) -> Iterator[Path]:
-    """Yield paths of less and less J, with one posture of the arm after the other."""
+    """Yield paths of decreasing J, with one arm posture after the other."""
     problem, objective, budget, rng = asked
     if not of_a_base(objective, planner.name)[1].reverse:
         raise SettingError("planner", planner.name, "one for bases that only drive forward, such as 'drive_lattice'")

@@ -1,1 +1,1 @@
-"""From the ends of a drive to a verified motion, and where to stand for a pose."""
+"""Verified motions between the ends of a drive, and base placement for tool poses."""

@@ -1,4 +1,4 @@
-"""How an arm gets to a goal's posture where the base stands, if the straight way is not free: round one corner."""
+"""Arm motions to a goal posture around one corner, for a standing base whose straight arm motion is blocked."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 Array = np.ndarray
 
 _BASE = 3
-"""Joints of the base, before those of the arm."""
+"""Number of joints of the base, which precede those of the arm."""
 _CORNERS = 400
-"""Random corners that are tried."""
+"""Number of random corners."""
 _SPREAD = (0.2, 1.5)
-"""Standard deviation of theirs around what is between both ends [rad or m], from the nearest to the farthest."""
+"""Standard deviation of the corners around the line between both ends [rad or m], from the first to the last."""
 
 
 def with_arm_ways(ends: Endpoints) -> Endpoints:
-    """Return ends with a way round a corner for each goal that the arm does not reach straight from its posture now.
+    """Add, for each goal whose straight arm motion at the goal is blocked, an arrival around a corner.
 
-    The base then drives there as it is. Goals that are reached straight, or by moving the arm before, stay as well.
+    The base then drives with the start posture. All other arrivals are kept.
     """
     start, found = ends.departure.q[-1], []
     if start.size == _BASE:
@@ -46,7 +46,7 @@ def with_arm_ways(ends: Endpoints) -> Endpoints:
 def _round_a_corner(
     a: Float[Array, " nq"], b: Float[Array, " nq"], constraints: SceneConstraints
 ) -> Float[Array, "3 nq"] | None:
-    """Return the shortest way from a to b by one of some random corners; None if none is free."""
+    """Return the shortest motion from a to b over a random corner; None if none is free."""
     rng, kernels = np.random.default_rng(0), constraints.kernels
     share = rng.uniform(-0.2, 1.2, (_CORNERS, 1))
     middle = (1.0 - share) * a + share * b

@@ -1,4 +1,4 @@
-"""How `plan` plans for robots that drive: see the contract, `query.driving`."""
+"""Planning for robots with a base: implements the contract in `query.driving`."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from graceful_plan.result import PlanResult
 
 @final
 class PlansForBases(Driving):
-    """Curves that descend from ways over the floor and from paths of a lattice."""
+    """Plans for bases by curves that descend from floor paths and lattice paths."""
 
     @property
     def planners(self) -> Mapping[str, type[Planner]]:
-        """Every planner for bases by name."""
+        """All planners for bases, by name."""
         return DRIVING
 
     def default_planner(self) -> Planner:
-        """Return the lattice."""
+        """Return the lattice planner."""
         return DriveLattice()
 
     def ends(self, ends: Endpoints) -> Endpoints | PlanResult:

@@ -8,11 +8,11 @@ from graceful_plan.mobile.query.arm_ways import with_arm_ways
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.result import PlanResult, PlanStatus
 
-_TIGHT = "{}: free, but with less than 2 mm of clearance of the planner's sphere model, which a base cannot step out of"
+_TIGHT = "{}: free, but with less than 2 mm of clearance in the planner's sphere model; a base cannot step out of it"
 
 
 def rolling_endpoints(ends: Endpoints) -> Endpoints | PlanResult:
-    """Return the ends that a base can leave and reach rolling; a result that says so if there are none."""
+    """Return the ends that a base can leave and reach by rolling, or a failed result if there are none."""
     if len(ends.departure) > 1:
         return PlanResult(status=PlanStatus.INVALID_START, detail=_TIGHT.format("start"))
     clear = [k for k, arrival in enumerate(ends.arrivals) if len(arrival) == 1]

@@ -1,9 +1,9 @@
-"""Where to stand and how to reach: configurations of a base with an arm that bring the tool to a pose.
+"""Base placement and inverse kinematics: configurations of a base with an arm that bring the tool to a pose.
 
-A base that stands anywhere, at any heading, leaves only the height and the tilt of the tool to the arm. Random
-postures are kept for each robot, with where they have the tool as seen from the base; those that have it at the wanted
-height and tilt say where the base has to stand, in closed form. The nearest of these that are free are taken to the
-exact pose by damped least squares in all joints. Besides, the base may stay where it is, or turn there.
+A base can stand anywhere at any heading, so the arm only has to provide the height and tilt of the tool. For each
+robot, random arm postures are stored with their tool poses in the frame of the base. Those with about the wanted height
+and tilt determine the base pose in closed form. The nearest collision-free ones are refined to the exact pose by damped
+least squares in all joints. Configurations with the base at its place, or turned there, are tried first.
 
 N. Vahrenkamp, T. Asfour, R. Dillmann, "Robot placement based on reachability inversion", ICRA 2013.
 """
@@ -32,34 +32,34 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 BASE = 3
-"""Joints of the base, before those of the arm."""
+"""Number of joints of the base, before those of the arm."""
 _SAMPLES, _AT_A_TIME = 30_000, 2_000
-"""Random postures of a robot."""
+"""Number of random postures of a robot, and batch size of their kinematics."""
 _MATCHING = 800
-"""Postures with the tool nearest to the wanted height and tilt."""
+"""Number of postures with the tool nearest to the wanted height and tilt."""
 _HEIGHT = 0.2
-"""Height that is as bad as a radian of tilt [m]."""
+"""Height error that counts as much as a radian of tilt [m]."""
 _OVERLAP = 0.03
-"""Depth to which a configuration may collide that is not yet at the exact pose [m]."""
+"""Largest collision depth of a configuration before it is refined to the exact pose [m]."""
 _TAKEN = 24
-"""Configurations that are taken to the exact pose at a time."""
+"""Number of configurations that are refined at a time."""
 _ROUNDS = 6
 _ITERATIONS = 12
 _STAYING = 12
-"""Configurations with the base as it stands, and turned there, that are tried first."""
+"""Number of configurations with the base at its place, or turned there, that are tried first."""
 _APART = 0.2
-"""Solutions that differ less than this in every joint [rad or m] are one."""
+"""Difference below which two solutions count as one, in every joint [rad or m]."""
 _HEADINGS = 16
-"""Of a base where any heading will do."""
+"""Number of headings of a base whose goal leaves the heading free."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """What a robot reaches, from where it stands.
+    """Reachability of a robot, relative to its base.
 
-    | field | meaning                                  | unit     | shape      |
-    |-------|------------------------------------------|----------|------------|
-    | arm   | random postures                          | rad or m | sample arm |
+    | field | meaning                                   | unit     | shape      |
+    |-------|-------------------------------------------|----------|------------|
+    | arm   | random postures                           | rad or m | sample arm |
     | X_BT  | pose of the tool in the frame of the base |          | sample 4 4 |
     """
 
@@ -69,7 +69,7 @@ class Reach:
 
 @per_layout
 def reach_of(scene: Scene) -> Reach:
-    """Draw postures of a scene's robot; the same every time."""
+    """Sample arm postures of a scene's robot; the samples are the same in every call."""
     rng = np.random.default_rng(0)
     lower, upper = scene.limits.position[BASE:].T
     endless = scene.endless[BASE:]
@@ -91,16 +91,16 @@ def solve_whole_body(
     seed: int = 0,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> IKResult:
-    """Find configurations of base and arm that reach a pose, those that are nearest to drive and to move to first.
+    """Find configurations of base and arm that reach a pose, those nearest to the start first.
 
     Args:
         goal: The pose.
-        scene: A robot with a base that drives.
-        start: Where it is.
-        free: Which configurations may be used.
-        count: How many different solutions are enough.
-        seed: Of the random numbers.
-        cancelled: Asked all the time; when it says so, what was found until then is returned.
+        scene: Scene whose robot has a base.
+        start: Start configuration.
+        free: Test that a configuration may be used.
+        count: Number of different solutions at which the search stops.
+        seed: Random seed.
+        cancelled: Polled during the search; once it returns True, the solutions found are returned.
     """
     solver, reach, rng = PoseSolver(goal, scene, cancelled), reach_of(scene), np.random.default_rng(seed)
     best, colliding = (np.inf, np.inf), 0
@@ -121,7 +121,7 @@ def solve_whole_body(
 
 
 def way_to(start: Float[Array, " nq"], q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-    """Return how far configurations are: turn, drive forwards or backwards, turn, and move the arm [rad and m]."""
+    """Return distances to configurations: turn, drive forwards or backwards, turn, and move the arm [rad and m]."""
     way, turned = q[:, :2] - start[:2], q[:, 2] - start[2]
     metres = np.linalg.norm(way, axis=1)
     along = np.arctan2(way[:, 1], way[:, 0])[:, None] + np.array([0.0, np.pi])
@@ -131,7 +131,7 @@ def way_to(start: Float[Array, " nq"], q: Float[Array, "n nq"]) -> Float[Array, 
 
 
 def _rounds(goal: PoseGoal, scene: Scene, start: Float[Array, " nq"], reach: Reach, rng: np.random.Generator):
-    """Yield seeds, and which joints stay: with the base where it is, turned there, and anywhere."""
+    """Yield seeds and the fixed joints: with the base at its place, turned there, and anywhere."""
     standing = _standing(goal, start, reach)
     yield standing, slice(0, BASE)
     yield standing, slice(0, BASE - 1)
@@ -141,7 +141,7 @@ def _rounds(goal: PoseGoal, scene: Scene, start: Float[Array, " nq"], reach: Rea
 
 
 def _standing(goal: PoseGoal, start: Float[Array, " nq"], reach: Reach) -> Float[Array, "n nq"]:
-    """Return the postures that have the tool nearest to the pose from where the base stands, and that of the start."""
+    """Return the start, and the postures whose tool is nearest to the pose with the base at its place."""
     c, s = np.cos(start[2]), np.sin(start[2])
     R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     p = R @ (goal.X_WT[:3, 3] - np.append(start[:2], 0.0))
@@ -157,7 +157,7 @@ def _standing(goal: PoseGoal, start: Float[Array, " nq"], reach: Reach) -> Float
 def _placed(
     goal: PoseGoal, scene: Scene, start: Float[Array, " nq"], reach: Reach, rng: np.random.Generator
 ) -> Float[Array, "n nq"]:
-    """Return where the base has to stand for postures with the tool at about the right height and tilt."""
+    """Return configurations with the base placed for postures of about the right tool height and tilt."""
     k = _matching(goal, reach)
     X, R = reach.X_BT[k], goal.X_WT[:3, :3]
     turn = np.einsum("ij,nkj->nik", R, X[:, :3, :3])
@@ -182,7 +182,7 @@ def _placed(
 
 
 def _matching(goal: PoseGoal, reach: Reach) -> Int[Array, " n"]:
-    """Return which postures have the tool nearest to the wanted height and tilt."""
+    """Return the postures whose tool is nearest to the wanted height and tilt."""
     height = np.abs(reach.X_BT[:, 2, 3] - goal.X_WT[2, 3]) / _HEIGHT
     up = reach.X_BT[:, 2, :3] - goal.X_WT[2, :3]
     tilt = np.abs(up[:, 2]) if goal.free_yaw else np.linalg.norm(up, axis=1)
@@ -194,7 +194,7 @@ def _wrapped(angle: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 def standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolved:
-    """Return configurations with the base at a pose and the arm as it is at the start, the nearest heading first."""
+    """Return configurations with the base at a pose and the arm of the start, the nearest heading first."""
     towards = np.arctan2(goal.y - start[1], goal.x - start[0])
     turns = np.arange(_HEADINGS) * 2.0 * np.pi / _HEADINGS
     q = np.tile(start, (1 if goal.yaw is not None else _HEADINGS, 1))
@@ -202,7 +202,7 @@ def standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolv
     q = the_short_way(q, start, scene)
     q = q[np.argsort(np.abs(q[:, 2] - towards), kind="stable")]
     found = usable(goal_words(len(q)), q, scene, start)
-    # Of many headings one that will do is enough.
+    # With a free heading, one usable heading is enough.
     return Resolved(found.q, (0,) * len(found.q), found.notes, () if len(found.q) else found.problems[:1])
 
 

@@ -1,4 +1,4 @@
-// The coast model of one instruction set. This file is compiled several times; GP_ISA names the result.
+// The coast model for one instruction set. This file is compiled several times; GP_ISA names the result.
 #include <cstring>
 
 #include "mobile/coast/coast_tables.hpp"

@@ -1,9 +1,8 @@
-// Curves that a base can drive which never moves sideways: its heading is that of the tangent in the plane, or of the
-// opposite in reverse, so that rolling needs no constraint. The joints of an arm, and which share of the fastest speed
-// is used, go along as further columns.
+// Curves that a base drives without sideways motion: its heading is that of the tangent, or the opposite in reverse, so
+// rolling needs no constraint. The joints of an arm and the share of the fastest speed are additional columns.
 //
-// What a base is limited by becomes axes like joints: the way along the heading, the heading, what is felt across it
-// (speed times rate of turning, whose root is a speed along u), and the rim of the faster wheel.
+// The limits of a base are expressed as axes, like joints: motion along the heading, the heading, the lateral
+// acceleration (speed times turning rate, whose square root is a speed along u), and the rim of the faster wheel.
 #pragma once
 #include <cmath>
 #include <limits>
@@ -12,7 +11,7 @@
 
 namespace gp {
 
-// How a base drives; see DiffDrive.
+// Limits of a base; see DiffDrive.
 struct DriveLimits {
   double speed, turning, acceleration, turning_acceleration, across, rim, lever;
 };
@@ -20,10 +19,10 @@ struct DriveLimits {
 struct RollingSettings {
   DriveLimits limits;
   bool forward = true;
-  double heading_before = 0, heading_after = 0;  // [rad] of the base before and after
-  // Whether it turns in place before and after, so that the curve's own directions at its ends are free.
+  double heading_before = 0, heading_after = 0;  // heading of the base before and after [rad]
+  // Whether it turns in place before and after, so that the directions of the curve at its ends are free.
   bool turns_before = false, turns_after = false;
-  bool holds_arm = false;  // whether the arm stays as it is at the first end
+  bool holds_arm = false;  // whether the arm keeps its posture of the first end
 };
 
 class RollingCurve final : public MotionCurve {
@@ -48,7 +47,7 @@ class RollingCurve final : public MotionCurve {
     return with_arm({l.acceleration, l.turning_acceleration, kUnlimited, kUnlimited}, acceleration);
   }
 
-  // A path's headings at its ends stay unless the base turns there.
+  // The headings at the ends of a path are kept unless the base turns there.
   Point fitted(const std::vector<Point>& path) override {
     std::vector<Point> controls(control_count(), Point(columns(), 0.0));
     const auto column = [&](const Point& q, size_t j) { return j < 2 ? q[j] : q[j + 1]; };
@@ -59,7 +58,7 @@ class RollingCurve final : public MotionCurve {
     along(space_, path, [&](size_t c, size_t i, double share) { set(controls[c], path[i], path[i + 1], share); });
     return entered(controls);
   }
-  // Control points with columns x, y, those of the arm, and the logarithm of the share of the speed.
+  // Control points with columns x, y, arm joints, and the logarithm of the share of the fastest speed.
   Point adopted(const std::vector<Point>& controls) override { return entered(controls); }
   std::vector<Point> controls(const Point& x) const override {
     std::vector<Point> points;
@@ -136,7 +135,7 @@ class RollingCurve final : public MotionCurve {
           const double root = std::max(std::sqrt(p.metres * swing), kLeastRoot);
           d_metres += ds[2] * 0.5 * swing / root, d_turn += sign * ds[2] * 0.5 * p.metres / root;
         }
-        // cross(first, third) / squared
+        // Derivative of cross(first, third) / squared.
         const double quotient = cross(p.first, third) / p.squared;
         d_first[k][0] += db[1] * (third[1] / p.squared - 2 * quotient * p.first[0] / p.squared);
         d_first[k][1] += db[1] * (-third[0] / p.squared - 2 * quotient * p.first[1] / p.squared);
@@ -171,7 +170,7 @@ class RollingCurve final : public MotionCurve {
     reduce(by_control, gradient);
   }
 
-  // What turning in place before and after costs: its length, and the time that it takes at a constant price.
+  // Cost of turning in place before and after: its angle, and its duration at a constant price of time.
   double charge(const Point& x, double time_price, Point& gradient) const override {
     double sum = 0;
     const size_t n = columns(), last = inner() - 1;
@@ -193,11 +192,11 @@ class RollingCurve final : public MotionCurve {
  private:
   static constexpr size_t kBase = 3, kAxes = 4;
   static constexpr double kPi = 3.14159265358979323846, kUnlimited = 1e9, kLeastRoot = 1e-6;
-  static constexpr double kLeastSquared = 1e-8;  // of the tangent [m2]
-  static constexpr double kSoft = 0.02;          // [rad] below which a turn in place counts by its square
+  static constexpr double kLeastSquared = 1e-8;  // least squared length of the tangent [m2]
+  static constexpr double kSoft = 0.02;          // angle below which the cost of a turn in place is smoothed [rad]
   static constexpr double kSlowest = -3.0;       // logarithm of the least share of the speed
-  static constexpr double kNearest = 0.02;       // of control points beside the ends, as a share of even steps
-  static constexpr double kFree = 1e6;           // nothing is limited
+  static constexpr double kNearest = 0.02;       // from the ends to the next control points, in even steps, at least
+  static constexpr double kFree = 1e6;           // upper bound for variables without a limit
 
   struct At {
     std::array<double, 2> first, second;
@@ -211,7 +210,7 @@ class RollingCurve final : public MotionCurve {
     return out;
   }
 
-  // Unknowns of control points, whose directions at the ends are given unless the base turns there.
+  // Optimisation variables of control points; the directions at the ends are fixed unless the base turns there.
   Point entered(const std::vector<Point>& controls) {
     const size_t n = columns(), last = inner() - 1;
     first_ = controls.front(), last_ = controls.back();
@@ -248,7 +247,7 @@ class RollingCurve final : public MotionCurve {
     const Point& end = c < last ? first_ : last_;
     if (c == 0 || c == last) {
       std::copy_n(end.begin(), n, out);
-      out[n - 1] = x[(c == 0 ? 1 : last - 1) * n - 1];  // as fast as the one beside
+      out[n - 1] = x[(c == 0 ? 1 : last - 1) * n - 1];  // the same speed as the adjacent control point
       return;
     }
     const double* row = &x[(c - 1) * n];
@@ -259,7 +258,7 @@ class RollingCurve final : public MotionCurve {
       for (size_t i = 0; i < 2; ++i) out[i] = last_[i] - row[0] * end_[i];
   }
 
-  // From derivatives with respect to control points to those with respect to unknowns.
+  // Maps derivatives with respect to control points to derivatives with respect to the variables.
   void reduce(const Point& by_control, Point& gradient) const {
     const size_t n = columns(), last = control_count() - 1;
     gradient.assign(n * inner(), 0.0);
@@ -290,7 +289,7 @@ class RollingCurve final : public MotionCurve {
     return sum;
   }
 
-  // Derivatives of metres, along and turn.
+  // Backpropagates derivatives of metres, along and turn.
   static void back(const At& p, double d_metres, double d_along, double d_turn, std::array<double, 2>& d_first,
                    std::array<double, 2>& d_second) {
     const std::array<double, 2>&v = p.first, &a = p.second;

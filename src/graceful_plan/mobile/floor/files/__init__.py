@@ -1,1 +1,1 @@
-"""Files that maps of floors come in."""
+"""Readers and writers of floor map files."""

@@ -1,8 +1,8 @@
-"""Maps as ROS's map_server reads and writes them: a YAML file that says how to read a picture.
+"""Maps of the ROS map_server: a YAML file that describes an image.
 
-With p the occupancy of a pixel, 1 - its whiteness or, negated, its whiteness: above `occupied_thresh` a cell is
-occupied, below `free_thresh` free; between the two it is unknown ("trinary"), or has a share of occupancy ("scale").
-"raw" takes pixels for per cents as they are, and those above 100 are unknown.
+The occupancy p of a pixel is 1 minus its brightness, or its brightness if negated. A cell is occupied above
+`occupied_thresh` and free below `free_thresh`. In between it is unknown ("trinary") or has a share of occupancy
+("scale"). In mode "raw", pixel values are percentages of occupancy, and those above 100 are unknown.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from graceful_plan.yaml_file import Block, read_yaml
 Array = np.ndarray
 
 RESOLUTIONS = (1e-3, 100.0)
-"""Widths of cells that can be planned on [m]."""
+"""Range of supported cell widths [m]."""
 FARTHEST = 1e7
-"""Of an origin [m or rad]: maps may be in coordinates of a survey."""
+"""Largest origin [m or rad]; maps may use survey coordinates."""
 _KEYS = ("image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
-"""Pixels as map_saver writes them."""
+"""Pixel values as map_saver writes them."""
 _THRESHOLDS = 0.65, 0.196
-"""Occupied and free, between which such an unknown pixel is: .1961."""
+"""Thresholds for occupied and free; the unknown pixel value lies between them, at .1961."""
 
 
 @dataclass(frozen=True, eq=False)
 class MapServerMap:
-    """What stands in the two files."""
+    """Contents of a map's YAML file and image."""
 
     occupancy: Int[Array, "row column"]
     resolution: float
@@ -44,7 +44,7 @@ def read_map_server(file: Path, image: Path | None, most_cells: int) -> MapServe
     """Read a map.
 
     Raises:
-        FormatError: If a file is broken, truncated, too large or hostile, or not there.
+        FormatError: If a file is missing, broken, truncated, too large or malicious.
     """
     try:
         root = read_yaml(file)
@@ -113,10 +113,10 @@ def _occupancy(
 def write_map_server(
     file: Path, occupancy: Int[Array, "row column"], resolution: float, origin: tuple[float, float, float]
 ) -> None:
-    """Write a map; what it holds besides free, occupied and unknown cells is kept by the mode "raw".
+    """Write a map; shares of occupancy other than free, occupied and unknown are written in mode "raw".
 
     Raises:
-        FormatError: If the name does not end in .yaml, or it cannot be written.
+        FormatError: If the name does not end in .yaml, or the file cannot be written.
     """
     if file.suffix != ".yaml":
         raise FormatError(str(file), "the name of a map ends in .yaml")

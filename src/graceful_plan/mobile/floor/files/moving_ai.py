@@ -1,7 +1,9 @@
-"""Maps and scenarios of the MovingAI benchmarks: the first row is the uppermost, x and y count from its left end.
+"""Read and write maps and scenarios of the MovingAI benchmarks.
+
+In the files the first row is the uppermost, and x and y start at its left end.
 
 N. R. Sturtevant, "Benchmarks for grid-based pathfinding", IEEE Transactions on Computational Intelligence and AI in
-Games 4, 2012. Optimal lengths are octile, in cells, and no corner is cut.
+Games 4, 2012. Optimal lengths are octile, in cells, without cutting corners.
 """
 
 from __future__ import annotations
@@ -26,12 +28,12 @@ _MOST_SCENARIOS = 1_000_000
 
 @dataclass(frozen=True)
 class MovingAIScenario:
-    """A start and a goal on a map, and how long the shortest path is.
+    """Start and goal on a map, and the length of the shortest path.
 
     Args:
         start: Column and row of a FloorMap, whose row 0 is the lowest.
-        goal: Likewise.
-        length: Of the shortest octile path [cells].
+        goal: Column and row of the goal.
+        length: Length of the shortest octile path [cells].
     """
 
     start: tuple[int, int]
@@ -40,10 +42,10 @@ class MovingAIScenario:
 
 
 def read_moving_ai(file: Path, most_cells: int) -> Bool[Array, "row column"]:
-    """Read which cells of a .map are blocked, the lowest row first.
+    """Read which cells of a .map file are blocked, the lowest row first.
 
     Raises:
-        FormatError: If the file is broken, truncated or too large, or not there.
+        FormatError: If the file is missing, broken, truncated or too large.
     """
     text = _content(file, 2 * most_cells + _MOST_HEAD)
     lines = text.splitlines()
@@ -64,10 +66,10 @@ def read_moving_ai(file: Path, most_cells: int) -> Bool[Array, "row column"]:
 
 
 def read_scenarios(file: str | Path) -> list[MovingAIScenario]:
-    """Read a .scen.
+    """Read a .scen file.
 
     Raises:
-        FormatError: If the file is broken or too large, or not there.
+        FormatError: If the file is missing, broken or too large.
     """
     file = path_of(file)
     found = []
@@ -83,16 +85,16 @@ def read_scenarios(file: str | Path) -> list[MovingAIScenario]:
             if not (0 <= y0 < rows and 0 <= y1 < rows and x0 >= 0 and x1 >= 0 and 0.0 <= length < np.inf):
                 raise ValueError("numbers out of their range")
         except ValueError as error:
-            raise FormatError(f"{file}:{number}", f"is no scenario: {error}") from None
+            raise FormatError(f"{file}:{number}", f"is not a scenario: {error}") from None
         found.append(MovingAIScenario((x0, rows - 1 - y0), (x1, rows - 1 - y1), length))
     return found
 
 
 def write_moving_ai(file: Path, blocked: Bool[Array, "row column"]) -> None:
-    """Write a .map.
+    """Write a .map file.
 
     Raises:
-        FormatError: If it cannot be written.
+        FormatError: If the file cannot be written.
     """
     rows, columns = blocked.shape
     cells = np.where(blocked[::-1], ord("@"), ord(".")).astype(np.uint8)
@@ -103,10 +105,10 @@ def write_moving_ai(file: Path, blocked: Bool[Array, "row column"]) -> None:
 def write_scenarios(
     file: str | Path, scenarios: Iterable[MovingAIScenario], map_name: str, shape: tuple[int, int]
 ) -> None:
-    """Write a .scen for a map of some rows and columns.
+    """Write a .scen file for a map with a given number of rows and columns.
 
     Raises:
-        FormatError: If it cannot be written.
+        FormatError: If the file cannot be written.
     """
     rows, columns = shape
     lines = ["version 1"]
@@ -125,7 +127,7 @@ def _head(file: Path, lines: list[bytes]) -> tuple[int, int]:
         told = {name: int(value) for name, value in words[1:3] if len(value) <= 10}
         return told[b"height"], told[b"width"]
     except (ValueError, KeyError):
-        raise FormatError(str(file), "its height and width are no numbers of at most 10 digits") from None
+        raise FormatError(str(file), "its height and width are not numbers of at most 10 digits") from None
 
 
 def _content(file: Path, most: int) -> bytes:

@@ -1,4 +1,4 @@
-"""Grey pictures from strangers: sizes are bounded before anything is made room for, and nothing is guessed."""
+"""Read untrusted grey images: sizes are checked before memory is allocated, and malformed files are rejected."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from graceful_plan.regular_file import read_content
 Array = np.ndarray
 
 _TOKEN = re.compile(rb"(?:\s|#[^\n]*\n)*(\d{1,10})(?![0-9])")
-"""A number in the head of a PGM, after white space and comments."""
+"""A number in the header of a PGM, after white space and comments."""
 _MOST_HEAD = 4096
-"""Bytes of the head, comments included."""
+"""Largest size of the header, including comments [bytes]."""
 
 
 @dataclass(frozen=True, eq=False)
 class GreyPicture:
-    """A picture, the uppermost row first.
+    """A grey image, the uppermost row first.
 
     Args:
-        grey: Values of the pixels, from 0 to `most`.
-        most: What white is.
-        transparent: Where a pixel is not opaque; None if none can be.
+        grey: Pixel values from 0 to `most`.
+        most: Value of white.
+        transparent: Mask of pixels that are not opaque; None if the image has no alpha channel.
     """
 
     grey: Int[Array, "row column"]
@@ -37,13 +37,14 @@ class GreyPicture:
 
 
 def read_picture(file: Path, most_pixels: int) -> GreyPicture:
-    """Read a PGM, plain or not, or a PNG.
+    """Read a PGM, plain or binary, or a PNG.
 
     Raises:
-        FormatError: If it is broken, truncated or too large, or not there.
+        FormatError: If the file is missing, broken, truncated or too large.
     """
     try:
-        # Five digits and a space for each pixel of a plain PGM, two bytes for those of others; a PNG is packed.
+        # A pixel takes at most five digits and a space in a plain PGM, and two bytes in a binary one; a PNG is
+        # compressed.
         content = read_content(file, 6 * most_pixels + _MOST_HEAD)
     except NOT_READ as error:
         raise FormatError(str(file), why_not_read(error)) from None

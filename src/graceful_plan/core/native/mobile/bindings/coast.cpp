@@ -1,4 +1,4 @@
-// What a base that fails harms.
+// Bindings of the coast model: harm of a failing base.
 #include "mobile/coast/moving_coast.hpp"
 
 #include "mobile/bindings/mobile.hpp"

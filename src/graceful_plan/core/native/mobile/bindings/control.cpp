@@ -1,4 +1,4 @@
-// Controllers of bases that drive.
+// Bindings of base controllers.
 #include <nanobind/stl/tuple.h>
 
 #include "mobile/bindings/mobile.hpp"

@@ -1,4 +1,4 @@
-// Maps of floors: distances to obstacles, and paths over cells.
+// Bindings of floor grids: distances to obstacles, and paths over cells.
 #include "mobile/grid/any_angle.hpp"
 #include "mobile/grid/distance_field.hpp"
 
@@ -48,7 +48,7 @@ class BoundGrid {
  public:
   BoundGrid(Bytes closed, double resolution, std::optional<Floats> charge) : map_(made(closed, resolution, charge)) {}
 
-  // Least costs from a cell to all others; infinite where no path leads.
+  // Least costs from a cell to all others; infinite for unreachable cells.
   Out<double> costs(int column, int row) const {
     const size_t rows = size_t(map_.rows()), columns = size_t(map_.columns());
     std::vector<double> out(rows * columns, grid::kInfinity);
@@ -89,7 +89,7 @@ class BoundGrid {
     out["cells"] = owned(std::move(cells), {found.cells.size(), 2});
     return out;
   }
-  // What the straight way between the centres of two cells costs; infinite if it is not free.
+  // Cost of the straight line between the centres of two cells; infinite if it is not free.
   double straight(Integers from, Integers to) const {
     require(from.ndim() == 1 && from.size() == 2 && to.ndim() == 1 && to.size() == 2, "cells");
     const size_t a = at(from.data()[0], from.data()[1]), b = at(to.data()[0], to.data()[1]);

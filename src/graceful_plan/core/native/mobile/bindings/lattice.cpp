@@ -1,4 +1,4 @@
-// Curves of bases that steer, and the lattice over (x, y, heading).
+// Bindings of steering curves and the lattice over (x, y, heading).
 #include "mobile/lattice/search.hpp"
 
 #include <nanobind/stl/optional.h>
@@ -55,7 +55,7 @@ nb::tuple curves(const Steering& steering, Reals from, Reals to) {
   return nb::make_tuple(owned(std::move(cost), {n}), owned(std::move(pieces), {n, 5, 3}));
 }
 
-// Poses at measures s (metres driven, and yaw_length for a radian in place) of curves from poses.
+// Poses at measures s along curves (metres driven, plus yaw_length per radian turned in place).
 Out<double> along(const Steering& steering, Reals from, Reals pieces, Reals s) {
   require(from.ndim() == 2 && from.shape(1) == 3 && pieces.ndim() == 3 && pieces.shape(0) == from.shape(0) &&
               pieces.shape(2) == 3 && s.ndim() == 2 && s.shape(0) == from.shape(0),
@@ -87,7 +87,7 @@ Out<double> along(const Steering& steering, Reals from, Reals pieces, Reals s) {
   return owned(std::move(out), {n, m, 3});
 }
 
-// A lattice together with the tables that it is searched on.
+// A lattice together with the arrays it refers to.
 class BoundLattice {
  public:
   BoundLattice(Floats distance, double resolution, Reals discs, int headings, const Steering& steering, double margin,
@@ -120,7 +120,7 @@ class BoundLattice {
     out["first_cost"] = answer.first_cost, out["first_expansions"] = answer.first_expansions;
     return out;
   }
-  // Every move: heading, heading after it, columns, rows, cost; and its pieces.
+  // All moves: heading, heading after it, columns, rows, cost, and pieces.
   nb::list moves() const {
     nb::list out;
     for (int i = 0; i < headings_; ++i) {
@@ -169,7 +169,7 @@ class BoundLattice {
 
   static constexpr int kMaxHeadings = 720;
   static constexpr size_t kMaxCells = size_t(1) << 26;
-  static constexpr double kMaxReach = 1000;  // of a footprint or of a curve, in cells
+  static constexpr double kMaxReach = 1000;  // largest size of a footprint or curve, in cells
 
   Floats distance_;
   std::optional<Floats> impact_, impact_back_;

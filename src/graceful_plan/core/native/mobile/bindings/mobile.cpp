@@ -1,4 +1,4 @@
-// All bindings of this room, as the module calls them.
+// Collects the bindings of mobile bases for the module.
 #include "mobile/bindings/mobile.hpp"
 
 namespace gp {

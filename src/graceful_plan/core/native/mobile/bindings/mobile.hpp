@@ -1,4 +1,4 @@
-// Python's door to everything that drives.
+// Declares the Python bindings of mobile bases.
 #pragma once
 #include "bindings/bindings.hpp"
 

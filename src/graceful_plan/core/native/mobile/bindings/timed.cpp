@@ -1,4 +1,4 @@
-// Paths of a base over cells, headings and time.
+// Bindings of paths of a base over cells, headings and time.
 #include "mobile/lattice/timed.hpp"
 
 #include "mobile/bindings/mobile.hpp"
@@ -13,8 +13,8 @@ using lattice::TimedMove;
 using Bytes = nb::ndarray<const uint8_t, nb::c_contig, nb::device::cpu>;
 using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
 
-constexpr size_t kMaxTimed = size_t(1) << 28;  // cells, headings and ticks
-constexpr size_t kColumns = 6;                 // of moves: heading, columns, rows, turn, ticks, kind
+constexpr size_t kMaxTimed = size_t(1) << 28;  // largest number of states: cells, headings and ticks
+constexpr size_t kColumns = 6;                 // columns of moves: heading, columns, rows, turn, ticks, kind
 constexpr size_t kRules = 6;
 
 void require_rates(const Floats& rate, const char* what) {

@@ -1,4 +1,4 @@
-// What a base harms that fails while it drives, as an impact for planners.
+// Impact of a base that fails while driving, for planners.
 #pragma once
 #include "mobile/coast/coasting.hpp"
 #include "impact/impact.hpp"
@@ -34,7 +34,7 @@ class CoastModel {
     }
     return array;
   }
-  // P that somebody is met who is there when the base fails, and goes on as now.
+  // P of hitting one additional entity `who`, which moves on at its current velocity after the failure.
   struct Encounter {
     Coasting::Work work;
     std::vector<FloorShape> shape;
@@ -43,7 +43,7 @@ class CoastModel {
   double met(const double* q, const double* qd, const FloorShape& who, Encounter& with) const {
     return meets(state(q, qd), who, with) ? with.work.hit[n_entity_] : 0.0;
   }
-  // The same with derivatives by x, y, heading, speed along it, rate of turning, and time.
+  // As `met`, with derivatives with respect to x, y, heading, speed along the heading, turning rate, and time.
   Dual met_slopes(const double* q, const double* qd, const FloorShape& who, Encounter& with) const {
     CoastState<Dual> at = slopes(q, qd);
     at.time = Dual::variable(0.0, 5);
@@ -52,12 +52,12 @@ class CoastModel {
   bool hits(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
     return coasting_.hits(state(q, qd), shape_, severity, work);
   }
-  // The same with derivatives by x, y, heading, speed along it and rate of turning.
+  // As `hits`, with derivatives with respect to x, y, heading, speed along the heading and turning rate.
   bool hits_slopes(const double* q, const double* qd, const double* severity, Coasting::Work& work) const {
     return coasting_.hits(slopes(q, qd), shape_, severity, work);
   }
-  // Add derivatives by the joints of the base to d_q and d_qd; `of` has those by x, y, heading, speed along it and rate
-  // of turning.
+  // Adds derivatives with respect to the joints of the base to d_q and d_qd. `of` has the derivatives with respect to
+  // x, y, heading, speed along the heading and turning rate.
   static void add_slopes(const Dual& of, const double* q, const double* qd, double* d_q, double* d_qd) {
     const double c = std::cos(q[2]), s = std::sin(q[2]), by_speed = of.slope(3);
     for (int j = 0; j < 3; ++j) d_q[j] += of.slope(j);
@@ -87,7 +87,7 @@ class CoastModel {
   const size_t n_entity_;
 };
 
-// The coast model with severities, and one of fewer ways that is close to it; along edges at their mean pace.
+// The coast model with severities, and a cheaper one with fewer stopping modes; edges are evaluated at their mean pace.
 class CoastImpact final : public Impact {
  public:
   CoastImpact(const CoastModel& model, const CoastModel& rough, Reals severity, Reals speed, double slow, double fast)
@@ -132,7 +132,7 @@ class CoastImpact final : public Impact {
   }
 
  private:
-  static constexpr double kStep = 0.1;  // between samples of an edge, which blur as far [m or rad]
+  static constexpr double kStep = 0.1;  // between samples of an edge; they are blurred over this distance [m or rad]
 
   const CoastModel &model_, &rough_;
   const Point speed_;

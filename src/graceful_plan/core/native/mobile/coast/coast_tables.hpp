@@ -1,4 +1,4 @@
-// What the kernels of the coast model read and write.
+// Inputs and working memory of the coast kernels.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -11,7 +11,7 @@
 
 namespace gp {
 
-// How bases fail and where they go then.
+// Stopping modes of failed bases, and their tabulated trajectories.
 struct CoastTables {
   struct Stop {
     double p, a, k, delay;
@@ -24,55 +24,56 @@ struct CoastTables {
     bool operator==(const Family&) const = default;
   };
   struct Stray {
-    double lasts, aside, turned, spread, cos, sin;  // cosine and sine of the angle turned
+    double lasts, aside, turned, spread, cos, sin;  // sine and cosine belong to `turned`
   };
   static constexpr size_t kPlace = 5;
 
   explicit CoastTables(const Footprint2d& base) : footprint(base) {}
   bool has(const Family& one) const { return std::find(family.begin(), family.end(), one) != family.end(); }
 
-  static constexpr double kFarOff = 6;   // spreads beyond which nothing is touched
-  static constexpr double kNext = 0.05;  // how far the next moment of a base is that is astray [m]
+  static constexpr double kFarOff = 6;   // number of standard deviations beyond which nothing is touched
+  static constexpr double kNext = 0.05;  // distance to the next state at which a drifting base is evaluated [m]
 
   const Footprint2d footprint;
   std::vector<Stop> stop;
   std::vector<Family> family;
-  std::vector<std::vector<size_t>> own, any;  // stops of each: its own, and those of both kinds of wheels
+  std::vector<std::vector<size_t>> own, any;  // stops of each family: with its wheel state, and with any wheel state
   std::vector<double> share, speeds, rates;
   std::vector<double> place;   // (speed, rate, table, 5, sample)
-  std::vector<double> within;  // (speed, rate, table): how far off its places are
+  std::vector<double> within;  // (speed, rate, table): largest distance of the places from the origin
   std::vector<Stray> stray;
   size_t samples = 0;
   double unit = 1, spread = 1, drift = 0, turn = 0;
-  double farthest = 0, lasts = 0;  // of all tables: how far, and for how long
-  double aside = 0;                // how far beside their way bases are that are astray, blur and all
+  double farthest = 0, lasts = 0;  // of all tables: largest distance and duration
+  double aside = 0;                // largest lateral offset of drifting bases, with the next state and kFarOff spreads
 };
 
 template <class T> struct CoastState {
   T x, y, yaw, v, omega;
-  T time{0.0};  // since when those who move are where they are
+  T time{0.0};  // time since the positions of moving entities were valid
 };
 
-// What is written to for each state; kept from one to the next, so that nothing is allocated.
+// Working memory for one state at a time; reused so that nothing is allocated per state.
 struct CoastWork {
-  // A shape that is near enough to be touched; how far the base goes at least before, with what the shape moves; and
-  // how fast that is.
+  // A shape that is near enough to be touched; the least distance the base covers, together with the shape's own
+  // motion, before it can touch; and the speed of the shape.
   struct Near {
     const FloorShape* shape;
     double clear, moves;
   };
-  // Which place and shape decides something: a place along a way, and a shape of `whom` or `what`.
+  // Place along a trajectory and shape in `whom` or `what` that decide a value.
   struct Pair {
     int place = -1, shape = -1;
     bool operator==(const Pair&) const = default;
   };
-  // What decides how much stops are worth against an entity, and what may have stopped the base before: an obstacle, or
-  // whom it met. With it, over its stops: the sum of shares whose energy hits more than severities are for; of the
-  // others, times their energies, and the derivative of that by the speed.
+  // The touch that decides the worth of stops against an entity, and the obstacle or earlier entity that may have
+  // stopped the base before. Summed over its stops: `whole`, the shares whose energy exceeds the reference of
+  // severities; `energy`, the shares of the others times their energies; and `slope`, the derivative of `energy` with
+  // respect to speed.
   struct Decided {
     Pair met, before;
     bool by_obstacle;
-    double along;  // share of the energy that is along the normal
+    double along;  // share of the energy along the normal
     double whole = 0, energy = 0, slope = 0;
   };
   struct Known {
@@ -80,12 +81,12 @@ struct CoastWork {
     bool obstacle;
     Dual touches, along;
   };
-  // Places of one way, in the order in which the base comes there; `gone` is how far what is fastest of it went since
-  // the place before, `path` how far its middle has gone.
+  // Places of one trajectory in driving order. `gone` is the distance covered by the fastest point since the previous
+  // place, `path` the distance covered by the origin from the start.
   struct Places {
     std::vector<double> x, y, cos, sin, time, spread, gone, path;
   };
-  // The same of a base that spins, in its own frame.
+  // Places of a spinning base, in its own frame.
   struct Spun {
     bool known = false;
     std::vector<double> x, y, turned, speed, time, spread, gone, path, cos, sin;
@@ -115,44 +116,44 @@ struct CoastWork {
     most_worth.resize(n_entity * stops), decided_by.resize(n_entity * stops);
     dual_place.resize(kSamples), dual_known.resize(kSamples);
   }
-  // Rows are as long as the widest vectors of any instruction set want them.
+  // Rows are padded to the widest vectors of any instruction set.
   static constexpr size_t padded(size_t n) { return (n + 7) / 8 * 8; }
-  static constexpr size_t kSamples = 64;  // places along a way, at most: as many as bits
+  static constexpr size_t kSamples = 64;  // largest number of places along a trajectory: one bit each
 
   std::vector<double> hit;       // P by entity
-  std::vector<Dual> hit_slopes;  // with derivatives, where they are wanted
+  std::vector<Dual> hit_slopes;  // P with derivatives, where requested
 
   std::vector<Near> whom, what;                  // entities, and obstacles
-  size_t asked = 0;                              // how many of whom, which come first, are asked for
-  bool moving = false;                           // whether any of them moves
-  std::vector<double> met;                       // by entity: how likely it has taken the base's energy on this way
-  std::vector<Pair> met_at;                      // where
-  std::vector<double> free, braked;              // by stop: how far at full speed, and while the base slows down
-  std::vector<double> share, starts, by_braked;  // of the stops of a way: P, where it slows down, 1 over how far then
+  size_t asked = 0;                              // number of requested entities; they come first in `whom`
+  bool moving = false;                           // whether any shape moves
+  std::vector<double> met;                       // by entity: probability that it has absorbed the energy
+  std::vector<Pair> met_at;                      // the place and shape at which it did
+  std::vector<double> free, braked;              // by stop: distance at full speed, and while slowing down
+  std::vector<double> share, starts, by_braked;  // by stop: P, where it slows down, 1 / braking distance
   Places place;
   std::vector<double> later;                  // times at places at a slightly greater speed
   std::vector<double> apart, touched, along;  // by shape of `whom` and place: see Following::touches
   std::vector<uint64_t> touched_at;           // by shape of `whom`: places, as bits, at which it is touched
-  uint64_t energy_at = 0;                     // places of which energies are known
-  std::vector<double> energy;                 // by place and stop, over that at the speed that severities are for
-  std::vector<double> least;    // by place: distance of obstacles up to there, as a multiple of its spread
-  std::vector<double> stopped;  // how likely that has stopped the base
+  uint64_t energy_at = 0;                     // places whose energies are known
+  std::vector<double> energy;                 // by place and stop, relative to the reference energy of severities
+  std::vector<double> least;    // by place: least distance of obstacles up to there, in standard deviations
+  std::vector<double> stopped;  // probability that an obstacle has stopped the base
   std::vector<Pair> least_at;
   std::vector<double> most_worth;   // by entity and stop
-  std::vector<double> decided_by;   // what of `decided` it is by
-  std::vector<int> seen, stopping;  // entities that are met on this way, and those that took energy so far
+  std::vector<double> decided_by;   // index in `decided` of the touch that decides it
+  std::vector<int> seen, stopping;  // entities hit on this trajectory, and those that have absorbed energy
   std::vector<Decided> decided;
   std::vector<Known> known;
   std::vector<Dual> met_slopes;
   std::vector<Place<Dual>> dual_place;
   std::vector<char> dual_known;
-  std::vector<Spun> spun;  // of the tables, at the speed and rate of turning of the state before
+  std::vector<Spun> spun;  // from the tables, at the speed and turning rate of the previous state
   double spun_speed = -1, spun_rate = 0;
 };
 
-// One instruction set's kernels: P by entity of one state, in work.hit; with severities, of those that have one. False
-// if it is zero for all. If one entity alone is asked for (`only` is not below 0), the others are there to stop the
-// base before it, and P of them is not found.
+// Kernels of one instruction set: P by entity of one state, in work.hit; with severities, only for entities that have
+// one. Returns false if P is zero for all. If `only` is not negative, P is computed for that entity alone, and the
+// others only act as obstacles.
 struct CoastKernels {
   bool (*hits)(const CoastTables&, const CoastState<double>&, const std::vector<FloorShape>&, const double* severity,
                CoastWork&, int only);

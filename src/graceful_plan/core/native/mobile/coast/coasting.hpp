@@ -1,4 +1,4 @@
-// Where a base goes that fails while it drives, and whom it meets there. The equations are those of
+// Trajectories of a base that fails while driving, and the entities it hits. The equations are in
 // mobile/coast/coast.py.
 #pragma once
 #include <string>
@@ -24,18 +24,18 @@ inline std::vector<FloorShape> floor_shapes(const Integers& entity, const Reals&
 }
 
 struct CoastingArrays {
-  Reals outline;    // parts of the base in its frame, as shapes: rectangles that may be rounded
-  Reals stops;      // probability, deceleration, drag, delay, whether wheels are let go, curvature that is added
-  Reals constants;  // speed that severities are for, position spread, drift, angle by rate squared once let go
-  Reals share;      // probability of each of the tables of places
-  Reals speeds;     // speeds along the heading of the tables, from 0 on [m/s]
-  Reals rates;      // rates of turning of the tables [rad/s]
-  Reals places;     // (speed, rate, table, sample, 5): x, y, turned in the frame of the base; speed; time
-  Reals astray;     // bases that have been astray for a while: for how long [s] times probability, how far aside [m],
-                    // angle turned, standard deviation of how far
+  Reals outline;    // parts of the base in its frame: rectangles, possibly rounded
+  Reals stops;      // probability, deceleration, drag, delay, whether wheels are released, added curvature
+  Reals constants;  // reference speed of severities, position spread, drift, angle by rate squared after a release
+  Reals share;      // probability of each table of places
+  Reals speeds;     // speeds along the heading of the tables, from 0 [m/s]
+  Reals rates;      // turning rates of the tables [rad/s]
+  Reals places;     // (speed, rate, table, sample, 5): x, y, angle turned in the frame of the base; speed; time
+  Reals astray;     // drifting bases: duration [s] times probability, lateral offset [m],
+                    // angle turned, standard deviation of the offset
 };
 
-// What Python tells of a base, checked.
+// Validates the arrays from Python and builds the tables.
 class CheckedTables {
  public:
   explicit CheckedTables(const CoastingArrays& of) : made(Footprint2d(outline(of.outline))) {
@@ -117,7 +117,7 @@ class CheckedTables {
   }
 };
 
-// The kernels of an instruction set that this machine can run.
+// The kernels of an instruction set that this machine supports.
 inline const CoastKernels& coast_kernels(const std::string& isa) {
 #if defined(__x86_64__) && !defined(GP_QUICK)
   if (isa == "x86-64-v4") return coast_kernels_v4;
@@ -138,7 +138,7 @@ class Coasting {
   const Footprint2d& footprint() const { return of_.footprint; }
   Work work(size_t n_entity) const { return {of_, n_entity}; }
 
-  // Whether somebody may be met at all: at no time a base goes farther than at its first speed.
+  // Whether an entity may be hit at all; a base never goes farther than at its initial speed.
   bool reaches(const State& at, const FloorShape& who) const {
     const double speed = std::fabs(at.v);
     if (speed <= kStill) return false;
@@ -160,14 +160,14 @@ class Coasting {
             int only = -1) const {
     return kernels_.hits(of_, at, shape, severity, work, only);
   }
-  // The same with derivatives, in work.hit_slopes.
+  // As `hits`, with derivatives, in work.hit_slopes.
   bool hits(const CoastState<Dual>& at, const std::vector<FloorShape>& shape, const double* severity, Work& work,
             int only = -1) const {
     return kernels_.hits_slopes(of_, at, shape, severity, work, only);
   }
 
  private:
-  static constexpr int kLooks = 16;       // times at which is seen whether somebody may be near
+  static constexpr int kLooks = 16;       // number of times at which `reaches` checks the distance
   static constexpr double kStill = 1e-6;  // speed below which a base stands [m/s]
 
   const CoastTables of_;

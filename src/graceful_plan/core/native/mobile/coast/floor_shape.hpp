@@ -1,5 +1,5 @@
-// What a base is from above, and what it meets: rectangles that may be rounded and move. Distances are of doubles and
-// of duals; everything is inlined, so that each instruction set has its own.
+// Planar shapes of bases, entities and obstacles: rectangles that may be rounded and move. Distances are computed with
+// doubles or duals. Everything is inlined, so each instruction set has its own copy.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -14,16 +14,16 @@ namespace gp {
 struct FloorShape {
   int entity;  // -1: an obstacle
   double x, y, ux, uy, a, b, round, vx, vy;
-  double spread = 0;  // standard deviation of its place
+  double spread = 0;  // standard deviation of its position
 
-  GP_INLINE double around() const { return length_of(a, b) + round; }  // radius of a circle around it
+  GP_INLINE double around() const { return length_of(a, b) + round; }  // radius of a circumscribed circle
   GP_INLINE double speed() const { return vx == 0 && vy == 0 ? 0.0 : length_of(vx, vy); }
-  // Of a point at a time; inside of a rectangle minus the way to its nearest side.
+  // Distance of a point at a time; inside the shape, minus the distance to its nearest side.
   template <class T> GP_INLINE T distance(const T& px, const T& py, const T& time) const {
     const T dx = px - x - vx * time, dy = py - y - vy * time;
     return from_middle(T(ux * dx + uy * dy), T(ux * dy - uy * dx));
   }
-  // The same of a point in the shape's own axes.
+  // Distance of a point given in the shape's axes.
   template <class T> GP_INLINE T from_middle(const T& along, const T& across) const {
     const T ex = size_of(along) - a, ey = size_of(across) - b;
     const bool beside = value_of(ex) > 0, before = value_of(ey) > 0;
@@ -32,7 +32,7 @@ struct FloorShape {
   }
 };
 
-// A base from above: rectangles in its frame that may be rounded, and a circle around them all.
+// Footprint of a base: rectangles in its frame, possibly rounded, and a circle around them all.
 class Footprint2d {
  public:
   explicit Footprint2d(const std::vector<FloorShape>& part) : part_(part) {
@@ -43,8 +43,8 @@ class Footprint2d {
   }
   GP_INLINE double reach() const { return reach_; }
   const std::vector<FloorShape>& parts() const { return part_; }
-  // Of the base at a place, with a heading of this cosine and sine, to a shape at a time; where they overlap, minus the
-  // way that parts them. What decides it is found by values alone.
+  // Distance from the base, at a place and with a heading of this cosine and sine, to a shape at a time. Where they
+  // overlap, minus the penetration depth. The deciding feature is found by values alone, without derivatives.
   template <class T>
   GP_INLINE T distance(const FloorShape& shape, const T& x, const T& y, const T& c, const T& s, const T& time) const {
     const Seen<double> seen = see(shape, value_of(x), value_of(y), value_of(c), value_of(s), value_of(time));
@@ -64,12 +64,12 @@ class Footprint2d {
   }
 
  private:
-  // Where a shape is as seen from the base, and its direction.
+  // Position and direction of a shape in the frame of the base.
   template <class T> struct Seen {
     T x, y, ux, uy;
   };
-  // Features that decide a distance: the middle of the shape, if it is a disc, or of the part; the axis along which
-  // they are farthest apart, if they overlap; else a corner of one of them.
+  // Features that decide a distance: the centre of the shape or of the part, if it is a disc; the axis of least
+  // overlap, if they overlap; otherwise a corner of either.
   enum Feature { kShape, kPart, kAxis, kCornerOfShape = kAxis + 4, kCornerOfPart = kCornerOfShape + 4 };
   struct Decided {
     double distance;
@@ -81,7 +81,8 @@ class Footprint2d {
     const T dx = shape.x + shape.vx * time - x, dy = shape.y + shape.vy * time - y;
     return {c * dx + s * dy, c * dy - s * dx, c * shape.ux + s * shape.uy, c * shape.uy - s * shape.ux};
   }
-  // The middle of the shape in the axes of the part, of the part in those of the shape, and how these are turned.
+  // Centre of the shape in the axes of the part, centre of the part in those of the shape, and the rotation between
+  // them.
   template <class T> struct Turned {
     GP_INLINE Turned(const FloorShape& part, const Seen<T>& at) {
       const T dx = at.x - part.x, dy = at.y - part.y;
@@ -130,7 +131,7 @@ class Footprint2d {
   }
 
   std::vector<FloorShape> part_;
-  std::vector<double> within_;  // circles around them
+  std::vector<double> within_;  // radii of circumscribed circles of the parts
   double reach_ = 0;
 };
 

@@ -1,15 +1,15 @@
-// One state of a base that fails: where it goes, and whom it meets there. Included once per instruction set, inside its
-// own namespace.
+// Evaluates one state of a failing base: its trajectories and the entities it hits. Included once per instruction set,
+// inside its own namespace.
 
-constexpr int kLooks = 16;        // times at which is seen whether somebody may be near
+constexpr int kLooks = 16;        // number of times at which distances to moving shapes are checked
 constexpr double kSpacing = 0.1;  // between places along an arc [m]
 constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
 constexpr double kFarOff = CoastTables::kFarOff, kNext = CoastTables::kNext;
-constexpr double kNudge = 1e-6;   // of a speed, for a difference [m/s]
-constexpr double kHardly = 1e-9;  // probability of a touch that is none
-constexpr double kSlowest = 0.1;  // share of the speed below which time is not stretched further
+constexpr double kNudge = 1e-6;   // speed step of a finite difference [m/s]
+constexpr double kHardly = 1e-9;  // probability below which a touch is ignored
+constexpr double kSlowest = 0.1;  // least share of the initial speed at which times are computed
 constexpr double kUnknown = std::numeric_limits<double>::max();
-constexpr double kLeast = 1e-12;  // way within which a base brakes, at least [m]
+constexpr double kLeast = 1e-12;  // least braking distance [m]
 
 class Following {
   template <class T> using State = CoastState<T>;
@@ -20,7 +20,7 @@ class Following {
   using Known = CoastWork::Known;
 
  public:
-  // slopes: the same state with derivatives, if they are wanted.
+  // slopes: the same state with derivatives, if requested.
   Following(const CoastTables& of, const State<double>& at, const State<Dual>* slopes, CoastWork& work)
       : of_(of),
         at_(at),
@@ -48,7 +48,7 @@ class Following {
     if (work_.apart.size() < values)
       work_.apart.resize(values), work_.touched.resize(values), work_.along.resize(values);
     if (work_.touched_at.size() < n) work_.touched_at.resize(n);
-    // Released wheels go along the others' arc if nothing turns so far.
+    // Released wheels follow the same arc as driven ones if no base would turn beyond the limit.
     const bool alike = std::fabs(at_.omega / at_.v) * far_ <= of_.turn * at_.omega * at_.omega;
     for (size_t f = 0; f < of_.family.size(); ++f) {
       const CoastTables::Family& family = of_.family[f];
@@ -64,12 +64,13 @@ class Following {
   }
 
  private:
-  // --- what is near -------------------------------------------------------------------------------------------------
+  // --- nearby shapes ------------------------------------------------------------------------------------------------
 
   static GP_INLINE double blur_of(double spread, const FloorShape& shape) {
     return shape.spread > 0 ? length_of(spread, shape.spread) : spread;
   }
-  // Collects what may be touched, and finds how far it is at least to the first that is asked for, all blur taken off.
+  // Collects the shapes that may be touched, and a lower bound (gap_) on the distance to the nearest requested entity,
+  // less kFarOff spreads.
   void look(const std::vector<FloorShape>& shape, const double* severity, int only, double longest) {
     const double reach = of_.footprint.reach(), far = std::max(far_, of_.farthest);
     const double most = std::max(far, of_.aside) + reach + kFarOff * length_of(of_.spread, of_.drift * far_);
@@ -86,7 +87,7 @@ class Following {
       }
       work_.whom.push_back(near);
       if (only >= 0 && one.entity != only) continue;
-      // Those who are asked for come first.
+      // Requested entities come first.
       std::swap(work_.whom.back(), work_.whom[work_.asked++]);
       double least = d;
       const double step = longest / kLooks;
@@ -95,7 +96,8 @@ class Following {
       gap_ = std::min(gap_, least - moves * step - reach - kFarOff * spread);
     }
   }
-  // How far a base goes at least before it touches what is so far beyond reach and blur: it is blurred more and more.
+  // Least distance a base covers before it touches a shape at a clearance of `room` beyond reach and blur; the blur
+  // grows on the way.
   GP_INLINE double clear(double room) const { return room / (1 + kFarOff * of_.drift); }
   static GP_INLINE double square(double x) { return x * x; }
 
@@ -111,13 +113,13 @@ class Following {
   template <class T> static GP_INLINE T blur(const FloorShape& shape, const T& spread) {
     return shape.spread > 0 ? length_of(spread, T(shape.spread)) : spread;
   }
-  // How likely a shape is touched that is so far off.
+  // Probability that a shape at this distance is touched.
   template <class T> static GP_INLINE T touch(const T& apart, const T& blur) {
     if (value_of(apart) > kFarOff * value_of(blur)) return T(0.0);
     return 0.5 * complementary_error(T(apart / blur * 0.7071067811865476));
   }
-  // Share of the energy that is along the normal where the base closes in by part of the way alone that it goes. Of who
-  // is small beside the blur the normal is as unknown: half of the energy.
+  // Share of the energy along the contact normal; `closing` is the decrease of the distance per distance driven. For
+  // entities that are small compared with the blur, the normal is unknown, and half of the energy counts.
   template <class T> static GP_INLINE T normal_share(const T& closing, const FloorShape& shape, const T& blur) {
     const T along = gp::between(closing, 0.0, 1.0);
     const double size = shape.around();
@@ -127,7 +129,7 @@ class Following {
 
   // --- along an arc -------------------------------------------------------------------------------------------------
 
-  // Where a failing base goes: its curvature, the angle by which it turns at most; its speed, and how far.
+  // Trajectory of a failing base: its curvature, the largest angle it turns, its speed, and its length.
   template <class T> struct Way {
     T bend, most, speed, far;
   };
@@ -139,7 +141,7 @@ class Following {
     if (stop.k > 0) return speed / stop.k - stop.a / (stop.k * stop.k) * log_of_one_plus(T(stop.k * speed / stop.a));
     return speed * speed / (2 * stop.a);
   }
-  // Its derivative by the speed.
+  // Derivative of `braked` with respect to speed.
   static double braked_slope(const CoastTables::Stop& stop, double speed) { return speed / (stop.a + stop.k * speed); }
 
   void along_arc(const CoastTables::Family& family, const std::vector<size_t>& stops) {
@@ -167,12 +169,12 @@ class Following {
          [&](const Decided& one, Dual& out) { out = v.through(one.energy, one.slope); });
   }
   template <class T> static GP_INLINE T done(const T& far, int k) { return smaller(far, T(kSpacing * k)); }
-  // What is touched at a place may have been met anywhere since the place before.
+  // A shape touched at a place may have been hit anywhere since the previous place; the midpoint is used.
   static GP_INLINE double half_done(double far, int k) {
     return k == 0 ? 0.0 : 0.5 * (done(far, k) + kSpacing * (k - 1));
   }
-  // Places along an arc and what comes after it, as far as any of its stops goes, but two at least: they tell which way
-  // it goes. Turning by as much from each to the next takes no sines.
+  // Places along an arc and the straight part after it, up to the farthest of its stops. At least two places are
+  // computed, because they give the direction of travel. Rotation by a constant angle per step avoids sines.
   void arc_places(const Way<double>& way, double goes) {
     const double arc = std::fabs(way.bend) > 0 ? way.most / std::fabs(way.bend) : kUnknown;
     const double step = 0.5 * way.bend * kSpacing, c1 = std::cos(step), s1 = std::sin(step);
@@ -203,11 +205,11 @@ class Following {
     work_.energy_at = 0;
     whole_ = speed_ * speed_ / (of_.unit * of_.unit), arc_far_ = way.far;
   }
-  // Share of its energy that a base that comes to rest in one way still has.
+  // Remaining share of the energy of a base in one stop.
   GP_INLINE double left(double met, size_t s) const {
     return std::min(1.0, std::max(0.0, 1 - (met - work_.starts[s]) * work_.by_braked[s]));
   }
-  // When it is there: what still moves has so much of its energy in the mean. For who moves alone.
+  // Times at the places, from the mean remaining energy of the stops that still move. Needed for moving entities only.
   void times(const Way<double>& way) {
     double time = at_.time;
     for (size_t k = 0; k < n_place_; ++k) {
@@ -220,7 +222,7 @@ class Following {
       work_.place.time[k] = time += work_.place.gone[k] / (way.speed * std::max(slower, kSlowest));
     }
   }
-  // When the base would be at the same places if it were slightly faster, for how times depend on the speed.
+  // Times at the same places at a slightly greater speed, for the derivative of times with respect to speed.
   void later(const Way<double>& way, const std::vector<size_t>& stops) {
     const double faster = way.speed + kNudge;
     double time = 0;
@@ -248,7 +250,7 @@ class Following {
     }
     return row;
   }
-  // Derivatives of the energies that decide by the speed.
+  // Derivatives of the deciding energies with respect to speed.
   void arc_slopes(const std::vector<size_t>& stops, double far_slope) {
     for (const int e : work_.seen)
       for (size_t s = 0; s < n_stop_; ++s) {
@@ -279,7 +281,7 @@ class Following {
     const Dual before = done(way.far, k - 1), all = done(way.far, k);
     const Dual curved = smaller(all, arc), straight = all - curved;
     const Dual turned = way.bend * curved, half = 0.5 * turned;
-    // Sines and cosines are those that the places were found with.
+    // Reuses the sines and cosines from `arc_places`.
     const double ch = work_.place.cos[size_t(k)], sh = work_.place.sin[size_t(k)], h = half.value();
     const double c = std::cos(h), s = std::sin(h), cm = cos_ * c - sin_ * s, sm = sin_ * c + cos_ * s;
     const Dual ratio = std::fabs(h) > 1e-9 ? half.through(s / h, (c - s / h) / h) : Dual(1.0);
@@ -296,14 +298,14 @@ class Following {
     out.gone = k > 0 ? all - before : all;
   }
 
-  // --- what is met along a way --------------------------------------------------------------------------------------
+  // --- hits along a trajectory --------------------------------------------------------------------------------------
 
-  // The places from k on, as many as are abreast.
+  // The places from k on, one per lane.
   GP_INLINE PlacesAbreast places_from(size_t k) const {
     const CoastWork::Places& at = work_.place;
     return {load_row(&at.x[k]), load_row(&at.y[k]), load_row(&at.cos[k]), load_row(&at.sin[k]), load_row(&at.time[k])};
   }
-  // Copies the last place until rows are full.
+  // Repeats the last place until rows are full.
   void pad() {
     CoastWork::Places& at = work_.place;
     for (size_t k = n_place_; k % kAbreastPlaces > 0; ++k)
@@ -313,12 +315,12 @@ class Following {
   GP_INLINE bool stays_clear(double clear, double moves, size_t places) const {
     return work_.place.path[places - 1] + moves * work_.place.time[places - 1] < clear;
   }
-  // Up to where a shape is not touched that has so much room at the last of the places that are abreast from k on.
+  // Path length up to which a shape stays untouched, given its clearance at the last of the places from k on.
   GP_INLINE double clear_after(size_t k, double moves, const D& room) const {
     const size_t lane = kAbreastPlaces - 1;
     return work_.place.path[k + lane] + moves * work_.place.time[k + lane] + clear(room[lane]);
   }
-  // Distances of a shape from the middle of the base, less its reach.
+  // Distances from the centre of the base to a shape, less the reach of the base.
   GP_INLINE D beyond(const FloorShape& shape, const PlacesAbreast& at) const {
     const D dx = at.x - shape.x - shape.vx * at.time, dy = at.y - shape.y - shape.vy * at.time;
     const D along = shape.ux * dx + shape.uy * dy, across = shape.ux * dy - shape.uy * dx;
@@ -328,9 +330,9 @@ class Following {
     const D spread = load_row(&work_.place.spread[k]);
     return shape.spread > 0 ? hypotenuse(spread, D{} + shape.spread) : spread;
   }
-  // Finds how likely those from first on, before end, are touched at the first places, and the share of the energy
-  // along the normal there: by how fast the base closes in, of which of the way that it goes is a part alone. Returns,
-  // as bits, places at which anybody is touched.
+  // Computes, for the entities from first to before end, the probability of a touch at the first `places` places and
+  // the share of the energy along the normal there, from how fast the distance closes per distance driven. Returns, as
+  // bits, the places at which any entity is touched.
   uint64_t touches(size_t first, size_t end, size_t places) {
     const size_t all = CoastWork::kSamples + 1;
     uint64_t at_all = 0;
@@ -340,9 +342,10 @@ class Following {
       double clear = work_.whom[j].clear;
       work_.touched_at[j] = 0;
       if (stays_clear(clear, moves, places)) continue;
-      double* apart = &work_.apart[j * all + 1];  // before the first place: where it came from
+      double* apart = &work_.apart[j * all + 1];  // the element before the first place is extrapolated
       uint64_t near = 0, known = 0;
-      // What is farther beyond where it is touched than the base goes from there to the next place closes in head on.
+      // Distances are exact up to this cut. Beyond it a shape cannot be touched even one place later, so it closes in
+      // head on.
       const auto measure = [&](size_t k, const PlacesAbreast& at) {
         if (known >> k & 1) return;
         known |= uint64_t(1) << k;
@@ -382,8 +385,8 @@ class Following {
     }
     return at_all;
   }
-  // Finds at each of the first places how near an obstacle has been up to there, as a multiple of its blur, and how
-  // likely one has stopped the base.
+  // Computes, at each of the first places, the least distance of any obstacle up to there, in standard deviations, and
+  // the probability that an obstacle has stopped the base.
   void obstacles(size_t last) {
     std::fill_n(work_.least.begin(), (last + kAbreastPlaces - 1) / kAbreastPlaces * kAbreastPlaces, kFarOff);
     std::fill_n(work_.least_at.begin(), last, Pair{});
@@ -415,8 +418,9 @@ class Following {
       store_row(least < kFarOff ? upper_tail(least) : D{}, &work_.stopped[k]);
     }
   }
-  // Raises work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth
-  // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
+  // Adds to work.hit the expected severity shares of hits along a trajectory before an obstacle stops the base. Each
+  // stop counts with its worst touch, because one goes farther than another. Obstacles are evaluated only up to the
+  // last touched entity.
   void meet() {
     work_.decided.clear(), work_.seen.clear();
     if (n_place_ == 0) return;
@@ -441,7 +445,7 @@ class Following {
       for (size_t j = 0; j < n; ++j) {
         if (!(work_.touched_at[j] & here) || j >= work_.asked) continue;
         const FloorShape& who = *work_.whom[j].shape;
-        double before = stopped;  // whom it met before stops it as well
+        double before = stopped;  // entities hit earlier stop the base as well
         Decided decided{{int(k), int(j)}, work_.least_at[k], true, work_.along[j * all + k]};
         for (const int other : work_.stopping) {
           if (other == who.entity || work_.met[size_t(other)] <= before) continue;
@@ -467,7 +471,7 @@ class Following {
       work_.hit[size_t(e)] += sum;
     }
   }
-  // Raises what stops are worth against an entity to what a touch makes of them.
+  // Raises the worth of stops against an entity to that of this touch, where it is greater.
   void raise(const Decided& decided, size_t entity, size_t k, double reaches) {
     double *most = work_.most_worth.data() + entity * row_, *by = work_.decided_by.data() + entity * row_;
     if (std::find(work_.seen.begin(), work_.seen.end(), int(entity)) == work_.seen.end()) {
@@ -487,8 +491,8 @@ class Following {
     }
     if (more && slopes_) work_.decided.push_back(decided);
   }
-  // Raises work.hit_slopes by the derivatives of what meet() has found: of what decided it alone. Places and energies
-  // with derivatives are asked for as place(k, out) and energy(decided, out).
+  // Adds to work.hit_slopes the derivatives of the result of meet(), from the deciding touches alone. Places and
+  // energies with derivatives are provided by place(k, out) and energy(decided, out).
   template <class PlaceOf, class Energy> void pull(const PlaceOf& place, const Energy& energy) {
     work_.known.clear();
     std::fill_n(work_.dual_known.begin(), n_place_, 0);
@@ -530,13 +534,13 @@ class Following {
     }
   }
 
-  // --- bases that spin ----------------------------------------------------------------------------------------------
+  // --- spinning bases -----------------------------------------------------------------------------------------------
 
-  // Places from tables by speed and rate of turning; what drives backwards is the same turned round.
+  // Places interpolated from tables by speed and turning rate; driving backwards is driving forwards, rotated by pi.
   void tabulated() {
     if (of_.share.empty() || gap_ > of_.farthest) return;
     const Node<double> v = node(of_.speeds, speed_), w = node(of_.rates, at_.omega);
-    // States of a batch often differ by place and time alone.
+    // States of a batch often differ only in place and time.
     if (work_.spun_speed != speed_ || work_.spun_rate != at_.omega)
       for (CoastWork::Spun& one : work_.spun) one.known = false;
     work_.spun_speed = speed_, work_.spun_rate = at_.omega;
@@ -619,7 +623,7 @@ class Following {
       sine_cosine(load_row(&out.turned[k]), sine, cosine);
       store_row(cosine, &out.cos[k]), store_row(sine, &out.sin[k]);
     }
-    double* chord = out.gone.data();  // until the ways of what is fastest are in there
+    double* chord = out.gone.data();  // temporarily; replaced by the distances of the fastest point below
     for (size_t k = 1; k < n; ++k) chord[k] = length_of(out.x[k] - out.x[k - 1], out.y[k] - out.y[k - 1]);
     out.path[0] = length_of(out.x[0], out.y[0]);
     for (size_t k = 1; k < n; ++k) out.path[k] = out.path[k - 1] + chord[k];
@@ -651,10 +655,10 @@ class Following {
     out.gone = k == 0 ? Dual(0.0) : column(3) * (time - interpolated(v, w, f, 4, k - 1));
   }
 
-  // --- bases astray -------------------------------------------------------------------------------------------------
+  // --- drifting bases -----------------------------------------------------------------------------------------------
 
-  // Bases that went astray before they came here, beside the way: who is met in the next moment that is not met yet,
-  // for as long as they have been astray. Along a way this adds up to how likely they are met at all.
+  // Bases that began to drift earlier and are now beside their path: probability of touching an entity within the next
+  // step and not yet, times the rate of such bases. Integrated along a path, this is the total probability of a hit.
   void astray() {
     const double step = sign_ * kNext, half = 0.5 * at_.omega / speed_ * kNext, ch = std::cos(half),
                  sh = std::sin(half);
@@ -675,7 +679,7 @@ class Following {
       const D c = cos_ * turned_c - sin_ * turned_s, s = sin_ * turned_c + cos_ * turned_s;
       const PlacesAbreast now{at_.x - aside * sin_, at_.y + aside * cos_, c, s, time};
       const PlacesAbreast between{at_.x - 0.5 * aside * sin_, at_.y + 0.5 * aside * cos_, D{} + cos_, D{} + sin_, time};
-      // Half of what it turns until the next moment, twice.
+      // Rotates by half of the turn until the next step, twice.
       const D middle_c = c * ch - s * sh, middle_s = s * ch + c * sh;
       const PlacesAbreast next{now.x + step * middle_c, now.y + step * middle_s, middle_c * ch - middle_s * sh,
                                middle_s * ch + middle_c * sh, time};
@@ -722,14 +726,14 @@ class Following {
       }
     }
   }
-  // How likely a shape is touched that is so many blurs off.
+  // Probability that a shape is touched at this distance in standard deviations.
   static GP_INLINE D likely(D ratio) { return ratio <= kFarOff ? upper_tail(ratio) : D{}; }
 
   bool is_near(const FloorShape& shape, const Place<Dual>& place) const {
     return shape.distance(place.x.value(), place.y.value(), place.time.value()) <=
            of_.footprint.reach() + kFarOff * blur_of(place.spread.value(), shape);
   }
-  // The same with derivatives.
+  // As `astray`, with derivatives.
   void astray_slopes() {
     const State<Dual>& q = *slopes_;
     const double step = sign_ * kNext;
@@ -737,7 +741,7 @@ class Following {
                half = 0.5 * q.omega / speed * kNext;
     const double h = half.value(), ch = std::cos(h), sh = std::sin(h);
     const Dual c = q.yaw.through(cos_, -sin_), s = q.yaw.through(sin_, cos_);
-    // Half of what it turns until the next moment, twice.
+    // Rotates by half of the turn until the next step, twice.
     const Dual half_c = half.through(ch, -sh), half_s = half.through(sh, ch);
     for (const CoastTables::Stray& stray : of_.stray) {
       if (gap_ > std::fabs(stray.aside) + kNext + kFarOff * stray.spread) continue;
@@ -786,11 +790,11 @@ class Following {
   const State<Dual>* slopes_;
   CoastWork& work_;
   const double speed_, sign_, cos_, sin_;
-  double far_ = 0;                                        // how far a base goes at most
-  size_t farthest_ = 0;                                   // the stop that does
-  double gap_ = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
-  // Of the way that is followed.
-  size_t n_place_ = 0, n_stop_ = 0, row_ = 0;  // rows of stops are padded
+  double far_ = 0;                                        // largest distance of a base
+  size_t farthest_ = 0;                                   // index of that stop
+  double gap_ = std::numeric_limits<double>::infinity();  // see look()
+  // Of the current trajectory.
+  size_t n_place_ = 0, n_stop_ = 0, row_ = 0;  // row_: padded row length of stops
   double whole_ = 0, arc_far_ = 0;
-  double widest_ = 0, strides_ = 0;  // the greatest spread of a place; how far it is at most from one to the next
+  double widest_ = 0, strides_ = 0;  // greatest spread of a place, and greatest distance between consecutive places
 };

@@ -1,4 +1,4 @@
-// Whom of those who move a base meets that fails while it drives: who goes on at the velocity of that moment.
+// Moving entities that a base hits when it fails while driving; they continue at their velocity at the failure.
 #pragma once
 #include "impact/moving/moving_impact.hpp"
 #include "mobile/coast/coast.hpp"
@@ -7,7 +7,7 @@ namespace gp {
 
 class MovingCoast final : public MovingSource {
  public:
-  // bottom, top: heights between which the base meets anything.
+  // bottom, top: range of heights of the base's footprint.
   MovingCoast(const MovingTable& table, const CoastModel& model, double bottom, double top)
       : MovingSource(model.core(), table), model_(model), bottom_(bottom), top_(top) {
     require(in_range(bottom, -kMaxExtent, top) && top <= kMaxExtent, "heights of a base");
@@ -45,14 +45,14 @@ class MovingCoast final : public MovingSource {
   }
 
  private:
-  static constexpr double kSoon = 1e-3;  // over which a velocity is looked at [s]
+  static constexpr double kSoon = 1e-3;  // interval of the finite difference for velocities [s]
 
   double met(const double* q, const double* qd, const MovingEntity& e, double t,
              CoastModel::Encounter& encounter) const {
     FloorShape who;
     return seen(e, t, who) ? model_.met(q, qd, who, encounter) : 0.0;
   }
-  // Whether an entity is at the height of the base at a time, and what it is from above.
+  // Whether an entity is at the height of the base at a time; `who` is then its planar shape.
   bool seen(const MovingEntity& e, double t, FloorShape& who) const {
     const MovingTable::Place here = table_.at(e, t), soon = table_.at(e, t + kSoon);
     if (here.z - e.half[2] >= top_ || here.z + e.half[2] <= bottom_) return false;

@@ -1,5 +1,5 @@
-// Distances and touches of several places of a way at once. Included once per instruction set, inside its own
-// namespace.
+// Distances and touches at several places of a trajectory at once (SIMD). Included once per instruction set, inside its
+// own namespace.
 
 constexpr size_t kAbreastPlaces = size_t(kLanes<double>);
 
@@ -13,8 +13,8 @@ GP_INLINE void store_row(D values, double* to) { std::memcpy(to, &values, sizeof
 GP_INLINE D root_of(D x) { return square_root(maximum(x, D{} + 1e-200)); }
 GP_INLINE D hypotenuse(D x, D y) { return root_of(x * x + y * y); }
 
-// How likely a normal variable exceeds x, good to 3e-13 for |x| <= 6.2: e^(-x^2/2) times a polynomial in 1 / (1 + x/4),
-// fitted at Chebyshev nodes.
+// Probability that a standard normal variable exceeds x, accurate to 3e-13 for |x| <= 6.2: e^(-x^2/2) times a
+// polynomial in 1 / (1 + x/4), fitted at Chebyshev nodes.
 GP_INLINE D upper_tail(D x) {
   const D size = minimum(absolute(x), D{} + 8.0), t = 1.0 / (1.0 + 0.25 * size);
   const D tail = exponential(-0.5 * size * size) * horner(t, 3.760778425686284e-05, 0.09895096501783057,
@@ -25,12 +25,12 @@ GP_INLINE D upper_tail(D x) {
   return x < 0 ? 1.0 - tail : tail;
 }
 
-// Places of a base, side by side.
+// Places of a base, one per lane.
 struct PlacesAbreast {
   D x, y, cos, sin, time;
 };
 
-// Of points in the axes of a rectangle without rounding.
+// Distances of points, given in the axes of a rectangle without rounding, to it.
 GP_INLINE D from_rectangle(double a, double b, D x, D y) {
   const D ex = absolute(x) - a, ey = absolute(y) - b;
   return hypotenuse(relu(ex), relu(ey)) + minimum(maximum(ex, ey), D{});
@@ -39,7 +39,7 @@ GP_INLINE D beyond_squared(double a, double b, D x, D y) {
   const D ex = relu(absolute(x) - a), ey = relu(absolute(y) - b);
   return ex * ex + ey * ey;
 }
-// What Footprint2d::distance says, exactly below `cut`; elsewhere at least that.
+// Footprint2d::distance for several places: exact below `cut`, elsewhere at least `cut`.
 static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, const PlacesAbreast& at, D cut) {
   const D dx = shape.x + shape.vx * at.time - at.x, dy = shape.y + shape.vy * at.time - at.y;
   const D seen_x = at.cos * dx + at.sin * dy, seen_y = at.cos * dy - at.sin * dx;

@@ -1,5 +1,5 @@
-// The dynamic window approach of D. Fox, W. Burgard and S. Thrun (1997), with what is hit if the base fails now. What
-// it does and why it is so is told in control/dwa.py.
+// The dynamic window approach of D. Fox, W. Burgard and S. Thrun (1997), with the impact of a base failure.
+// control/dwa.py describes the method and its reasons.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -11,21 +11,21 @@
 
 namespace gp {
 
-// Of a base, as in scene/mobile/diff_drive.py.
+// Limits of a base, as in scene/mobile/diff_drive.py.
 struct DriveLimits {
   double least, v, omega, a, alpha, lateral, lever, rim;
 };
 
 struct WindowSettings {
   double heading, velocity, path, clearance, impact;  // weights
-  double horizon, period;                             // how far is looked ahead, and from command to command [s]
-  double near, margin, most;                          // clearance that is enough, that is needed [m]; impact allowed
-  double ahead;                                       // of the end of an arc, where on the path it should head [m]
-  double window;                                      // for how long it may accelerate to what is looked at [s]
+  double horizon, period;                             // look-ahead, and command period [s]
+  double near, margin, most;                          // sufficient and required clearance [m]; largest impact
+  double ahead;                                       // from an arc's end to the point on the path to head for [m]
+  double window;                                      // time of acceleration that bounds the candidate speeds [s]
   int n_v, n_omega;
 };
 
-// A polyline with the length up to each of its corners.
+// A polyline with the length up to each of its vertices.
 class FloorPath {
  public:
   explicit FloorPath(const Reals& points) {
@@ -41,7 +41,7 @@ class FloorPath {
     double s, distance;
   };
   double length() const { return s_.back(); }
-  // The nearest place between two lengths.
+  // The nearest point between two lengths.
   Foot nearest(double x, double y, double from, double to) const {
     Foot best{s_.back(), std::hypot(x - x_.back(), y - y_.back())};
     if (from > 0 || to < s_.back()) best.distance = std::numeric_limits<double>::infinity();
@@ -81,7 +81,7 @@ class DynamicWindow {
     std::vector<double> severity;
   };
 
-  // The best command; `every` evaluates all candidates, which changes nothing but the time that it takes.
+  // The best command. `every` evaluates all candidates, which takes longer and does not change the result.
   Choice choose(const Coasting::State& at, const FloorPath& path, const Around& around, bool every) const {
     Scene scene(*this, at, around);
     std::vector<Candidate> all = candidates(at, path);
@@ -105,7 +105,7 @@ class DynamicWindow {
     }
     Choice out = best ? *best : safest ? *safest : braking(at, scene);
     out.evaluated = evaluated;
-    // Of what it is on the way to, it is told what it can reach until the next command.
+    // The command is limited to speeds that are reachable before the next command.
     const auto reached = [&](double now, double wanted, double rate) {
       return std::clamp(wanted, now - rate * set_.period, now + rate * set_.period);
     };
@@ -122,16 +122,16 @@ class DynamicWindow {
   }
 
  private:
-  static constexpr int kSpeeds = 2, kRates = 3;  // of the window, at which failures are looked at
+  static constexpr int kSpeeds = 2, kRates = 3;  // nodes of the window at which failures are evaluated
 
   struct Candidate {
     double v, omega, bound;
   };
   struct Seen {
     bool admissible;
-    double clearance, room, reached;  // least one [m]; its share of what is enough; share of the horizon without touch
+    double clearance, room, reached;  // least one [m]; its share of `near`; share of the horizon before a touch
   };
-  // What is near enough to matter, and where the base stands now.
+  // Shapes near enough to matter, and the current clearance of the base.
   struct Scene {
     Scene(const DynamicWindow& of, const Coasting::State& at, const Around& around)
         : all(around), work(of.coasting_.work(around.severity.size())), v(of.speeds(at)), omega(of.rates(at)) {
@@ -147,7 +147,7 @@ class DynamicWindow {
     }
     const Around& all;
     Coasting::Work work;
-    const std::array<double, 2> v, omega;  // what can be reached until the next command
+    const std::array<double, 2> v, omega;  // speeds in the window
     std::array<double, kSpeeds * kRates> impact;
     std::vector<FloorShape> near;
     double fastest = 0, now = 0;
@@ -179,7 +179,7 @@ class DynamicWindow {
   std::array<double, 2> rates(const Coasting::State& at) const {
     return window(at.omega, limits_.alpha, -limits_.omega, limits_.omega);
   }
-  // What the base can reach until the next command, best first by all that needs no look at the surroundings.
+  // Candidates in the window, with an upper bound of the score that needs no look at the surroundings.
   std::vector<Candidate> candidates(const Coasting::State& at, const FloorPath& path) const {
     const auto v = speeds(at), w = rates(at);
     const FloorPath::Foot foot = path.nearest(at.x, at.y, 0, path.length());
@@ -188,7 +188,7 @@ class DynamicWindow {
       const double speed = v[0] + (v[1] - v[0]) * i / std::max(set_.n_v - 1, 1);
       for (int j = 0; j < set_.n_omega; ++j)
         consider(at, path, foot, speed, w[0] + (w[1] - w[0]) * j / std::max(set_.n_omega - 1, 1), all);
-      // Straight on, and the arc to the path ahead, where the grid has neither.
+      // Straight ahead, and the arc to the path ahead, in addition to the grid.
       if (w[0] < 0 && w[1] > 0) consider(at, path, foot, speed, 0, all);
       const auto carrot = path.at(foot.s + set_.ahead + std::fabs(speed) * set_.horizon);
       const double dx = carrot[0] - at.x, dy = carrot[1] - at.y, squared = dx * dx + dy * dy;
@@ -202,11 +202,11 @@ class DynamicWindow {
     const bool turns_as_hard = std::fabs(v * omega) <= std::max(limits_.lateral, 0.98 * std::fabs(at.v * at.omega));
     if (!turns_as_hard || std::fabs(v) + limits_.lever * std::fabs(omega) > limits_.rim * (1 + 1e-9)) return;
     const double left = path.length() - foot.s;
-    // What brakes in time stops at the end of the path, with half of what the brakes can do.
+    // Candidates that do not brake must be able to stop at the end of the path with half of the deceleration limit.
     const double room = std::max(left - std::fabs(v) * set_.period, 0.0);
     if (v > std::max(std::sqrt(limits_.a * room), kCreep) && v > at.v - 0.999 * limits_.a * set_.window) return;
-    // What the fastest that it can reach would make of the time: a base that stands is drawn on like one that drives.
-    // Near the end the time is what the fastest needs to be there.
+    // Progress is relative to the fastest reachable speed, so a standing base is drawn forward like a moving one. Near
+    // the end, the time is that of the fastest candidate to the end.
     const double reached = std::min(limits_.v, std::fabs(at.v) + limits_.a * set_.window);
     const double time = std::clamp(left / reached, 2 * set_.period, std::max(set_.horizon, 2 * set_.period));
     double progress = 0, off = 0, heading = 0;
@@ -220,18 +220,19 @@ class DynamicWindow {
       off += 0.5 * std::min(place.distance, kBack);
       heading += 0.5 * (1 - std::fabs(std::remainder(wanted, kTurn)) / (0.5 * kTurn));
     }
-    // At the end it is the place that counts.
+    // At the end of the path the position counts, not the heading.
     const double bound = set_.heading * heading * std::min(1.0, left / std::max(set_.ahead, 1e-3)) +
                          set_.velocity * progress - set_.path * off + set_.clearance;
     all.push_back({v, omega, bound});
   }
 
-  // Along the arc: steps as long as nothing can be met in between.
+  // Follows the arc in steps that are short enough to miss no contact.
   Seen look(const Coasting::State& at, const Candidate& one, const Scene& scene) const {
     const double reach = coasting_.footprint().reach();
     const double fastest = std::fabs(one.v) + std::fabs(one.omega) * reach + scene.fastest;
     const double touch = std::min(set_.margin, scene.now - kCloser);
-    // As far as the fastest gets, or slow ones would not see what is in their way, but not round and round.
+    // Slow candidates are followed as far as the fastest, so that they see obstacles ahead, but at most for a quarter
+    // turn.
     const double far = std::min(limits_.v, std::fabs(at.v) + limits_.a * set_.window) * set_.horizon;
     const double once = std::fabs(one.omega) > 0 ? 0.25 * kTurn / std::fabs(one.omega) : 1e9;
     const double slow = std::min({far / std::max(std::fabs(one.v), 1e-6), once, kLonger * set_.horizon});
@@ -245,13 +246,13 @@ class DynamicWindow {
       if (time >= horizon) return {true, least, std::max(least, 0.0) / set_.near, 1};
       time = std::min(horizon, time + std::max(kStep, fastest > 0 ? (d - set_.near) / fastest : horizon));
     }
-    // It has to stand before it touches, and until the next command it goes on.
+    // The base must stop before the touch; it keeps its speed until the next command.
     const double left = std::max(0.0, time - kStep - set_.period);
     const bool stops = std::fabs(one.v) <= 2 * limits_.a * left && std::fabs(one.omega) <= 2 * limits_.alpha * left;
     return {stops, least, 0, time / horizon};
   }
-  // If it fails at the next command, and if it does half of the horizon later; within the window it changes so little
-  // that it is interpolated between few speeds and rates.
+  // Mean impact of failures at the next command and half a horizon later, interpolated between few speeds and rates
+  // because it varies little within the window.
   double impact_of(const Coasting::State& at, const Candidate& one, Scene& scene) const {
     if (scene.all.severity.empty()) return 0;
     const auto place = [](const std::array<double, 2>& window, double value, int nodes) {
@@ -282,7 +283,7 @@ class DynamicWindow {
     }
     return known;
   }
-  // As hard as it can, along the arc on which it is.
+  // Braking at the limits, along the current arc.
   Choice braking(const Coasting::State& at, const Scene& scene) const {
     const double left = std::max(0.0, 1 - limits_.a * set_.period / std::max(std::fabs(at.v), 1e-9));
     const double turns = std::max(0.0, 1 - limits_.alpha * set_.period / std::max(std::fabs(at.omega), 1e-9));
@@ -290,11 +291,11 @@ class DynamicWindow {
     return {at.v * left, omega, 0, scene.now, 0, false, 0};
   }
 
-  static constexpr double kStep = 0.04;    // between looks at an arc at least [s]
-  static constexpr double kCloser = 2e-3;  // that a base may come to what is already nearer than the margin [m]
-  static constexpr double kLonger = 3;     // horizons that slow candidates are followed for at most
-  static constexpr double kCreep = 0.02;   // speed at which any distance is enough to stop [m/s]
-  static constexpr double kBack = 0.5;     // of the path that is looked at behind and beyond [m]
+  static constexpr double kStep = 0.04;    // least step along an arc [s]
+  static constexpr double kCloser = 2e-3;  // amount by which a base closer than the margin may come closer still [m]
+  static constexpr double kLonger = 3;     // limit on the duration of slow candidates, in horizons
+  static constexpr double kCreep = 0.02;   // speed at or below which any distance is enough to stop [m/s]
+  static constexpr double kBack = 0.5;     // length of the path that is searched behind and beyond [m]
   static constexpr double kTurn = 6.283185307179586;
 
   const Coasting coasting_;

@@ -1,25 +1,25 @@
-// Theta*: A* over cells whose parents may be any cell in sight (K. Daniel, A. Nash, S. Koenig, A. Felner, "Theta*:
-// any-angle path planning on grids", JAIR 39, 2010), here with what cells cost along the way; then vertices are left
-// out where that costs less. Not exact: a path costs at most what the least one over eight neighbours does, which is
-// searched as well.
+// Theta*: A* over cells whose parents may be any cell in line of sight (K. Daniel, A. Nash, S. Koenig, A. Felner,
+// "Theta*: any-angle path planning on grids", JAIR 39, 2010), here with costs of the cells along the line. Afterwards
+// vertices are removed where that lowers the cost. The result is not exact, but never costs more than the best path
+// over eight neighbours, which is searched as well.
 #pragma once
 
 #include "mobile/grid/grid_search.hpp"
 
 namespace gp::grid {
 
-// What the straight way between the centres of two cells costs; infinite if it touches a cell that is closed, or once
-// it is `most`. Where it passes a corner exactly, both cells beside it have to be free.
+// Cost of the straight line between the centres of two cells; infinite if it touches a closed cell, or once it reaches
+// `most`. Where it passes exactly through a corner, both adjacent cells have to be free.
 inline double straight_cost(const GridMap& map, size_t from, size_t to, double most) {
   int x = map.x(from), y = map.y(from);
   const int64_t nx = std::abs(map.x(to) - x), ny = std::abs(map.y(to) - y);
   const std::ptrdiff_t sx = map.x(to) > x ? 1 : -1, sy = map.y(to) > y ? map.stride() : -map.stride();
   if (nx == 0 && ny == 0) return 0.0;
-  const double length = 2.0 * std::hypot(double(nx), double(ny));  // a metre costs half() over half a cell
+  const double length = 2.0 * std::hypot(double(nx), double(ny));  // half() is the cost of half a cell
   std::ptrdiff_t at = std::ptrdiff_t(from);
   double sum = 0.0, begin = 0.0;
   for (int64_t i = 0, j = 0; i < nx || j < ny;) {
-    // Borders are crossed at (2 i + 1) / (2 nx) and (2 j + 1) / (2 ny) of the way.
+    // Cell borders are crossed at (2 i + 1) / (2 nx) and (2 j + 1) / (2 ny) of the line.
     const int64_t across = (2 * i + 1) * ny, along = (2 * j + 1) * nx;
     const bool right = j >= ny || (i < nx && across <= along), up = i >= nx || (j < ny && along <= across);
     const double end =
@@ -102,7 +102,7 @@ class AnyAngle {
     std::reverse(found.cells.begin(), found.cells.end());
     return found;
   }
-  // Leave out vertices for as long as that costs no more, and add up anew.
+  // Removes vertices as long as the cost does not increase, and recomputes the cost.
   void pulled(GridPath* path) const {
     std::vector<uint32_t>& cells = path->cells;
     for (bool shorter = true; shorter;) {

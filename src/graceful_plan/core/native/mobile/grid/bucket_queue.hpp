@@ -1,6 +1,7 @@
-// A queue of cells by cost, for searches whose edges cost at least one width: cells of one bucket come in any order,
-// for none of them can make another cheaper (E. Dinic's observation on R. Dial, "Shortest-path forest with topological
-// ordering", CACM 12, 1969). Costs far ahead wait in one heap of leftovers until their turn comes.
+// A queue of cells by cost, for searches whose edges cost at least one bucket width. The cells of a bucket come in any
+// order, because none of them can lower the cost of another (E. Dinic's observation on R. Dial, "Shortest-path forest
+// with topological ordering", CACM 12, 1969). Costs far ahead are kept in one unsorted list until their bucket is in
+// range.
 #pragma once
 
 #include <algorithm>
@@ -15,7 +16,7 @@ class BucketQueue {
  public:
   explicit BucketQueue(double width) : scale_(1.0 / width), width_(width) {}
 
-  // Costs are at least that of the bucket that was taken last; what rounds below goes into that one.
+  // Costs must be at least that of the current bucket; costs that rounding puts below it go into the current bucket.
   void push(double cost, uint32_t item) {
     const double place = cost * scale_;
     const double ahead = place - first_;
@@ -27,9 +28,9 @@ class BucketQueue {
     ++size_;
   }
   bool empty() const { return size_ == 0; }
-  // Least cost that what is left can have.
+  // Lower bound on the costs in the queue.
   double floor() const { return (first_ + now_) * width_; }
-  // Go on to the first bucket that holds something; there has to be one.
+  // Moves on to the first non-empty bucket; the queue must not be empty.
   void advance() {
     for (;;) {
       for (; now_ < kRing; ++now_) {
@@ -38,7 +39,7 @@ class BucketQueue {
       begin_anew();
     }
   }
-  // The last one of the present bucket, which `advance` found.
+  // Removes an item of the current bucket, which `advance` found.
   uint32_t pop() {
     auto& bucket = ring_[size_t(now_)];
     const uint32_t item = bucket.back();
@@ -77,7 +78,7 @@ class BucketQueue {
   std::vector<Later> later_;
 };
 
-// The same by exact costs, one after the other, for searches whose edges may add next to nothing to a bound.
+// A queue in the exact order of costs, for searches whose edges may cost next to nothing.
 class HeapQueue {
  public:
   void push(double cost, uint32_t item) {

@@ -1,10 +1,10 @@
-// Exact distances from the centres of cells to the next obstacle, which is a union of squares: by columns, then by rows
-// as the lower envelope of parabolas (A. Meijster, J. Roerdink, W. Hesselink, "A general algorithm for computing
-// distance transforms in linear time", 2000; P. Felzenszwalb, D. Huttenlocher, "Distance transforms of sampled
-// functions", 2012).
+// Exact distances from the centres of cells to the nearest obstacle, a union of squares: by columns, then by rows as
+// the lower envelope of parabolas (A. Meijster, J. Roerdink, W. Hesselink, "A general algorithm for computing distance
+// transforms in linear time", 2000; P. Felzenszwalb, D. Huttenlocher, "Distance transforms of sampled functions",
+// 2012).
 //
-// A square's side is half a cell nearer than its centre. Seen from a cell in another column the nearest point of a
-// column of squares lies on the border of the column, so that the envelope is one of parabolas at borders.
+// The side of a square is half a cell nearer than its centre. From a cell in another column, the nearest point of a
+// column of squares lies on the border of the column, so the parabolas of the envelope are centred at borders.
 #pragma once
 
 #include <algorithm>
@@ -17,8 +17,8 @@ namespace gp::grid {
 
 class DistanceField {
  public:
-  // `outside`: whether what is off the map is an obstacle. Distances in cells times `resolution`, 0 on obstacles and
-  // infinite where there are none, rounded down.
+  // `outside`: whether the outside of the map is an obstacle. The distances are in cells times `resolution`, rounded
+  // down; 0 on obstacles, and infinite if there are none.
   static void compute(const uint8_t* blocked, int rows, int columns, bool outside, double resolution, float* out) {
     DistanceField field(columns, outside);
     field.by_columns(blocked, rows, out);
@@ -38,7 +38,7 @@ class DistanceField {
     for (int k = 1; k <= columns; ++k) inverse_[size_t(k)] = 0.5 / k;
   }
 
-  // How far up or down the next square of the column is, counted in cells from centre to side; 0 on a square.
+  // Distance up or down to the next square of the column, in cells from centre to side; 0 on a square.
   void by_columns(const uint8_t* blocked, int rows, float* out) const {
     const size_t n = size_t(n_);
     const auto sweep = [&](int y, int before, bool first) {
@@ -55,7 +55,7 @@ class DistanceField {
   }
 
   void by_row(float* row, double resolution) {
-    // Height of the parabola at the border before column j: the lower of both columns beside it.
+    // Squared height at the border before column j: the lower of the two adjacent columns.
     const auto squared = [&](int x) {
       return x < 0 || x >= n_ ? (outside_ ? 0.0 : double(kNone)) : double(row[x]) * row[x];
     };
@@ -67,7 +67,7 @@ class DistanceField {
       if (h == double(kNone)) continue;
       double begin = -1.0;
       while (top >= 0) {
-        // Where the new parabola comes below the last one.
+        // Position from which the new parabola is below the last one.
         const int i = at_[size_t(top)];
         begin = 0.5 * (i + j) + (h - height_[size_t(top)]) * inverse_[size_t(j - i)];
         if (begin > from_[size_t(top)]) break;

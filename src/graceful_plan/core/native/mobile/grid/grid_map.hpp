@@ -1,4 +1,4 @@
-// Cells that a point may be in, what a metre costs there, and which steps lead from a cell to its eight neighbours.
+// Free cells for a point, the cost per metre in each, and the possible steps from a cell to its eight neighbours.
 #pragma once
 
 #include <algorithm>
@@ -13,13 +13,14 @@ namespace gp::grid {
 inline constexpr double kInfinity = std::numeric_limits<double>::infinity();
 inline constexpr double kDiagonal = 1.4142135623730951;
 
-// With a border of closed cells around it, so that no step leaves the tables. A step costs its length times the mean of
-// what a metre costs in the cells at its ends. A diagonal one needs both cells beside it to be free: no corner is cut.
+// The map is padded with closed cells, so that no step leaves the arrays. A step costs its length times the mean cost
+// per metre of the cells at its ends. A diagonal step needs both adjacent cells to be free, so no corner is cut (unless
+// `cuts`).
 class GridMap {
  public:
   static constexpr int kSteps = 8;
 
-  // `charge`: what a metre costs besides, at least 0, or none.
+  // `charge`: additional cost per metre, at least 0, or null.
   GridMap(const uint8_t* closed, const float* charge, int rows, int columns, double resolution, bool cuts = false)
       : rows_(rows), columns_(columns), stride_(columns + 2), resolution_(resolution), charged_(charge != nullptr) {
     const size_t n = size_t(rows + 2) * size_t(stride_);
@@ -61,13 +62,13 @@ class GridMap {
   int y(size_t at) const { return int(at / size_t(stride_)) - 1; }
   bool holds(int x, int y) const { return x >= 0 && y >= 0 && x < columns_ && y < rows_; }
   bool free(size_t at) const { return free_[at] != 0; }
-  // Half of what a step costs there by a cell's width.
+  // Half of the cost of a step by one cell width.
   const float* half() const { return half_.data(); }
   const std::vector<uint8_t>& steps() const { return steps_; }
   const std::ptrdiff_t* by() const { return by_.data(); }
-  // Whether a metre costs more in some cells than in others.
+  // Whether the map has charges, that is, costs per metre that differ between cells.
   bool charged() const { return charged_; }
-  // What a step costs at least.
+  // Least cost of a step.
   double least() const { return least_; }
 
   static constexpr int kDx[kSteps] = {-1, 0, 1, -1, 1, -1, 0, 1};  // rows below, beside, above

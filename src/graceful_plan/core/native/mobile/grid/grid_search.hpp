@@ -1,4 +1,4 @@
-// Dijkstra and A* over the eight neighbours of cells, exact: least costs in the order of buckets.
+// Exact Dijkstra and A* searches over the eight neighbours of cells, with bucket queues.
 #pragma once
 
 #include <array>
@@ -20,17 +20,18 @@ class GridSearch {
  public:
   explicit GridSearch(const GridMap& map) : map_(map) {}
 
-  // Least costs to all cells that can be reached; `out` is padded like the map.
+  // Least costs to all reachable cells; the array is padded like the map.
   template <class Late> bool flood(size_t from, const Late& late) {
     begin(from);
     const auto none = [](size_t) { return 0.0; };
     BucketQueue queue(map_.least());
     return run(queue, kNowhere, none, Mean{map_}, late);
   }
-  // The same, but no farther than is of use for going to a cell: exact where the cost, and if `informed` the octile
-  // distance to it besides, is at most what is returned, some more than that cell's cost. `price` charges the eight
-  // steps out of a cell. Negative: too late. Informed only where steps cost their length, or much more: in buckets, the
-  // same cells are else corrected over and over.
+  // Like flood, but stops once the costs suffice for paths to a cell. They are exact where the cost (if `informed`,
+  // plus the octile distance to the cell) is at most the returned limit: `share` times that cell's cost, plus `more`.
+  // `price` gives the costs of the eight steps out of a cell. Returns a negative value if time is up. Use `informed`
+  // only where steps cost their length, or much more; otherwise buckets make the search correct the same cells over and
+  // over.
   template <class Price, class Late>
   double flood_towards(size_t from, size_t to, double share, double more, bool informed, const Price& price,
                        const Late& late) {
@@ -63,10 +64,10 @@ class GridSearch {
     return found;
   }
   using Four [[gnu::vector_size(32)]] = double;
-  struct Steps {  // what steps cost, for a row of three neighbours each; the last lane is of no use
+  struct Steps {  // costs of the steps to a row of three neighbours each; the last lane is unused
     Four below, beside, above;
   };
-  // Length times the mean of both cells.
+  // Step cost: length times the mean of both cells.
   struct Mean {
     const GridMap& map;
     Steps operator()(size_t at) const {
@@ -87,8 +88,8 @@ class GridSearch {
   static constexpr int64_t kClockEvery = 16384;
 
   void begin(size_t from) {
-    // What is closed costs less than anything, so that no step into it is an improvement.
-    cost_.assign(map_.size() + 1, -kInfinity);  // four are read at a time, one more than there is
+    // Closed cells get a cost below all others, so that no step into them is an improvement.
+    cost_.assign(map_.size() + 1, -kInfinity);  // four are read at a time, one beyond the end
     for (size_t k = 0; k < map_.size(); ++k) cost_[k] = map_.free(k) ? kInfinity : -kInfinity;
     expansions_ = 0, from_ = from, emptied_ = false;
   }
@@ -96,7 +97,7 @@ class GridSearch {
     const int dx = std::abs(map_.x(a) - map_.x(b)), dy = std::abs(map_.y(a) - map_.y(b));
     return map_.least() * (std::max(dx, dy) + (kDiagonal - 1.0) * std::min(dx, dy)) * (1.0 - 1e-12);
   }
-  // The neighbour that a cell was reached from: the one whose cost and step add up best.
+  // The predecessor of a cell on a cheapest path: the neighbour with the least sum of cost and step.
   size_t before(size_t at) const {
     size_t best = at;
     double least = kInfinity;
@@ -126,7 +127,7 @@ class GridSearch {
       while (queue.more()) {
         const size_t at = queue.pop();
         const uint32_t ways = left[at];
-        if (ways == 0) continue;  // a copy of one that was cheaper
+        if (ways == 0) continue;  // a stale copy of a cell that was expanded at a lower cost
         left[at] = 0;
         if (++expansions_ % kClockEvery == 0 && late()) return false;
         const Steps steps = price(at);
@@ -140,7 +141,7 @@ class GridSearch {
           for (int k = 0; k < 3; ++k) found[shift + k] = next[k], better |= uint32_t(next[k] < now[k]) << k;
           return better << shift;
         };
-        // Nine places, without the one in the middle.
+        // The 3 x 3 cells, without the one in the middle.
         const uint32_t nine =
             relax(-stride, 0, steps.below) | relax(0, 3, steps.beside) | relax(stride, 6, steps.above);
         uint32_t improved = ((nine & 15U) | (nine >> 1 & 240U)) & ways;
@@ -162,8 +163,8 @@ class GridSearch {
   std::vector<double> cost_;
   int64_t expansions_ = 0;
   size_t from_ = 0;
-  bool emptied_ = false;             // whether everything that can be reached was
-  double share_ = 1.0, more_ = 0.0;  // costs beyond that of the goal that are looked at
+  bool emptied_ = false;             // whether all reachable cells were expanded
+  double share_ = 1.0, more_ = 0.0;  // limits the search to share_ times the goal's cost, plus more_
 };
 
 }  // namespace gp::grid

@@ -1,5 +1,5 @@
-// What the search knows of a floor: which cells the footprint may be over, what impact costs there, and a bound from
-// below of what it costs to get to the goal, over cells alone.
+// The floor as the lattice search uses it: free cells for the footprint, impact in each cell, and a lower bound on the
+// cost to the goal, computed over cells alone.
 #pragma once
 
 #include <array>
@@ -11,34 +11,34 @@
 
 namespace gp::lattice {
 
-// Row by row from below, in the frame of the map: cell (column x, row y) has its centre at (x + .5, y + .5) resolution.
+// Rows from below, in the frame of the map: cell (column x, row y) has its centre at (x + .5, y + .5) resolution.
 struct Floor {
   int columns, rows;
   double resolution;
-  const float* distance;     // [rows, columns] from the centre of a cell to the next obstacle, not above it [m]
-  const float* impact;       // [rows, columns, headings] for driving forward, or none
+  const float* distance;     // [rows, columns] lower bound on the distance from a cell's centre to an obstacle [m]
+  const float* impact;       // [rows, columns, headings] for driving forward, or null
   const float* impact_back;  // the same for driving backwards
 
   bool holds(const Cell& c) const { return c.x >= 0 && c.y >= 0 && c.x < columns && c.y < rows; }
   size_t index(const Cell& c) const { return size_t(c.y) * size_t(columns) + size_t(c.x); }
   Cell cell(double x, double y) const { return {int(std::floor(x / resolution)), int(std::floor(y / resolution))}; }
-  double clearance(double x, double y) const {  // not above the distance from the point to the next obstacle
+  double clearance(double x, double y) const {  // lower bound on the distance from the point to the next obstacle
     const Cell c = cell(x, y);
     if (!holds(c)) return -1.0;
     return distance[index(c)] - std::hypot(x - (c.x + 0.5) * resolution, y - (c.y + 0.5) * resolution);
   }
 };
 
-// What a search over cells knows of a floor: which cells the base may be in, and what impact there is in them for
-// driving in each of eight directions.
+// The floor as a search over cells uses it: free cells for the base, and the impact of driving in each of eight
+// directions.
 class Guide {
  public:
   static constexpr int kSteps = grid::GridMap::kSteps;
   using Eight = std::array<float, kSteps>;
 
-  // A bound from below: cells that the disc inside of the footprint may be over, and the least impact over headings
-  // within half a right angle of the direction, since curves are made of such steps, and over neighbouring cells, since
-  // a chain of cells is beside the curve by up to one.
+  // For a lower bound: the free cells are those of the disc inside the footprint. The impact is the least over headings
+  // within 45 degrees of the direction, because curves are made of such steps, and over neighbouring cells, because a
+  // chain of cells deviates from the curve by up to one cell.
   static Guide bound(const Floor& floor, double inner, int headings) {
     Guide guide(floor, inner, nullptr);
     if (floor.impact) {
@@ -49,8 +49,8 @@ class Guide {
     }
     return guide;
   }
-  // An estimate: mean impact over headings that are nearest to the direction, and cells in which the footprint hardly
-  // has room cost `kTight` times as much, for most ways through them are dead ends.
+  // For an estimate: mean impact over the headings nearest to the direction. Cells with little clearance for the
+  // footprint cost `kTight` times as much, because most paths through them are dead ends.
   static Guide estimate(const Floor& floor, double inner, double room, int headings) {
     std::vector<float> tight(size_t(floor.rows) * size_t(floor.columns));
     for (size_t k = 0; k < tight.size(); ++k) tight[k] = double(floor.distance[k]) < room ? kTight - 1.0F : 0.0F;
@@ -62,7 +62,7 @@ class Guide {
     return guide;
   }
   const grid::GridMap& map() const { return map_; }
-  // In the order of the steps of a search from the goal: what is driven is the other way round.
+  // Indexed by the steps of a search from the goal; the base drives each step in the opposite direction.
   const Eight& ahead(size_t at) const { return ahead_[at]; }
   const Eight& back(size_t at) const { return back_[at]; }
 
@@ -73,7 +73,7 @@ class Guide {
       : map_(closed(floor, inner).data(), tight, floor.rows, floor.columns, floor.resolution, true) {}
   static std::vector<uint8_t> closed(const Floor& floor, double inner) {
     std::vector<uint8_t> out(size_t(floor.rows) * size_t(floor.columns));
-    // Float: the disc is let through where rounding decides.
+    // Distances are floats; cells at the limit stay open.
     for (size_t k = 0; k < out.size(); ++k) out[k] = double(floor.distance[k]) < inner;
     return out;
   }
@@ -121,17 +121,16 @@ class Guide {
   std::vector<Eight> ahead_, back_;
 };
 
-// Cost to go over cells, backwards from the goal: A*, or Dijkstra where there is impact, until the start is reached and
-// some more. Where it did not get,
-// the least cost that it can find there (as in D. Silver, "Cooperative pathfinding", AIIDE 2005, for its resumable
-// search, which is not resumed here).
+// Cost to go over cells, searched from the goal until some distance beyond the start: A*, or Dijkstra where there is
+// impact. For cells that were not reached, `at` returns the least possible cost (as in D. Silver, "Cooperative
+// pathfinding", AIIDE 2005, but without resuming the search).
 class CostToGo {
  public:
-  // `penalty`: what a metre backwards costs; infinite where the base does not drive so.
+  // `penalty`: cost of a metre backwards; infinite if the base does not drive backwards.
   CostToGo(const Guide& guide, double w, double penalty)
       : guide_(guide), search_(guide.map()), w_(w), penalty_(penalty) {}
 
-  // Whether there is a way and the time to find it; afterwards `at` answers.
+  // Whether there is a path and it was found in time; afterwards `at` is valid.
   template <class Late> bool flood(const Cell& start, const Cell& goal, double share, double more, const Late& late) {
     const grid::GridMap& map = guide_.map();
     const size_t from = map.index(goal.x, goal.y), to = map.index(start.x, start.y);
@@ -160,12 +159,12 @@ class CostToGo {
     }
     return edge_ >= 0.0 && search_.costs()[to] < kFar && guide_.map().free(to);
   }
-  // A bound from below [m] of getting from a cell to the goal's.
+  // Lower bound [m] on the cost from a cell to the goal's cell.
   double at(const Cell& cell) const {
     const size_t k = guide_.map().index(cell.x, cell.y);
     if (!guide_.map().free(k)) return kFar;
     const double known = search_.costs()[k], aside = far(cell, start_);
-    // An estimate had better say too much: what was not reached leads away.
+    // An estimate may be too high: cells that were not reached lead away from the goal.
     if (guide_.map().charged()) return std::min(known, edge_ + far(cell, goal_));
     if (w_ == 0.0) return known + aside <= edge_ ? known : std::max(edge_ - aside, far(cell, goal_));
     return std::min(known, edge_);

@@ -1,6 +1,6 @@
-// Moves between the states of a lattice over (x, y, heading), which end on states exactly: each is the shortest curve
-// of bounded curvature to one (M. Pivtoraiko, R. A. Knepper, A. Kelly, "Differentially constrained mobile robot motion
-// planning in state lattices", J. Field Robotics 26, 2009, with curves of Dubins in the place of their polynomials).
+// Moves between the states of a lattice over (x, y, heading). Each is the shortest curve of bounded curvature that ends
+// exactly on a state (M. Pivtoraiko, R. A. Knepper, A. Kelly, "Differentially constrained mobile robot motion planning
+// in state lattices", J. Field Robotics 26, 2009, with Dubins curves instead of polynomials).
 #pragma once
 
 #include <map>
@@ -20,13 +20,13 @@ struct Cell {
   bool operator==(const Cell& o) const = default;
 };
 
-// A cell that the footprint passes, and how far from its centre the next obstacle has to be [m].
+// A cell under the footprint during a move, and the required distance from its centre to the next obstacle [m].
 struct Touch {
   Cell cell;
   double need;
 };
 
-// A cell that the base passes with a heading, and how far it drives in it [m].
+// A cell and heading that the base passes, and the length driven in it [m].
 struct Stay {
   Cell cell;
   int heading;
@@ -37,11 +37,11 @@ struct Stay {
 struct Move {
   int to;                     // heading
   Cell by;                    // cells
-  std::vector<Piece> pieces;  // from the centre of a cell
+  std::vector<Piece> pieces;  // starting at the centre of a cell
   double cost = 0.0;
   std::vector<Touch> touches = {};
   std::vector<Stay> stays = {};
-  double chain = 1.0;  // shortest way through the cells that it passes, from centre to centre, over its cost
+  double chain = 1.0;  // length of the shortest chain of cells it passes, from centre to centre, over its cost
 };
 
 struct LatticeSettings {
@@ -52,7 +52,7 @@ struct LatticeSettings {
   double margin;  // [m]
 };
 
-inline Cell cell_at(double x, double y, double resolution) {  // of points relative to the centre of cell (0, 0)
+inline Cell cell_at(double x, double y, double resolution) {  // points are relative to the centre of cell (0, 0)
   return {int(std::floor(x / resolution + 0.5)), int(std::floor(y / resolution + 0.5))};
 }
 
@@ -83,11 +83,12 @@ class Primitives {
     }
     return most;
   }
-  // Steps into which a piece is cut so that nothing of the footprint moves by more than half a cell; [m] each.
+  // Number of steps of a piece such that no point of the footprint moves by more than half a cell in one, and that
+  // motion [m].
   std::pair<int, double> steps(const Piece& piece) const {
     const double bend = std::abs(piece.length * piece.curvature) + std::abs(piece.turn);
     const double way = std::abs(piece.length) + arm_ * bend;
-    // An even number: no middle of a step is between two headings when the piece turns by one.
+    // An even number, so that the middle of a step is not between two headings when the piece turns by one.
     const int n = 2 * std::max(1, int(std::ceil(way / s_.resolution)));
     return {n, way / n};
   }
@@ -95,8 +96,9 @@ class Primitives {
  private:
   int turned(int heading) const { return ((heading % s_.headings) + s_.headings) % s_.headings; }
 
-  // Nominal arcs: straight on, short and long, and to both sides, gently and hard; a tenth of the curvature and more is
-  // left for reaching a state, and a length that lets an S-curve shift the base by a cell.
+  // Nominal arcs: straight ahead, short and long, and gentle and tight to both sides. Their curvature is at most 85 %
+  // of the limit, which leaves a reserve for reaching a state. Their length allows an S-curve to shift the base by a
+  // cell.
   std::vector<Move> forward(int heading) const {
     const double radius = s_.steering.radius, cell = s_.resolution;
     const double unit = std::max(4.0 * cell, std::sqrt(3.0 * radius * cell));
@@ -111,7 +113,7 @@ class Primitives {
     for (auto& [key, move] : found) moves.push_back(std::move(move));
     return moves;
   }
-  // The move near a nominal arc that wastes least length and turning.
+  // The move near a nominal arc with the least excess length and turning.
   Move best(int heading, double length, double curvature) const {
     const int turn = int(std::lround(curvature * length / bin()));
     const Pose start{0.0, 0.0, yaw(heading)}, tip = moved(start, {length, curvature, 0.0}, 1.0);
@@ -142,7 +144,7 @@ class Primitives {
     }
     return found;
   }
-  // A move turned by quarters, and its way back.
+  // Adds a move rotated by quarter turns, and its reverse.
   void add(int heading, Move move, int quarters) {
     for (int k = 0; k < quarters; ++k) move.by = {-move.by.y, move.by.x}, move.to = turned(move.to + s_.headings / 4);
     put(heading, move);
@@ -196,7 +198,7 @@ class Primitives {
       stays->push_back(next);
     }
   }
-  // [m], over eight neighbours.
+  // Length over eight neighbours [m].
   double shortest_chain(const std::vector<Cell>& passed) const {
     std::vector<double> least(passed.size(), kInfinity);
     least[0] = 0.0;

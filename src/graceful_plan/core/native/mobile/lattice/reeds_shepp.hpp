@@ -1,4 +1,4 @@
-// Shortest curves of a car: forward and back (J. A. Reeds, L. A. Shepp, "Optimal paths for a car that goes both
+// Shortest curves of a car: forward and backward (J. A. Reeds, L. A. Shepp, "Optimal paths for a car that goes both
 // forwards and backwards", Pacific J. Math. 145, 1990; the 48 words, equations 8.1 to 8.11 there, with the corrections
 // that OMPL documents), forward only (L. E. Dubins, 1957), and for a base that turns in place: turn, straight, turn.
 #pragma once
@@ -19,8 +19,8 @@ struct Pose {
   double x, y, yaw;
 };
 
-// Driven with one steering angle: length [m], negative backwards, curvature [1/m], positive to the left; or, with
-// length 0, a turn in place [rad].
+// A piece driven with one steering angle: length [m], negative backwards, and curvature [1/m], positive to the left;
+// or, with length 0, a turn in place [rad].
 struct Piece {
   double length = 0.0, curvature = 0.0, turn = 0.0;
 };
@@ -39,7 +39,7 @@ inline double wrapped(double angle) {
 inline Pose moved(const Pose& from, const Piece& piece, double share) {
   if (piece.length == 0.0) return {from.x, from.y, from.yaw + share * piece.turn};
   const double s = share * piece.length, bend = s * piece.curvature;
-  // A chord at the mean heading: no cancellation where the curvature is small.
+  // The chord at the mean heading avoids cancellation at small curvature.
   const double half = 0.5 * bend, chord = std::abs(half) < 1e-9 ? s : s * std::sin(half) / half;
   return {from.x + chord * std::cos(from.yaw + half), from.y + chord * std::sin(from.yaw + half), from.yaw + bend};
 }
@@ -51,7 +51,7 @@ inline Pose end_of(Pose pose, const Piece* pieces, int n) {
 
 namespace words {
 
-// Signed arcs and straights in units of the radius; L, S, R say how each is steered.
+// Signed arcs and straights in units of the radius; L, S, R give the steering of each.
 struct Word {
   std::array<double, 5> part{};
   const char* steer = "";
@@ -63,7 +63,7 @@ constexpr double kZero = 1e-14;
 
 class ReedsShepp {
  public:
-  // The word that costs least where driving backwards costs `penalty` times as much.
+  // The word with the least cost if driving backwards costs `penalty` times as much.
   ReedsShepp(double x, double y, double phi, double penalty) : penalty_(penalty) {
     const double xb = x * std::cos(phi) + y * std::sin(phi), yb = x * std::sin(phi) - y * std::cos(phi);
     for (int k = 0; k < 4; ++k) {
@@ -111,7 +111,7 @@ class ReedsShepp {
     }
     four_arcs(xi, eta, rho, phi);
   }
-  // The same words driven from the end.
+  // The same words, driven from the end.
   void back(double x, double y, double phi) {
     const double c = std::cos(phi), s = std::sin(phi), quarter = 0.5 * kPi;
     double xi = x - s, eta = y - 1.0 + c, rho = std::hypot(xi, eta), theta = std::atan2(eta, xi);
@@ -167,7 +167,7 @@ class ReedsShepp {
   Word best_;
 };
 
-inline double positive(double angle) {  // in [0, 2 pi); what rounding made of a whole turn is none
+inline double positive(double angle) {  // in [0, 2 pi); values within rounding of a full turn become 0
   angle -= 2.0 * kPi * std::floor(angle / (2.0 * kPi));
   return angle > 2.0 * kPi - 1e-9 ? 0.0 : angle;
 }
@@ -216,23 +216,24 @@ inline Word dubins(double x, double y, double phi) {
 
 }  // namespace words
 
-// How a base may drive. Cost: metres driven, those backwards times `penalty`, and `yaw_length` for a radian in place.
+// Steering limits and costs of a base. Cost: metres driven, those backwards times `penalty`, plus `yaw_length` per
+// radian turned in place.
 struct Steering {
-  double radius = 1.0;            // [m], least
-  bool reverse = true;            // may drive backwards
+  double radius = 1.0;            // least turning radius [m]
+  bool reverse = true;            // whether it may drive backwards
   double yaw_length = kInfinity;  // [m/rad]; infinity: does not turn in place
-  double penalty = 1.0;           // of driving backwards, at least 1
+  double penalty = 1.0;           // factor for driving backwards, at least 1
 
   double cost(const Piece& p) const {
     const double turned = p.turn == 0.0 ? 0.0 : yaw_length * std::abs(p.turn);
     return turned + (p.length < 0.0 ? -penalty * p.length : p.length);
   }
-  // What the impact is integrated over [m].
+  // Length over which the impact is integrated [m].
   double measure(const Piece& p) const {
     return p.length != 0.0 ? std::abs(p.length) : p.turn == 0.0 ? 0.0 : yaw_length * std::abs(p.turn);
   }
 
-  // The shortest curve of a car, or turn, straight, turn where that costs less.
+  // The shortest curve of a car, or turn, straight, turn if that costs less.
   Curve shortest(const Pose& a, const Pose& b) const {
     const double dx = b.x - a.x, dy = b.y - a.y, c = std::cos(a.yaw), s = std::sin(a.yaw);
     const Pose to{(c * dx + s * dy) / radius, (c * dy - s * dx) / radius, wrapped(b.yaw - a.yaw)};
@@ -240,13 +241,13 @@ struct Steering {
     if (yaw_length < kInfinity) offer_turns(to, &best);
     return best;
   }
-  // A bound from below of what any curve costs, turns in place in it or not, obstacles or not.
+  // Lower bound on the cost of any curve, with or without turns in place and obstacles.
   double bound(const Pose& a, const Pose& b) const {
     const double straight = std::hypot(b.x - a.x, b.y - a.y), turned = std::abs(wrapped(b.yaw - a.yaw));
     const double simple = std::max(straight, std::min(yaw_length, radius) * turned);
     if (yaw_length < kInfinity) return simple;
-    // Beyond some radii the heading is a small share of the way. The bound gets there without a jump, so that it never
-    // falls by more than a move costs.
+    // Beyond some radii the heading hardly affects the cost. The bound approaches the simple one without a jump, so
+    // that it never decreases by more than the cost of a move.
     const double most = 24.0 * radius - straight;
     if (most <= simple) return simple;
     const double dx = b.x - a.x, dy = b.y - a.y, c = std::cos(a.yaw), s = std::sin(a.yaw);

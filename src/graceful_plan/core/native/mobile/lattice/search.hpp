@@ -1,4 +1,4 @@
-// The search itself; what it searches stands in state_lattice.hpp.
+// The lattice search; the lattice is in state_lattice.hpp.
 #pragma once
 
 #include "mobile/lattice/state_lattice.hpp"
@@ -19,7 +19,7 @@ class StateLattice::Search {
       if (!flooded(&lead_, 1.0)) return ended(late() ? Outcome::stopped : Outcome::no_path);
       ends();
       to_go_ = &lead_, estimates_ = true;
-      // Where it is lost for long it trusts the estimate more.
+      // After an unsuccessful pass, the weight of the estimate is increased.
       double lead = q_.lead;
       for (int64_t most = kLost; (outcome = pass(lead, most)) == Outcome::no_path && given_up_; most *= 4) lead *= 2.0;
       estimates_ = false;
@@ -38,10 +38,10 @@ class StateLattice::Search {
     const auto out_of_time = [this] { return late(); };
     return costs->flood(cell(q_.start), cell(q_.goal), share, 10.0 * of_.s_.resolution, out_of_time);
   }
-  // Searches led by the bound, and how far what was found is from it.
+  // Searches guided by the lower bound, and the suboptimality bound of the result.
   Outcome better(Outcome outcome) {
     if (outcome == Outcome::stopped) return outcome;
-    // Without searches to come, what is left at the start is all that is asked for.
+    // Without further searches, only the cost to go at the start is needed.
     if (!flooded(&bound_, q_.inflations.empty() ? 1.0 : 1.1)) return late() ? Outcome::stopped : Outcome::no_path;
     if (q_.lead == 0.0) ends();
     to_go_ = &bound_;
@@ -65,20 +65,20 @@ class StateLattice::Search {
     double g;
     float h;
     uint32_t key;
-    int parent, via;  // via: a move; of nodes without a parent, a way from the start
+    int parent, via;  // via: index of a move; for nodes without a parent, of a connection from the start
     bool closed;
   };
   struct Entry {
     double f, g;
     int node;
   };
-  struct Way {  // between the start or the goal and a state
+  struct Way {  // connection between the start or the goal and a state
     uint32_t key;
     Curve curve;
     double cost, impact;
   };
   static constexpr int64_t kClockEvery = 2048, kLost = 2048;
-  static constexpr double kSame = 1e-9;  // [m]: rounding
+  static constexpr double kSame = 1e-9;  // rounding tolerance [m]
 
   static bool later(const Entry& a, const Entry& b) {
     if (a.f != b.f) return a.f > b.f;
@@ -97,7 +97,7 @@ class StateLattice::Search {
     const uint32_t c = key / uint32_t(of_.s_.headings), columns = uint32_t(of_.floor_.columns);
     return {{int(c % columns), int(c / columns)}, int(key % uint32_t(of_.s_.headings))};
   }
-  // From below, of what it costs to get to the goal; a cell less, for the ways from its cell's centre to the goal.
+  // Lower bound on the cost to the goal; less a cell, for the distances of its centre and the goal's.
   double bound_at(const Cell& at, const Pose& pose) const {
     const double over_cells = estimates_ ? to_go_->at(at) : to_go_->at(at) / of_.chain_ - 1.5 * of_.s_.resolution;
     return std::max(over_cells, of_.s_.steering.bound(pose, q_.goal));
@@ -108,7 +108,7 @@ class StateLattice::Search {
     const Pose at = of_.pose_of(c, heading);
     return std::hypot(at.x - pose.x, at.y - pose.y) < 1e-9 && std::abs(wrapped(at.yaw - pose.yaw)) < 1e-9;
   }
-  // States near the start and the goal, ahead and behind, straight and on arcs, and the curves to and from them.
+  // States near the start and the goal, ahead and behind, straight and on arcs, and the curves that connect them.
   void ends() {
     for (const bool from_start : {true, false}) {
       const Pose& end = from_start ? q_.start : q_.goal;
@@ -119,7 +119,7 @@ class StateLattice::Search {
       };
       add(end);
       const double radius = of_.s_.steering.radius;
-      // What is on the lattice needs no way onto it.
+      // A pose on the lattice needs no connection.
       const bool on = on_lattice(end, near.front());
       for (const double far : {-2.0, -1.0, -0.5, 0.5, 1.0, 2.0}) {
         if (on) break;
@@ -143,7 +143,7 @@ class StateLattice::Search {
     }
   }
 
-  // Where the heuristic is not inflated, states are opened again: the bound of the impact may fall by more than a move.
+  // Without inflation, states are reopened: the bound of the impact may decrease by more than the cost of a move.
   bool settled(const Node& node) const { return node.closed && (estimates_ || inflation_ > 1.0); }
 
   Outcome pass(double inflation, int64_t most = std::numeric_limits<int64_t>::max()) {
@@ -209,7 +209,7 @@ class StateLattice::Search {
       const double h = bound_at(c, of_.pose_of(c, heading));
       if (!(g + h < cost_) || h == kInfinity) return;
       at = int(nodes_.size());
-      // Rounded down: a bound stays one.
+      // Rounded down, so that a lower bound stays one.
       nodes_.push_back({g, std::nextafter(float(h), -1.0F), k, parent, via, false});
       insert(k, at);
     }
@@ -248,7 +248,7 @@ class StateLattice::Search {
     append(last.pieces, size_t(last.n));
   }
 
-  // Open addressing: key to node.
+  // Hash table with open addressing: key to node.
   int find(uint32_t k) const {
     for (size_t i = slot(k);; i = (i + 1) & (table_.size() - 1)) {
       if (table_[i] < 0 || nodes_[size_t(table_[i])].key == k) return table_[i];

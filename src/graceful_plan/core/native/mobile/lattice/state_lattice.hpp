@@ -1,7 +1,7 @@
-// A* over the lattice of (cell, heading), with curves straight to the goal from states that it expands (D. Dolgov,
-// S. Thrun, M. Montemerlo, J. Diebel, "Path planning for autonomous vehicles in unknown semi-structured environments",
-// IJRR 29, 2010), with one weight of the heuristic after the other (S. Richter, J. Thayer, W. Ruml, "The joy of
-// forgetting: faster anytime search via restarting", ICAPS 2010).
+// A* over the lattice of (cell, heading), with direct curves to the goal from expanded states (D. Dolgov, S. Thrun, M.
+// Montemerlo, J. Diebel, "Path planning for autonomous vehicles in unknown semi-structured environments", IJRR 29,
+// 2010) and decreasing weights of the heuristic (S. Richter, J. Thayer, W. Ruml, "The joy of forgetting: faster anytime
+// search via restarting", ICAPS 2010).
 #pragma once
 
 #include <chrono>
@@ -17,9 +17,9 @@ enum class Outcome { solved, no_path, stopped, start_blocked, goal_blocked };
 struct Question {
   Pose start, goal;  // in the frame of the map
   double w;
-  double lead;                     // of an estimate, for a first path soon; 0: no such search
-  std::vector<double> inflations;  // of the bound, one search after the other; at least 1
-  int shots;                       // curves to the goal: after how many expansions per radius of distance; 0: none
+  double lead;                     // weight of an estimate, for an early first path; 0: no such search
+  std::vector<double> inflations;  // weights of the lower bound, one search each; at least 1
+  int shots;                       // curves to the goal: one every `shots` expansions per radius of distance; 0: none
   int64_t max_expansions;
   double time_limit;  // [s]
 };
@@ -52,13 +52,13 @@ class StateLattice {
   Answer search(const Question& question) const;  // in lattice/search.hpp
 
  private:
-  struct Flat {  // a move, in tables
+  struct Flat {  // a move as indices into arrays
     int to, dx, dy, first_touch, n_touch, first_stay, n_stay, middle;
-    float reach;  // with so much distance at its middle cell it is free
+    float reach;  // distance at its middle cell that is enough for it to be free
     double cost;
   };
 
-  // What is off the map is an obstacle.
+  // The outside of the map is an obstacle.
   void close_in() {
     within_.assign(floor_.distance, floor_.distance + size_t(floor_.rows) * size_t(floor_.columns));
     for (int y = 0; y < floor_.rows; ++y) {
@@ -103,7 +103,7 @@ class StateLattice {
                   move.cost};
         for (const Touch& touch : move.touches) {
           offset_.push_back(touch.cell.y * stride_ + touch.cell.x);
-          // Rounded up: what is called free is free.
+          // Rounded up, so that moves that pass the check are free.
           need_.push_back(std::nextafter(float(touch.need), 1e9F));
           const double away = s_.resolution * std::hypot(touch.cell.x - mid.x, touch.cell.y - mid.y);
           flat.reach = std::max(flat.reach, float((touch.need + away) * 1.00001));
@@ -114,8 +114,8 @@ class StateLattice {
     }
     first_.push_back(int(flat_.size()));
   }
-  // How far the next obstacle is from the centre of a cell that the base may be in. The footprint holds a disc around
-  // the base, which no obstacle is in: at the least over directions, the farthest that a disc of the cover reaches.
+  // Least distance from the centre of a free cell to the next obstacle. The footprint contains a disc around the base.
+  // Its radius is the least over directions of the farthest reach of a disc of the cover.
   double inner() const {
     double least = kInfinity;
     constexpr int kDirections = 720;
@@ -124,17 +124,17 @@ class StateLattice {
       double most = 0.0;
       for (const Disc& disc : s_.discs) {
         const double along = c * disc.x + s * disc.y, aside = c * disc.y - s * disc.x, r = disc.radius + s_.margin;
-        // A disc that the base is in, so that all between is in it too.
+        // a disc that contains the base's origin, and so all points between
         if (std::hypot(disc.x, disc.y) < r) most = std::max(most, along + std::sqrt(r * r - aside * aside));
       }
       least = std::min(least, most);
     }
-    // Between two directions a border may be nearer by what it is apart there.
+    // Between two sampled directions the border may be nearer; this is a bound.
     least *= std::cos(kPi / kDirections) * (1.0 - kPi / kDirections);
-    // Sampled distances of any set change by no more than cells are apart. Of numbers that do, anything may be.
+    // Distances of adjacent cells differ by at most a cell width. For fields that violate this, a laxer bound holds.
     return is_distance() ? least - 0.5 * std::sqrt(2.0) * s_.resolution - 1e-6 : lax();
   }
-  // What the widest disc needs where it is checked, off the middle of its cell and between two checks.
+  // Clearance that the widest disc needs where it is checked, off the centre of its cell and between two checks.
   double room() const {
     double most = 0.0;
     for (const Disc& disc : s_.discs) most = std::max(most, disc.radius);
@@ -187,7 +187,7 @@ class StateLattice {
   double impact_at(const Cell& cell, int heading, bool back) const {
     return (back ? floor_.impact_back : floor_.impact)[floor_.index(cell) * size_t(s_.headings) + size_t(heading)];
   }
-  // Whether a curve is free, and the integral of the impact along it.
+  // Whether a curve is free; and the integral of the impact along it.
   bool curve_free(Pose at, const Curve& curve, double* impact) const {
     *impact = 0.0;
     for (int i = 0; i < curve.n; ++i) {
@@ -195,7 +195,7 @@ class StateLattice {
       const auto [n, step] = moves_.steps(piece);
       const double length = s_.steering.measure(piece) / n;
       for (int k = 0; k < n; ++k) {
-        const Pose pose = moved(at, piece, (k + 0.5) / n);  // what is between is within half a step
+        const Pose pose = moved(at, piece, (k + 0.5) / n);  // all poses between two checks are within half a step
         if (!free_at(pose, 0.5 * step)) return false;
         if (floor_.impact)
           *impact += length * impact_at(floor_.cell(pose.x, pose.y), moves_.nearest(pose.yaw), piece.length < 0.0);

@@ -1,8 +1,8 @@
-// A* over cells, headings and ticks of time, among those who move: a base waits, turns in place, drives along its
-// heading fast or slowly, or backwards, and where others then are is asked of its outline as it then stands. What is
-// left to pay without them, found beforehand backwards from the goal, bounds the rest from below and is exact but for
-// them; and with them once they have come to rest, so that nothing is tried where they then bar the way (D. Silver,
-// "Cooperative pathfinding", AIIDE 2005).
+// A* over cells, headings and ticks of time among moving entities. A base waits, turns in place, or drives along its
+// heading fast, slowly, or backwards; each move is checked against the positions of the entities at that time. The
+// heuristic is the cost to go without moving entities, from a search backwards from the goal; it is a lower bound. Once
+// all entities have come to rest, the exact cost to go with them is used, so that blocked routes are not tried (D.
+// Silver, "Cooperative pathfinding", AIIDE 2005).
 #pragma once
 
 #include <algorithm>
@@ -20,15 +20,15 @@ struct TimedMove {
   enum Kind { kWait, kTurn, kForward, kSlow, kBackward };
   int heading, dx, dy, turn, ticks;
   Kind kind;
-  double price;  // of the move, but for impact and others
+  double price;  // price of the move without impact and moving entities
 };
 
-// Row by row from below, in the frame of the cells: cell (column x, row y) has its centre at (x, y) width.
+// Rows from below, in the frame of the cells: cell (column x, row y) has its centre at (x, y) width.
 struct TimedFloor {
   int columns, rows, headings;
   double width;
-  const uint8_t* open;  // [headings, rows, columns] 1: the base may be there; 2: and drive forward from there
-  const float* rate;    // [headings, rows, columns] what a second of driving forward costs for those who stand, or none
+  const uint8_t* open;  // [headings, rows, columns] 1: the base may be there; 2: it may drive forward from there
+  const float* rate;    // [headings, rows, columns] price of a second of driving forward, for static entities, or null
   size_t cells() const { return size_t(columns) * size_t(rows) * size_t(headings); }
   size_t index(int x, int y, int h) const {
     return (size_t(h) * size_t(rows) + size_t(y)) * size_t(columns) + size_t(x);
@@ -36,22 +36,22 @@ struct TimedFloor {
   bool holds(int x, int y) const { return x >= 0 && y >= 0 && x < columns && y < rows; }
 };
 
-// Those who move, at half ticks, and what a second costs when a base fails beside them.
+// Moving entities at half ticks, and the price of a second of driving beside them.
 struct TimedWalkers {
   size_t n, halves, places, classes;
-  const double* shape;      // [n, halves, 7] as `FloorShape`, in the frame of the cells
+  const double* shape;      // [n, halves, 7] as in `FloorShape`, in the frame of the cells
   const int32_t* velocity;  // [n, halves] class of the velocity
-  const float* rate;        // [classes, headings, places, places] by where the base is, seen from them, along x and y
+  const float* rate;        // [classes, headings, places, places] by position relative to the entity, along x and y
   double apart;             // between places [m]
 };
 
 struct TimedRules {
   std::vector<double> outline;  // discs in the frame of the base: x, y, radius
-  double driving, standing;     // clearance to those who move below which nothing drives, or stands [m]
-  double wanted, price;         // clearance that is wanted, and what a second without any costs
-  double slow;                  // share of the impact at the slow pace and backwards
+  double driving, standing;     // clearance to moving entities below which nothing drives, or stands [m]
+  double wanted, price;         // wanted clearance, and the price of a second at zero clearance
+  double slow;                  // factor on the impact of slow and backward moves
   double tick;                  // [s]
-  int ticks;                    // the last
+  int ticks;                    // last tick
 };
 
 struct TimedNode {
@@ -91,7 +91,7 @@ class Timed {
     }
   }
 
-  // From a pose at tick 0 to a cell in one of some headings, each of which costs something to end with.
+  // Searches from a pose at tick 0 to a cell; `ending` is the price of each heading there.
   template <class Late> TimedPath path(const TimedNode& start, int x, int y, const double* ending, const Late& late) {
     TimedPath out;
     rests_ = rests();
@@ -106,7 +106,7 @@ class Timed {
     layer(0)[first] = {0.0F, -1, false};
     std::priority_queue<Item> queue;
     queue.push({to_go(first, 0), first});
-    double best = double(kNone);  // with what the heading costs in which it ends
+    double best = double(kNone);  // including the price of the final heading
     TimedNode end{};
     while (!queue.empty() && double(queue.top().total) < best) {
       const size_t state = queue.top().state;
@@ -145,7 +145,7 @@ class Timed {
   struct Item {
     float total;
     size_t state;
-    // Of those that promise the same the later one, which is nearer to the goal.
+    // Among equal totals the later state comes first, because it is nearer to the goal.
     bool operator<(const Item& other) const { return total != other.total ? total > other.total : state < other.state; }
   };
   struct Disc {
@@ -162,7 +162,7 @@ class Timed {
     if (of.empty()) of.resize(floor_.cells());
     return of;
   }
-  // Whether a move may be made that begins there, as far as what stands is concerned.
+  // Whether a move from there is possible on the static floor.
   bool may(const TimedMove& m, int x, int y) const {
     const int tx = x + m.dx, ty = y + m.dy;
     if (!floor_.holds(tx, ty) || !floor_.holds(x, y)) return false;
@@ -176,7 +176,7 @@ class Timed {
     return true;
   }
   double share(const TimedMove& m) const { return m.kind == TimedMove::kForward ? 1.0 : rules_.slow; }
-  int faces(const TimedMove& m) const {  // the heading in which it drives
+  int faces(const TimedMove& m) const {  // the heading of travel
     return m.kind == TimedMove::kBackward ? (m.heading + floor_.headings / 2) % floor_.headings : m.heading;
   }
   bool drives(const TimedMove& m) const { return m.kind != TimedMove::kWait && m.kind != TimedMove::kTurn; }
@@ -188,7 +188,7 @@ class Timed {
     return float(price);
   }
 
-  // From which tick on nobody moves any more.
+  // First tick from which no entity moves.
   int rests() const {
     size_t half = 0;
     for (size_t w = 0; w < walkers_.n; ++w) {
@@ -203,10 +203,10 @@ class Timed {
     }
     return int((half + 1) / 2);
   }
-  // What is left to pay at least: exact once nobody moves any more.
+  // Lower bound on the cost to go; exact once no entity moves.
   float to_go(size_t at, int tick) const { return tick >= rests_ ? last_[at] : left_[at]; }
 
-  // Of every cell and heading, without those who move, or with them where they are at last.
+  // Cost to go of every cell and heading, without moving entities, or (`among`) with them at their final positions.
   template <class Late>
   bool flood(int x, int y, const double* ending, bool among, std::vector<float>* out, const Late& late) {
     std::vector<float>& left = *out;
@@ -255,7 +255,7 @@ class Timed {
     known.cost = total, known.came = int16_t(k);
     queue->push({total + go_on, size_t(after) * n + to});
   }
-  // What those who move add to a move; infinite if it must not be made.
+  // Additional price of a move because of moving entities; infinite if the move is excluded.
   double others(const TimedMove& m, const TimedNode& node) const {
     const double seconds = m.ticks * rules_.tick, limit = drives(m) || m.turn ? rules_.driving : rules_.standing;
     const size_t middle = size_t(2 * node.tick + m.ticks), last = size_t(2 * (node.tick + m.ticks));
@@ -312,7 +312,7 @@ class Timed {
   TimedRules rules_;
   std::vector<TimedMove> moves_;
   std::vector<std::vector<size_t>> from_, to_;  // moves by the heading that they begin and end with
-  std::vector<Disc> disc_;                      // of each heading
+  std::vector<Disc> disc_;                      // for each heading
   double reach_ = 0;
   std::vector<float> left_, last_;
   int rests_ = 0;
