@@ -36,7 +36,9 @@ def solids(scene: PlanningScene, entities: Mapping[str, str] = ENTITIES) -> Iter
         )
     for thing in scene.world.collision_objects:
         if thing.header.frame_id != FRAME or thing.planes:
-            raise ValueError(f"{thing.id!r} is in {thing.header.frame_id!r}, or is a plane; only solids in {FRAME!r} work here")
+            raise ValueError(
+                f"{thing.id!r} is in {thing.header.frame_id!r}, or is a plane; only solids in {FRAME!r} work here"
+            )
         X_WT = matrix(thing.pose)
         shapes = [(*primitive(p), pose) for p, pose in zip(thing.primitives, thing.primitive_poses, strict=True)]
         shapes += [("mesh", points(mesh), pose) for mesh, pose in zip(thing.meshes, thing.mesh_poses, strict=True)]
