@@ -1,4 +1,4 @@
-"""Planners beside each other on problems of your own choice: the least cost, and by how much each misses it."""
+"""Compare planners on a list of problems: total costs, and the gap of each to the best."""
 
 import sys
 
@@ -9,9 +9,9 @@ PLANNERS = ("auto", "rrt_connect", "prm_star", "stomp")
 
 
 def main(planners: tuple[str, ...] = PLANNERS, iterations: int | None = None) -> dict[str, dict[str, float]]:
-    """Plan each problem with each planner in the same time, or iterations; return total costs by problem and planner.
+    """Plan each problem with each planner and the same budget; return total costs by problem and planner.
 
-    `graceful-plan bench` does it with seeds, statistics and a report; this is the idea.
+    `graceful-plan bench` does the same with several seeds, statistics and a report.
     """
     found: dict[str, dict[str, float]] = {}
     for scene, name in PROBLEMS.items():
@@ -19,7 +19,7 @@ def main(planners: tuple[str, ...] = PLANNERS, iterations: int | None = None) ->
         totals = {}
         for planner in planners:
             result = gp.plan(task.start, task.goal, task.scene, w=1.0, planner=planner, iterations=iterations)
-            totals[planner] = result.cost.total  # infinite if it was not solved
+            totals[planner] = result.cost.total  # infinite if not solved
         best = min(totals.values())
         for planner, total in totals.items():
             print(f"{scene}/{name} {planner:12s} {total:6.2f}  +{100.0 * (total / best - 1.0):.0f} %")

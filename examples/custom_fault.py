@@ -1,6 +1,6 @@
-"""A fault of your own: a joint runs away, because its drive gives full torque whatever it is told.
+"""A custom fault: a joint runs away, because its drive gives a constant torque and ignores commands.
 
-Pass the object; nothing is registered. In a sweep file its name is "examples/custom_fault.py:Runaway".
+Pass the object; there is no registration. In a sweep file its name is "examples/custom_fault.py:Runaway".
 """
 
 from collections.abc import Mapping
@@ -14,10 +14,10 @@ from failbench.testing import check_fault
 
 @dataclass(frozen=True, kw_only=True)
 class Runaway(failbench.Fault):
-    """A drive gives torque in one direction, deaf to commands and sensors.
+    """A drive gives torque in one direction, independent of commands and sensors.
 
     Args:
-        backwards: Whether it turns the joint in its negative direction.
+        backwards: Whether the torque acts in the negative direction of the joint.
     """
 
     backwards: bool = False
@@ -29,7 +29,7 @@ class Runaway(failbench.Fault):
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 
     def apply(self, plant: failbench.Plant, level: float) -> None:
-        """Replace what the servo gives by a constant torque."""
+        """Replace the servo's torque by a constant one."""
         struck = plant.robot.actuators[plant.joints]
         torque = level * self.amount * plant["actuator_forcerange"][struck, 1]
         plant["actuator_gainprm"][struck] = 0.0
@@ -38,7 +38,7 @@ class Runaway(failbench.Fault):
 
 
 def main(count: int = 20) -> list[failbench.Rollout]:
-    """Check the fault, then let each of `count` failures of a motion happen at another moment of it."""
+    """Check the fault, then simulate `count` failures of a motion at evenly spaced onsets; return the rollouts."""
     check_fault(Runaway())
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     plan = gp.plan(task.start, task.goal, task.scene, iterations=20)

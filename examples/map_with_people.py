@@ -1,6 +1,6 @@
-"""A floor map, somebody who stands and somebody who walks: drive without and with regard for time?
+"""Drive over a floor map past a standing and a walking person, with and without a prediction of the second.
 
-The map is one of ROS's map_server; `graceful-plan plan --map` does the same from the shell. See `docs/floor-maps.md`.
+`graceful-plan plan --map` does the same from the shell with a map of ROS's map_server. See `docs/floor-maps.md`.
 """
 
 import sys
@@ -14,7 +14,7 @@ START, GOAL = [1.0, 1.0, 0.0], gp.BasePose(1.0, 4.0)
 
 
 def office() -> gp.FloorMap:
-    """Make two rooms of 10 x 5 m with a passage between them, and a person who stands beside it."""
+    """Make a floor of 10 x 5 m: two rooms, the passage between them, and a person who stands beside it."""
     occupied = np.zeros((100, 200), dtype=bool)  # [row, column], cells of 5 cm
     occupied[48:52, :120] = occupied[20:30, 60:70] = occupied[70:85, 140:150] = True
     ann = gp.Solid(name="ann", kind="cylinder", size=[0.25, 0.85], pose=[6.8, 1.4, 0.85], entity="adult")
@@ -22,7 +22,7 @@ def office() -> gp.FloorMap:
 
 
 def ben() -> gp.MovingEntity:
-    """Predict a person who walks through the passage at 0.9 m/s."""
+    """Return the prediction of a pedestrian in the passage, at about 0.9 m/s."""
     ends = [[9.3, 3.2, 0.85], [6.8, 2.3, 0.85], [4.0, 1.8, 0.85]]
     return gp.MovingEntity(
         "ben", "adult", size=[0.25, 0.85], t=[0.0, 3.0, 6.0], position=ends, spread=0.05, growth=0.05
@@ -30,7 +30,7 @@ def ben() -> gp.MovingEntity:
 
 
 def main(picture: Path | None = None, iterations: int | None = None) -> dict[str, gp.PlanResult]:
-    """Plan both ways, say what each would do to whom, and draw the second; return the results."""
+    """Plan both ways, print the expected harm to each person, and draw the second plan; return the results."""
     budget = {"time_limit": 10.0} if iterations is None else {"iterations": iterations}
     floor = office()
     still = floor.to_scene("jackal")

@@ -1,4 +1,4 @@
-"""A robot of your own, from a few lines of MJCF: plan with and without regard for failures, and let it fail."""
+"""A custom robot from a few lines of MJCF: plan with w = 0 and w = 1, and simulate failures along both motions."""
 
 import failbench as fb
 import graceful_plan as gp
@@ -24,7 +24,7 @@ START, GOAL = [-0.8, -0.4, 0.6], [0.8, -0.4, 0.6]
 
 
 def main(iterations: int | None = None, n: int = 20) -> dict[float, gp.PlanResult]:
-    """Plan for w = 0 and w = 1, let FailBench drop the cup n times along each, and return both results."""
+    """Plan with w = 0 and w = 1, let FailBench drop the cup n times along each motion, and return both results."""
     entities = {"vase": "glass", "table": "table"}
     scene = gp.Scene.from_mjcf(ARM, robot="arm/", tool="arm/tool", carried="cup", entities=entities, **LIMITS)
     results = {w: gp.plan(START, GOAL, scene, w=w, iterations=iterations) for w in (0.0, 1.0)}

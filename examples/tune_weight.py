@@ -1,13 +1,13 @@
-"""The safety weight from what you can afford: the front of motion against impact, and the weight of a point on it."""
+"""Choose the safety weight by the longest acceptable detour, from the Pareto front of motion against impact."""
 
 import graceful_plan as gp
 
 MAX_DETOUR = 0.1
-"""How much longer than the shortest motion the robot may take, as a share."""
+"""Accepted increase of the motion cost over the shortest motion, as a fraction."""
 
 
 def main(iterations: int | None = None) -> tuple[gp.ParetoFront, float | None]:
-    """Find the front of a task, choose from it, and return the front and the weight to plan with from now on."""
+    """Compute the front of a task and choose a point; return the front and the weight of that point."""
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     front = gp.pareto(task.start, task.goal, task.scene, iterations=iterations, points=8)
     for point in front.points:

@@ -1,4 +1,4 @@
-"""Evidence for one motion: FailBench breaks the robot along it, and what it hits stands beside what was expected."""
+"""Validate a motion: FailBench breaks the robot along it and compares observed harm with predicted impact."""
 
 import sys
 
@@ -7,7 +7,7 @@ import graceful_plan as gp
 
 
 def main(n: int = 200, iterations: int | None = None) -> dict[str, fb.ValidationReport]:
-    """Plan with and without regard for failures, let each motion fail n times; return the reports."""
+    """Plan with w = 0 and w = 1 and simulate n failures along each motion; return the reports."""
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     reports = {}
     for name, w in {"ordinary": 0.0, "graceful": 1.0}.items():

@@ -1,7 +1,7 @@
-"""Somebody walks past the end of the table to which the robot carries a block: go now, or wait a moment?
+"""A pedestrian walks past the end of the table to which the robot carries a block: go now, or wait?
 
-A prediction is where somebody will be when, and how uncertain that is. It is a hazard, not an obstacle: see
-`docs/moving.md`.
+A prediction gives the position of the pedestrian over time and its uncertainty. It contributes to the impact and is not
+an obstacle: see `docs/moving.md`.
 """
 
 import graceful_plan as gp
@@ -10,7 +10,7 @@ OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="footprint"))
 
 
 def walking_person() -> gp.MovingEntity:
-    """Predict a person who walks past at 1.4 m/s, give or take 3 cm, and 10 cm more every second."""
+    """Return the prediction of a pedestrian at 1.4 m/s, with a spread of 3 cm that grows by 10 cm per second."""
     return gp.MovingEntity(
         "person",
         "adult",
@@ -23,9 +23,9 @@ def walking_person() -> gp.MovingEntity:
 
 
 def main(iterations: int | None = None) -> dict[str, gp.PlanResult]:
-    """Plan as if nobody were there, past the person at once, and with up to 3 s of patience; return the results.
+    """Plan without the person, with the person and no waiting, and with up to 3 s of waiting; return the results.
 
-    Within 2 s each, or so many iterations.
+    Each plan has a time limit of 2 s, or the given number of iterations.
     """
     budget = {"time_limit": 2.0} if iterations is None else {"iterations": iterations}
     task = gp.load_scene("tabletop").tasks["right_to_left"]

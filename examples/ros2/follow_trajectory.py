@@ -3,8 +3,8 @@
     graceful-plan plan --scene tabletop --output motion.json
     python follow_trajectory.py motion.json /panda_arm_controller/follow_joint_trajectory
 
-Needs a sourced ROS 2 with control_msgs. The robot has to stand where the motion begins: that is checked against
-/joint_states before anything is sent.
+Needs a sourced ROS 2 with control_msgs. Before sending, the script checks on /joint_states that the robot is at the
+start of the motion.
 """
 
 import sys
@@ -21,16 +21,16 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from graceful_plan import Trajectory, documents
 
 NEAR = 0.01
-"""How far from its start the robot may be [rad or m]."""
+"""Largest accepted distance of each joint from the start of the motion [rad or m]."""
 
 
 def robot_name(joint: str) -> str:
-    """Name a joint of ours as the robot does: "panda/joint1" is its "panda_joint1"."""
+    """Return the robot's name of a joint: "panda/joint1" becomes "panda_joint1"."""
     return joint.replace("/", "_")
 
 
 def to_message(trajectory: Trajectory) -> JointTrajectory:
-    """Make a message of a trajectory."""
+    """Convert a trajectory to a message."""
     plain = trajectory.to_ros(robot_name)
     points = [
         JointTrajectoryPoint(**{**point, "time_from_start": Duration(**point["time_from_start"])})
@@ -40,7 +40,7 @@ def to_message(trajectory: Trajectory) -> JointTrajectory:
 
 
 def off_start(trajectory: Trajectory, state: JointState) -> dict[str, float]:
-    """Return how far joints are from where the motion begins, of those that are too far [rad or m]."""
+    """Return the distances from the start [rad or m] of the joints that exceed `NEAR`, by name."""
     there = dict(zip(state.name, state.position, strict=True))
     wanted = {robot_name(joint): float(q) for joint, q in zip(trajectory.joints, trajectory.q[0], strict=True)}
     off = {name: abs(there.get(name, np.inf) - q) for name, q in wanted.items()}
@@ -60,13 +60,13 @@ class Follower(Node):
         self.state = state
 
     def follow(self, trajectory: Trajectory) -> str:
-        """Carry a trajectory out; return what went wrong, nothing if nothing did."""
+        """Execute a trajectory; return an error message, empty on success."""
         while self.state is None:
             rclpy.spin_once(self, timeout_sec=1.0)
         if off := off_start(trajectory, self.state):
-            return f"the robot is not where the motion begins: {off}"
+            return f"the robot is not at the start of the motion: {off}"
         if not self.client.wait_for_server(timeout_sec=5.0):
-            return "there is no such controller"
+            return "the action server of the controller is not available"
         sent = self.client.send_goal_async(FollowJointTrajectory.Goal(trajectory=to_message(trajectory)))
         rclpy.spin_until_future_complete(self, sent)
         if not sent.result().accepted:
@@ -76,14 +76,14 @@ class Follower(Node):
         result = done.result().result
         if result.error_code == FollowJointTrajectory.Result.SUCCESSFUL:
             return ""
-        return f"the controller gave up with code {result.error_code}: {result.error_string}"
+        return f"the controller aborted with code {result.error_code}: {result.error_string}"
 
 
 def main(argv: list[str]) -> int:
     """Send the trajectory of a file; return the exit code."""
     file, action = argv
     trajectory = documents.read_motion(file)
-    assert isinstance(trajectory, Trajectory), "a path has no times: see graceful_plan.retime"
+    assert isinstance(trajectory, Trajectory), "a path has no timing: see graceful_plan.retime"
     rclpy.init()
     try:
         problem = Follower(action).follow(trajectory)

@@ -1,9 +1,9 @@
-"""Plan in MoveIt 2's planning scene: its obstacles and the robot's state in, our trajectory out.
+"""Plan in MoveIt 2's planning scene: read its obstacles and the robot's state, and publish a trajectory.
 
     python moveit_scene.py my_robot.yaml grasp_pose
 
-The scene file describes the robot (see docs/robots.md); what stands around comes from MoveIt's service
-/get_planning_scene. The motion goes to /display_planned_path, where RViz shows it, and to motion.json, for
+The scene file describes the robot (see docs/robots.md); the surroundings come from MoveIt's service
+/get_planning_scene. The motion is published on /display_planned_path, for RViz, and written to motion.json, for
 follow_trajectory.py. Needs a sourced ROS 2 with moveit_msgs.
 """
 
@@ -20,23 +20,25 @@ from moveit_msgs.srv import GetPlanningScene
 import graceful_plan as gp
 
 ENTITIES = {"mug": "glass", "laptop": "electronics"}
-"""Which of MoveIt's objects may be harmed, and their classes; all others are obstacles only."""
+"""MoveIt objects that are entities, with their classes; all others are obstacles only."""
 FRAME = "world"
 BOX, SPHERE, CYLINDER, CONE = 1, 2, 3, 4  # of shape_msgs/SolidPrimitive
 
 
 def solids(scene: PlanningScene, entities: Mapping[str, str] = ENTITIES) -> Iterator[gp.Solid]:
-    """Turn the collision objects of a planning scene into solids; meshes become their convex hulls."""
+    """Convert the collision objects of a planning scene to solids; meshes become their convex hulls."""
     if scene.robot_state.attached_collision_objects:
         names = [attached.object.id for attached in scene.robot_state.attached_collision_objects]
-        raise ValueError(f"{names} are in the gripper: describe them in the scene file, and use scene.attach(..)")
+        raise ValueError(f"{names} are in the gripper: describe them in the scene file and use scene.attach(..)")
     if len(scene.world.octomap.octomap.data):
         raise ValueError(
-            "there is an octomap: give the cloud that it was made of to gp.PointCloud, see docs/perception.md"
+            "octomaps are not supported: pass the original point cloud to gp.PointCloud, see docs/perception.md"
         )
     for thing in scene.world.collision_objects:
         if thing.header.frame_id != FRAME or thing.planes:
-            raise ValueError(f"{thing.id!r} is in {thing.header.frame_id!r}, or is a plane; solids in {FRAME!r} only")
+            raise ValueError(
+                f"{thing.id!r} is in {thing.header.frame_id!r}, or is a plane; only solids in {FRAME!r} work here"
+            )
         X_WT = matrix(thing.pose)
         shapes = [(*primitive(p), pose) for p, pose in zip(thing.primitives, thing.primitive_poses, strict=True)]
         shapes += [("mesh", points(mesh), pose) for mesh, pose in zip(thing.meshes, thing.mesh_poses, strict=True)]
@@ -46,7 +48,7 @@ def solids(scene: PlanningScene, entities: Mapping[str, str] = ENTITIES) -> Iter
 
 
 def primitive(shape) -> tuple[str, list[float]]:
-    """Return kind and size of a shape_msgs/SolidPrimitive: ours are halves."""
+    """Return kind and size of a shape_msgs/SolidPrimitive; sizes of `Solid` are half lengths [m]."""
     if shape.type == BOX:
         return "box", [0.5 * side for side in shape.dimensions]
     if shape.type == SPHERE:
@@ -54,7 +56,7 @@ def primitive(shape) -> tuple[str, list[float]]:
     if shape.type in (CYLINDER, CONE):  # a cone becomes the cylinder around it
         height, radius = shape.dimensions
         return "cylinder", [radius, 0.5 * height]
-    raise ValueError(f"primitives of type {shape.type} are not known here")
+    raise ValueError(f"primitives of type {shape.type} are not supported")
 
 
 def points(mesh) -> np.ndarray:
@@ -72,23 +74,27 @@ def matrix(pose) -> np.ndarray:
 
 
 def configuration(scene: PlanningScene, joints: tuple[str, ...]) -> np.ndarray:
-    """Return where the robot is, in the order of our joints [rad or m]."""
+    """Return the robot's configuration in the order of `joints` [rad or m]."""
     state = scene.robot_state.joint_state
     there = dict(zip(state.name, state.position, strict=True))
     return np.array([there[robot_name(joint)] for joint in joints])
 
 
 def plan_there(seen: PlanningScene, robot: gp.Scene, goal: str, w: float = 0.3) -> gp.PlanResult:
-    """Plan from where the robot is to a keyframe of its scene file, among what MoveIt sees."""
+    """Plan from the current configuration to a keyframe of the scene file, among MoveIt's obstacles."""
     scene = robot.edit(add=solids(seen))
     return gp.plan(configuration(seen, scene.joints), goal, scene, w=w)
 
 
 def ask(node) -> PlanningScene:
-    """Ask MoveIt for its planning scene."""
+    """Request MoveIt's planning scene.
+
+    Raises:
+        RuntimeError: If the service is not available within 5 s.
+    """
     client = node.create_client(GetPlanningScene, "/get_planning_scene")
     if not client.wait_for_service(timeout_sec=5.0):
-        raise RuntimeError("nobody offers /get_planning_scene: is move_group running?")
+        raise RuntimeError("the service /get_planning_scene is not available: is move_group running?")
     wanted = PlanningSceneComponents(
         components=PlanningSceneComponents.ROBOT_STATE
         | PlanningSceneComponents.ROBOT_STATE_ATTACHED_OBJECTS
@@ -102,7 +108,7 @@ def ask(node) -> PlanningScene:
 
 
 def main(argv: list[str]) -> int:
-    """Plan once, show and save the motion; return the exit code."""
+    """Plan once, publish and save the motion; return the exit code."""
     file, goal = argv
     rclpy.init()
     try:

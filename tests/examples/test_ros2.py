@@ -62,9 +62,9 @@ def test_the_controller_gets_the_trajectory(example, robot, trajectory, tmp_path
 @pytest.mark.parametrize(
     ("change", "said", "sent"),
     [
-        ({"state": state(0.0, 1.1)}, "not where the motion begins: {'panda_joint2'", 0),
-        ({"state": state(0.0)}, "not where the motion begins: {'panda_joint2': inf}", 0),
-        ({"there": False}, "there is no such controller", 0),
+        ({"state": state(0.0, 1.1)}, "not at the start of the motion: {'panda_joint2'", 0),
+        ({"state": state(0.0)}, "not at the start of the motion: {'panda_joint2': inf}", 0),
+        ({"there": False}, "the action server of the controller is not available", 0),
         ({"accepts": False}, "refused", 1),
         ({"result": ros.FollowJointTrajectory.Result(error_code=-4, error_string="late")}, "code -4: late", 1),
     ],
@@ -128,7 +128,7 @@ def test_meshes_become_solids_with_names_of_their_own(example):
     [
         (scene_with(thing("shelf", 1, 1.0, 1.0, 1.0, frame="camera")), "'shelf' is in 'camera'"),
         (scene_with(thing("shelf", 5, 1.0)), "type 5"),
-        (ros.PlanningScene(world=ros.PlanningSceneWorld(octomap=seen_by_a_camera())), "there is an octomap"),
+        (ros.PlanningScene(world=ros.PlanningSceneWorld(octomap=seen_by_a_camera())), "octomaps are not supported"),
         (scene_with(thing("floor", 1, 1.0, 1.0, 1.0, planes=[object()])), "plane"),
         (
             ros.PlanningScene(robot_state=ros.RobotState(attached_collision_objects=[ros.AttachedCollisionObject()])),
