@@ -59,7 +59,7 @@ def draw(scene: gp.Scene, results: dict[float | None, gp.PlanResult], file: Path
             cost = results[w].cost
             assert cost is not None
             t = line[0]
-            above.set_title(f"{_NAMES[w]}: {t[-1]:.1f} s, impact {cost.impact:.1f}; numbers: severity of a fall on them")
+            above.set_title(f"{_NAMES[w]}: {t[-1]:.1f} s, impact {cost.impact:.1f}; numbers: severity of each entity")
             axes[2].fill_between(t, line[3], color=_COLOURS[w], alpha=0.15)
             axes[2].plot(t, line[3], color=_COLOURS[w], label=_NAMES[w])
         figure.colorbar(image, ax=axes[:2], shrink=0.8, aspect=30, pad=0.01, label="impact of a failure here")
@@ -106,8 +106,8 @@ def record(scene: gp.Scene, results: dict[float | None, gp.PlanResult], file: Pa
     """Film both motions, one over the other, as FailBench's healthy robot executes them."""
     from PIL import Image as image
 
-    views = [_frames(fb.execute(result, fb.build_world(scene)), _NAMES[w], _COLOURS[w]) for w, result in results.items()]
-    films = [list(view) for view in views]
+    runs = {w: fb.execute(result, fb.build_world(scene)) for w, result in results.items()}
+    films = [list(_frames(run, _NAMES[w], _COLOURS[w])) for w, run in runs.items()]
     longest = max(map(len, films))
     pairs = zip(*([*frames, *[frames[-1]] * (longest - len(frames))] for frames in films), strict=True)
 
