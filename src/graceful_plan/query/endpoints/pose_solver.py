@@ -55,7 +55,7 @@ class PoseSolver:
         """Move configurations to the pose with mink; no configuration ends farther from the pose than it was.
 
         Returns:
-            Configurations that reached the pose, and the final ones of all, the best first.
+            Configurations that reached the pose, and all final configurations, the best first.
         """
         ended = q.copy()
         errors = np.array([self.errors(configuration) for configuration in q])
