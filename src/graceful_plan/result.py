@@ -102,7 +102,7 @@ class Certificate:
     | field          | meaning                                                                | unit         |
     |----------------|------------------------------------------------------------------------|--------------|
     | clearance      | proven lower bound of the clearance, also between samples              | m            |
-    | uncertified    | begin and end of stretches that are not proven to be free              | s; path: rad |
+    | uncertified    | start and end of stretches that are not proven to be free              | s; path: rad |
     | lower_bound    | lower bound of the length to a goal; None if motion cost is not length | rad          |
     | gap            | for w = 0: upper bound of the possible saving, V / lower_bound - 1     |              |
     """
@@ -119,7 +119,7 @@ class Certificate:
 
     @property
     def first_uncertified(self) -> float | None:
-        """Begin of the first stretch that is not proven to be free [s; for a path: rad]; None if there is none."""
+        """Start of the first stretch that is not proven to be free [s; for a path: rad]; None if there is none."""
         return self.uncertified[0][0] if self.uncertified else None
 
 

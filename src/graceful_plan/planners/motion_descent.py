@@ -22,14 +22,14 @@ from graceful_plan.timing.spline import Spline, grid_points
 Array = np.ndarray
 
 TIME_PRICE = 0.05
-"""Price of the duration in addition to J [rad/s]; it decides between motions of about the same J."""
+"""Cost per second of motion in addition to J [rad/s]; it decides between motions of about the same J."""
 CAREFUL_TIME_PRICE = 0.3
-"""Price of the duration if a vessel has to stay level [rad/s].
+"""Cost per second of motion if a vessel has to stay level [rad/s].
 
 The duration then does not follow from the length: the shortest motions would take up to 50 % longer for 1 % less
 length."""
 DRIVING_TIME_PRICE = 0.3
-"""Price of the duration for a mobile base [m/s]; without it, crawling would reduce impact at no cost in length."""
+"""Cost per second of motion for a mobile base [m/s]; without it, crawling would reduce impact at no cost in length."""
 _SLICE = 20
 """Evaluations of a descent between two readings of the clock."""
 _HARDENINGS = 3
@@ -41,7 +41,7 @@ _FOR_CLEARANCE = 1
 
 
 def time_price(*, careful: bool) -> float:
-    """Return the price of the duration in addition to J [rad/s]; `careful`: a vessel has to stay level."""
+    """Return the cost per second of motion in addition to J [rad/s]; `careful`: a vessel has to stay level."""
     return CAREFUL_TIME_PRICE if careful else TIME_PRICE
 
 
@@ -164,7 +164,7 @@ class Start:
 @final
 @dataclass(frozen=True, eq=False)
 class DescentResult:
-    """A free curve, its value (J plus the price of the duration) by the descent, and the start of the descent."""
+    """A free curve, its value (J plus the cost of its duration) by the descent, and the start of the descent."""
 
     curve: SmoothCurve
     value: float
@@ -194,7 +194,7 @@ class MotionDescents:
         felt: Limits on the acceleration that a carried object experiences.
         counts_points: Whether the impact is summed over samples of the motion (exposure "waypoints").
         projected: Projects configurations onto the constraints; None without constraints.
-        time_price: Price of the duration in addition to J [rad/s].
+        time_price: Cost per second of motion in addition to J [rad/s].
         spacing: Largest length of the path per control point [rad or m]; None: unlimited.
         effort: Counter of descents over all rounds.
     """

@@ -22,7 +22,7 @@ LAST_STEPS = 0.004
 _LAST_STEPS_SHARE = 0.2
 """Largest reserve, as a share of the time limit."""
 _GAIN = 1e-3
-"""Relative improvement of the best motion that counts as one."""
+"""Least relative improvement of the best motion that counts for convergence and optimality."""
 _PATIENCE = 32
 """Descents without an improvement after which a call has converged; benchmark `real_tasks` measures the loss."""
 

@@ -30,7 +30,7 @@ class QueryResult:
     status: QueryStatus
     path: Path | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
-    """Cost of the path, as of `evaluate`. The search compares edges by coarser samples, at the paces of motions."""
+    """Cost of the path, as of `evaluate`. The search compares edges with coarser samples, at speeds of real motions."""
     goal_index: int | None = None
     """Index of the goal that is reached, among several."""
     detail: str = ""

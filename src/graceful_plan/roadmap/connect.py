@@ -63,7 +63,7 @@ class Joined:
         return motion, np.concatenate([impact, self.own.prices.impact(severity)])
 
     def ends_of(self, steps: Int[Array, " step"]) -> tuple[Float[Array, "step nq"], Float[Array, "step nq"]]:
-        """Return the configurations at the begin and the end of edges."""
+        """Return the configurations at the start and the end of each edge."""
         return self.q[self.graph.tail[steps]], self.q[self.graph.head[steps]]
 
     def path(self, steps: Int[Array, " step"]) -> Path:

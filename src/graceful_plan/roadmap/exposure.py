@@ -33,7 +33,7 @@ class Exposure:
         scene: The scene, with the carried object attached; its severities are not used.
         step: Largest joint-space distance between samples [rad].
         paces: Speeds of alternating samples, as fractions of the speed at which one joint of the edge is at its
-            velocity limit. The default are paces of real motions: paths selected at the limits cost 22 % more once they
+            velocity limit. The default is from real motions: paths selected at the limits cost 22 % more once they
             are timed, the mean of ten bundled tasks.
 
     Raises:

@@ -32,7 +32,7 @@ def edge_derivatives(
 
     Args:
         objective: Objective of edges.
-        q0: Begin of each edge.
+        q0: Start of each edge.
         q1: End of each edge.
         difference: Displacement of each joint if the objective has no derivatives [rad].
     """

@@ -35,7 +35,7 @@ class Motion:
     arrival: int
     """Index of the arrival, see `Endpoints`."""
     ranking: float
-    """Cost for comparing motions: the total cost by the risk measure, plus the price of the duration."""
+    """Cost for comparing motions: the total cost by the risk measure, plus `price_of_time` times the duration."""
     estimate: float | None = None
     """Estimated total cost at the end of its descent; None if it comes from a polyline."""
 
@@ -87,7 +87,7 @@ def costed_anew(motion: Motion, request: Request) -> Motion:
 
 
 def price_of_time(request: Request) -> float:
-    """Return the price of the duration in the ranking of motions [rad/s]."""
+    """Return the cost per second of motion in rankings [rad/s]."""
     if request.objective.scene.base is not None:
         return DRIVING_TIME_PRICE
     return time_price(careful=request.constraints.level)

@@ -62,7 +62,7 @@ class Follower:
         scene: Scene with robot and limits.
         kernels: Kernels of the scene.
         line: Line of the tool.
-        start: Configuration at the begin of the line.
+        start: Configuration at the start of the line.
     """
 
     scene: Scene

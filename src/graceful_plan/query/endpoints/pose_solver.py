@@ -101,7 +101,7 @@ class PoseSolver:
         return step
 
     def errors(self, q: Float[Array, " nq"]) -> tuple[float, float]:
-        """Position and orientation error of a configuration [m, rad]."""
+        """Return the position [m] and orientation error [rad] of a configuration."""
         return pose_error(self.goal, self.kernels.tool_pose(q))
 
     def badness(self, error: tuple[float, float]) -> float:
