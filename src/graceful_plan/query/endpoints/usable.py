@@ -85,7 +85,7 @@ def usable(
     untold = len(outside[_TOLD:]) + len(blocked[_TOLD:])
     problems += [f"{untold} more of {len(q)} likewise"] if untold else []
     if len(free) > MOST_GOALS:
-        notes.append(f"planned for the {MOST_GOALS} free goals nearest to the start, of {len(q)}")
+        notes.append(f"planned for the {MOST_GOALS} nearest free goals of {len(q)}")
         free = free[:MOST_GOALS]
     index = np.sort(nearest[free])
     return Resolved(inside[index], tuple(index.tolist()), tuple(notes), tuple(problems))
