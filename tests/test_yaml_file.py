@@ -39,7 +39,7 @@ _REFUSED = {
     "many": ("a: [" + "1," * 200_000 + "]", 1, "more than 100000 values"),
     "list": ("- 1\n- 2\n", 1, "has to be a mapping at its top"),
     "empty": ("", 1, "has to be a mapping at its top"),
-    "twice": ("a: 1\nb: 2\na: 3\n", 3, "the key 'a' of a.yaml stands twice"),
+    "twice": ("a: 1\nb: 2\na: 3\n", 3, "the key 'a' of a.yaml appears twice"),
     "number key": ("a:\n  1: 2\n", 2, "a key of a.yaml.a is not text; put it in quotes"),
     "yes key": ("a:\n  yes: 2\n", 2, "is not text"),
     "tab": ("a:\n\tb: 1\n", 2, "broken YAML"),

@@ -1,11 +1,11 @@
-"""graceful_plan: motion planning that chooses paths along which a failure at any moment does little harm."""
+"""graceful_plan: motion planning for motions along which a failure at any moment does little harm."""
 
 from typing import TYPE_CHECKING
 
 from graceful_plan import on_demand
 from graceful_plan._version import __version__
 
-# What a name needs is imported when it is first asked for; type checkers read where each comes from.
+# Names are imported on first access; type checkers read the imports below.
 if TYPE_CHECKING:
     from graceful_plan import costs
     from graceful_plan.analysis.certificate import certify

@@ -1,7 +1,7 @@
-"""Array annotations with shapes: jaxtyping's, without the cost of importing it.
+"""Array annotations with shapes: jaxtyping's types, without the cost of importing jaxtyping.
 
-Annotations are never evaluated, except by type checkers and by the tests, which check shapes at run time. Importing
-jaxtyping takes a fifth of the time that importing this library takes, so where nobody has imported it, names stand in.
+Only type checkers and the tests evaluate annotations; the tests check shapes at run time. Importing jaxtyping takes a
+fifth of the import time of this library, so stand-ins replace its types unless jaxtyping is already imported.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING or "jaxtyping" in sys.modules:
 else:
 
     class Float:
-        """An array; the shape is for readers."""
+        """Stand-in for a jaxtyping type; it ignores the shape and evaluates to `np.ndarray`."""
 
         def __class_getitem__(cls, item: Any) -> type[np.ndarray]:
             return np.ndarray

@@ -1,4 +1,4 @@
-"""Results as JSON documents and as text tables: what the command line prints. Also reads paths from JSON files."""
+"""Results as JSON documents and text tables for the command line, and motion files."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _WRITERS: Mapping[str, Callable[[Trajectory, FilePath], object]] = {
     ".yaml": Trajectory.to_ros_yaml,
 }
 MOTION_FILES = tuple(_WRITERS)
-"""Endings of the files that `write_motion` writes."""
+"""File name extensions that `write_motion` supports."""
 
 _PATH_SCHEMA = {"schema": "graceful_plan.path", "version": 1}
 
 
 def to_json(document: Any) -> str:
-    """Return strict JSON text; numbers that are not finite become null."""
+    """Return strict JSON text; non-finite numbers become null."""
     return json.dumps(finite(document), allow_nan=False, indent=2)
 
 
@@ -66,7 +66,7 @@ def verdict_document(verdict: Verdict) -> dict[str, Any]:
 
 
 def result_document(result: PlanResult) -> dict[str, Any]:
-    """Return everything about the outcome of `plan` as a document, the trajectory included."""
+    """Return the result of `plan` as a document, including path and trajectory."""
     return {
         "schema": "graceful_plan.result",
         "version": 1,
@@ -87,7 +87,7 @@ def result_document(result: PlanResult) -> dict[str, Any]:
 
 
 def error_document(command: str, error: BaseException, exit_code: int) -> dict[str, Any]:
-    """Return what went wrong with a command as a document, for programs that read what the command prints."""
+    """Return the error of a failed command as a document, for programs that parse its output."""
     return {
         "schema": "graceful_plan.error",
         "version": 1,
@@ -99,7 +99,7 @@ def error_document(command: str, error: BaseException, exit_code: int) -> dict[s
 
 
 def path_document(path: Path) -> dict[str, Any]:
-    """Return a path as a document that `read_motion` reads."""
+    """Return a path as a document in the format of `read_motion`."""
     return {**_PATH_SCHEMA, "q": path.q.tolist()}
 
 
@@ -107,12 +107,13 @@ def read_motion(file: str | FilePath) -> Path | Trajectory:
     """Read a trajectory or a path from a file.
 
     Args:
-        file: JSON of `to_json`, of `path_document` or of the result of `plan`; or, by its ending, what `to_csv`,
-            `to_parquet` or `to_ros_yaml` wrote, the latter with the names that joints have here.
+        file: The extension selects the format. `.csv`, `.parquet` and `.yaml` are the formats of
+            `Trajectory.to_csv`, `to_parquet` and `to_ros_yaml`; a ROS file must use the joint names of the scene.
+            Any other file is JSON: of `Trajectory.to_json`, of `path_document` or of `result_document`.
 
     Raises:
-        FormatError: If the file cannot be read, or holds neither; with its name.
-        MissingArrow: If it is Parquet and pyarrow is not installed.
+        FormatError: If the file cannot be read, or holds neither a path nor a trajectory.
+        MissingArrow: If the file is Parquet and pyarrow is not installed.
     """
     other = _READERS.get(path_of(file).suffix)
     try:
@@ -128,11 +129,11 @@ def read_motion(file: str | FilePath) -> Path | Trajectory:
 
 
 def write_motion(trajectory: Trajectory, file: FilePath) -> None:
-    """Write a trajectory as the ending of the file says: see `MOTION_FILES`.
+    """Write a trajectory in the format that the file name extension selects; see `MOTION_FILES`.
 
     Raises:
-        MissingArrow: If it is Parquet and pyarrow is not installed.
-        OSError: If it cannot be written.
+        MissingArrow: If the format is Parquet and pyarrow is not installed.
+        OSError: If the file cannot be written.
     """
     _WRITERS[file.suffix](trajectory, file)
 
@@ -150,7 +151,7 @@ def _motion(document: Any) -> Path | Trajectory:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out a text table: the first column to the left, numbers to the right with four significant digits."""
+    """Format a text table: text columns left-aligned, numeric columns right-aligned with four significant digits."""
     cells = [list(header), *([_cell(value) for value in row] for row in rows)]
     numeric = [all(isinstance(row[i], int | float) for row in rows) for i in range(len(header))]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
@@ -164,7 +165,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def cost_table(costs: Mapping[str, CostBreakdown]) -> str:
-    """Compare cost breakdowns side by side: motion, impact, total, then where the impact comes from, worst first."""
+    """Compare cost breakdowns in columns: motion, impact, total, then impact by component and entity, worst first."""
     columns = list(costs.values())
     rows: list[list[object]] = [
         ["motion", *(cost.motion for cost in columns)],
@@ -186,7 +187,7 @@ def _cell(value: object) -> str:
 
 
 def finite(value: Any) -> Any:
-    """Return a document in which numbers that are not finite are None."""
+    """Return a copy of a document in which non-finite numbers are None."""
     if isinstance(value, Mapping):
         return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Errors that misuse raises. A problem without a solution is a `PlanResult` with a status instead."""
+"""Errors raised for misuse. A planning problem without a solution gives a `PlanResult` with a status instead."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ def _listed(names: Iterable[str]) -> str:
 
 
 NOT_READ = (OSError, ValueError)
-"""What opening a file raises; ValueError for names that no file can have, with a null in them."""
+"""Exceptions from opening a file; ValueError is for invalid names, such as one that contains a null character."""
 
 
 def why_not_read(error: OSError | ValueError) -> str:
-    """Return why a file could not be opened, without its name."""
+    """Return the reason why a file could not be opened, without the file's name."""
     said = error.strerror if isinstance(error, OSError) else error
     return f"cannot be read: {said}"
 
 
 class GracefulPlanError(Exception):
-    """Base of every error that this library raises on purpose."""
+    """Base class of all errors that this library raises deliberately."""
 
 
 class UnknownNameError(GracefulPlanError, KeyError):
-    """A name that does not exist where it was looked up.
+    """An unknown name.
 
     Args:
-        kind: What the name should have been, e.g. "keyframe".
+        kind: Kind of thing that the name should denote, e.g. "keyframe".
         name: The name given.
-        valid: The names that exist.
+        valid: The valid names.
     """
 
     def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
@@ -57,7 +57,7 @@ class NonFiniteError(GracefulPlanError, ValueError):
 
 
 class SettingError(GracefulPlanError, ValueError):
-    """A setting outside of its range."""
+    """A setting outside its range."""
 
     def __init__(self, name: str, value: object, expected: str) -> None:
         self.name, self.value, self.expected = name, value, expected
@@ -65,12 +65,12 @@ class SettingError(GracefulPlanError, ValueError):
 
 
 class SceneError(GracefulPlanError, ValueError):
-    """A scene file or model that is broken, hostile or inconsistent.
+    """A scene file or model that is malformed, malicious or inconsistent.
 
     Args:
-        message: What is wrong and, where there are some, the valid names.
-        file: The file it is in, if it is in one.
-        line: The line in that file, from 1.
+        message: Description of the problem, with the valid names if there are any.
+        file: File with the problem, if it is in a file.
+        line: Line in that file, counted from 1.
     """
 
     def __init__(self, message: str, *, file: str | None = None, line: int | None = None) -> None:
@@ -84,24 +84,24 @@ class UnsupportedError(SceneError):
 
 
 class TooLargeError(SceneError, MemoryError):
-    """A scene that needs more memory than there is.
+    """A scene that needs more memory than is available.
 
     Args:
-        what: What takes it.
-        reason: What was said when it was asked for.
+        what: Data that needs the memory.
+        reason: Message of the failed allocation.
     """
 
     def __init__(self, what: str, reason: str = "") -> None:
         self.what, self.reason = what, reason
         said = f" ({reason})" if reason else ""
         super().__init__(
-            f"{what} needs more memory than there is{said}; fewer bodies do: the geoms of what stands still may share"
-            " one, and what a sensor saw may be a PointCloud or a HeightMap"
+            f"{what} needs more memory than there is{said}; use fewer bodies: static geoms may share one body, and"
+            " sensor data may be a PointCloud or a HeightMap"
         )
 
 
 class FormatError(GracefulPlanError, ValueError):
-    """A file or text that is not what it should be."""
+    """A file or text that does not have the expected format."""
 
     def __init__(self, source: str, problem: str) -> None:
         self.source, self.problem = source, problem
@@ -109,11 +109,11 @@ class FormatError(GracefulPlanError, ValueError):
 
 
 class EndpointError(GracefulPlanError, RuntimeError):
-    """A language model that could not be asked: its server is not there, refuses, or answers nonsense.
+    """A failed request to a language model: the server is unreachable, refuses, or sends an invalid response.
 
     Args:
-        endpoint: Where it should be, without what is secret.
-        problem: What went wrong.
+        endpoint: Address of the server, without credentials.
+        problem: Description of the problem.
     """
 
     def __init__(self, endpoint: str, problem: str) -> None:
@@ -122,10 +122,10 @@ class EndpointError(GracefulPlanError, RuntimeError):
 
 
 class AnnotationError(GracefulPlanError, ValueError):
-    """An answer about entities that is not what was asked for.
+    """An invalid answer to a request for annotations of entities.
 
     Args:
-        problems: What is wrong with it, each with the names it is about.
+        problems: Descriptions of the problems, each with the names concerned.
     """
 
     SHOWN = 8
@@ -146,7 +146,7 @@ class RetimingError(GracefulPlanError, RuntimeError):
 
 
 class CostError(GracefulPlanError, ValueError):
-    """A cost that breaks its contract: wrong shape, negative or not finite."""
+    """A cost that violates its contract: wrong shape, negative or non-finite."""
 
     def __init__(self, cost: object, problem: str) -> None:
         self.cost, self.problem = cost, problem

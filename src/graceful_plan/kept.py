@@ -1,9 +1,8 @@
-"""Arrays that are kept from one process to the next, by a digest of what they were computed from.
+"""On-disk cache of arrays, keyed by a digest of their inputs.
 
-They are in the folder `graceful_plan` of the user's caches: below `XDG_CACHE_HOME` if that is set, else where the
-system has it. Nothing else depends on them: a file that is missing, broken or not readable is computed again, and where
-nothing can be written nothing is kept. With the environment variable `GRACEFUL_PLAN_NO_CACHE` set, nothing is read or
-written.
+The files are in the folder `graceful_plan` of the user's cache folder: below `XDG_CACHE_HOME` if that is set, else in
+the system's default place. Arrays of missing, broken or unreadable files are computed again. If the folder cannot be
+written, nothing is cached. The environment variable `GRACEFUL_PLAN_NO_CACHE` turns the cache off.
 """
 
 from __future__ import annotations
@@ -40,11 +39,11 @@ _BROKEN = (
 
 
 def folder() -> Path | None:
-    """Return where arrays are kept; None if that is switched off or there is no such place."""
+    """Return the cache folder; None if the cache is turned off or the user has no home folder."""
     if os.environ.get(_OFF):
         return None
     given = os.environ.get("XDG_CACHE_HOME", "")
-    if os.path.isabs(given):  # the specification says to ignore others
+    if os.path.isabs(given):  # the XDG specification says to ignore relative paths
         return Path(given) / "graceful_plan"
     try:
         home = Path.home()
@@ -56,7 +55,7 @@ def folder() -> Path | None:
 
 
 def read(digest: str) -> Float[Array, "..."] | None:
-    """Return what was written under a digest; None if nothing was, or it cannot be read."""
+    """Return the array cached under a digest; None if there is none or its file cannot be read."""
     place = folder()
     if place is None:
         return None
@@ -67,12 +66,12 @@ def read(digest: str) -> Float[Array, "..."] | None:
     except FileNotFoundError:
         return None
     except _BROKEN as error:
-        _LOG.warning("%s cannot be read and is made again: %s", file, error)
+        _LOG.warning("%s cannot be read and is computed again: %s", file, error)
         return None
 
 
 def write(digest: str, values: Float[Array, "..."]) -> None:
-    """Keep an array under a digest, if that is possible; others see the whole file or none."""
+    """Cache an array under a digest if the folder is writable; the file appears atomically."""
     place = folder()
     if place is None:
         return
@@ -84,6 +83,6 @@ def write(digest: str, values: Float[Array, "..."]) -> None:
             np.savez(file, values=values)
         os.replace(scratch, place / f"{digest}.npz")
     except OSError as error:
-        _LOG.info("nothing can be kept in %s: %s", place, error)
+        _LOG.info("nothing can be cached in %s: %s", place, error)
         if scratch is not None:
             scratch.unlink(missing_ok=True)

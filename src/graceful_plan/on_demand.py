@@ -1,6 +1,6 @@
-"""Packages whose public names are imported when somebody first asks for them.
+"""Packages that import their public names on first access.
 
-Who plans does not wait for the viewer and for benchmarks; who asks for the version waits for nothing.
+A program that only plans does not wait for imports of the viewer and the benchmarks.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _HOMES = "_homes"
 
 @final
 class PackageOnDemand(ModuleType):
-    """A package that finds its public names in their modules (PEP 562, as a class for what `__setattr__` does)."""
+    """A package with lazily imported public names: PEP 562, but as a class, since `__setattr__` is needed, too."""
 
     def __getattr__(self, name: str) -> Any:
         home = self.__dict__.get(_HOMES, {}).get(name)
@@ -28,7 +28,7 @@ class PackageOnDemand(ModuleType):
         return value
 
     def __setattr__(self, name: str, value: Any) -> None:
-        # Python makes a module an attribute of its package as it is imported. `plan.py` would hide `plan` by that.
+        # Importing a submodule sets it as an attribute of its package: `plan.py` would hide the function `plan`.
         if isinstance(value, ModuleType) and value.__name__ == self.__dict__.get(_HOMES, {}).get(name):
             value = getattr(value, name, value)
         super().__setattr__(name, value)
@@ -38,11 +38,11 @@ class PackageOnDemand(ModuleType):
 
 
 def install(package: str, homes: Mapping[str, str]) -> None:
-    """Make names of a package, which is being imported, ones that are imported on demand.
+    """Make a package import its public names on first access; called while the package is being imported.
 
     Args:
-        package: Its full name.
-        homes: The full name of the module where each public name is defined; a submodule is its own home.
+        package: Full name of the package.
+        homes: Full name of the module that defines each public name; a submodule maps to itself.
     """
     module = sys.modules[package]
     setattr(module, _HOMES, dict(homes))

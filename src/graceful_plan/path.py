@@ -1,4 +1,4 @@
-"""A path: geometry without time."""
+"""Paths: geometry without time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 Array = np.ndarray
 
 MOST_POINTS = 10_000_000
-"""What a path or trajectory is divided into at most: gigabytes, for a robot of ten joints."""
+"""Maximum number of samples of a path or trajectory: about a gigabyte per array for ten joints."""
 
 
 def is_real(value: object) -> TypeGuard[float]:
-    """Whether it is a number that a float can be, which True and False are not; it may be infinite or NaN."""
+    """Return whether a value is a real number that fits a float; infinity and NaN are, True and False are not."""
     if not isinstance(value, numbers.Real) or isinstance(value, bool | np.bool_):
         return False
     try:
@@ -31,14 +31,14 @@ def is_real(value: object) -> TypeGuard[float]:
 
 
 def real_array(name: str, value: object) -> Float[Array, "..."]:
-    """Return `value` as a float64 array, in which there may be numbers that are not finite.
+    """Return `value` as a float64 array; non-finite numbers are allowed, and masked entries become NaN.
 
     Raises:
         ShapeError: If it is ragged, or holds anything but numbers.
     """
     try:
         if isinstance(value, np.ma.MaskedArray):
-            value = np.ma.filled(value.astype(np.float64), np.nan)  # what is masked is not known
+            value = np.ma.filled(value.astype(np.float64), np.nan)
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(name, (), f"numbers in a rectangular array ({error})") from None
@@ -47,10 +47,16 @@ def real_array(name: str, value: object) -> Float[Array, "..."]:
 def finite_array(
     name: str, value: ArrayLike, *, ndim: int | None = None, last: int | None = None
 ) -> Float[Array, "..."]:
-    """Return `value` as a float64 array, refusing wrong shapes and numbers that are not finite.
+    """Return `value` as a float64 array; refuse wrong shapes and non-finite numbers.
+
+    Args:
+        name: Name of the value in messages.
+        value: The value to convert.
+        ndim: Required number of axes; any if None.
+        last: Required length of the last axis; any if None.
 
     Raises:
-        ShapeError: If it is ragged, of the wrong number of axes or of the wrong last axis.
+        ShapeError: If it is ragged, holds anything but numbers, or has the wrong number of axes or last axis.
         NonFiniteError: If it holds a NaN or an infinity.
     """
     array = real_array(name, value)
@@ -65,7 +71,7 @@ def finite_array(
 
 @dataclass(frozen=True, slots=False, eq=False)
 class Path:
-    """A polyline in configuration space, straight between neighbouring vertices.
+    """A polyline in configuration space.
 
     Args:
         q: Vertices [rad or m], at least one.
@@ -95,19 +101,19 @@ class Path:
         return float(self.segment_lengths.sum())
 
     def without_duplicates(self) -> Path:
-        """Drop vertices that coincide with the one before."""
+        """Return the path without vertices that equal their predecessor."""
         keep = np.concatenate([[True], self.segment_lengths > 0.0])
         return Path(self.q[keep])
 
     def reversed(self) -> Path:
-        """Return the same geometry travelled backwards."""
+        """Return the path from its end to its start."""
         return Path(self.q[::-1])
 
     def resampled(self, step: float) -> Path:
-        """Subdivide every segment evenly so that no piece is longer than `step` [rad]; vertices stay.
+        """Subdivide every segment evenly into pieces no longer than `step` [rad]; vertices are kept.
 
         Raises:
-            SettingError: If the step is not a length above 0, or gives more than `MOST_POINTS` vertices.
+            SettingError: If the step is not above 0, or gives more than `MOST_POINTS` pieces.
         """
         if not (is_real(step) and step > 0.0 and self.length < MOST_POINTS * step):
             raise SettingError("step", step, f"a length above 0 that gives at most {MOST_POINTS} pieces")

@@ -49,7 +49,7 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _COMPILED_SOON = 0.1
-"""Compiling is not worth a word if it took less [s]: several times what bundled scenes take."""
+"""Compile times below this are not reported [s]; several times that of bundled scenes."""
 
 
 def plan(
@@ -74,48 +74,48 @@ def plan(
     callback: Callback | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> PlanResult:
-    """Plan a motion that costs little and along which a failure at any moment does little harm.
+    """Plan a motion of low cost along which a failure at any moment does little harm.
 
     Args:
         start: Configuration [rad or m], or the name of a keyframe.
-        goal: Configuration, keyframe, a `PoseGoal` for the tool, or several of any of these, such as a set of grasps.
-        scene: Robot, surroundings and what is carried.
-        w: Safety weight: how many radians of joint motion it is worth to spare one second in which a failure would do
-            harm of severity 1; default: the objective's, or 0.3.
-        via: Configurations, keyframes and `PoseGoal`s to pass on the way, in this order, and without a stop where there
-            is room; the callback is then told of the motion alone. See `query.via.legs`.
+        goal: Configuration, name of a keyframe, `PoseGoal` for the tool, or several of these, such as a set of grasps.
+        scene: Robot, surroundings and carried object.
+        w: Safety weight: radians of joint motion that the planner accepts to avoid one second in which a failure would
+            do harm of severity 1. Default: the weight of the objective, or 0.3.
+        via: Configurations, keyframes and `PoseGoal`s to pass in this order, without a stop if the clearance allows.
+            The callback then gets only the whole motion. See `query.via.legs`.
         planner: Name of a planner (see `PLANNERS`) or a settings object.
-        objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
-        time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
-        iterations: Planner iterations; with these alone, the result depends on the seed only. With them, a time limit
-            only ends the call early.
-        stop: When to end: "first" with the first verified motion, "converged" once 32 descents in a row have improved
-            the best motion by less than 0.1 %, "time_limit" with the time limit and the iterations. The last is the
-            default of calls that have a limit of their own; others end once they have converged, at most after 1 s.
-        refine: Whether paths become smooth motions that descend along the objective. Without, the motion is along the
-            planner's own path, its corners cut as far as that is free; robots that drive stop at its corners.
-        seed: Of all random numbers.
-        speed: In (0, 1]: fraction of the velocity limits to use.
-        risk: What of the distribution of impact counts: "expectation", "cvar" (the mean of the worst tenth; another
-            share with a `RiskMeasure`) or "worst". Searching is by expectation in any case, since only that adds up
-            along a path; of the paths found the best by the measure is taken and refined by it (see `prefer`).
-        max_wait: How long the robot may wait before it goes [s], in a scene where something moves (see `departure`);
-            the trajectory then begins with a stretch at rest.
-        constraints: What has to hold on the way, besides not to collide; by default what the scene asks for, and that
-            the contents of a carried vessel stay in it (`KeepContents`). An empty list asks for nothing.
-        verification: How closely the judge looks at motions; by default every 2 mm, with exact geometry wherever
-            spheres do not prove that nothing is near.
-        callback: Called with the first path that the search finds, at its estimated cost, then with every verified
-            motion that is better than the one before, and without `refine` with better paths, too; once it returns
-            True, the call ends with a verified motion.
-        cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the call ends
+        objective: Objective to minimise; default: joint length plus `w` times the impact of carried object and
+            contents.
+        time_limit: Time budget of the whole call [s]; 1 by default, unlimited if `iterations` is given.
+        iterations: Planner iterations. Without a time limit, the result then depends only on the seed. With
+            `iterations`, `time_limit` only stops the call early.
+        stop: When to end. "first": with the first verified motion. "converged": once 32 descents in a row have
+            improved the best motion by less than 0.1 %. "time_limit": when the time limit or the iterations are used
+            up. Default: "time_limit" if either limit is given, else "converged", at most after 1 s.
+        refine: Whether to turn paths into smooth motions that descend along the objective. If False, the motion
+            follows the planner's path and rounds its corners where that is free; mobile robots stop at corners.
+        seed: Seed of all random numbers.
+        speed: Fraction of the velocity limits to use, in (0, 1].
+        risk: Measure of the distribution of impact: "expectation", "cvar" (mean of the worst tenth; a `RiskMeasure`
+            sets another fraction) or "worst". The search always uses the expectation, the only one that is additive
+            along a path. The best path by the measure is then selected and refined by it (see `prefer`).
+        max_wait: Longest wait before the motion starts [s], in a scene with moving entities (see `departure`). The
+            trajectory then begins with a stretch at rest.
+        constraints: Constraints along the motion, in addition to collision. Default: those that the scene declares,
+            and that the contents of a carried vessel stay in it (`KeepContents`). An empty list turns all off.
+        verification: Resolution of the judge; default: checks at most 2 mm apart, with exact geometry where bounding
+            spheres do not prove that the state is free.
+        callback: Called with the first path at its estimated cost, then with every better verified motion; without
+            `refine`, with better paths, too. Once it returns True, the call ends with a verified motion.
+        cancelled: Called every few milliseconds, e.g. `threading.Event().is_set`. Once it returns True, the call ends
             with the best verified motion, or with one near the first path. Without a path the status is CANCELLED.
 
     Returns:
-        The result, SOLVED only if the independent judge passed the timed trajectory.
+        The result; SOLVED only if the independent judge passed the timed trajectory.
 
     Raises:
-        GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside of their range.
+        GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside their range.
     """
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
@@ -168,7 +168,7 @@ def plan(
 
 
 def _compiled(seconds: float, limit: float) -> list[str]:
-    """Say how long compiling took, if it is what a call was late for or had little time left after."""
+    """Return a note with the compile time, if it took a large part of the time budget."""
     took_long = seconds > max(_COMPILED_SOON, min(limit / 10.0, 1.0))
     return [f"compiled for {seconds:.1f} s"] if took_long else []
 
@@ -178,6 +178,6 @@ def _with_notes(result: PlanResult, notes: Sequence[str]) -> PlanResult:
 
 
 def _waived(held: SceneConstraints) -> list[str]:
-    """Say which of the constraints that go without saying were switched off."""
+    """Return a note for each default constraint that the caller has switched off."""
     asked = {type(constraint) for constraint in held.constraints}
     return [f"{c.name} is switched off" for c in default_constraints(held.scene) if type(c) not in asked]

@@ -1,7 +1,7 @@
-"""Files of strangers are opened here: regular ones alone, so that no reader waits, and no longer than they were.
+"""Open untrusted files: regular files only, size-capped.
 
-A named pipe would wait for somebody who writes, a device may have no end, and either of them can stand where a file is
-expected, also as what a link leads to.
+A file name may be, or link to, a named pipe or a device. Reading a pipe blocks until another process writes to it, and
+a device may never end.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import BinaryIO
 from graceful_plan.exceptions import FormatError
 
 MOST_BYTES = 2**30
-"""What is read of a file at most, where a reader does not say less."""
+"""Default limit of a file's size [bytes]."""
 _FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_BINARY", "O_CLOEXEC"))
-"""Not blocking, since a named pipe waits where it is opened already."""
+"""Includes O_NONBLOCK, since opening a named pipe already blocks."""
 _KINDS = {
     stat.S_IFIFO: "a named pipe",
     stat.S_IFCHR: "a device",
@@ -27,17 +27,17 @@ _KINDS = {
 
 
 def path_of(file: object) -> Path:
-    """Return what was given as the name of a file or folder as a path.
+    """Convert the name of a file or folder to a path.
 
     Raises:
-        FormatError: If it is neither text nor a path, or the system has no such names.
+        FormatError: If the argument is neither text nor a path, or the system does not support the name.
     """
     if not isinstance(file, str | os.PathLike) or isinstance(named := os.fspath(file), bytes):
-        raise FormatError(f"{file!r:.100}", f"no name of a file, but of type {type(file).__name__}")
+        raise FormatError(f"{file!r:.100}", f"not the name of a file, but of type {type(file).__name__}")
     path = Path(named)
     try:
         path.exists()
-    except OSError as error:  # a name that is too long, above all
+    except OSError as error:  # mostly names that are too long
         raise FormatError(f"{file!r:.100}", f"cannot be read: {error.strerror}") from None
     return path
 
@@ -46,8 +46,8 @@ def open_regular(file: str | Path) -> BinaryIO:
     """Open a regular file to read its bytes.
 
     Raises:
-        OSError: If it is not there, not allowed, or something else than a regular file.
-        ValueError: If no file can have that name.
+        OSError: If it does not exist, may not be read, or is not a regular file.
+        ValueError: If the name is not valid.
     """
     descriptor = os.open(file, _FLAGS)
     try:
@@ -59,11 +59,13 @@ def open_regular(file: str | Path) -> BinaryIO:
 
 
 def check_regular(file: str | Path) -> None:
-    """Refuse what cannot be opened as a file by somebody else, such as SQLite; one that is not there yet can.
+    """Refuse names that are not regular files, before another library, such as SQLite, opens them.
+
+    Missing files are accepted, since the library may create them.
 
     Raises:
-        OSError: If it is there and no regular file.
-        ValueError: If no file can have that name.
+        OSError: If the name exists and is not a regular file.
+        ValueError: If the name is not valid.
     """
     try:
         _check_kind(os.stat(file).st_mode)
@@ -76,15 +78,15 @@ def _check_kind(mode: int) -> None:
     if kind == stat.S_IFDIR:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     if kind != stat.S_IFREG:
-        raise OSError(errno.EINVAL, f"{_KINDS.get(kind, 'something')} is no regular file")
+        raise OSError(errno.EINVAL, f"{_KINDS.get(kind, 'something')} is not a regular file")
 
 
 def read_content(file: str | Path, most: int = MOST_BYTES) -> bytes:
     """Return the bytes of a regular file.
 
     Raises:
-        OSError: As `open_regular`, and if it has more bytes than `most`.
-        ValueError: As `open_regular`.
+        OSError: As for `open_regular`, and if the file has more than `most` bytes.
+        ValueError: As for `open_regular`.
     """
     with open_regular(file) as stream:
         size = os.fstat(stream.fileno()).st_size

@@ -1,4 +1,4 @@
-"""What planning returns: statuses, verdicts, cost breakdowns."""
+"""Results of planning: statuses, verdicts and cost breakdowns."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from graceful_plan.timing.trajectory import Trajectory
 
 
 class PlanStatus(Enum):
-    """How planning ended; the value says what to do about it."""
+    """Outcome of planning; each value is a sentence with a remedy."""
 
     SOLVED = "A verified trajectory was found."
-    INVALID_START = "The start is in collision or outside of the limits; move the robot or fix the scene."
+    INVALID_START = "The start is in collision or outside the limits; move the robot or fix the scene."
     INVALID_GOAL = "No goal is reachable, free and inside the limits; choose another goal or a looser tolerance."
     TIMEOUT = "The budget ended before a verified trajectory was found; raise the time limit or the iterations."
     INFEASIBLE = "The planner gave up, or there is no path; remove obstacles, choose another goal or another planner."
-    CANCELLED = "It was cancelled before a verified trajectory was found; plan again and let it run for longer."
+    CANCELLED = "Planning was cancelled before a verified trajectory was found; plan again and let it run longer."
     NONFINITE = "The cost returned a NaN or an infinity; check it with graceful_plan.testing.check_cost."
     RETIMING_FAILED = "A path was found but could not be timed within the limits; relax them or lower the speed."
 
 
 @dataclass(frozen=True, kw_only=True)
 class CostBreakdown:
-    """J = motion + w * impact, and where the impact comes from. Pessimistic until computed."""
+    """Total cost J = motion + w * impact, and the impact by entity and component. Infinite by default."""
 
     motion: float = np.inf
     impact: float = np.inf
@@ -45,23 +45,24 @@ class CostBreakdown:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One thing that was verified. Failed until shown otherwise."""
+    """Outcome of one check of the judge. Failed by default."""
 
     passed: bool = False
     worst: float = -np.inf
-    """The value furthest on the bad side, in the unit that `detail` names."""
+    """Worst value along the motion, in the unit that `detail` names."""
     limit: float = 0.0
     first: float | None = None
-    """Time [s] (or path length [rad] for a path) of the first violation."""
+    """Time of the first violation [s]; for a path, the path length there [rad]."""
     detail: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """The independent judge's findings, by name: the motion is verified, its cost only where there is a check "cost".
+    """Checks of the independent judge, by name.
 
-    `plan` has the cost recomputed for Algorithm 1, `ImpactCost("aabb")`, and for no other model. Whom a base meets who
-    moves ("passing_by") rests on a prediction, and people give way: that is a warning, no failure.
+    The motion is always verified, its cost only if there is a check "cost": `plan` has it recomputed for Algorithm 1,
+    `ImpactCost("aabb")`, and for no other model. The check "passing_by" of a base that comes near moving entities only
+    warns: it relies on a prediction, and people give way.
     """
 
     checks: Mapping[str, Check] = field(default_factory=dict)
@@ -70,23 +71,23 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """Whether something was checked and nothing failed."""
+        """Whether there are checks and none of them failed."""
         return bool(self.checks) and not self.failures
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Names of the checks that did not pass, but for those that warn."""
+        """Names of the checks that did not pass, without those in `WARNS`."""
         return tuple(name for name, check in self.checks.items() if not check.passed and name not in self.WARNS)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Names of the checks that did not pass and warn."""
+        """Names of the checks in `WARNS` that did not pass."""
         return tuple(name for name, check in self.checks.items() if not check.passed and name in self.WARNS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TracePoint:
-    """One improvement: seconds since the call, and the cost of a path as a search charges it, or of a motion."""
+    """An improvement: seconds since the call began, and the estimated cost of a path or the cost of a timed motion."""
 
     time: float
     total: float
@@ -96,14 +97,14 @@ class TracePoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What can be promised of a motion; see `certify`. Pessimistic until computed.
+    """Proven bounds on a motion; see `certify`. Pessimistic by default.
 
     | field          | meaning                                                                | unit         |
     |----------------|------------------------------------------------------------------------|--------------|
-    | clearance      | nothing comes closer anywhere, between samples included; proven        | m            |
-    | uncertified    | stretches that could not be shown to be free: from and to              | s; path: rad |
-    | lower_bound    | no path to a goal is shorter; None if motion is not charged by length  | rad          |
-    | gap            | for w = 0: the path may be shortened by at most this, V / bound - 1    |              |
+    | clearance      | proven lower bound of the clearance, also between samples              | m            |
+    | uncertified    | start and end of stretches that are not proven to be free              | s; path: rad |
+    | lower_bound    | lower bound of the length to a goal; None if motion cost is not length | rad          |
+    | gap            | for w = 0: upper bound of the possible saving, V / lower_bound - 1     |              |
     """
 
     clearance: float = -np.inf
@@ -113,12 +114,12 @@ class Certificate:
 
     @property
     def clear(self) -> bool:
-        """Whether the whole motion is proven to be free of collision by the fast checker's spheres."""
+        """Whether the fast checker's spheres prove the whole motion to be free of collision."""
         return self.clearance >= 0.0
 
     @property
     def first_uncertified(self) -> float | None:
-        """Where the first stretch begins that could not be shown to be free [s; of a path: rad], if there is one."""
+        """Start of the first stretch that is not proven to be free [s; for a path: rad]; None if there is none."""
         return self.uncertified[0][0] if self.uncertified else None
 
 
@@ -128,25 +129,25 @@ class PlanResult:
 
     status: PlanStatus
     path: Path | None = None
-    """Geometry of the motion: the samples of a smooth one, or the polyline whose corners it cuts."""
+    """Geometry: samples of a smooth motion, or the polyline whose corners the motion rounds."""
     trajectory: Trajectory | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
-    """Of the trajectory, as `evaluate` has it; the judge recomputes it only where the verdict has a check "cost"."""
+    """Cost of the trajectory, as of `evaluate`; the judge recomputes it only if the verdict has a check "cost"."""
     verdict: Verdict = field(default_factory=Verdict)
     trace: tuple[TracePoint, ...] = ()
-    """Improvements of the search, but for those that promised more than the motion has kept, and at last the motion."""
+    """Improvements during the call, the returned motion last; paths estimated at less than its cost are left out."""
     detail: str = ""
-    """What the status means here: the pair in contact and its depth, the joint at its limit..."""
+    """Details of the status, e.g. the pair in contact and its depth, or the joint at its limit."""
     goal_index: int | None = None
-    """Which of several goals was reached."""
+    """Index of the goal that is reached, among several."""
     stats: Mapping[str, float] = field(default_factory=dict)
-    """Seconds per stage and iterations spent."""
+    """Statistics of the call, such as seconds per stage and iterations."""
 
     def unwrap(self) -> Trajectory:
         """Return the trajectory of a solved problem.
 
         Raises:
-            PlanningFailed: With this result, if the status is not SOLVED.
+            PlanningFailed: If the status is not SOLVED; it carries this result.
         """
         if self.status is not PlanStatus.SOLVED or self.trajectory is None:
             raise PlanningFailed(self)

@@ -1,6 +1,6 @@
-"""Read YAML from strangers: no anchors, no tags, bounded size and depth, every value knows its line.
+"""Read untrusted YAML: no anchors, no tags, bounded size and depth.
 
-Values keep their text until somebody asks for a type, so that every complaint can name file and line.
+Values keep their text and line until they are converted to a type, so that every error names file and line.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_BYTES = 1_000_000
 MAX_DEPTH = 16
 MAX_VALUES = 100_000
 
-# libyaml reads ten times as fast where PyYAML was built with it.
+# libyaml, if PyYAML was built with it, reads ten times as fast.
 _Loader: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _STRING = "tag:yaml.org,2002:str"
 _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in "str int float bool null map seq timestamp".split()}
@@ -30,23 +30,23 @@ _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in "str int float bool null 
 @final
 @dataclass(frozen=True)
 class Block:
-    """A value in a YAML file: a mapping, a list or a scalar's text, and where it stands."""
+    """A value in a YAML file: a mapping, a list or the text of a scalar, with its file and line."""
 
     file: str
     line: int
     name: str
-    """What it is called in messages, e.g. "entities.mug"."""
+    """Name of the value in messages, e.g. "entities.mug"."""
     value: dict[str, Block] | list[Block] | str
     tag: str
 
     def error(self, message: str) -> SceneError:
-        """Return the error that complains about this value."""
+        """Return an error with the file and line of this value."""
         return SceneError(message, file=self.file, line=self.line)
 
     # --- mappings -----------------------------------------------------------------------------------------------------
 
     def only(self, *keys: str) -> None:
-        """Refuse keys other than these."""
+        """Raise SceneError if a mapping has other keys than these."""
         for key, child in self.items():
             if key not in keys:
                 raise child.error(f"unknown key {key!r} in {self.name}; valid: {', '.join(keys)}")
@@ -58,7 +58,7 @@ class Block:
         return iter(self.value.items())
 
     def get(self, key: str) -> Block | None:
-        """Return a value of a mapping; None if it is absent or null."""
+        """Return the value of a key in a mapping; None if it is absent or null."""
         child = dict(self.items()).get(key)
         return None if child is None or child.is_null else child
 
@@ -69,12 +69,12 @@ class Block:
         return child
 
     def check_version(self, kind: str) -> None:
-        """Refuse versions of a kind of file that are not known."""
+        """Refuse unknown versions; `kind` is the kind of file in messages."""
         if self["version"].number() != 1:
             raise self["version"].error(f"only version 1 of {kind} is known")
 
     def numbers_by_name(self, *names: str) -> dict[str, float]:
-        """Return a mapping of just these names to finite numbers."""
+        """Return a mapping that has exactly these names as keys and finite numbers as values."""
         self.only(*names)
         return {name: self[name].number() for name in names}
 
@@ -92,17 +92,16 @@ class Block:
 
     @property
     def is_null(self) -> bool:
-        """Whether nothing was given."""
+        """Whether the value is null or empty."""
         return self.tag.endswith(":null")
 
     @property
     def is_string(self) -> bool:
-        """Whether this is text that YAML does not read as something else."""
+        """Whether this is text and not a number, also not one such as 1e-3, which YAML 1.1 reads as text."""
         return isinstance(self.value, str) and self.tag == _STRING and not self._looks_like_a_number
 
     @property
     def _looks_like_a_number(self) -> bool:
-        # YAML 1.1 takes 1e-3 for text.
         return isinstance(self.value, str) and _number(self.value) is not None
 
     def entries(self) -> list[Block]:
@@ -112,23 +111,23 @@ class Block:
         return self.value
 
     def string(self) -> str:
-        """Return text."""
+        """Return the value as text."""
         if not isinstance(self.value, str) or self.tag != _STRING:
             raise self.error(f"{self.name} has to be text")
         return self.value
 
     def strings(self) -> tuple[str, ...]:
-        """Return a list of texts."""
+        """Return the values of a list of texts."""
         return tuple(child.string() for child in self.entries())
 
     def flag(self) -> bool:
-        """Return whether it is true."""
+        """Return the value of a boolean."""
         if self.value not in ("true", "false"):
             raise self.error(f"{self.name} has to be true or false")
         return self.value == "true"
 
     def number(self) -> float:
-        """Return a finite number."""
+        """Return the value as a finite number."""
         number = _number(self.value) if isinstance(self.value, str) else None
         if number is None:
             raise self.error(f"{self.name} has to be a number")
@@ -137,7 +136,7 @@ class Block:
         return number
 
     def numbers(self, count: int | None = None) -> tuple[float, ...]:
-        """Return a list of finite numbers, `count` of them if that is given."""
+        """Return the values of a list of finite numbers; refuse a length other than `count`, if that is given."""
         children = self.entries()
         if count is not None and len(children) != count:
             raise self.error(f"{self.name} has {len(children)} numbers, expected {count}")
@@ -148,17 +147,17 @@ T = TypeVar("T", bound="YamlTable")
 
 
 class YamlTable(ABC):
-    """Base of tables and constants that come with the library in a YAML file, and may be read from one like it."""
+    """Base class of tables and constants that the library ships as YAML files; users may load their own versions."""
 
     shipped_file: ClassVar[Path]
     kind: ClassVar[str]
-    """What such files are called in messages."""
+    """Kind of file in messages."""
     keys: ClassVar[tuple[str, ...]]
-    """What they hold besides "version"."""
+    """Keys of such a file, without "version"."""
 
     @classmethod
     def shipped(cls: type[T]) -> T:
-        """Return what comes with the library."""
+        """Return the table that the library ships."""
         found = _shipped.get(cls)
         if not isinstance(found, cls):
             found = _shipped[cls] = cls.load(cls.shipped_file)
@@ -166,10 +165,10 @@ class YamlTable(ABC):
 
     @classmethod
     def load(cls: type[T], file: str | Path) -> T:
-        """Read a YAML file laid out like the shipped one.
+        """Read a YAML file with the same layout as the shipped one.
 
         Raises:
-            SceneError: If the file is broken, with the line.
+            SceneError: If the file is malformed; it names the line.
             SettingError: If a value is out of its range.
         """
         root = read_yaml(path_of(file))
@@ -180,17 +179,17 @@ class YamlTable(ABC):
     @classmethod
     @abstractmethod
     def parsed(cls: type[T], root: Block) -> T:
-        """Make it of the values in a file."""
+        """Build the table from the parsed file."""
 
 
 _shipped: dict[type, object] = {}
 
 
 def read_yaml(file: Path) -> Block:
-    """Read a YAML file whose top is a mapping.
+    """Read a YAML file whose top level is a mapping.
 
     Raises:
-        SceneError: If it cannot be read, is too large or too deep, or uses anchors, aliases or tags.
+        SceneError: If the file cannot be read, is too large or too deep, or uses anchors, aliases or tags.
     """
     try:
         content = read_content(file, MAX_BYTES)
@@ -213,12 +212,12 @@ def parse_yaml(text: str, file: str) -> Block:
     except yaml.YAMLError as error:
         raise SceneError(f"broken YAML: {' '.join(str(error).split())}", file=file) from None
     if not isinstance(root, yaml.MappingNode):
-        raise SceneError("has to be a mapping at its top", file=file, line=1)
+        raise SceneError("has to be a mapping at its top level", file=file, line=1)
     return _block(root, file, Path(file).name, root.start_mark.line + 1)
 
 
 def _screen(text: str, file: str) -> None:
-    """Refuse what could explode, on the flat stream of events, before a tree is built."""
+    """Refuse anchors, deep nesting and too many values on the event stream, before a tree is built in memory."""
     depth = count = 0
     for event in yaml.parse(text, Loader=_Loader):
         line = event.start_mark.line + 1
@@ -243,7 +242,7 @@ def _block(node: yaml.Node, file: str, name: str, line: int) -> Block:
             if key.tag != _STRING:
                 raise SceneError(f"a key of {name} is not text; put it in quotes", file=file, line=key_line)
             if key.value in value:
-                raise SceneError(f"the key {key.value!r} of {name} stands twice", file=file, line=key_line)
+                raise SceneError(f"the key {key.value!r} of {name} appears twice", file=file, line=key_line)
             value[key.value] = _block(child, file, f"{name}.{key.value}", key_line)
     elif isinstance(node, yaml.SequenceNode):
         value = [_block(child, file, f"{name}[{i}]", child.start_mark.line + 1) for i, child in enumerate(node.value)]

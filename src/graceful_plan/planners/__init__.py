@@ -33,7 +33,7 @@ _ALL = (
 )
 
 PLANNERS: dict[str, type[Planner]] = {planner.name: planner for planner in _ALL}
-"""Every planner that `plan(planner=...)` knows by name."""
+"""Planners by the name that selects them in `plan(planner=...)`."""
 
 __all__ = [
     "PLANNERS",

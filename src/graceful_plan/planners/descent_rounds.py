@@ -1,10 +1,11 @@
-"""Rounds of descents of whole motions: many starts go from coarse to fine, then the best curves are refined.
+"""Rounds of descents of whole motions: from many starts, coarse to fine, followed by refinements of the best curves.
 
-Paths do not show which local minimum has the best motion. So descents from many starts go from coarse to fine, and at
-each stage only the better ones are kept:
+A path does not show which local minimum its motion ends in. So many starts descend in stages of increasing resolution,
+and only the better ones are kept after each stage:
 
-- a *start* is a path of a search, a curve that has descended before, or such a path with a wide random bend;
-- a *refinement* bends one of the best curves at random and lets it descend again.
+- a *bend* is a smooth random bump that is added to a path or curve;
+- a *start* is a path of a search, a curve of an earlier descent, or a path with wide bends;
+- a *refinement* adds a narrow bend to one of the best curves and descends again.
 """
 
 from __future__ import annotations
@@ -27,22 +28,22 @@ _T = TypeVar("_T")
 
 _WORKERS = 2
 _KEPT = 4
-"""One of so many descents goes on to the next stage, and at least `_LEAST` do."""
+"""One in `_KEPT` descents proceeds to the next stage, but at least `_LEAST` of them."""
 _LEAST = 2
 _COARSE_SHARE, _MIDDLE_SHARE = 0.3, 0.6
-"""Parts of the time after which the coarse and the middle stage begin no more descents."""
+"""Shares of the time after which the coarse and the middle stage begin no more descents."""
 _UNTIMED_BENDS, _UNTIMED_REFINEMENTS = 4, 2
-"""Bends of starts and refinements in a round that no clock limits."""
+"""Bent starts and refinements in a round without a time limit."""
 _MOST_BENDS, _MOST_REFINEMENTS = 5000, 2000
 _PROMISING = (1.2, 1.05)
-"""A refinement goes on after its coarse and its middle stage if J is at most so many times that of the best curve."""
+"""Largest ratio of J to that of the best curve at which a refinement proceeds, after its coarse and middle stage."""
 _NARROW = (0.1, 1.0)
 """Least and greatest size of the bend of a refinement [rad]."""
 _WIDE = (0.3, 1.5)
-"""The same of the bends of starts, of which `_WIDE_BENDS` add up."""
+"""Least and greatest size of the bends of starts [rad]; `_WIDE_BENDS` of them add up."""
 _WIDE_BENDS = 2
 _RESAMPLED = 64
-"""Points of a curve from which the next descent begins."""
+"""Points of the path that represents a curve as the start of the next descent."""
 
 
 def descend_from(
@@ -52,16 +53,16 @@ def descend_from(
     rng: np.random.Generator,
     best: Sequence[DescentResult] = (),
 ) -> Iterator[DescentResult]:
-    """Yield free curves that descended from starts, then refinements of the best of all.
+    """Yield free curves from descents, then refinements of the best curves.
 
-    Without a time limit the number of descents is fixed, and the result does not depend on the clock.
+    Without a time limit the number of descents is fixed, so the result does not depend on the clock.
 
     Args:
         starts: Paths to descend from.
-        descents: What they descend along, and the work of the round.
-        budget: Time of the round.
-        rng: For bends.
-        best: Results of earlier rounds, which refinements may begin with.
+        descents: Objective and settings of the descents.
+        budget: Budget of the round.
+        rng: Random numbers for bends.
+        best: Results of earlier rounds, which may be refined, too.
     """
     with ThreadPoolExecutor(_WORKERS) as pool:
         yield from _Round(descents, starts, budget, rng, pool, list(best)).run()
@@ -87,7 +88,7 @@ class _Round:
                 jobs[k] = _from_curve(jobs[k], found.curve)
                 yield found
         yield from (found for _, found in self._finished(jobs, FINE))
-        if len(self.results) == before:  # coarse values are guesses, so coarse curves serve only where no fine one does
+        if len(self.results) == before:  # coarse values are inaccurate, so coarse curves serve only as a fallback
             self.results += sorted(coarse, key=_value)[:_LEAST]
             yield from self.results[before:]
         most = _MOST_REFINEMENTS if budget.timed else _UNTIMED_REFINEMENTS
@@ -97,7 +98,7 @@ class _Round:
             yield from self._refined()
 
     def _screened(self, free: list[DescentResult]) -> list[Start]:
-        """Return where the better descents of two stages end; add curves that are free to `free`."""
+        """Return the better starts after the coarse and the middle stage; add curves that are free to `free`."""
         if not self.starts:
             return []
         budget, middle = self.budget, self.descents.settings.middle
@@ -109,7 +110,7 @@ class _Round:
         return _better(ended)
 
     def _coarse(self, budget: Budget, free: list[DescentResult]) -> list[tuple[float, Start]]:
-        """Descend coarsely from all starts and from wide bends of them."""
+        """Descend coarsely from all starts, and from starts with wide bends."""
         jobs = self._descended(self.starts, COARSE, budget, free)
         bends = self.descents.settings.bends
         most = bends if bends is not None else _MOST_BENDS if budget.timed else _UNTIMED_BENDS
@@ -123,7 +124,7 @@ class _Round:
     def _descended(
         self, starts: Sequence[Start], stage: Stage, budget: Budget, free: list[DescentResult]
     ) -> list[tuple[float, Start]]:
-        """Return values and curves as new starts; add those that are free to `free`."""
+        """Return the values of the final curves, with these curves as new starts; add free curves to `free`."""
         ended: list[tuple[float, Start]] = []
         done = self._each(lambda start: self.descents.descended(start, stage, budget), starts)
         for descent, start in zip(done, starts, strict=True):
@@ -137,10 +138,10 @@ class _Round:
         return ended
 
     def _finished(self, starts: Sequence[Start], stage: Stage) -> Iterator[tuple[int, DescentResult]]:
-        """Yield free curves that keep their clearance where there is room, with the index of their start."""
+        """Yield free curves, each with the index of its start."""
         if self.descents.settings.fine:
             done = self._each(lambda start: self.descents.finished(start, stage, self.budget), list(starts))
-            # What is told of a result may end the budget: without a clock, that must not end descents beside it.
+            # The caller may end the budget at a result. Without a time limit, that must not affect parallel descents.
             for k, one in enumerate(done if self.budget.timed else list(done)):
                 self.descents.effort.descents += 1
                 if one is not None:
@@ -148,11 +149,11 @@ class _Round:
                     yield k, one
 
     def _each(self, do: Callable[[Start], _T], starts: Sequence[Start]) -> Iterator[_T]:
-        """Do something with each start side by side; a single one does not wait for a thread to begin."""
+        """Apply a function to all starts in parallel; a single start runs in the calling thread."""
         return map(do, starts) if len(starts) == 1 else self.pool.map(do, starts)
 
     def _refined(self) -> Iterator[DescentResult]:
-        """Bend two of the best curves at random and let them descend as long as they promise to become better."""
+        """Bend two of the best curves and descend, stage by stage, while they are close enough to the best J."""
         settings = self.descents.settings
         best = sorted(self.results, key=_value)[:_WORKERS]
         chosen = [best[0] if self.rng.uniform() < 0.5 else best[-1] for _ in range(_WORKERS)]
@@ -174,7 +175,7 @@ class _Round:
         return replace(start, path=Path(q), curve=None)
 
     def _bent(self, q: Float[Array, "n nq"], start: Start, sizes: tuple[float, float]) -> Start:
-        """Bend a curve at a random place, by a random size and in a random direction."""
+        """Add a bend of random place, width, size [rad] and direction to a curve."""
         s = np.linspace(0.0, 1.0, len(q))[:, None]
         centre, width = self.rng.uniform(0.1, 0.9), self.rng.uniform(0.15, 0.8)
         direction = self.rng.normal(size=q.shape[1])
@@ -182,7 +183,7 @@ class _Round:
         size = least * (most / least) ** self.rng.uniform() / np.linalg.norm(direction)
         bump = np.maximum(0.0, 1.0 - ((s - centre) / width) ** 2) ** 2 * np.minimum(1.0, 8.0 * s * (1.0 - s))
         bent = q + size * bump * direction
-        if self.descents.projected is not None:  # random bends would tilt what is kept level
+        if self.descents.projected is not None:  # random bends would tilt an object that has to stay level
             bent[1:-1] = self.descents.projected(bent[1:-1])
         return replace(start, path=Path(bent), curve=None)
 
@@ -196,6 +197,6 @@ def _value(result: DescentResult) -> float:
 
 
 def _better(ended: Sequence[tuple[float, Start]]) -> list[Start]:
-    """Return where the part of descents that goes on has ended, the best first."""
+    """Return the starts that proceed to the next stage, the best first."""
     kept = max(_LEAST, len(ended) // _KEPT)
     return [start for _, start in sorted(ended, key=lambda job: job[0])[:kept]]

@@ -1,4 +1,4 @@
-"""Another library as a planner: a function from a plain description of a problem to a path."""
+"""Adapter for planners of other libraries: a function from a plain description of a problem to a path."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlainProblem:
-    """What a library of any kind needs to know of a problem.
+    """Description of a problem without types of this library.
 
     | field       | meaning                                                                  | unit | shape   |
     |-------------|--------------------------------------------------------------------------|------|---------|
     | start       | first configuration                                                      | rad  | nq      |
-    | goals       | configurations of which one is to be reached                             | rad  | goal nq |
+    | goals       | configurations; the path has to end at one of them                       | rad  | goal nq |
     | lower       | lower position limits                                                    | rad  | nq      |
     | upper       | upper position limits                                                    | rad  | nq      |
-    | joints      | their names in the MJCF                                                  |      |         |
-    | mjcf        | robot and surroundings as XML; meshes by name only; "" if it is no scene |      |         |
-    | states_free | tells which configurations [n, nq] are free, for who wants to use it     |      |         |
-    | seconds     | time that is left                                                        | s    |         |
-    | seed        | for random numbers                                                       |      |         |
+    | joints      | names of the joints in the MJCF                                          |      |         |
+    | mjcf        | robot and surroundings as XML, meshes by name; "" if there is no scene   |      |         |
+    | states_free | optional collision test: returns which configurations [n, nq] are free   |      |         |
+    | seconds     | remaining time                                                           | s    |         |
+    | seed        | seed for random numbers                                                  |      |         |
     """
 
     start: Float[Array, " nq"]
@@ -52,7 +52,7 @@ Adapter = Callable[[PlainProblem], ArrayLike | None]
 
 
 def adapted(function: Adapter) -> type[Planner]:
-    """Return a planner that asks a function once. What it returns is judged like any other path."""
+    """Return a planner that calls a function once. Its paths are verified like those of any other planner."""
 
     @final
     @dataclass(frozen=True)
@@ -67,9 +67,9 @@ def adapted(function: Adapter) -> type[Planner]:
                 return
             found = function(_plain(problem, objective, budget, rng))
             if found is not None:
-                q = finite_array(f"what {self.name} returns", found)
+                q = finite_array(f"the result of {self.name}", found)
                 if q.ndim != 2 or q.shape[1] != len(problem.start) or len(q) < 1:
-                    raise ShapeError(f"what {self.name} returns", q.shape, f"(n, {len(problem.start)})")
+                    raise ShapeError(f"the result of {self.name}", q.shape, f"(n, {len(problem.start)})")
                 yield Path(q)
 
     Adapted.__module__ = function.__module__

@@ -1,6 +1,6 @@
-"""What can be known about an objective, and sampling only where a better path can be.
+"""Informed sampling: a lower bound of cost per length, and samples only where a better path can pass.
 
-If every unit of length costs at least `bound`, a path cheaper than J through q satisfies
+If a path costs at least `bound` per unit of length, a path cheaper than J through q satisfies
 bound * (|q - start| + |goal - q|) < J: q lies in a prolate hyperspheroid around start and goal.
 
 References:
@@ -29,10 +29,10 @@ _REJECTION_ROUNDS = 30
 @final
 @dataclass(frozen=True)
 class ObjectiveFacts:
-    """What a planner may rely on.
+    """Properties of an objective that a planner may rely on.
 
     Args:
-        length_bound: Every path costs at least this per unit of joint-space length; 0 if nothing is known.
+        length_bound: Lower bound of the cost per unit of joint-space length; 0 if it is unknown.
         symmetric: Whether an edge costs the same in both directions.
     """
 
@@ -41,16 +41,16 @@ class ObjectiveFacts:
 
 
 def learn_objective(objective: BoundObjective, problem: Problem) -> ObjectiveFacts:
-    """Find out by asking, since the contract of an objective promises neither.
+    """Determine the properties of an objective from probes, since its contract guarantees none.
 
-    The motion cost of edges of many places, directions and lengths, joint axes among them, is compared with their
-    length. Only if it is the same multiple of the length for all is that multiple taken as the bound: then V is
-    that multiple of the length and S >= 0 comes on top. Anything else gets the bound 0, which is always right.
+    The motion cost of edges of various places, directions and lengths, including the joint axes, is compared with their
+    length. If the ratio is the same for all edges, it is the bound: V is this multiple of the length, and S >= 0. In
+    all other cases the bound is 0, which is always valid.
 
     Raises:
         CostError: If the objective returns a NaN, an infinity or a negative number.
     """
-    rng = np.random.default_rng(0)  # the same probes for everybody; no part of the planner's own randomness
+    rng = np.random.default_rng(0)  # the same probes in every call; independent of the planner's random numbers
     nq = len(problem.start)
     q0 = rng.uniform(problem.lower, problem.upper, (_PROBES + nq, nq))
     q1 = rng.uniform(problem.lower, problem.upper, (_PROBES + nq, nq))
@@ -66,7 +66,7 @@ def learn_objective(objective: BoundObjective, problem: Problem) -> ObjectiveFac
     proportional = ratio.max() - ratio.min() <= 1e-9 * ratio.max()
     backward = edge_totals(objective, q1, q0)
     return ObjectiveFacts(
-        # a hair below the measured multiple, so that rounding never cuts off the optimum
+        # slightly below the measured ratio, so that rounding never excludes the optimum
         length_bound=float(ratio.min()) * (1.0 - 1e-9) if proportional else 0.0,
         symmetric=bool(np.allclose(forward, backward, rtol=1e-9, atol=1e-12)),
     )
@@ -74,11 +74,11 @@ def learn_objective(objective: BoundObjective, problem: Problem) -> ObjectiveFac
 
 @final
 class InformedSampler:
-    """Draws configurations uniformly from where a path cheaper than a given cost can pass.
+    """Draws configurations uniformly from the region where a path cheaper than a given cost can pass.
 
     Args:
-        problem: Start, goals and limits.
-        length_bound: Least cost per unit of length; 0 samples the whole space.
+        problem: Problem with start, goals and limits.
+        length_bound: Lower bound of the cost per unit of length; 0 samples the whole space.
     """
 
     def __init__(self, problem: Problem, length_bound: float) -> None:
@@ -89,18 +89,18 @@ class InformedSampler:
 
     @property
     def least_cost(self) -> float:
-        """No path can cost less."""
+        """Lower bound of the cost of any path."""
         return self.length_bound * float(self.focal.min())
 
     def bound_through(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Least cost of any path through each configuration to any goal."""
+        """Return a lower bound of the cost of any path through each configuration to any goal."""
         if self.length_bound == 0.0:
             return np.zeros(len(q))
         to_goal = np.linalg.norm(q[:, None, :] - self.goals, axis=2).min(axis=1)
         return self.length_bound * (np.linalg.norm(q - self.start, axis=1) + to_goal)
 
     def box(self, cost: float) -> tuple[Float[Array, " nq"], Float[Array, " nq"]]:
-        """Corners of a box inside the limits around all that a path cheaper than `cost` can pass."""
+        """Return the corners of a box, inside the limits, that contains all paths cheaper than `cost`."""
         if self.length_bound == 0.0 or not np.isfinite(cost):
             return self.problem.lower, self.problem.upper
         length = cost / self.length_bound
@@ -116,8 +116,9 @@ class InformedSampler:
     def draw(self, n: int, cost: float, rng: np.random.Generator) -> Float[Array, "drawn nq"]:
         """Draw at most `n` configurations that can lie on a path cheaper than `cost`; fewer if they are rare.
 
-        Every other one is projected onto what constraints leave: thin ones are hardly ever kept by chance, but where
-        samples that keep them are easily had, projected ones crowd at the border, and edges between these leave it.
+        Every other sample is projected onto the constraints. Random samples hardly ever satisfy a thin constraint.
+        With a wide one, projected samples accumulate at its border and edges between them violate it, so half of the
+        samples are left as they are.
         """
         q = self._drawn(n, cost, rng)
         q[::2] = self.problem.projected(q[::2])
@@ -160,12 +161,12 @@ class InformedSampler:
             np.linalg.norm(q - self.start, axis=1)[:, None] + np.linalg.norm(q[:, None, :] - self.goals, axis=2)
             <= length
         ).sum(axis=1)
-        # a point inside k spheroids is drawn k times as often as it should be
+        # a point inside k spheroids is drawn k times too often
         return q[inside & (rng.uniform(size=len(q)) * np.maximum(1, overlap) < 1.0)]
 
 
 def _frame(direction: Float[Array, " nq"]) -> Float[Array, "nq nq"]:
-    """Orthonormal columns, the first along `direction`."""
+    """Return orthonormal columns, the first along `direction`."""
     nq = len(direction)
     norm = np.linalg.norm(direction)
     if norm == 0.0:
@@ -179,7 +180,7 @@ def _frame(direction: Float[Array, " nq"]) -> Float[Array, "nq nq"]:
 
 
 def _log_size(focal: float, length: float, nq: int) -> float:
-    """Log of the volume of a spheroid."""
+    """Return the logarithm of the volume of a spheroid."""
     minor = max(length**2 - focal**2, 1e-300)
     ball = 0.5 * nq * log(pi) - lgamma(0.5 * nq + 1.0)
     return ball + log(length / 2.0) + (nq - 1) * (0.5 * log(minor) - log(2.0))

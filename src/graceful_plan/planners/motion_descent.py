@@ -1,7 +1,7 @@
-"""Smooth motions from paths: control points of a spline descend along J of the motion as it will be executed.
+"""Smooth motions from paths: gradient descent of a spline's control points along J of the timed motion.
 
-The core does the work (`search/motion_descent.hpp`), with the speed profile as part of the gradient. Here is one
-descent; `descent_rounds` decides where descents begin and which of them go on.
+The core implements it (`search/motion_descent.hpp`); the gradient includes the speed profile. This module runs single
+descents; `descent_rounds` selects their starts.
 """
 
 from __future__ import annotations
@@ -22,24 +22,26 @@ from graceful_plan.timing.spline import Spline, grid_points
 Array = np.ndarray
 
 TIME_PRICE = 0.05
-"""Cost of a second of motion on top of J [rad/s]; it decides between motions of about the same J."""
+"""Cost per second of motion in addition to J [rad/s]; it decides between motions of about the same J."""
 CAREFUL_TIME_PRICE = 0.3
-"""The same where a vessel is kept level [rad/s]: there the duration does not follow from the length, and the shortest
-motions would take up to half as long again for a hundredth less length."""
+"""Cost per second of motion if a vessel has to stay level [rad/s].
+
+The duration then does not follow from the length: the shortest motions would take up to 50 % longer for 1 % less
+length."""
 DRIVING_TIME_PRICE = 0.3
-"""The same of a base that drives [m/s]: a base that crawls saves harm at no length."""
+"""Cost per second of motion for a mobile base [m/s]; without it, crawling would reduce impact at no cost in length."""
 _SLICE = 20
-"""Evaluations of a descent between two looks at the clock."""
+"""Evaluations of a descent between two readings of the clock."""
 _HARDENINGS = 3
-"""How often a descent that ends too close to an obstacle goes on with a heavier penalty, for `_MORE` evaluations."""
+"""Largest number of rounds with a heavier penalty, each of `_MORE` evaluations, if a curve is close to an obstacle."""
 _MORE = 40
 _MOST_CONTROLS = 64
 _FOR_CLEARANCE = 1
-"""How often for more clearance than the motion must have."""
+"""Number of these rounds for clearance beyond the required margin."""
 
 
 def time_price(*, careful: bool) -> float:
-    """Return the cost of a second of motion on top of J [rad/s], greater where a vessel is kept level."""
+    """Return the cost per second of motion in addition to J [rad/s]; `careful`: a vessel has to stay level."""
     return CAREFUL_TIME_PRICE if careful else TIME_PRICE
 
 
@@ -50,11 +52,11 @@ class Stage:
 
     | field       | meaning                                        |
     |-------------|------------------------------------------------|
-    | controls    | control points                                 |
+    | controls    | number of control points                       |
     | density     | samples between two knots                      |
     | rough       | whether impacts are in single precision        |
-    | evaluations | of the motion and its gradient, at most        |
-    | slosh       | whether it counts how a carried liquid sloshes |
+    | evaluations | largest number of evaluations with gradient    |
+    | slosh       | whether sloshing of a carried liquid counts    |
     """
 
     controls: int
@@ -64,25 +66,25 @@ class Stage:
     slosh: bool = True
 
 
-# Where a motion should go shows sooner without sloshing, which a few samples do not resolve.
+# The coarse stage ignores sloshing: its few samples do not resolve it, and descents converge faster without.
 COARSE, MIDDLE, FINE = Stage(12, 3, True, 40, slosh=False), Stage(16, 5, True, 60), Stage(24, 6, True, 160)
 LONG = Stage(12, 3, True, 200)
-"""Replaces the middle stage where evaluations are expensive: it costs less than half as much."""
+"""Replacement of the middle stage if evaluations are expensive; it takes less than half the time."""
 
 
 @final
 @dataclass(frozen=True)
 class DescentSettings:
-    """Work of a round of descents.
+    """Amount of work in a round of descents; see `descent_rounds` for the terms.
 
     | field       | meaning                                                                          |
     |-------------|----------------------------------------------------------------------------------|
-    | screens     | whether starts descend coarsely first, and only the better ones go on            |
-    | bends       | wide bends of starts besides; as many as there is time for if None               |
+    | screens     | whether starts descend coarsely first, and only the better ones proceed          |
+    | bends       | number of additional starts with wide bends; None: limited by time               |
     | middle      | second stage                                                                     |
-    | fine        | descents that end finely, at least; with 0, coarse curves are the result         |
-    | hurries     | whether curves of the second stage are results, too, before the finer ones       |
-    | refinements | at most; as many as there is time for if None                                    |
+    | fine        | number of fine descents; 0: coarse curves are the result                         |
+    | hurries     | whether curves of the second stage are also results, before the fine ones        |
+    | refinements | largest number of refinements; None: limited by time                             |
     """
 
     screens: bool = True
@@ -95,45 +97,45 @@ class DescentSettings:
 
 @runtime_checkable
 class SmoothCurve(Curve, Protocol):
-    """A curve that descents move by its control points."""
+    """A curve with control points that descents move."""
 
     @property
     def controls(self) -> Float[Array, "control column"]:
-        """Its control points."""
+        """Control points."""
         ...
 
     @property
     def samples(self) -> Float[Array, "n nq"]:
-        """Configurations on it, close enough to check it by."""
+        """Configurations on the curve, dense enough for collision checks."""
         ...
 
     def even(self, n: int) -> Float[Array, "n nq"]:
-        """Return configurations on it at even parameters, both ends among them."""
+        """Return n configurations on the curve at evenly spaced parameters, including both ends."""
         ...
 
     def with_controls(self, n: int) -> Self:
-        """Return the same curve, or one close to it, with so many control points."""
+        """Return the curve, or an approximation of it, with n control points."""
         ...
 
 
 @runtime_checkable
 class CurveKind(Protocol):
-    """What kind of curve a descent moves."""
+    """Type of the curve of a descent."""
 
     @property
     def rolling(self) -> _native.Rolling | None:
-        """How a base rolls along it; None for curves of joints."""
+        """Model of a base that rolls along the curve; None for curves of joints."""
         ...
 
     def curve(self, controls: Float[Array, "control column"]) -> SmoothCurve:
-        """Return the curve of control points."""
+        """Return the curve with these control points."""
         ...
 
 
 @final
 @dataclass(frozen=True)
 class JointCurves:
-    """Splines through configurations, every joint for itself."""
+    """Splines in configuration space, with independent joints."""
 
     rolling: None = None
 
@@ -145,9 +147,9 @@ class JointCurves:
 @final
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A path to descend from, and the lengths at both ends where the spheres are too close to obstacles [rad].
+    """A path to descend from, and the lengths at both ends where the sphere model is too close to obstacles [rad].
 
-    `curve` is the curve whose samples the path is, if it has descended before.
+    `curve` is set if the path consists of samples of a curve from an earlier descent.
     """
 
     path: Path
@@ -155,14 +157,14 @@ class Start:
     tight_end: float = 0.0
     curve: SmoothCurve | None = None
     arrival: int = 0
-    """Which of several ways to a goal the path takes."""
+    """Index of the arrival; see `Endpoints`."""
     kind: CurveKind = JointCurves()
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class DescentResult:
-    """A free curve, its J as the descent computes it, and the start it descended from."""
+    """A free curve, its value (J plus the cost of its duration) by the descent, and the start of the descent."""
 
     curve: SmoothCurve
     value: float
@@ -183,18 +185,18 @@ class MotionDescents:
     """Descends from paths.
 
     Args:
-        space: Cost and clearance, with slopes of states.
-        velocity: Limits of the joints [rad/s or m/s].
-        acceleration: Limits of the joints [rad/s^2 or m/s^2].
-        is_free: Whether a curve that descended from a start is free of collision.
-        has_clearance: Whether it keeps the clearance that is wanted; None if any will do.
-        settings: Work of a round.
-        felt: Limits on the acceleration that a carried object feels.
-        counts_points: Whether the cost is summed over the samples of the motion.
-        projected: Moves configurations to where bounds hold; None without bounds.
-        time_price: Cost of a second of motion on top of J [rad/s].
-        spacing: Greatest length of a path for each control point [rad or m]; None if it does not matter.
-        effort: Counts the descents of all rounds.
+        space: Cost and clearance of states, with gradients.
+        velocity: Velocity limits of the joints [rad/s or m/s].
+        acceleration: Acceleration limits of the joints [rad/s^2 or m/s^2].
+        is_free: Test whether a curve from a start is free of collision.
+        has_clearance: Test whether a curve keeps the desired clearance; None if the required one is enough.
+        settings: Amount of work in a round.
+        felt: Limits on the acceleration that a carried object experiences.
+        counts_points: Whether the impact is summed over samples of the motion (exposure "waypoints").
+        projected: Projects configurations onto the constraints; None without constraints.
+        time_price: Cost per second of motion in addition to J [rad/s].
+        spacing: Largest length of the path per control point [rad or m]; None: unlimited.
+        effort: Counter of descents over all rounds.
     """
 
     space: _native.Space
@@ -211,7 +213,7 @@ class MotionDescents:
     effort: Effort = field(default_factory=Effort)
 
     def controls(self, start: Start, stage: Stage) -> int:
-        """Return the number of control points: as many as a stage has, more for a long path."""
+        """Return the number of control points: that of the stage, or more for a long path."""
         if self.spacing is None:
             return stage.controls
         wanted = int(np.ceil(start.path.length / self.spacing)) + 3
@@ -244,7 +246,7 @@ class MotionDescents:
         return descent
 
     def first(self, start: Start, budget: Budget) -> DescentResult | None:
-        """Descend coarsely from one path; None if the curve is not free, at the end or half-way already."""
+        """Descend coarsely from one path; return None if the curve is not free at the end, or half-way."""
         half = COARSE.evaluations // 2
         descent = self.descended(start, replace(COARSE, evaluations=half), budget)
         if descent is None or not self.is_free(start.kind.curve(descent.controls), start):
@@ -254,9 +256,10 @@ class MotionDescents:
         return DescentResult(curve, descent.value, start) if self.is_free(curve, start) else None
 
     def finished(self, start: Start, stage: Stage, budget: Budget) -> DescentResult | None:
-        """Descend, with a heavier penalty while the curve is too close to obstacles; None if it stays so.
+        """Descend, with a heavier penalty while the curve is too close to obstacles; return None if it stays too close.
 
-        Where it leads into an entity that moves, the penalty becomes heavier, too, but it is a result if it stays so.
+        The penalty also becomes heavier while the curve leads into a moving entity, but such a curve is returned if it
+        is free otherwise.
         """
         descent = self.descended(start, stage, budget)
         if descent is None:
@@ -274,7 +277,7 @@ class MotionDescents:
 
 
 def _go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:
-    """Let a descent evaluate its motion so many times more, as far as the budget lasts."""
+    """Continue a descent for up to `evaluations` evaluations, within the budget."""
     done = 0
     while done < evaluations and not budget.over:
         if descent.run(_SLICE, budget.remaining_seconds) < _SLICE:

@@ -1,4 +1,4 @@
-"""What the native planners share: a space for the core to plan in, and slices of work that keep a budget."""
+"""Shared parts of the native planners: the space that the core plans in, and slices of work within a budget."""
 
 from __future__ import annotations
 
@@ -18,24 +18,25 @@ from graceful_plan.planners.scene_problem import SceneProblem
 Array = np.ndarray
 
 SLICE_SECONDS = 0.004
-"""How long the core works between two looks at the budget [s]."""
+"""Time of a call of the core between two checks of the budget [s]."""
 SLICE_ITERATIONS = 2000
 _MEASURES = {"time": _native.Measure.time, "length": _native.Measure.length, "waypoints": _native.Measure.points}
 _UNTIMED_ITERATIONS = 16
-"""The same without a time limit: where a slice ends decides which paths are seen on the way, so no clock may."""
+"""Iterations per call without a time limit. The end of a call affects which paths are yielded, so it must not depend on
+the clock."""
 
 
 def native_space(problem: Problem, objective: BoundObjective, *, timed: bool = True) -> _native.Space:
-    """Make the space that the core plans in.
+    """Create the space that the core plans in.
 
-    In a scene, collision is native whatever the cost is, and Python is asked for costs alone, by batches; else it is
-    called back for every edge.
+    In a scene, collision checks are always native, and only custom costs call back into Python, in batches. Otherwise
+    the core calls back for every edge.
 
     Args:
-        problem: Where it plans.
-        objective: What it minimises.
-        timed: Whether descents of motions charge moving entities where they are at each time, with a departure at 0;
-            else as searches do.
+        problem: Problem to plan in.
+        objective: Objective to minimise.
+        timed: Whether descents of motions evaluate moving entities at their predicted places, for a departure at time
+            0; if False, as in searches.
     """
     lower, upper = (np.ascontiguousarray(limit, dtype=np.float64) for limit in (problem.lower, problem.upper))
     scene_objective = objective if isinstance(objective, SceneObjective) else None
@@ -72,8 +73,8 @@ def native_space(problem: Problem, objective: BoundObjective, *, timed: bool = T
 
 
 def _own_cost(objective: SceneObjective, core: _native.Core) -> _native.OwnCost:
-    """Return an objective without a kernel as the core takes it; it must not be kept with the objective, a circle."""
-    # A descent of a path adds vertices: not where they count.
+    """Wrap an objective without a native kernel for the core; storing it in the objective would create a cycle."""
+    # A descent of a path adds vertices, so it cannot be used if the cost counts vertices.
     descends = objective.motion_is_length and objective.objective.exposure != "waypoints"
     return _native.OwnCost(
         core,
@@ -109,7 +110,7 @@ def _costs(objective: BoundObjective, method: str, value: ArrayLike, shape: tupl
 
 
 def run_slice(run: Callable[[int, float], tuple[bool, int]], budget: Budget) -> bool:
-    """Let the core work for one slice of the budget; return what it reports."""
+    """Run the core for one slice of the budget; return whether it reports an improvement."""
     timed = budget.iterations is None or np.isfinite(budget.time_limit)
     iterations = int(min(SLICE_ITERATIONS if timed else _UNTIMED_ITERATIONS, budget.remaining_iterations))
     seconds = min(SLICE_SECONDS, budget.remaining_seconds) if timed else np.inf

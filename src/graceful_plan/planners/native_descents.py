@@ -1,6 +1,6 @@
-"""Descents of single paths in the native core, for planners in Python that find paths in other ways.
+"""Gradient descents of single paths in the native core, for planners written in Python.
 
-`Anytime` does the same within the core, with many paths at once: stages and limits are those of its challengers.
+`Anytime` does this inside the core for many paths at once; stages and limits here are those of its challengers.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from graceful_plan.planners.scene_problem import SceneProblem
 Array = np.ndarray
 
 _COARSE, _FINE, _LAST = (14, 0.15), (40, 0.05), (100, 0.04)
-"""Pieces of the path and distance between samples of the impact [rad]; the last where the fine path is not free."""
+"""Pieces of the path and distance between samples of the impact [rad]; `_LAST` is used if the fine path is not free."""
 _COARSE_STEPS, _FINE_STEPS, _MORE_STEPS = 30, 100, 30
-"""Evaluations while coarse, while fine, and each time that the path was not free in the end."""
+"""Evaluations of the coarse and the fine stage, and of each round for a path that is not free at the end."""
 _HARDENINGS = 2
-"""How often a path that is still not free is pressed harder away from what is in the way."""
+"""Largest number of rounds with a heavier clearance penalty for a path that is still not free."""
 _SLICE = 5
-"""Evaluations between two looks at the clock: 1 to 10 ms."""
+"""Evaluations between two readings of the clock: 1 to 10 ms."""
 _HOPELESS = 1.5
-"""A coarse path that costs so many times the best one is given up."""
+"""Ratio of a coarse path's cost to the best cost beyond which it is discarded."""
 _HOPELESS_FINE = (30, 1.2)
-"""The same for a fine one, after so many evaluations."""
+"""Evaluations after which a fine path is compared with the best cost, and ratio beyond which it is discarded."""
 
 
 @final
 class NativeDescents:
-    """Leads paths down along the gradient of J.
+    """Descends from paths along the gradient of J.
 
     Args:
-        questions: To problem and objective.
-        space: The same in the core, with slopes.
+        questions: Access to problem and objective.
+        space: Problem and objective in the core, with gradients.
     """
 
     def __init__(self, questions: Questions, space: _native.Space) -> None:
@@ -47,7 +47,7 @@ class NativeDescents:
 
     @classmethod
     def of(cls, questions: Questions) -> NativeDescents | None:
-        """Return descents, or None if there is no gradient of the objective, or if it counts the vertices of a path."""
+        """Return the descents; None if the objective has no gradient, a weight of 0, or exposure by waypoints."""
         problem, objective = questions.problem, questions.objective
         if not (isinstance(problem, SceneProblem) and isinstance(objective, SceneObjective) and objective.w > 0.0):
             return None
@@ -57,9 +57,9 @@ class NativeDescents:
         return None if slopes is None else cls(questions, native_space(problem, objective))
 
     def lowered(self, path: Path, best: float) -> Path | None:
-        """Return the free path that a descent from `path` ends with; None if it will not cost less than `best`.
+        """Descend from `path` and return the free final path; None if it is not free, or much worse than `best`.
 
-        It does not spend the budget, but ends with its time.
+        The descent uses no iterations of the budget, but ends with its time.
 
         Raises:
             Interrupted: If the time is over.
@@ -75,7 +75,7 @@ class NativeDescents:
         return self._landed(descent.path)
 
     def _landed(self, q: Float[Array, "vertex nq"]) -> Path | None:
-        """Return a path as it is if it is free, else one near it that keeps away with more vertices, or None."""
+        """Return a path if it is free, else a free one near it by a descent with more vertices; None if that fails."""
         if not self._is_free(q):
             descent = self._run(self._descent(q, _LAST), _MORE_STEPS)
             for _ in range(_HARDENINGS):

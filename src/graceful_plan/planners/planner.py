@@ -1,8 +1,8 @@
-"""The planner contract: what a planner sees, what it yields, and the budget it lives on.
+"""Interface of planners: problem, objective, budget and planner.
 
-A planner is a frozen settings object with one method, `solve`. It sees the world through two batched
-questions (`Problem`) and the cost through one (`BoundObjective`), and yields better and better paths.
-Time limit, cancellation, progress and trace are handled once, by `graceful_plan.plan`, on top of `Budget`.
+A planner is a frozen settings object with one method, `solve`. It checks states and edges with a `Problem` and
+evaluates edges with a `BoundObjective`, both in batches, and yields paths of decreasing cost. `graceful_plan.plan`
+handles time limit, cancellation, progress and trace for all planners, on top of `Budget`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = np.ndarray
 
 
 class Problem(ABC):
-    """A start, one or more goals, limits, and which states and edges are free."""
+    """A planning problem: start, goals, limits, and collision checks of states and edges."""
 
     start: Float[Array, " nq"]
     goals: Float[Array, "goal nq"]
@@ -37,24 +37,24 @@ class Problem(ABC):
 
     @abstractmethod
     def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which configurations are free of collision. Limits are the planner's business."""
+        """Return which configurations are free of collision; the planner itself has to keep the limits."""
 
     @abstractmethod
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which straight edges from `q0` to `q1` are free of collision."""
+        """Return which straight edges from `q0` to `q1` are free of collision."""
 
     def projected(self, q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Return configurations moved to where constraints hold, as far as that is possible; as they are by default.
+        """Project configurations onto the constraints as far as possible; the default returns them unchanged.
 
-        Samples that are drawn among thin constraints hardly ever keep them.
+        Planners use it since random samples hardly ever satisfy thin constraints.
         """
         return q
 
     def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]] | None:
-        """Return the clearance beyond what has to be kept, and its gradient; None, the default, if it is not known.
+        """Return the clearance beyond the margin [m], and its gradient; None, the default, if it is not available.
 
-        Positive where a configuration is free, negative where it is not, and a distance near the border: optimisers
-        push paths away by it.
+        It is positive if a configuration is free and negative if it is not; near 0 it is a distance. Optimisers use it
+        to move paths out of collision.
         """
         del q
         return None
@@ -62,7 +62,7 @@ class Problem(ABC):
 
 @runtime_checkable
 class BoundObjective(Protocol):
-    """What a planner sees of the cost J = V + w S: additive over edges, never negative."""
+    """The cost J = V + w S of a planner: additive over edges, never negative."""
 
     @property
     def w(self) -> float:
@@ -70,57 +70,57 @@ class BoundObjective(Protocol):
         ...
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
-        """Motion cost V and impact S of each straight edge, travelled from `q0` to `q1`."""
+        """Return motion cost V and impact S of each straight edge, travelled from `q0` to `q1`."""
         ...
 
     def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Impact given that the robot fails right there, at rest."""
+        """Return the impact of a failure in each configuration, at rest."""
         ...
 
 
 @runtime_checkable
 class DifferentiableObjective(BoundObjective, Protocol):
-    """A cost that knows its derivatives."""
+    """An objective with derivatives."""
 
     def edge_gradients(
         self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]
     ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """`edges`, and the derivatives of V + w S of each edge with respect to `q0` and `q1`; None if it has none."""
+        """Return `edges`, and the derivatives of V + w S with respect to `q0` and `q1`; None if there are none."""
         ...
 
 
 @runtime_checkable
 class WidenableObjective(BoundObjective, Protocol):
-    """A cost whose hazards can be smeared, so that a descent feels them from afar."""
+    """An objective whose impact can be blurred in space, so that a descent has a gradient farther from entities."""
 
     def widened(self, metres: float) -> BoundObjective | None:
-        """Return the same with hits smeared by so much more; None if it has no such form."""
+        """Return the objective with places of impact blurred by `metres` more; None if that is not possible."""
         ...
 
 
 def edge_totals(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, " n"]:
-    """Total cost V + w S of each edge."""
+    """Return the total cost V + w S of each edge."""
     cost = objective.edges(q0, q1)
     return cost[:, 0] + objective.w * cost[:, 1]
 
 
 def path_total(objective: BoundObjective, path: Path) -> float:
-    """Total cost V + w S of a path."""
+    """Return the total cost V + w S of a path."""
     return float(edge_totals(objective, path.q[:-1], path.q[1:]).sum())
 
 
 @final
 @dataclass
 class Budget:
-    """What a planner may still spend: seconds, iterations, or until somebody cancels.
+    """Budget of a planner: a time limit, a number of iterations, and a test for cancellation.
 
-    With `iterations` set and no time limit, a planner's result depends on its seed alone.
+    With `iterations` set and no time limit, a planner's result depends only on its seed.
     """
 
     time_limit: float = np.inf
-    """Seconds from construction on."""
+    """Time limit from `started` on [s]."""
     iterations: int | None = None
-    """Planner iterations; each planner documents what one of its iterations is."""
+    """Planner iterations, as each planner defines them; None: unlimited."""
     cancelled: Callable[[], bool] = field(default=lambda: False)
     spent: int = field(default=0, init=False)
     started: float = field(default_factory=time.perf_counter)
@@ -128,40 +128,40 @@ class Budget:
 
     @property
     def elapsed(self) -> float:
-        """Seconds since the start."""
+        """Time since `started` [s]."""
         return time.perf_counter() - self.started
 
     @property
     def remaining_seconds(self) -> float:
-        """Seconds left, at least 0."""
+        """Remaining time [s], at least 0."""
         return max(0.0, self.time_limit - self.elapsed)
 
     @property
     def remaining_iterations(self) -> float:
-        """Iterations left, infinite if they are not limited."""
+        """Remaining iterations; infinite if they are not limited."""
         return np.inf if self.iterations is None else float(max(0, self.iterations - self.spent))
 
     @property
     def timed(self) -> bool:
-        """Whether time alone says when there was enough effort; with iterations, a time limit only ends it early."""
+        """Whether only time limits the effort; with `iterations`, a time limit only stops early."""
         return self.iterations is None and bool(np.isfinite(self.time_limit))
 
     @property
     def exhausted(self) -> bool:
-        """Whether nothing is left or somebody cancelled."""
+        """Whether time or iterations are used up, or the call is cancelled."""
         return self.remaining_iterations <= 0 or self.over
 
     @property
     def over(self) -> bool:
-        """Whether the time is up or somebody cancelled: what an iteration that takes long asks on the way."""
+        """Whether the time is used up or the call is cancelled; long iterations check this between their steps."""
         return self.elapsed >= self.time_limit or self.cancelled()
 
     def is_late(self, part: float) -> bool:
-        """Tell whether more than a part of the time is over."""
+        """Return whether more than a fraction `part` of the time limit is used up."""
         return self.elapsed > part * self.time_limit
 
     def spend(self, n: int = 1) -> bool:
-        """Count `n` iterations; return whether there was budget for them."""
+        """Count `n` iterations and return True; return False if the budget is exhausted."""
         if self.exhausted:
             return False
         self.spent += n
@@ -175,15 +175,15 @@ class Budget:
         *,
         until: Callable[[], bool] = lambda: False,
     ) -> Generator[Budget]:
-        """Hand out a part of what is left as a budget of its own, for a `with` block.
+        """Provide a part of the remaining budget as a separate budget, for a `with` block.
 
-        The clock of the part is that of the whole. What the part spends counts here when the block ends, however it
-        ends; this budget itself is not to be spent in the meantime.
+        Both budgets have the same clock. Iterations of the part are added to this budget when the block ends, also
+        after an exception; do not spend this budget inside the block.
 
         Args:
-            seconds: At most so many of those left [s].
-            iterations: At most so many of those left, rounded up; none are counted out if they are not limited at all.
-            until: Endpoints the part as if somebody cancelled it.
+            seconds: Largest time of the part [s].
+            iterations: Largest number of iterations of the part, rounded up; unlimited if this and the budget are.
+            until: Cancels the part once it returns True.
         """
         granted = min(max(0.0, iterations), self.remaining_iterations)
         part = Budget(
@@ -199,23 +199,22 @@ class Budget:
 
 
 class Planner(ABC):
-    """Base of all planners: a frozen dataclass of settings with one method."""
+    """Base class of all planners: a frozen dataclass of settings with one method."""
 
     name: ClassVar[str]
-    """The word that selects it in `plan(planner=...)`."""
+    """Name that selects the planner in `plan(planner=...)`."""
     anytime: ClassVar[bool]
-    """Whether it keeps improving its solution until the budget ends."""
+    """Whether the planner improves its solution until the budget ends."""
     drives: ClassVar[bool] = False
-    """Whether it plans for bases that roll along their heading, and for these alone."""
+    """Whether the planner is for mobile bases that roll along their heading, and only for these."""
 
     @abstractmethod
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield paths from the start to one of the goals, each of lower total cost than the one before.
+        """Yield paths from the start to one of the goals, each of lower total cost than the previous one.
 
-        Start and goals are free and inside the limits. An implementation checks `budget.spend()` once per
-        iteration and returns when it says no; no single iteration may take longer than about 20 ms.
-        Yielding nothing means that no path was found. Deterministic for a given `rng` when the budget is
-        given in iterations.
+        Start and goals are free and inside the limits. An implementation calls `budget.spend()` once per iteration and
+        returns when that is False; an iteration may take at most about 20 ms. It yields nothing if it finds no path. It
+        is deterministic for a given `rng` if only iterations limit the budget.
         """

@@ -1,7 +1,7 @@
-"""Questions to the problem and the objective, in slices that can be interrupted.
+"""Interruptible evaluation of problem and objective in slices.
 
-A planner that asks about thousands of edges at once must still stop within milliseconds when its time is over or
-somebody cancels, however slow a user's cost is. `Questions` cuts every batch into slices and raises `Interrupted`
+A planner that evaluates thousands of edges at once must still stop within milliseconds when its time is over or the
+call is cancelled, even with a slow custom cost. `Questions` cuts every batch into slices and raises `Interrupted`
 between two of them; `solve` methods end on it.
 """
 
@@ -25,16 +25,16 @@ _FIXED_SLICE = 512
 
 
 class Interrupted(Exception):
-    """The time is over or somebody cancelled: a signal between the functions of one planner, not an error."""
+    """Raised inside a planner when the time is over or the call is cancelled; not an error."""
 
 
 def out_of_time(budget: Budget) -> bool:
-    """Whether to stop in the middle of an iteration; iterations that were spent may be finished."""
+    """Return whether to stop within an iteration: the time is over or the call is cancelled."""
     return budget.elapsed >= budget.time_limit or budget.cancelled()
 
 
 def checked_costs(objective: BoundObjective, what: str, costs: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return costs that are finite and not negative.
+    """Return costs after checking that they are finite and not negative.
 
     Raises:
         CostError: If they are not.
@@ -45,14 +45,14 @@ def checked_costs(objective: BoundObjective, what: str, costs: Float[Array, "...
 
 
 class Questions:
-    """Asks in slices, each sized to take some milliseconds.
+    """Evaluates problem and objective in slices of some milliseconds.
 
-    Without a time limit the size is fixed, so that a result cannot depend on how fast the machine was.
+    Without a time limit the size of slices is fixed, so that results do not depend on the speed of the machine.
 
     Args:
-        problem: Which states and edges are free.
-        objective: What edges cost.
-        budget: Whose time counts.
+        problem: Problem for collision checks.
+        objective: Objective for costs.
+        budget: Budget whose time limit and cancellation interrupt.
     """
 
     def __init__(self, problem: Problem, objective: BoundObjective, budget: Budget) -> None:
@@ -61,13 +61,13 @@ class Questions:
         self._sizes: dict[str, int] = {}
 
     def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which configurations are inside the limits and free."""
+        """Return which configurations are inside the limits and free."""
         inside = np.all((q >= self.problem.lower) & (q <= self.problem.upper), axis=1)
         inside[inside] = self._sliced("states_free", self.problem.states_free, q[inside]).astype(bool)
         return inside
 
     def state_costs(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Weighted impact w I(q).
+        """Return the weighted impact w I(q) of each configuration.
 
         Raises:
             CostError: If the objective returns a NaN, an infinity or a negative number.
@@ -75,11 +75,11 @@ class Questions:
         return self._sliced("states", self._weighted_impact, q)
 
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which edges are free."""
+        """Return which edges are free."""
         return self._sliced("edges_free", self.problem.edges_free, q0, q1).astype(bool)
 
     def edge_costs(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Total cost V + w S of each edge.
+        """Return the total cost V + w S of each edge.
 
         Raises:
             CostError: If the objective returns a NaN, an infinity or a negative number.
@@ -87,15 +87,15 @@ class Questions:
         return self._sliced("edges", self._totals, q0, q1)
 
     def edge_free(self, q0: Float[Array, " nq"], q1: Float[Array, " nq"]) -> bool:
-        """Tell whether one edge is free, without a look at the clock."""
+        """Return whether one edge is free, without checking the budget."""
         return bool(self.problem.edges_free(q0[None], q1[None])[0])
 
     def state_cost(self, q: Float[Array, " nq"]) -> float:
-        """Weighted impact of one configuration, without a look at the clock."""
+        """Return the weighted impact of one configuration, without checking the budget."""
         return float(self._weighted_impact(q[None])[0])
 
     def path_cost(self, path: Path) -> float:
-        """Total cost of a path, asked in one piece so that a path found in the last moment is not lost.
+        """Return the total cost of a path, uninterrupted, so that a path found at the last moment is not lost.
 
         Raises:
             CostError: As for `edge_costs`.

@@ -1,4 +1,4 @@
-"""A planning problem in a scene, on the native kernels."""
+"""A planning problem in a scene, with native collision checks."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneProblem(Problem):
-    """From a start to one of several goals in a scene.
+    """Problem of reaching any of several goals from a start in a scene.
 
     Args:
-        kernels: The scene's kernels.
+        kernels: Kernels of the constraints.
         start: Start, free and inside the limits [rad or m].
         goals: Goals, free and inside the limits [rad or m].
         check_step: Largest distance between checked configurations of an edge [rad]. The native planners check the
             edges of a path once more at `FINE_STEP`.
         margin: Clearance to keep [m].
-        constraints: What has to hold besides; the kernels are to be theirs.
+        constraints: Constraints in addition to collision; None if there are none.
     """
 
     kernels: Kernels
@@ -48,25 +48,25 @@ class SceneProblem(Problem):
         return self.kernels.robot.upper
 
     def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which configurations are free of collision."""
+        """Return which configurations are free of collision and satisfy the constraints."""
         free = self.kernels.free(q, self.margin)
         if self.custom is not None and np.any(free):
             free[free] = self.custom.custom_holds(q[free], self.margin)
         return free
 
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which straight edges are free of collision."""
+        """Return which straight edges are free of collision and satisfy the constraints."""
         free = self.kernels.edges_free(q0, q1, self.check_step, self.margin)
         if self.custom is not None and np.any(free):
             free[free] = edges_hold(self.custom, q0[free], q1[free], self.check_step, self.margin)
         return free
 
     def projected(self, q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Move configurations to where the constraints that the kernels know hold; Newton's method."""
+        """Project configurations onto the native constraints by Newton's method."""
         return self.kernels.projected(q, self.margin)
 
     def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
-        """Return the clearance beyond the margin [m] of the nearest pair, self-collision included, and its gradient."""
+        """Return the clearance of the nearest pair beyond the margin [m], including self-pairs, and its gradient."""
         clearance, gradient = self.kernels.clearance_gradient(q)
         if self.custom is not None:
             own, slope = self.custom.custom_clearance(q)
@@ -76,14 +76,14 @@ class SceneProblem(Problem):
 
     @property
     def custom(self) -> SceneConstraints | None:
-        """The constraints, if there are some that only Python can check."""
+        """The constraints, if some of them are checked in Python; else None."""
         return self.constraints if self.constraints is not None and self.constraints.custom else None
 
 
 def edges_hold(
     constraints: SceneConstraints, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float, margin: float
 ) -> Bool[Array, " n"]:
-    """Tell along which straight edges custom constraints hold, at configurations at most `step` [rad] apart."""
+    """Return along which straight edges custom constraints hold, at configurations at most `step` [rad] apart."""
     pieces = np.ceil(np.linalg.norm(q1 - q0, axis=1) / step).astype(int) + 1
     edge = np.repeat(np.arange(len(q0)), pieces + 1)
     first = np.concatenate([[0], np.cumsum(pieces + 1)[:-1]]) if len(q0) else np.zeros(0, dtype=int)

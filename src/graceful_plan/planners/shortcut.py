@@ -1,8 +1,8 @@
-"""Cost-aware shortcutting: local changes of a path, each taken only if the total cost J falls.
+"""Cost-aware shortcutting: local changes of a path, each applied only if it lowers the total cost J.
 
-A shortcut that only looks at length undoes what a failure-aware planner has done: it cuts back across the hazard.
-Four moves, each a replacement of the stretch between two vertices: leave out vertices, cut straight between two
-points, straighten a single joint, move a point aside. All candidates of a round are evaluated in one batch.
+Shortcutting by length alone would undo detours around entities that a failure could hit. There are four moves, each a
+replacement of the stretch between two vertices: leave out vertices, cut straight between two points, straighten a
+single joint, move a point aside. All candidates of a round are evaluated in one batch.
 
 References:
     [Geraerts2007] Creating high-quality paths for motion planning, Sec. 4 (partial shortcut). Differs in: the
@@ -34,7 +34,7 @@ _TINY = 1e-300
 @final
 @dataclass(frozen=True)
 class Replacement:
-    """New vertices for the stretch from vertex `first` to vertex `last`; both ends of `q` are these vertices."""
+    """New vertices for the stretch from vertex `first` to vertex `last`; `q` begins and ends with these vertices."""
 
     first: int
     last: int
@@ -43,7 +43,7 @@ class Replacement:
 
 @final
 class Line:
-    """A path with its arc length, to pick points from.
+    """A path with its arc length.
 
     Args:
         q: Vertices.
@@ -55,25 +55,25 @@ class Line:
         self.arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
 
     def at(self, s: Float[Array, " n"]) -> tuple[Int[Array, " n"], Float[Array, "n nq"]]:
-        """Segment and point at each arc length."""
+        """Return segment and point at each arc length [rad]."""
         i = np.clip(np.searchsorted(self.arc, s, side="right") - 1, 0, len(self.q) - 2)
         t = ((s - self.arc[i]) / np.maximum(self.arc[i + 1] - self.arc[i], _TINY))[:, None]
         return i, (1.0 - t) * self.q[i] + t * self.q[i + 1]
 
     def stretches(self, n: int, reach: float, rng: np.random.Generator) -> Stretches:
-        """Random stretches of about `reach` times the path, all inside of it."""
+        """Return n random stretches of 0.5 to 1 times `reach` times the length of the path."""
         span = reach * self.arc[-1] * rng.uniform(0.5, 1.0, n)
         begin = rng.uniform(0.0, 1.0, n) * (self.arc[-1] - span)
         return Stretches(begin, begin + span, *self.at(begin), *self.at(begin + span))
 
     def replacement(self, i: int, a: Array, middle: Array, j: int, b: Array) -> Replacement:
-        """Go from point `a` on segment `i` over `middle` to point `b` on segment `j`."""
+        """Return a replacement from point `a` on segment `i` via `middle` to point `b` on segment `j`."""
         q = np.concatenate([self.q[i : i + 1], a[None], middle, b[None], self.q[j + 1 : j + 2]])
         return Replacement(i, j + 1, q)
 
 
 class Stretches(NamedTuple):
-    """Parts of a path: arc lengths of both ends, and segment and point there."""
+    """Stretches of a path: arc length, segment and point of both ends."""
 
     begin: Float[Array, " n"]
     end: Float[Array, " n"]
@@ -84,11 +84,11 @@ class Stretches(NamedTuple):
 
 
 Move = Callable[[Line, int, float, np.random.Generator], list[Replacement]]
-"""Proposes about n replacements of stretches about as long as a fraction `reach` of the path."""
+"""Proposes about n replacements of stretches; `reach` is their length as a fraction of the path."""
 
 
 def leave_out(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
-    """Join vertices that are not neighbours: half of the proposals skip as few as possible, half any number."""
+    """Connect non-adjacent vertices: half of the proposals skip as few vertices as possible, half any number."""
     first, last = np.triu_indices(len(line.q), k=2)
     order = np.argsort(last - first, kind="stable")
     near, rest = order[: max(n // 2, len(line.q) - 2)], order[max(n // 2, len(line.q) - 2) :]
@@ -105,7 +105,7 @@ def cut(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Repl
 
 
 def straighten_joint(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
-    """Let one joint go straight between two points while the others stay as they are."""
+    """Interpolate one joint linearly between two points; the other joints are unchanged."""
     proposals = []
     parts = line.stretches(n, reach, rng)
     joints = rng.integers(line.q.shape[1], size=n)
@@ -118,7 +118,7 @@ def straighten_joint(line: Line, n: int, reach: float, rng: np.random.Generator)
 
 
 def move_aside(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
-    """Pull a point of the path to a random side, and with it the stretch around it."""
+    """Replace a stretch by straight lines via one of its points, moved in a random direction."""
     parts = line.stretches(n, reach, rng)
     span = parts.end - parts.begin
     _, points = line.at(parts.begin + rng.uniform(size=n) * span)
@@ -129,22 +129,22 @@ def move_aside(line: Line, n: int, reach: float, rng: np.random.Generator) -> li
 
 
 MOVES: tuple[Move, ...] = (leave_out, move_aside, cut, move_aside, straighten_joint, move_aside)
-"""What the rounds take turns in; moving aside, which alone can leave the hull of the path, comes up most."""
+"""Moves of successive rounds; `move_aside` is the most frequent, since only it can leave the hull of the path."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Shortcut:
-    """Settings of the post-processing that planners share. One iteration is one round of one move."""
+    """Settings of shortcutting, which several planners use. One iteration is one round of one move."""
 
     candidates: int = 24
     """Replacements proposed per round."""
     patience: int = 40
-    """Stops after so many rounds in a row without an improvement."""
+    """Number of consecutive rounds without an improvement after which it stops."""
     least_gain: float = 1e-4
-    """Relative fall of J that counts as an improvement for `patience`."""
+    """Relative decrease of J that counts as an improvement for `patience`."""
     least_reach: float = 0.02
-    """Length of the shortest stretches, as a fraction of the path; the longest is all of it."""
+    """Length of the shortest stretches, as a fraction of the path; the longest stretch is the whole path."""
 
     def __post_init__(self) -> None:
         count("candidates", self.candidates)
@@ -154,7 +154,7 @@ class Shortcut:
         fraction("least_reach", self.least_reach)
 
     def improve(self, path: Path, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
-        """Yield cheaper and cheaper versions of a free path; nothing if there is none within the budget."""
+        """Yield versions of a free path with decreasing cost; nothing if the budget is too small to find one."""
         with suppress(Interrupted):
             yield from self._rounds(path, questions, budget, rng)
 
@@ -183,12 +183,12 @@ def first_and_shorter(
     questions: Questions,
     rng: np.random.Generator,
 ) -> Iterator[Path]:
-    """Yield the first path that is found, then cheaper versions of it with what is left of the budget.
+    """Yield the first path that is found, then cheaper versions of it until the budget ends.
 
     Args:
-        find: Looks for a path until the budget ends.
-        shortcut: How it is shortened; None yields it as it is.
-        questions: To problem and objective.
+        find: Searches for a path until the budget ends.
+        shortcut: Settings of shortcutting; None for no shortcutting.
+        questions: Access to problem, objective and budget.
         rng: Random numbers.
     """
     with suppress(Interrupted):
@@ -201,7 +201,7 @@ def first_and_shorter(
 
 
 def apply_best(line: Line, proposals: list[Replacement], questions: Questions) -> Line | None:
-    """Take the free replacements that lower J most and do not overlap; None if there are none."""
+    """Apply the free, non-overlapping replacements that lower J most; return None if there are none."""
     if not proposals:
         return None
     q0 = np.concatenate([p.q[:-1] for p in proposals])
@@ -225,7 +225,7 @@ def apply_best(line: Line, proposals: list[Replacement], questions: Questions) -
 def _are_free(
     proposals: list[Replacement], order: Array, begin: Array, q0: Array, q1: Array, questions: Questions
 ) -> list[bool]:
-    """Check the proposals in `order`, all in one batch."""
+    """Return which proposals are free, in the order of `order`; all are checked in one batch."""
     if len(order) == 0:
         return []
     problem = questions.problem
@@ -239,7 +239,7 @@ def _are_free(
 def replaced(
     q: Float[Array, "vertex nq"], cost: Float[Array, "*edge"], taken: list[tuple[Replacement, Array]]
 ) -> tuple[Float[Array, "vertex2 nq"], Float[Array, "*edge2"]]:
-    """Vertices and costs of edges after replacements that do not overlap, each given with the costs of its edges."""
+    """Apply non-overlapping replacements, each with the costs of its edges; return vertices and edge costs."""
     parts, costs, at = [q[:1]], [], 0
     for new, new_cost in sorted(taken, key=lambda pair: pair[0].first):
         parts += [q[at + 1 : new.first + 1], new.q[1:]]

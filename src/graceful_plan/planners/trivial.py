@@ -1,4 +1,4 @@
-"""The case that needs no search."""
+"""Shortcut for problems whose start is a goal."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Solve = TypeVar("Solve", bound=Callable[..., Iterator[Path]])
 
 
 def _start_is_goal(problem: Problem) -> bool:
-    """Whether the robot already is at a goal; the path is then the single configuration `problem.start`."""
+    """Return whether the start is a goal."""
     return bool(np.any(np.all(np.asarray(problem.goals) == np.asarray(problem.start), axis=1)))
 
 
 def stays_at_goal(solve: Solve) -> Solve:
-    """Decorate `Planner.solve`: where the start is a goal it yields that path, at no cost, and is not asked."""
+    """Decorate `Planner.solve`: if the start is a goal, yield the single configuration and skip the search."""
 
     @wraps(solve)
     def answer(

@@ -1,1 +1,1 @@
-"""What plan() does, in order."""
+"""Stages of a call of plan(): checked arguments, endpoints, candidate motions, verification, result."""

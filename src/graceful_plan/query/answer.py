@@ -1,4 +1,4 @@
-"""The best verified motion of a call, and the result that comes of it."""
+"""The best verified motion of a call, and the result of the call."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from graceful_plan.query.verification import Judged, judged
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 
 LAST_STEPS = 0.004
-"""Time that is kept to time and verify one more motion [s], until a call knows how long that takes in its scene."""
+"""Reserve of the time budget for timing and verifying one more motion [s], until a call has measured it."""
 _LAST_STEPS_SHARE = 0.2
-"""Share of a time limit that is kept for it at most."""
+"""Largest reserve, as a share of the time limit."""
 _GAIN = 1e-3
-"""Relative improvement of the best motion that is noticeable."""
+"""Least relative improvement of the best motion that counts for convergence and optimality."""
 _PATIENCE = 32
-"""Descents without such an improvement after which a call has converged; benchmark `real_tasks` has what that costs."""
+"""Descents without an improvement after which a call has converged; benchmark `real_tasks` measures the loss."""
 
 
 @final
 class BestVerified:
-    """Verifies motions and keeps the best.
+    """Verifies motions and keeps the best one.
 
     Args:
-        request: What the motions are for.
+        request: The request that the motions serve.
         ends: Both ends.
-        budget: Of the call; it ends early enough to time and verify one more motion.
+        budget: Budget of the call; its time limit is shortened by the reserve for one more motion.
     """
 
     def __init__(self, request: Request, ends: Endpoints, budget: Budget) -> None:
         self._request, self._ends, self._budget, self._limit = request, ends, budget, budget.time_limit
         self._keep(LAST_STEPS)
         self.searched = Search()
-        """The search that was begun last."""
+        """Result of the latest search."""
         self.path_cost = np.inf
-        """Least cost of a path of a search, as the search estimates it."""
+        """Least estimated cost of a path that the searches have found."""
         self.why_not = ""
-        """Why a path has no timing, if that is so."""
+        """Reason why the first path cannot be timed; empty if it can."""
         self._best: Judged | None = None
         self._refused: Judged | None = None
         self._told: list[TracePoint] = []
         self._stopped = False
         self._rounds = 0
         self._improved = np.inf, 0
-        """Ranking and number of descents when the best motion last became noticeably better."""
+        """Ranking and number of descents at the last improvement that counts."""
         self._stats: dict[str, float] = {}
 
     @property
@@ -62,7 +62,7 @@ class BestVerified:
 
     @property
     def ranking(self) -> float:
-        """Its ranking; infinite without one, or with one that the judge warns of."""
+        """Ranking of the best motion; infinite if there is none, or if its verdict has warnings."""
         return np.inf if self._best is None or self._best.verdict.warnings else self._best.motion.ranking
 
     @property
@@ -74,10 +74,10 @@ class BestVerified:
         return enough or self._is_optimal(self._best.motion)
 
     def converged(self, effort: int) -> bool:
-        """Tell whether a call that stops once it has converged does so.
+        """Return whether the call has converged and stops for that reason.
 
         Args:
-            effort: Number of descents so far.
+            effort: Number of descents that have ended.
         """
         if self._request.stop != "converged" or self._best is None:
             return False
@@ -86,11 +86,11 @@ class BestVerified:
         return effort - self._improved[1] >= _PATIENCE
 
     def end_round(self, path_cost: float) -> None:
-        """Note that a round has ended, and the least cost of a path of its search."""
+        """Count a round, and note the least estimated cost of a path that its search has found."""
         self._rounds, self.path_cost = self._rounds + 1, min(self.path_cost, path_cost)
 
     def tell(self, point: TracePoint) -> bool:
-        """Tell the callback of an improvement, unless it has ended the call; return whether it has."""
+        """Record an improvement and call the callback; return whether the callback has ended the call."""
         if not self._told:
             self._stats |= {"search_time": point.time, "first_path_cost": point.total}
             self.path_cost = point.total
@@ -100,7 +100,7 @@ class BestVerified:
         return self._stopped
 
     def consider(self, motion: Motion) -> None:
-        """Verify a motion if it is better than the best and there is time for it; keep it if it passes."""
+        """Verify a motion if it is better than the best one and time allows; keep it if it passes."""
         began = time.perf_counter()
         first = self._best is None
         late = not first and self._budget.elapsed + self._stats["verification_time"] > self._limit
@@ -111,7 +111,7 @@ class BestVerified:
         if not found.verdict.passed:
             self._refused = self._refused or found
             return
-        if self._best is not None and found.verdict.warnings:  # no better than one without a warning
+        if self._best is not None and found.verdict.warnings:  # motions without warnings come first
             best = self._best
             if not best.verdict.warnings or motion.ranking >= best.motion.ranking:
                 return
@@ -125,7 +125,7 @@ class BestVerified:
         self.tell(point)
 
     def result(self) -> PlanResult:
-        """Return the best motion as a result, or one that says why there is none."""
+        """Return the result of the call: the best motion, or the reason why there is none."""
         budget, motion = self._budget, self.motion
         stats = {**self._stats, "path_cost": self.path_cost, "iterations": float(budget.spent)}
         stats["rounds"] = float(self._rounds)
@@ -154,7 +154,7 @@ class BestVerified:
             objections = "; ".join(
                 f"{name}: {refused.verdict.checks[name].detail}" for name in refused.verdict.failures
             )
-            detail = f"the judge refused every motion; the first for {objections}"
+            detail = f"the judge refused every motion; violations of the first: {objections}"
             return PlanResult(status=ended, detail=detail, verdict=refused.verdict, trace=trace)
         if self.why_not:
             return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=self.why_not, trace=trace)
@@ -162,9 +162,9 @@ class BestVerified:
         return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s")
 
     def _trace(self, total: float) -> Iterator[TracePoint]:
-        """Yield improvements up to that with the cost of the result.
+        """Yield the improvements until the cost of the result is reached.
 
-        A search estimates the costs of paths. Those that promised more than any motion has kept are no improvements.
+        Costs of paths are estimates. Paths with an estimate below the cost of the result are left out.
         """
         least = np.inf
         for point in self._told:
@@ -173,12 +173,12 @@ class BestVerified:
                 yield point
 
     def _keep(self, seconds: float) -> None:
-        """Let the budget end so many seconds before the time limit."""
+        """Reserve time at the end of the call for one more motion."""
         if np.isfinite(self._limit):
             self._budget.time_limit = self._limit - min(seconds, _LAST_STEPS_SHARE * self._limit)
 
     def _is_optimal(self, motion: Motion) -> bool:
-        """Whether there is no way to go, or only length counts and no motion can be noticeably shorter."""
+        """Whether the start is the goal, or only length counts and no motion can be shorter by more than `_GAIN`."""
         request = self._request
         if motion.trajectory.duration == 0.0:
             return True

@@ -1,4 +1,4 @@
-"""Early checks of what users hand to `plan`."""
+"""Early checks of the arguments of `plan`."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from graceful_plan.query.request import STOPS, Stop
 from graceful_plan.scene.scene import Scene
 
 DEFAULT_TIME_LIMIT = 1.0
-"""Seconds that a call may take when neither a time limit nor a number of iterations is given."""
+"""Time limit of a call without a time limit and without a number of iterations [s]."""
 
 
 def checked_planner(planner: object) -> Planner:
-    """Return a planner, looked up by its name if need be."""
+    """Return a planner; strings are looked up by name."""
     if isinstance(planner, Planner):
         return planner
     if isinstance(planner, type) and issubclass(planner, Planner):
@@ -40,11 +40,11 @@ def checked_planner(planner: object) -> Planner:
 
 
 def driving_planner(planner: Planner, scene: Scene) -> Planner:
-    """Return the planner for a robot that drives: the default one gives way to one that knows how a base rolls.
+    """Return the planner to use: for a robot with a mobile base, the default planner is replaced by one for bases.
 
     Raises:
-        SettingError: If it is one that does not, or one for bases and the robot has none.
-        UnsupportedError: If the robot drives, and the room of what drives is not installed.
+        SettingError: If the robot has a base and the planner is for arms, or the other way round.
+        UnsupportedError: If the robot has a base, and `graceful_plan.mobile` is not installed.
     """
     driving = driving_of(scene)
     if planner.drives and driving is None:
@@ -53,29 +53,29 @@ def driving_planner(planner: Planner, scene: Scene) -> Planner:
         return planner
     if planner != Auto():
         names = ", ".join(sorted(driving.planners))
-        raise SettingError("planner", planner.name, f"'auto' or one that knows how a base rolls: {names}")
+        raise SettingError("planner", planner.name, f"'auto' or a planner for mobile bases: {names}")
     return driving.default_planner()
 
 
 def check_stands(scene: Scene, what: str) -> None:
-    """Refuse robots that drive where nobody knows how a base rolls.
+    """Refuse robots with a mobile base, for functions that do not model how a base moves.
 
     Raises:
         UnsupportedError: If the robot has a base.
     """
     if scene.base is not None:
-        raise UnsupportedError(f"{what} does not know how a base rolls; plan() does")
+        raise UnsupportedError(f"{what} does not support mobile bases; plan() does")
 
 
 def checked_speed(speed: object) -> float:
-    """Return the share of the velocity limits to use."""
+    """Return the fraction of the velocity limits to use."""
     if not (is_real(speed) and 0.0 < speed <= 1.0):
         raise SettingError("speed", speed, "a fraction in (0, 1]")
     return float(speed)
 
 
 def checked_risk(risk: object) -> RiskMeasure:
-    """Return a risk measure, looked up by its name if need be."""
+    """Return a risk measure; strings are looked up by name."""
     if isinstance(risk, RiskMeasure):
         return risk
     if not isinstance(risk, str):
@@ -84,7 +84,7 @@ def checked_risk(risk: object) -> RiskMeasure:
 
 
 def checked_objective(objective: object, w: object) -> Objective:
-    """Return the objective to minimise, with the weight that was asked for."""
+    """Return the objective to minimise, with the weight `w` unless that is None."""
     if w is not None and not is_real(w):
         raise SettingError("w", w, "a finite number, at least 0")
     if objective is None:
@@ -95,7 +95,7 @@ def checked_objective(objective: object, w: object) -> Objective:
 
 
 def checked_stop(stop: object, *, limited: bool) -> Stop:
-    """Return when to end: with its limits a call that has some, else once it has converged."""
+    """Return when to end; by default at the limits if any is given, else at convergence."""
     if stop is None:
         return "time_limit" if limited else "converged"
     if stop not in STOPS:
@@ -104,14 +104,14 @@ def checked_stop(stop: object, *, limited: bool) -> Stop:
 
 
 def checked_refine(refine: object) -> bool:
-    """Return whether paths become smooth motions."""
+    """Return whether to turn paths into smooth motions."""
     if not isinstance(refine, bool | np.bool_):
         raise SettingError("refine", refine, "True or False")
     return bool(refine)
 
 
 def checked_wait(max_wait: object, scene: Scene) -> float:
-    """Return how long the robot may wait before it goes [s]; waiting is for moving entities."""
+    """Return the longest wait before the motion [s]; it must be 0 in a scene without moving entities."""
     if not (is_real(max_wait) and 0.0 <= max_wait < np.inf):
         raise SettingError("max_wait", max_wait, "a finite time of at least 0 s")
     if max_wait and not scene.moving:
@@ -120,14 +120,14 @@ def checked_wait(max_wait: object, scene: Scene) -> float:
 
 
 def checked_verification(verification: object) -> Verification | None:
-    """Return how closely the judge looks."""
+    """Return the resolution of the judge; None for its default."""
     if verification is not None and not isinstance(verification, Verification):
         raise SettingError("verification", verification, "a Verification, such as Verification(step=0.001)")
     return verification
 
 
 def checked_seed(seed: object) -> np.random.Generator:
-    """Return the source of all random numbers."""
+    """Return the random number generator of a call."""
     if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or int(seed) < 0:
         raise SettingError("seed", seed, "a whole number, at least 0")
     return np.random.default_rng(int(seed))
@@ -135,19 +135,19 @@ def checked_seed(seed: object) -> np.random.Generator:
 
 @dataclass
 class Cancelled:
-    """The question whether somebody cancelled: once the answer is yes, it stays so and nobody is asked again."""
+    """The caller's test for cancellation; it is not called again once it has returned True."""
 
     ask: Callable[[], object]
     said: bool = False
 
     def __call__(self) -> bool:
-        """Ask, unless the answer is known."""
+        """Return whether the call is cancelled."""
         self.said = self.said or bool(self.ask())
         return self.said
 
 
 def checked_cancelled(cancelled: object) -> Cancelled:
-    """Return the question whether somebody cancelled."""
+    """Return the test for cancellation; without a function it is never cancelled."""
     if cancelled is None:
         return Cancelled(lambda: False)
     if not callable(cancelled):
@@ -156,17 +156,17 @@ def checked_cancelled(cancelled: object) -> Cancelled:
 
 
 def checked_callback(callback: Callback | None) -> Callback | None:
-    """Return what is told of improvements."""
+    """Return the callback for improvements, if there is one."""
     if callback is not None and not callable(callback):
         raise SettingError("callback", callback, "a function of one argument, the improvement")
     return callback
 
 
 def checked_time_limit(time_limit: object, iterations: object) -> float:
-    """Return how many seconds the call may take; infinite if iterations alone limit it."""
+    """Return the time limit of the call [s]; infinite if only iterations limit it."""
     whole = isinstance(iterations, numbers.Integral) and not isinstance(iterations, bool)
     if iterations is not None and not (whole and 0 <= int(iterations) < 2**63):  # type: ignore[call-overload]
-        raise SettingError("iterations", iterations, "a whole number from 0 on, of 63 bits")
+        raise SettingError("iterations", iterations, "a whole number from 0 to 2**63 - 1")
     if time_limit is not None and not (is_real(time_limit) and time_limit >= 0.0):
         raise SettingError("time_limit", time_limit, "a number of seconds, at least 0")
     if time_limit is None:

@@ -1,4 +1,4 @@
-"""The contract of planning for robots that drive: their planners, and the way from the ends of a motion to a result."""
+"""Interface to planning for robots with a mobile base: planners, endpoints and motions."""
 
 from __future__ import annotations
 
@@ -19,46 +19,46 @@ from graceful_plan.scene.scene import Scene
 
 
 class Driving(ABC):
-    """What `plan` does for robots with a base."""
+    """The parts of `plan` that differ for robots with a mobile base."""
 
     @property
     @abstractmethod
     def planners(self) -> Mapping[str, type[Planner]]:
-        """Every planner for bases that is known by name; each says so with `Planner.drives`."""
+        """Planners for bases by name; their `Planner.drives` is True."""
 
     @abstractmethod
     def default_planner(self) -> Planner:
-        """Return the planner that "auto" stands for."""
+        """Return the planner for "auto"."""
 
     @abstractmethod
     def ends(self, ends: Endpoints) -> Endpoints | PlanResult:
-        """Return the ends that a base can leave and reach; a result that says so if there are none."""
+        """Return the ends that the base can leave and reach; if there are none, a result with the reason."""
 
     @abstractmethod
     def motions(
         self, request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator
     ) -> MotionMaker:
-        """Return what makes motions for a request.
+        """Return a maker of motions for a request.
 
         Args:
-            request: What to plan.
+            request: The request.
             ends: Both ends.
-            problem: Where to search.
-            rng: Chance.
+            problem: Problem to search.
+            rng: Random numbers.
         """
 
 
 def driving_of(scene: Scene) -> Driving | None:
-    """Return how to plan for a scene's robot if it drives; None if it stands.
+    """Return the `Driving` for a scene whose robot has a mobile base; None if it has none.
 
     Raises:
-        UnsupportedError: If it drives, and the room of what drives is not installed.
+        UnsupportedError: If the robot has a base, and `graceful_plan.mobile` is not installed.
     """
     return None if scene.base is None else _room()
 
 
 def planners_by_name() -> Mapping[str, type[Planner]]:
-    """Return the planners for bases; none if the room of what drives is not installed."""
+    """Return the planners for bases; empty if `graceful_plan.mobile` is not installed."""
     try:
         return _room().planners
     except UnsupportedError:

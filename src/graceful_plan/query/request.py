@@ -1,4 +1,4 @@
-"""The checked request of a call of `plan`."""
+"""The checked arguments of a call of `plan`."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from graceful_plan.query.candidates.search import Callback
 from graceful_plan.scene.pose_goal import PoseGoal
 
 Stop = Literal["first", "converged", "time_limit"]
-"""When to end: with the first verified motion, once more work hardly improves it, or with the budget."""
+"""When to end: at the first verified motion, at convergence, or at the end of the budget."""
 STOPS: tuple[str, ...] = get_args(Stop)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Request:
-    """What to plan, all of it checked.
+    """Checked arguments of a call.
 
     | field        | meaning                                                               | unit |
     |--------------|-----------------------------------------------------------------------|------|
-    | planner      | searches for paths                                                    |      |
+    | planner      | planner that searches for paths                                       |      |
     | objective    | cost to minimise, bound to the scene                                  |      |
-    | constraints  | what has to hold along the motion                                     |      |
-    | preference   | ranks motions by a risk measure instead of the mean impact; or None   |      |
-    | poses        | pose goal of each arrival, None where the goal is a configuration     |      |
+    | constraints  | constraints along the motion                                          |      |
+    | preference   | ranks motions by a risk measure; None: by the mean impact             |      |
+    | poses        | pose goal of each arrival; None where the goal is a configuration     |      |
     | speed        | fraction of the velocity limits to use                                |      |
-    | max_wait     | longest wait at the start, if something moves                         | s    |
-    | verification | sampling of the judge                                                 |      |
+    | max_wait     | longest wait at the start, in a scene with moving entities            | s    |
+    | verification | resolution of the judge                                               |      |
     | refine       | whether paths become smooth motions that descend along the objective  |      |
     | stop         | when to end                                                           |      |
     | callback     | called with every improvement                                         |      |
@@ -51,7 +51,7 @@ class Request:
 
     @property
     def only_length(self) -> bool:
-        """Whether the shortest motion is the best one: no impact counts, and nothing is kept level."""
+        """Whether the shortest motion is the best one: the weight is 0, and nothing has to stay level."""
         return self.objective.w == 0.0 and self.objective.motion_is_length and not self.constraints.level
 
     def pose(self, arrival: int) -> PoseGoal | None:

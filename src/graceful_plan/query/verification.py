@@ -1,4 +1,4 @@
-"""From a motion to a verdict: every motion that `plan` returns has passed the independent judge."""
+"""Verification of motions: every motion that `plan` returns has passed the independent judge."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Judged:
 
 
 def judged(motion: Motion, request: Request) -> Judged:
-    """Ask the judge about a motion that was made for a request."""
+    """Verify a motion of a request."""
     pose = request.pose(motion.arrival)
     verdict = verdict_of(motion, request.objective, request.constraints, pose, request.verification)
     return Judged(motion=motion, verdict=verdict)
@@ -49,10 +49,10 @@ def verdict_of(
     pose: PoseGoal | None = None,
     verification: Verification | None = None,
 ) -> Verdict:
-    """Verify a motion from the first to the last vertex of its path, or to a pose."""
+    """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given."""
     scene, looks = objective.scene, verification or Verification()
     impact, exposure = objective.objective.impact, objective.objective.exposure
-    # The judge recomputes the published model over length or time; other costs have no second implementation.
+    # The judge can recompute only the published model, over length or time: it has no second implementation of others.
     published = isinstance(impact, ImpactCost) and impact.is_published()
     recomputable = published and not scene.moving and objective.motion_is_length and exposure != "waypoints"
     return verify(

@@ -1,4 +1,4 @@
-"""Roadmaps that are built once per scene and asked again and again."""
+"""Roadmaps: built once per scene, then used for many queries."""
 
 from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
 from graceful_plan.roadmap.roadmap import Roadmap

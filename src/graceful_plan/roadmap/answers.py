@@ -1,4 +1,4 @@
-"""What a roadmap answers."""
+"""Results of roadmap queries."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Array = np.ndarray
 
 
 class QueryStatus(Enum):
-    """How a question to a roadmap ended; the value says what to do about it."""
+    """Outcome of a roadmap query; each value is a sentence with a remedy."""
 
-    FOUND = "A path of the roadmap, free at a fine step; not timed, and the judge has not seen it."
+    FOUND = "A path of the roadmap, free at a fine step; it is not timed, and the judge has not verified it."
     INVALID_START = PlanStatus.INVALID_START.value
     INVALID_GOAL = PlanStatus.INVALID_GOAL.value
     NOT_CONNECTED = "The roadmap has no path from start to goal; build it with more nodes, or plan without it."
@@ -25,25 +25,25 @@ class QueryStatus(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class QueryResult:
-    """The answer to one question."""
+    """Result of one query."""
 
     status: QueryStatus
     path: Path | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
-    """What the path costs, as `evaluate` has it; edges were compared by coarser samples, at the paces of motions."""
+    """Cost of the path, as of `evaluate`. The search compares edges with coarser samples, at speeds of real motions."""
     goal_index: int | None = None
-    """Which of several goals was reached."""
+    """Index of the goal that is reached, among several."""
     detail: str = ""
-    """What the status means here: the pair in contact and its depth, the joint at its limit..."""
+    """Details of the status, e.g. the pair in contact and its depth, or the joint at its limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrontPath:
-    """One path of a front: its vertices, and what it costs."""
+    """One path of a Pareto front: vertices and costs."""
 
     q: Float[Array, "n nq"]
     """Vertices [rad or m], from the start to a goal."""
     motion: float
-    """V."""
+    """Motion cost V."""
     impact: float
-    """S."""
+    """Impact S."""

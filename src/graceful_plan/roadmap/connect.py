@@ -1,4 +1,4 @@
-"""A start and goals joined to a roadmap: the graph that one question is searched in."""
+"""Connection of a start and goals to a roadmap: the graph of one query."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from graceful_plan.roadmap.ground import MARGIN, problem_of
 Array = np.ndarray
 
 NEAREST = 12
-"""Nodes that an end is joined to because they are near."""
+"""Number of nearest nodes that each end is connected to."""
 BETWEEN = 12
-"""Nodes that an end is joined to because they lie between start and goal."""
+"""Number of nodes between start and goal that each end is connected to."""
 
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """A roadmap with a start and goals.
+    """A roadmap with a start and goals connected to it.
 
     | field | meaning                                                        | unit     | shape   |
     |-------|----------------------------------------------------------------|----------|---------|
     | q     | nodes of the roadmap, then those of the start and of the goals | rad or m | node nq |
     | base  | edges of the roadmap                                           |          |         |
-    | own   | edges to and between the ends; their ids come after            |          |         |
-    | start | node that paths begin at                                       |          |         |
-    | goals | nodes that they may end at                                     |          | goal    |
+    | own   | edges to and between the ends; ids follow those of `base`      |          |         |
+    | start | node of the start                                              |          |         |
+    | goals | nodes of the goals                                             |          | goal    |
     """
 
     q: Float[Array, "node nq"]
@@ -46,7 +46,7 @@ class Joined:
 
     @cached_property
     def graph(self) -> Graph:
-        """Nodes and edges to search in."""
+        """Graph of all nodes and edges."""
         tail, head = (np.concatenate([getattr(edges, k) for edges in (self.base, self.own)]) for k in ("tail", "head"))
         return Graph(len(self.q), tail, head)
 
@@ -56,35 +56,35 @@ class Joined:
         """Motion and impact of each edge.
 
         Args:
-            impact: That of the roadmap's edges, known already.
-            severity: By which that of the others is computed.
+            impact: Impact of the roadmap's edges under these severities.
+            severity: Severities for the impact of the other edges.
         """
         motion = np.concatenate([self.base.prices.motion, self.own.prices.motion])
         return motion, np.concatenate([impact, self.own.prices.impact(severity)])
 
     def ends_of(self, steps: Int[Array, " step"]) -> tuple[Float[Array, "step nq"], Float[Array, "step nq"]]:
-        """Return where some edges begin and end."""
+        """Return the configurations at the start and the end of each edge."""
         return self.q[self.graph.tail[steps]], self.q[self.graph.head[steps]]
 
     def path(self, steps: Int[Array, " step"]) -> Path:
-        """Return the path over some edges, one after the other."""
+        """Return the path along a sequence of edges."""
         begin, end = self.ends_of(steps)
         return Path(np.concatenate([begin[:1], end])).without_duplicates()
 
 
 def join(q: Float[Array, "node nq"], edges: Edges, exposure: Exposure, ends: Endpoints) -> Joined:
-    """Join a start and goals to a roadmap, and to each other, by free edges of their own.
+    """Connect a start and goals to a roadmap, and to each other, by new free edges.
 
     Args:
         q: Nodes of the roadmap.
-        edges: Its edges.
-        exposure: Prices the new edges.
-        ends: Start and goals with the ways out of them, which become part of the graph.
+        edges: Edges of the roadmap.
+        exposure: Evaluates the costs of the new edges.
+        ends: Start and goals; their escape paths become part of the graph.
     """
     chains = [ends.departure.q, *(arrival.q for arrival in ends.arrivals)]
     first = len(q) + np.cumsum([0, *map(len, chains)])
     nodes = np.concatenate([q, *chains])
-    departs, arrives = int(first[1]) - 1, first[1:-1]  # where the ways out of the ends meet the roadmap
+    departs, arrives = int(first[1]) - 1, first[1:-1]  # nodes at which the escape paths meet the roadmap
     links = _links(q, nodes[departs], nodes[arrives], departs, arrives)
     problem = problem_of(ends.constraints, min(MARGIN, 0.5 * ends.clearance))
     free = problem.edges_free(nodes[links[:, 0]], nodes[links[:, 1]])
@@ -101,7 +101,7 @@ def _links(
     departs: int,
     arrives: Int[Array, " goal"],
 ) -> Int[Array, "link 2"]:
-    """Which nodes to try to join."""
+    """Return the pairs of nodes to try to connect."""
     links = [np.stack([np.full(len(goals), departs), arrives], axis=1)]
     for goal, node in zip(goals, arrives.tolist(), strict=True):
         between = np.linalg.norm(q - start, axis=1) + np.linalg.norm(q - goal, axis=1)

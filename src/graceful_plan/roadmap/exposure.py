@@ -1,4 +1,4 @@
-"""Prices of edges in a scene: motion, and exposure by component and by who may be hit."""
+"""Costs of edges in a scene: motion cost, and exposure by component of the robot and by entity that may be hit."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ Array = np.ndarray
 EXPOSURE_STEP = 0.1
 """Largest joint-space distance between samples of the exposure along an edge [rad]."""
 _NOTHING = 1e-9
-"""Probability below which nothing is stored."""
+"""Probabilities below this are stored as 0."""
 
 
 class Exposure:
-    """Prices edges of a scene.
+    """Evaluates costs of edges in a scene.
 
     Args:
-        objective: Motion and impact; its weight does not matter.
-        scene: The scene, with what is carried attached; its severities do not matter.
+        objective: Objective with motion cost and impact; its weight is not used.
+        scene: The scene, with the carried object attached; its severities are not used.
         step: Largest joint-space distance between samples [rad].
-        paces: Shares of the velocity at which one joint of an edge is at its limit, by turns those of its samples.
-            Edges are compared at those of real motions: paths that were chosen at the limits cost 22 % more once they
-            were timed, the mean of ten bundled tasks.
+        paces: Speeds of alternating samples, as fractions of the speed at which one joint of the edge is at its
+            velocity limit. The default is from real motions: paths selected at the limits cost 22 % more once they
+            are timed, the mean of ten bundled tasks.
 
     Raises:
-        SettingError: If the exposure is counted in waypoints, of which edges have none.
+        SettingError: If the exposure is by waypoints, which edges do not have.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Exposure:
             self.columns = tuple((name, hazard) for name in counted for hazard in self.hazards)
 
     def severity(self, scene: Scene) -> Float[Array, " column"]:
-        """Severities of a scene by column, 0 of what it does not have; 1 if the impact is not one of severities."""
+        """Return the severity of each column in a scene, 0 if it has none; 1 for an impact without severities."""
         impact = self.objective.impact
         if not (self.by_hazard and isinstance(impact, ImpactCost)):
             return np.ones(1)
@@ -69,11 +69,11 @@ class Exposure:
         return np.array([known.get(column, 0.0) for column in self.columns], dtype=np.float64)
 
     def reported(self) -> Exposure:
-        """Return the same with the samples and paces of costs that are reported, those of `evaluate`."""
+        """Return a copy with the samples and paces of reported costs, which are those of `evaluate`."""
         return Exposure(self.objective, self.scene, COST_STEP, AT_LIMITS)
 
     def price(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> EdgePrices:
-        """Motion cost and exposure of straight edges, travelled from `q0` to `q1`."""
+        """Return motion cost and exposure of straight edges, travelled from `q0` to `q1`."""
         if len(q0) == 0:
             return EdgePrices.of(np.zeros(0), np.zeros((0, len(self.columns))))
         samples = EdgeSamples(q0, q1, self.scene.limits.velocity, self.paces, self.step)
@@ -85,7 +85,7 @@ class Exposure:
         return EdgePrices.of(motion, np.add.reduceat(P * samples.weights(measure)[:, None], samples.first))
 
     def breakdown(self, prices: EdgePrices, severity: Float[Array, " column"], w: float) -> CostBreakdown:
-        """Cost of all of these edges together, and where its impact comes from."""
+        """Return the total cost of edges, with the impact by entity and component."""
         parts = np.bincount(prices.column, prices.exposure, len(severity)) * severity
         motion, impact = float(prices.motion.sum()), float(parts.sum())
         if not self.by_hazard:

@@ -1,4 +1,4 @@
-"""A scene as the ground that a roadmap grows in, and the ends of motions there."""
+"""Inputs of roadmap growth from a scene: free space, costs, and endpoints of motions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 Motion = tuple[Configuration, Goal]
-"""A start and a goal, as `plan` takes them."""
+"""A start and a goal, as for `plan`."""
 
 MARGIN = 0.002
 """Clearance that nodes and edges keep [m]."""
@@ -29,7 +29,7 @@ _MOST_PAIRS = 24
 
 
 def problem_of(constraints: SceneConstraints, margin: float = MARGIN) -> SceneProblem:
-    """Return what is free among constraints, looked at finely; between no ends in particular."""
+    """Return a problem for checking states and edges at a fine step; it has no goals and a placeholder start."""
     n = len(constraints.scene.joints)
     return SceneProblem(
         kernels=constraints.kernels,
@@ -42,7 +42,7 @@ def problem_of(constraints: SceneConstraints, margin: float = MARGIN) -> ScenePr
 
 
 def ground_of(exposure: Exposure, constraints: SceneConstraints) -> Ground:
-    """Make the ground of a scene."""
+    """Return the inputs of roadmap growth in a scene."""
     scene, problem = exposure.scene, problem_of(constraints)
     objective = exposure.objective.bind(scene, exposure.paces)
     native = objective.kernel is not None and not constraints.custom
@@ -51,12 +51,12 @@ def ground_of(exposure: Exposure, constraints: SceneConstraints) -> Ground:
         impact=objective.states,
         price=exposure.price,
         severity=exposure.severity(scene),
-        threads=(os.cpu_count() or 1) if native else 1,  # costs and constraints of one's own may mind
+        threads=(os.cpu_count() or 1) if native else 1,  # custom costs and constraints may not be thread-safe
     )
 
 
 def declared_motions(scene: Scene) -> list[Motion]:
-    """Motions that a scene says are to be planned: its tasks with what is held; without any, between its keyframes."""
+    """Return the motions that a scene declares: tasks with the held object; if there are none, all keyframe pairs."""
     held = None if scene.notes.held is None else scene.notes.held.body
     found: list[Motion] = []
     for task in scene.tasks.values():
@@ -69,7 +69,7 @@ def declared_motions(scene: Scene) -> list[Motion]:
 def usable_pairs(
     motions: Iterable[Motion], constraints: SceneConstraints, rng: np.random.Generator
 ) -> Float[Array, "pair 2 nq"]:
-    """Return where planners would start and end on these motions, as far as that is possible with clearance."""
+    """Return planner starts and goals of these motions; motions whose ends have no clearance are skipped."""
     pairs: list[Array] = []
     for start, goal in motions:
         ends = find_endpoints(start, goal, constraints, rng)
@@ -84,10 +84,10 @@ def usable_pairs(
 def usable_ends(
     start: Configuration, goal: Goal, constraints: SceneConstraints, rng: np.random.Generator, seed: int = 0
 ) -> Endpoints | QueryResult:
-    """Return both ends of a motion, or an answer that says why there are none.
+    """Return both ends of a motion, or a query result with the reason why there are none.
 
     Raises:
-        GracefulPlanError: For misuse, as `plan`.
+        GracefulPlanError: For misuse, as for `plan`.
     """
     ends = find_endpoints(start, goal, constraints, rng, seed=seed)
     if isinstance(ends, Endpoints):

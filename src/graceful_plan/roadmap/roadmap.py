@@ -1,4 +1,4 @@
-"""A roadmap of one scene: built once, asked again and again for other weights, severities, starts and goals."""
+"""A roadmap of one scene: built once, then queried with any weights, severities, starts and goals."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 Severity = SeverityTable | Mapping[str, float | Mapping[str, float]]
-"""Other severities, as `Scene.with_severity` takes them."""
+"""Severities that replace those of the scene, as for `Scene.with_severity`."""
 
 _MOST_NODES, _MOST_NEIGHBOURS = 1_000_000, 1000
-"""What a roadmap may be asked for: edges are as many as nodes times neighbours, and all of them are in memory."""
+"""Largest values of `nodes` and `neighbours`; the number of edges is their product, and all edges are in memory."""
 _KEPT = 8
-"""How many graphs of pairs of ends are kept, and how many sets of severities."""
+"""Number of cached graphs of pairs of ends, and of cached impacts for sets of severities."""
 
 
 class Roadmap:
-    """Nodes and edges that are free, with cached costs. Made by `build`.
+    """Free nodes and edges with cached costs. Create it with `build`.
 
     Args:
-        scene: The scene, with what is carried attached.
-        objective: What paths cost; its weight is the default one of queries.
+        scene: The scene, with the carried object attached.
+        objective: Objective of paths; its weight is the default weight of queries.
         q: Nodes.
-        edges: Directed edges between them, with their prices.
-        constraints: What holds in and along all of them.
+        edges: Directed edges between the nodes, with their costs.
+        constraints: Constraints that hold at all nodes and along all edges.
     """
 
     def __init__(
@@ -81,23 +81,23 @@ class Roadmap:
         seed: int = 0,
         time_limit: float | None = None,
     ) -> Roadmap:
-        """Draw nodes, join neighbours by edges that are free at a fine step, and price these.
+        """Sample nodes, connect neighbours by edges that are free at a fine step, and evaluate the edge costs.
 
         Args:
-            scene: The scene, with what is carried attached.
-            objective: Motion and impact; the default `Objective()` if None.
-            nodes: How many nodes; at least the ends of the motions that it is made for.
-            neighbours: How many nearest nodes the first nodes are joined to; the other ones to half as many.
-            motions: Starts and goals, as `plan` takes them, that the roadmap is made for: it is dense where good paths
-                between them pass, and serves others, too. Those that cannot be used are skipped. Default: the scene's
-                tasks with what is held; without any, the ways between all keyframes.
-            constraints: What has to hold besides not to collide, as `plan` takes it: by default what the scene asks
-                for, and that contents and grasp hold; at rest, for how fast a path may be travelled is up to timing.
-            seed: Of all random numbers; without a time limit, nothing else decides what comes out.
-            time_limit: Seconds after which the roadmap stays as it is; it may have fewer nodes then.
+            scene: The scene, with the carried object attached.
+            objective: Motion cost and impact; the default `Objective()` if None.
+            nodes: Number of nodes; the ends of `motions` are nodes in any case.
+            neighbours: Number of nearest nodes that each of the first nodes is connected to; later nodes: half as many.
+            motions: Starts and goals, as for `plan`, that the roadmap is built for. It is dense along good paths
+                between them, and serves other queries, too. Unusable motions are skipped. Default: the scene's tasks
+                with the held object; if there are none, all pairs of keyframes.
+            constraints: Constraints in addition to collision, as for `plan`. Default: those that the scene declares,
+                and that contents and grasp hold. They are checked at rest; timing limits the speed along a path.
+            seed: Seed of all random numbers; without a time limit, the result depends on nothing else.
+            time_limit: Time after which growth ends [s], maybe with fewer nodes.
 
         Raises:
-            GracefulPlanError: For misuse: settings outside of their range, motions that do not fit the scene.
+            GracefulPlanError: For misuse: settings outside their range, motions that do not fit the scene.
         """
         started = time.perf_counter()
         check_stands(scene, "a roadmap")
@@ -122,19 +122,19 @@ class Roadmap:
         severity: Severity | None = None,
         seed: int = 0,
     ) -> QueryResult:
-        """Find the cheapest path of the roadmap.
+        """Find the cheapest path in the roadmap.
 
         Args:
             start: Configuration [rad or m], or the name of a keyframe.
             goal: Configuration, keyframe, `PoseGoal` for the tool, or several of these.
-            scene: Where severities are from: the roadmap's scene, or what `Scene.with_severity` or
-                `Scene.without_moving` makes of it.
-            w: Safety weight; the objective's by default.
-            severity: Other severities, as for `Scene.with_severity`.
-            seed: Of the random numbers of inverse kinematics.
+            scene: Scene with the severities to use: the roadmap's scene (default), or a copy from
+                `Scene.with_severity` or `Scene.without_moving`.
+            w: Safety weight; default: the weight of the objective.
+            severity: Severities that replace those of the scene, as for `Scene.with_severity`.
+            seed: Seed of the random numbers of inverse kinematics.
 
         Raises:
-            GracefulPlanError: For misuse: another scene, wrong shapes, NaN, unknown names, settings outside of their
+            GracefulPlanError: For misuse: another scene, wrong shapes, NaN, unknown names, settings outside their
                 range.
         """
         weight = checked_objective(self.objective, w).w
@@ -162,27 +162,27 @@ class Roadmap:
         max_points: int | None = None,
         seed: int = 0,
     ) -> list[FrontPath]:
-        """Find the paths of the roadmap none of which another one of it dominates in motion and impact.
+        """Find the Pareto front of the roadmap's paths in motion cost and impact.
 
-        Weighted sums reach the convex hull of a front only; this is all of it. The search is exact in the costs that
-        the roadmap has stored, at the paces of real motions. The costs that are returned are those of `evaluate`, and a
-        path that turns out to be dominated by them is left out.
+        Minimising weighted sums gives only the convex hull of a front; this method finds all of it. The search is exact
+        in the stored edge costs, at the paces of real motions. The returned costs are those of `evaluate`; paths that
+        are dominated in these are left out.
 
         Args:
             start: As for `query`.
             goal: As for `query`.
-            epsilon: 0 for all paths; otherwise a selection in which for every path of the roadmap there is one with no
-                more motion and at most `1 + epsilon` times its impact.
-            severity: Other severities, as for `Scene.with_severity`.
-            max_points: Most paths to return: both ends of the front, and others as evenly spread as there are.
-            seed: Of the random numbers of inverse kinematics.
+            epsilon: 0 for all paths of the front. Otherwise the result has, for every path of the roadmap, one with at
+                most its motion cost and at most `1 + epsilon` times its impact.
+            severity: Severities that replace those of the scene, as for `Scene.with_severity`.
+            max_points: Largest number of paths: both ends of the front, and others as evenly spread as possible.
+            seed: Seed of the random numbers of inverse kinematics.
 
         Returns:
-            By ascending motion and descending impact; empty if the ends cannot be used or are not connected, of which
-            `query` knows the reason.
+            Paths by ascending motion cost and descending impact; empty if the ends cannot be used or are not connected.
+            `query` tells the reason.
 
         Raises:
-            GracefulPlanError: For misuse, as `query`.
+            GracefulPlanError: For misuse, as for `query`.
         """
         if max_points is not None:
             count("max_points", max_points)
@@ -204,7 +204,7 @@ class Roadmap:
         return [FrontPath(joined.path(found.edges[k]).q, *totals[k].tolist()) for k in kept]
 
     def joined(self, ends: Endpoints) -> Joined:
-        """Return the graph of the roadmap and these ends; that of the last few ends is kept."""
+        """Return the graph of the roadmap with these ends; graphs of the latest ends are cached."""
         key = (ends.departure.q.tobytes(), *(arrival.q.tobytes() for arrival in ends.arrivals))
         found = self._joined.get(key)
         if found is None:
@@ -213,7 +213,7 @@ class Roadmap:
         return found
 
     def impact(self, severity: Float[Array, " column"]) -> Float[Array, " edge"]:
-        """S of each edge under these severities; that of the last few is kept, as is the graph of the last few ends."""
+        """Return the impact S of each edge under these severities; results for the latest severities are cached."""
         key = severity.tobytes()
         found = self._impact.get(key)
         if found is None:
@@ -222,26 +222,25 @@ class Roadmap:
         return found
 
     def severity(self, scene: Scene | None = None, severity: Severity | None = None) -> Float[Array, " column"]:
-        """Return severities by column of the exposures.
+        """Return the severity of each column of the exposures.
 
         Args:
-            scene: Where they are from; the roadmap's scene by default.
-            severity: Replacements, as for `Scene.with_severity`.
+            scene: Scene with the severities; the roadmap's scene by default.
+            severity: Severities that replace those of the scene, as for `Scene.with_severity`.
 
         Raises:
-            SettingError: If the scene is another one, or if there are replacements although the impact is not one of
-                severities.
+            SettingError: If the scene is another one, or if severities are given for an impact that does not use them.
         """
         if severity is not None and not self.exposure.by_hazard:
-            raise SettingError("severity", severity, "None: the impact of this roadmap is not one of severities")
+            raise SettingError("severity", severity, "None: the impact of this roadmap does not use severities")
         chosen = self.scene if scene is None else scene
         if not (chosen is self.scene or _same_but_for_severity(self.scene, chosen)):
-            raise SettingError("scene", chosen.name, "the roadmap's own, or that with other severities")
+            raise SettingError("scene", chosen.name, "the roadmap's scene, or a copy of it with other severities")
         return self.exposure.severity(chosen if severity is None else chosen.with_severity(severity))
 
 
 def _same_but_for_severity(own: Scene, other: Scene) -> bool:
-    """Tell whether one scene comes of the other by new severities, and perhaps without what moves in it."""
+    """Return whether a scene differs from the roadmap's only in severities, or in that moving entities are removed."""
     skipped = {"severity", "overrides"} if other.moving else {"severity", "overrides", "moving"}
     names = (field.name for field in fields(own.notes) if field.name not in skipped)
     pairs = ((getattr(own.notes, name), getattr(other.notes, name)) for name in names)
@@ -249,7 +248,7 @@ def _same_but_for_severity(own: Scene, other: Scene) -> bool:
 
 
 def _keep(kept: OrderedDict[Any, Any], key: object, value: object) -> None:
-    """Keep a value, and no more of the others than there is room for."""
+    """Add a value to a cache; drop the oldest ones if it is full."""
     while len(kept) >= _KEPT:
         kept.popitem(last=False)
     kept[key] = value

@@ -170,9 +170,9 @@ def asks(problem):
         ("pass", "SOLVED", ""),
         ("return None", "INFEASIBLE", ""),
         ("raise KeyError('cuda')", "RAISED", "KeyError: 'cuda'"),
-        ("return q[:, :1]", "RAISED", "ShapeError: what asks returns"),
-        ("return q * np.nan", "RAISED", "what asks returns"),
-        ("return 'up'", "RAISED", "what asks returns"),
+        ("return q[:, :1]", "RAISED", "ShapeError: the result of asks"),
+        ("return q * np.nan", "RAISED", "the result of asks"),
+        ("return 'up'", "RAISED", "the result of asks"),
     ],
 )
 def test_a_function_is_a_planner(here, act, status, detail):

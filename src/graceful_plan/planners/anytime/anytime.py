@@ -1,10 +1,10 @@
-"""Anytime search in the native core: paths from many sources, each descended along the gradient of J and refined.
+"""Anytime search in the native core: paths from several sources, each improved by gradient descent or random moves.
 
-RRT-Connect finds the first path. From then on, paths that might become better are taken one after the other: from small
-roadmaps that are thrown away, from detours, from RRT-Connect through the valleys of the impact and below the best cost.
-Where the objective has a native gradient, each is descended along it and given up as soon as it will not win, and the
-best path is polished; the sources that won lately are asked more often. Else several are refined side by side by
-random moves, and the worse half is dropped again and again. `Auto`, the default, runs several of these at once.
+RRT-Connect finds the first path. Further candidates come from small temporary roadmaps, from detours, and from
+RRT-Connect restricted to regions of low impact or to costs below the best one. If the objective has a native gradient,
+each candidate descends along it and is discarded once it is unlikely to become the best; the best path is polished.
+Sources of recent improvements are used more often. Without a gradient, several candidates are refined side by side by
+random moves, and the worse half is discarded repeatedly. `Auto`, the default, runs several of these searches at once.
 
 References:
     Hauser and Zhou, "Asymptotically optimal planning by feasible kinodynamic planning in a state-cost space", T-RO,
@@ -42,10 +42,10 @@ class Anytime(Planner):
     Args:
         range: Longest edge of the trees, as a fraction of the diagonal of the limits.
         spacing: Distance between vertices of a refined path, as a fraction of the diagonal of the limits.
-        challengers: How many paths are refined side by side where there is no gradient.
-        max_nodes: Trees are dropped and grown anew when they hold more nodes.
-        descents: Whether to use the gradient where there is one.
-        scouts: Whether to look for valleys with roadmaps; only with descents.
+        challengers: Number of paths that are refined side by side if there is no gradient.
+        max_nodes: Number of nodes above which trees are discarded and restarted.
+        descents: Whether to use the gradient if there is one.
+        scouts: Whether to search for regions of low impact with roadmaps; only with descents.
     """
 
     name: ClassVar[str] = "anytime"
@@ -68,14 +68,14 @@ class Anytime(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths."""
+        """Yield paths of decreasing cost."""
         core = self.search(native_space(problem, objective), problem, rng)
         while not budget.exhausted and not core.optimal:
             if run_slice(core.run, budget):
                 yield Path(core.path)
 
     def search(self, space: _native.Space, problem: Problem, rng: np.random.Generator) -> _native.Anytime:
-        """Return the search in the core, not begun."""
+        """Create the search in the core, without starting it."""
         return _native.Anytime(
             space,
             start=problem.start,

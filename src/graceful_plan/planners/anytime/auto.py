@@ -1,4 +1,4 @@
-"""The default planner: several anytime searches at once, which tell each other of their best path."""
+"""The default planner: several anytime searches in parallel, which exchange their best path."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from graceful_plan.planners.trivial import stays_at_goal
 Array = np.ndarray
 
 _ROUND_SECONDS = 0.01
-"""How long all searches work between two exchanges [s]."""
+"""Time between two exchanges [s]."""
 _ROUND_ITERATIONS = 64
-"""The same without a time limit: then no clock may decide when an exchange takes place."""
+"""Iterations between two exchanges without a time limit; exchanges then must not depend on the clock."""
 _FIRST_SECONDS = 0.004
-"""How long the first search may look for a path before the others join in [s]: most first paths are found earlier."""
+"""Time for which the first search runs alone [s]; it usually finds the first path earlier."""
 _WORTH_TELLING = 1e-3
-"""Relative gain from which on the others are told."""
+"""Relative gain from which on the other searches adopt a path."""
 
 
 @final
@@ -38,13 +38,13 @@ _WORTH_TELLING = 1e-3
 class Auto(Planner):
     """Improves its path until the budget ends, or until it is proven optimal.
 
-    One iteration is one of `Anytime`, in any of the searches. They run on threads of their own where the whole
-    objective is native; else, or if no impact counts (w = 0), there is one.
+    One iteration is one of `Anytime`, in any of the searches. The searches run in separate threads if the whole
+    objective is native and w > 0; otherwise there is one search.
 
     Args:
-        initial: A path to begin with, or an array of configurations; see `Optimiser`. It need not be free.
-        workers: How many searches. The result depends on it, not on how many cores there are.
-        search: What each of them does.
+        initial: Initial guess: a path or an array of configurations; see `Optimiser`. It need not be free.
+        workers: Number of searches. The result depends on it, but not on the number of cores.
+        search: Settings of each search.
     """
 
     name: ClassVar[str] = "auto"
@@ -65,7 +65,7 @@ class Auto(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths."""
+        """Yield paths of decreasing cost."""
         space = native_space(problem, objective)
         native = isinstance(objective, SceneObjective) and objective.kernel is not None
         several = native and isinstance(space, _native.SceneSpace) and objective.w > 0.0
@@ -90,7 +90,7 @@ class Auto(Planner):
 
 
 def _begin(cores: list[_native.Anytime], initial: Path, problem: Problem) -> Iterator[Path]:
-    """Let all searches begin with a path in the limits: as their best one if it is free, in any case to improve it."""
+    """Give all searches an initial guess, clamped to the limits; if it is free, adopt and yield it."""
     q = np.ascontiguousarray(Path(np.clip(initial.q, problem.lower, problem.upper)).without_duplicates().q)
     free = cores[0].admits(q)
     for core in cores:
@@ -102,9 +102,9 @@ def _begin(cores: list[_native.Anytime], initial: Path, problem: Problem) -> Ite
 
 
 def _work(cores: list[_native.Anytime], pool: ThreadPoolExecutor | None, budget: Budget, seconds: float) -> None:
-    """Let searches work for one round of the budget, and no more of them than there are iterations left."""
+    """Run the searches for one round of the budget; at most as many searches as there are remaining iterations."""
     cores = cores[: int(min(len(cores), budget.remaining_iterations))]
-    if not cores:  # the time was up, or somebody cancelled, but a moment ago
+    if not cores:  # the time ran out or the call was cancelled a moment ago
         return
     timed = budget.iterations is None or np.isfinite(budget.time_limit)
     share = budget.remaining_iterations / len(cores)

@@ -1,4 +1,4 @@
-"""Which of OMPL's planners is meant, without importing OMPL."""
+"""Description of an OMPL planner without importing OMPL."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class Kind:
     """A planner of OMPL.
 
     Args:
-        name: Of its class in `ompl.geometric`.
-        configure: Sets its settings.
+        name: Name of its class in `ompl.geometric`.
+        configure: Function that applies settings to the OMPL planner.
         informed: Whether to draw and keep only states that can improve the best path.
     """
 
@@ -24,12 +24,12 @@ class Kind:
 
 
 def set_growth(planner: Any, goal_bias: float, extension: float | None) -> None:
-    """Set how a tree of OMPL grows.
+    """Set goal bias and range of a tree planner of OMPL.
 
     Args:
-        planner: OMPL's.
+        planner: Planner of OMPL.
         goal_bias: Share of samples that are a goal.
-        extension: Longest one; OMPL's own if None.
+        extension: Longest extension [rad]; OMPL's default if None.
     """
     planner.setGoalBias(goal_bias)
     if extension is not None:

@@ -1,13 +1,13 @@
-"""RRT and BIT* as OMPL implements them, with our objective: baselines and alternatives.
+"""RRT and BIT* of OMPL with this library's objective, as baselines and alternatives.
 
-Their edge checks and edge costs are callbacks into Python, one state at a time, so they are slower per iteration than
-this library's own batched planners. OMPL's generator is seeded per process: do not interleave two of these planners
-where results must be reproducible.
+Edge checks and edge costs are callbacks into Python for single edges, so these planners are slower per iteration than
+this library's batched planners. OMPL has one random number generator per process: results are not reproducible if two
+of these planners run interleaved.
 
 References:
     [LaValle1998] Rapidly-exploring random trees.
-    [Gammell2015] Batch informed trees (BIT*). Differs in: OMPL's direct sampling of the informed set knows path length
-    only, so states are drawn from the box around the set and refused outside of it.
+    [Gammell2015] Batch informed trees (BIT*). Differs in: OMPL's direct sampling of the informed set supports only
+    path length, so states are drawn from the bounding box of the set and rejected outside the set.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class RRT(Planner):
     anytime: ClassVar[bool] = False
 
     range: float | None = None
-    """Longest extension [rad]; by default OMPL's fifth of the extent of the space."""
+    """Longest extension [rad]; default: OMPL's, a fifth of the extent of the space."""
     goal_bias: float = 0.05
     """Share of samples that are a goal (OMPL's default)."""
     shortcut: bool = True
-    """Whether to shortcut the path with what is left of the budget."""
+    """Whether to shortcut the path until the budget ends."""
 
     def __post_init__(self) -> None:
         positive("range", self.range)
@@ -54,7 +54,7 @@ class RRT(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield the first path found, then shorter cuts of it."""
+        """Yield the first path, then cheaper versions of it by shortcutting."""
         shortcut = Shortcut() if self.shortcut else None
         return first_and_shorter(self._first, shortcut, Questions(problem, objective, budget), rng)
 
@@ -76,7 +76,7 @@ class BITStar(Planner):
     samples_per_batch: int = 100
     """Samples per batch (OMPL's default)."""
     rewire_factor: float = 1.1
-    """Multiplies the least number of neighbours e (1 + 1/d) ln n (OMPL's default)."""
+    """Factor on the least number of neighbours, e (1 + 1/d) ln n (OMPL's default)."""
 
     def __post_init__(self) -> None:
         count("samples_per_batch", self.samples_per_batch)
@@ -86,20 +86,20 @@ class BITStar(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths until the budget ends or a straight line is proven best."""
+        """Yield paths of decreasing cost until the budget ends or a straight line is proven optimal."""
         kind = Kind("BITstar", self._configure, informed=True)
         return _improvements(kind, Questions(problem, objective, budget), rng)
 
     def _configure(self, planner: Any) -> None:
         planner.setSamplesPerBatch(self.samples_per_batch)
         planner.setRewireFactor(self.rewire_factor)
-        planner.setStopOnSolnImprovement(True)  # so that the next batch is drawn from a smaller box
+        planner.setStopOnSolnImprovement(True)  # the next batch is drawn from a smaller box
 
 
 def _improvements(kind: Kind, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
     if questions.budget.exhausted:
         return
-    from graceful_plan.planners.ompl.session import Session  # importing the library must not import OMPL
+    from graceful_plan.planners.ompl.session import Session  # OMPL is imported only when needed
 
     with suppress(Interrupted):
         yield from Session(questions, int(rng.integers(1, 2**31)), kind).improvements()

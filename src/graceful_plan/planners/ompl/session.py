@@ -1,8 +1,8 @@
-"""One problem inside OMPL: its space, validator and objective written in Python, and solving in short slices.
+"""A planning problem inside OMPL: space, motion validator and objective in Python, solved in short slices.
 
-Imports OMPL at the top: `planners.py` imports this module when a planner is run. What callbacks return is converted to
-exactly `bool` and `ob.Cost`, since OMPL's bindings take nothing else. The motion validator must not keep the space
-information, which owns it. States are read with `s[0:n]`; none is kept.
+This module imports OMPL; `planners.py` imports it only when a planner runs. Callbacks must return exactly `bool` or
+`ob.Cost`, since OMPL's bindings accept no other types. The motion validator must not store the space information, which
+owns it. States are read with `s[0:n]` and never stored.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Array = np.ndarray
 _SLICE_SECONDS = 0.02
 _SLICE_ITERATIONS = 100
 _ESTIMATES_BETWEEN_LOOKS = 2000  # about 5 ms
-_PROVEN = 1e-8  # relative gap to the least possible cost at which a path is the best there is
+_PROVEN = 1e-8  # relative gap to the lower bound of the cost at which a path counts as optimal
 
 
 @contextmanager
 def quiet() -> Generator[None, None, None]:
-    """Silence OMPL's console output, for it reports normal events (such as seeding again) as errors."""
+    """Silence OMPL's console output, which reports normal events (such as setting the seed again) as errors."""
     level = ou.getLogLevel()
     ou.setLogLevel(ou.LOG_NONE)
     try:
@@ -46,14 +46,14 @@ def quiet() -> Generator[None, None, None]:
 @final
 @dataclass
 class _Best:
-    """Cost of the best path so far; what the validator measures new states against."""
+    """Best-known cost, shared with the motion validator."""
 
     cost: float = np.inf
 
 
 @final
 class _Validator(ob.MotionValidator):
-    """Checks motions, and refuses states that no better path can pass (if there is a sampler that knows)."""
+    """Checks motions; with an informed sampler, it also rejects states that no better path can pass."""
 
     def __init__(
         self,
@@ -76,7 +76,7 @@ class _Validator(ob.MotionValidator):
 
 @final
 class _Objective(ob.OptimizationObjective):
-    """Our edge cost, asked for one edge at a time."""
+    """Objective of OMPL with this library's edge costs, one edge at a time."""
 
     def __init__(self, si: ob.SpaceInformation, questions: Questions, bound: float, symmetric: bool) -> None:
         super().__init__(si)
@@ -97,7 +97,7 @@ class _Objective(ob.OptimizationObjective):
     def motionCostHeuristic(self, s0: ob.State, s1: ob.State) -> ob.Cost:
         self._estimates += 1
         if self._estimates % _ESTIMATES_BETWEEN_LOOKS == 0 and out_of_time(self._questions.budget):
-            raise Interrupted  # BIT* draws a whole batch by rejection without a look at its termination condition
+            raise Interrupted  # BIT* draws a whole batch by rejection without checking its termination condition
         return ob.Cost(self._bound * dist(s0[0 : self._n], s1[0 : self._n]) if self._bound else 0.0)
 
     def motionCostBestEstimate(self, s0: ob.State, s1: ob.State) -> ob.Cost:
@@ -109,9 +109,9 @@ class Session:
     """An OMPL planner on one problem, run in slices.
 
     Args:
-        questions: The problem and the objective.
-        seed: For OMPL's own generator, > 0; OMPL has one seed per process.
-        kind: Which planner.
+        questions: Access to problem and objective.
+        seed: Seed of OMPL's generator, > 0; OMPL has one seed per process.
+        kind: The planner.
     """
 
     def __init__(self, questions: Questions, seed: int, kind: Kind) -> None:
@@ -121,7 +121,7 @@ class Session:
         self.sampler = InformedSampler(problem, facts.length_bound)
         self.informed = kind.informed and facts.length_bound > 0.0
         with quiet():
-            ou.RNG.setSeed(seed)  # before anything that draws is built
+            ou.RNG.setSeed(seed)  # before any object that draws random numbers is built
             self.space = ob.RealVectorStateSpace(len(problem.start))
             self._set_bounds(problem.lower, problem.upper)
             si = ob.SpaceInformation(self.space)
@@ -141,10 +141,10 @@ class Session:
             self.planner.setup()
 
     def improvements(self) -> Iterator[Path]:
-        """Yield each better path; one iteration is one evaluation of OMPL's termination condition.
+        """Yield paths of decreasing cost; one iteration is one evaluation of OMPL's termination condition.
 
         Raises:
-            CostError: If the objective breaks its contract.
+            CostError: If the objective violates its contract.
         """
         budget = self.questions.budget
         while not budget.exhausted and not self._optimal():
@@ -181,7 +181,7 @@ class Session:
         return self.best.cost <= self.sampler.least_cost * (1.0 + _PROVEN)
 
     def _shrink(self) -> None:
-        """Draw from the box around the informed set only; the validator refuses what is outside of the set."""
+        """Restrict samples to the bounding box of the informed set; the validator rejects those outside the set."""
         lower, upper = self.sampler.box(self.best.cost)
         self._set_bounds(lower, upper)
 

@@ -1,1 +1,1 @@
-"""Planners that improve a given path."""
+"""Planners that improve an initial guess."""

@@ -1,17 +1,17 @@
-"""CHOMP: descent of a whole path along exact gradients, in a metric of smooth paths.
+"""CHOMP: gradient descent of a whole path in a metric of smooth paths.
 
-A step spreads smoothly over the whole path (`covariant.py`); what goes down is the path's energy in a metric that is
-stretched by the impact and by a potential of the obstacles (`path_energy.py`).
+A step spreads smoothly over the whole path (`covariant.py`). The minimised function is the energy of the path in a
+metric that is stretched by the impact and by a potential of the obstacles (`path_energy.py`).
 
-Hazards have borders a centimetre wide, and a gradient says nothing about what lies beyond. So a descent begins with
-hits smeared over decimetres, and goes on in stages to the width of the objective itself: the valley is found first and
-its bottom last. Only costs at that last width count.
+The impact of hitting an entity rises within about a centimetre, and its gradient is zero farther away. So a descent
+begins with places of impact blurred over decimetres, and continues in stages down to the actual objective: the early
+stages select the local minimum, the last one converges to it. Only costs without blur count.
 
 References:
     Ratliff et al., "CHOMP: gradient optimization techniques for efficient motion planning", ICRA 2009.
-    Zucker et al., "CHOMP: covariant Hamiltonian optimization for motion planning", IJRR 2013. Differs in: the cost of
-        a failure besides that of obstacles, vertices spread by what edges cost, exact derivatives of the sums, L-BFGS
-        and a line search instead of fixed steps, and only free paths are returned.
+    Zucker et al., "CHOMP: covariant Hamiltonian optimization for motion planning", IJRR 2013. Differs in: the impact
+        of failures is added to the cost of obstacles, vertices are spaced by the costs of edges, derivatives of the
+        sums are exact, L-BFGS and a line search replace fixed steps, and only free paths are returned.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from graceful_plan.planners.settings import count, positive
 Array = np.ndarray
 
 METHODS = ("lbfgs", "gradient")
-"""Words for how CHOMP goes down."""
+"""Names of descent methods."""
 _SETTLED = 1e-5
-"""Relative fall of the energy below which a step counts as idle."""
+"""Relative decrease of the energy below which a step counts as idle."""
 _IDLE = 4
-"""Idle steps in a row that end a descent."""
+"""Consecutive idle steps that end a descent."""
 _FIRMER = 5.0
-"""Factor on the weight of obstacles if a path has settled in one."""
+"""Factor on the obstacle weight if a path has converged in collision."""
 _FIRMINGS = 3
-"""How often."""
+"""Largest number of increases of the obstacle weight."""
 
 
 @final
@@ -54,20 +54,20 @@ _FIRMINGS = 3
 class CHOMP(Optimiser):
     """Improves a path along the gradient of J, in the metric of smooth paths.
 
-    One iteration is one evaluation of a whole path with its gradient. When a descent has settled, another one begins
-    at the best path with a random bend.
+    One iteration is one evaluation of a whole path with its gradient. After a descent has converged, the next one
+    begins at the best path plus a smooth random displacement, called bend.
 
     Args:
-        edges: How many edges a path has while it is worked on.
+        edges: Number of edges of the path during optimisation.
         method: "lbfgs", or "gradient" for the plain covariant gradient.
-        memory: How many steps L-BFGS remembers.
-        widths: How far hits are smeared in the stages before the last [m]; () to do without.
+        memory: Number of steps that L-BFGS stores.
+        widths: Blur of places of impact in the stages before the last one [m]; () for the last stage only.
         stage_iterations: Iterations of each of these stages.
-        obstacle_weight: What obstacles charge per length, per clearance that is missing [1/m].
-        obstacle_reach: Clearance from which on they charge nothing [m].
+        obstacle_weight: Cost of obstacles per length of path and per missing clearance [1/m].
+        obstacle_reach: Clearance from which on obstacles cost nothing [m].
         obstacle_step: Largest distance between samples of the clearance along an edge [rad].
-        longest_step: No joint of any point moves farther in one iteration [rad].
-        bend: Standard deviation of a random bend at its highest [rad]; None to end when the first descent has settled.
+        longest_step: Largest move of a joint of any point in one iteration [rad].
+        bend: Largest standard deviation along a bend [rad]; None to end after the first descent.
     """
 
     name: ClassVar[str] = "chomp"
@@ -99,7 +99,7 @@ class CHOMP(Optimiser):
     def improve(
         self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths."""
+        """Yield paths of decreasing cost."""
         with suppress(Interrupted):
             piece = Workpiece(path, self.edges, Slopes(problem, objective, budget))
             descents, bend = _Descents(self, piece), JITTER
@@ -112,7 +112,7 @@ class CHOMP(Optimiser):
 
 @final
 class _Descents:
-    """Descents of one path, through stages whose hits are ever narrower."""
+    """Descents of one path, in stages with decreasing blur."""
 
     def __init__(self, settings: CHOMP, piece: Workpiece) -> None:
         self.settings, self.piece = settings, piece
@@ -121,12 +121,12 @@ class _Descents:
         self.stages = [Slopes(problem, stage, piece.budget) for stage in piece.widened(settings.widths)]
 
     def descend(self, q: Float[Array, "point nq"]) -> Iterator[Path]:
-        """Go down from a path through all stages."""
+        """Descend from a path through all stages; yield improvements."""
         for slopes in self.stages:
             total = np.inf
             for descent in self._steps(q, slopes, self._potential(), self.settings.stage_iterations):
                 q = descent.at.q
-                total = self.slopes.path_cost(Path(q))  # not smeared
+                total = self.slopes.path_cost(Path(q))  # without blur
                 yield from self.kept.offer(q, total)
             yield from self.kept.approach(q, total)
         known = self.slopes.clearance_slopes(q[:1]) is not None
@@ -148,13 +148,13 @@ class _Descents:
     def _steps(
         self, q: Float[Array, "point nq"], slopes: Slopes, potential: ObstaclePotential, most: int | None
     ) -> Iterator[Descent]:
-        """Yield after every step, until the path has settled or the iterations of the stage are over."""
+        """Yield after every step, until the descent has converged or the iterations of the stage are used up."""
         chosen, idle, spent = self.settings, 0, 1
         if not self.budget.spend():
             return
         energy = PathEnergy(slopes, potential)
         memory = chosen.memory if chosen.method == "lbfgs" else 0
-        # A long step can jump through something thin, and no potential brings a path back from there.
+        # A long step can jump through a thin obstacle, and the potential does not bring the path back.
         allowed = self.kept.is_free if self.kept.is_free(q) else None
         descent = Descent(energy, self.piece.metric, self.piece.limits, memory, chosen.longest_step, allowed)
         descent.begin(energy(q))

@@ -1,7 +1,7 @@
 r"""Descent in the metric of paths: covariant gradient and L-BFGS, with a line search and joint limits.
 
-A step along :math:`-A^{-1} \nabla U` spreads a local push over the whole path, the less the rougher that would make it.
-L-BFGS begins its recursion with the same inverse, and learns from past steps what the metric does not know.
+A step along :math:`-A^{-1} \nabla U` spreads a local force smoothly over the whole path. L-BFGS begins its recursion
+with the same inverse, and adds curvature from past steps.
 
 References:
     Nocedal and Wright, "Numerical optimization", 2nd ed., Alg. 7.4 (two-loop recursion) and Alg. 3.1 (backtracking).
@@ -22,24 +22,24 @@ from graceful_plan.planners.optimisers.smoothness import Smoothness
 Array = np.ndarray
 
 _SUFFICIENT = 1e-4
-"""Share of the fall that the slope promises which a step has to bring."""
+"""Share of the decrease predicted by the gradient that a step has to achieve (Armijo)."""
 _SHORTEST = 1e-4
-"""Share of a step below which the direction is given up."""
+"""Least step length relative to the full step; below, the direction is abandoned."""
 _CURVED = 1e-8
-"""Least cosine between a step and the change of the gradient for L-BFGS to learn from it."""
+"""Least cosine between a step and the change of the gradient for L-BFGS to store the pair."""
 
 _LEAST_STRETCH = 1e-9
-"""Cost per length below which nothing is gained by moving."""
+"""Lower bound of the cost per length, against division by zero."""
 
 
 @final
 class Memory:
-    """What L-BFGS remembers: steps and what they changed in the gradient; the plain metric if there are none.
+    """Memory of L-BFGS: pairs of steps and changes of the gradient; without pairs, the plain metric.
 
     Args:
-        metric: That of the paths.
-        scale: The energy's second derivative relative to the metric, as far as it is known beforehand.
-        size: How many steps; 0 is the covariant gradient.
+        metric: Metric of paths.
+        scale: Initial estimate of the energy's second derivative relative to the metric.
+        size: Number of pairs to store; 0 gives the covariant gradient.
     """
 
     def __init__(self, metric: Smoothness, scale: float, size: int) -> None:
@@ -47,19 +47,19 @@ class Memory:
         self._pairs: deque[tuple[Array, Array, float]] = deque(maxlen=size)
 
     def learn(self, step: Float[Array, "n nq"], change: Float[Array, "n nq"]) -> None:
-        """Note a step and by how much it changed the gradient."""
+        """Store a step and the change of the gradient along it."""
         product = float(np.vdot(step, change))
         if self._pairs.maxlen and _is_curved(step, change, product):
             self._pairs.append((step, change, product))
 
     def forget(self) -> bool:
-        """Drop everything; tell whether there was anything."""
+        """Drop all pairs; return whether there were any."""
         known = len(self._pairs) > 0
         self._pairs.clear()
         return known
 
     def direction(self, gradient: Float[Array, "n nq"], held: Bool[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Return where to go from a point with this gradient, with some joints of some points held."""
+        """Return the descent direction for a gradient, with some joints of some points held."""
         left, shares, pairs = np.where(held, 0.0, gradient), [], self._pairs_beside(held)
         for step, change, product in reversed(pairs):
             shares.append(float(np.vdot(step, left)) / product)
@@ -75,7 +75,7 @@ class Memory:
         return -moved
 
     def _pairs_beside(self, held: Bool[Array, "n nq"]) -> list[tuple[Array, Array, float]]:
-        """Return what is remembered of the joints that are not held."""
+        """Return the stored pairs, restricted to the joints that are not held."""
         if not held.any():
             return list(self._pairs)
         beside = [(np.where(held, 0.0, step), np.where(held, 0.0, change)) for step, change, _ in self._pairs]
@@ -83,7 +83,7 @@ class Memory:
         return [pair for pair in pairs if _is_curved(*pair)]
 
     def _solve(self, force: Float[Array, "n nq"], held: Bool[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Spread a force by the metric, over those points of a joint that are not held."""
+        """Apply the inverse metric to a force, for each joint over the points where it is not held."""
         moved = self._metric.solve(force)
         for joint in np.flatnonzero(held.any(axis=0)):
             loose = np.flatnonzero(~held[:, joint])
@@ -98,21 +98,21 @@ def _is_curved(step: Array, change: Array, product: float) -> bool:
 
 @final
 class Descent:
-    """Goes down from a path, step by step, inside the limits.
+    """Descends from a path, step by step, inside the joint limits.
 
-    Joints that are at a limit and pushed beyond it are held, and the others move as if they were fixed.
+    Joints at a limit whose descent direction points beyond it are held; the others move as if these were fixed.
 
     Args:
-        evaluate: The energy.
-        metric: That of the paths.
+        evaluate: Computes the energy of a path.
+        metric: Metric of paths.
         limits: Lower and upper limits of the joints.
-        memory: Steps that L-BFGS remembers; 0 for the covariant gradient.
-        longest: No joint of any point moves farther in one step [rad].
-        allowed: Which paths a step may lead to; all if None.
+        memory: Number of steps that L-BFGS stores; 0 for the covariant gradient.
+        longest: Largest move of a joint of any point in one step [rad].
+        allowed: Test whether a step may lead to a path; all paths are accepted if None.
     """
 
     at: Evaluation
-    """The path that was reached."""
+    """The current path."""
 
     def __init__(
         self,
@@ -127,8 +127,8 @@ class Descent:
         self._memory_size, self._allowed = memory, allowed
 
     def begin(self, at: Evaluation) -> None:
-        """Start from a path, with nothing learned."""
-        # In free space the energy is that of the metric times the number of edges, all of it stretched by J / V.
+        """Start from a path with an empty memory."""
+        # In free space the energy is that of the metric times the number of edges, scaled by (J / V)^2.
         length = np.linalg.norm(np.diff(at.q, axis=0), axis=1).sum()
         stretch = max(_LEAST_STRETCH, float(at.cost.sum() / max(length, _LEAST_STRETCH)))
         self._memory = Memory(self._metric, (self._metric.n + 1) * stretch**2, self._memory_size)
@@ -143,7 +143,7 @@ class Descent:
         self._reach = min(1.0, self._longest / farthest) if farthest > 0.0 else 1.0
 
     def attempt(self) -> bool | None:
-        """Try one step, one evaluation: True if it was taken, False if not yet, None if there is nowhere to go."""
+        """Try one step with one evaluation; return True if it is taken, False if it is shortened, None at the end."""
         t = self._share * self._reach
         moved = self._into_limits(self.at.q[1:-1] + t * self._heading)
         step = moved - self.at.q[1:-1]
@@ -159,11 +159,11 @@ class Descent:
             self._aim()
             return True
         excess = trial.energy - self.at.energy - promised
-        best = -0.5 * promised / excess if excess > 0.0 and promised < 0.0 else 0.0  # of the parabola through both
+        best = -0.5 * promised / excess if excess > 0.0 and promised < 0.0 else 0.0  # minimum of the parabola
         return self._shorten(min(0.5, max(0.1, best)))
 
     def _shorten(self, factor: float) -> bool | None:
-        """Try less of the step next; if that is next to nothing, begin anew, or give up if nothing has been learned."""
+        """Shorten the next step; if it becomes too short, clear the memory, or return None if that is empty."""
         self._share *= factor
         if self._share > _SHORTEST:
             return False
@@ -174,5 +174,5 @@ class Descent:
         return False
 
     def _into_limits(self, inner: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Smoothly; but what is held would be drawn along by bumps, and must stay."""
+        """Move inner points into the limits: smoothly if no joint is held, else by clamping."""
         return np.clip(inner, *self._limits) if self._held.any() else self._metric.into_limits(inner, *self._limits)

@@ -1,6 +1,6 @@
-"""Derivatives of edge costs: exact where the objective knows them, else by differences, in one batch.
+"""Derivatives of edge costs: exact if the objective provides them, else by finite differences in one batch.
 
-Optimisers ask here, in slices that can be interrupted, and need not care which it is.
+`Slopes` evaluates them for optimisers in slices that can be interrupted.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from graceful_plan.planners.questions import Questions, checked_costs
 Array = np.ndarray
 
 DIFFERENCE = 0.02
-"""How far ends of edges are moved for central differences [rad].
+"""Displacement of the ends of edges for central differences [rad].
 
-Wide, since it is meant for costs that are noisy on a small scale: a jump of the impact shows only in differences about
-as wide as the samples along an edge are apart, and an edge whose number of samples changes jumps a little itself."""
+It is wide since costs are noisy on a small scale: differences detect a jump of the impact only if they are about as
+wide as the spacing of samples along an edge, and the cost of an edge jumps when its number of samples changes."""
 
 
 def edge_derivatives(
@@ -28,13 +28,13 @@ def edge_derivatives(
     q1: Float[Array, "n nq"],
     difference: float = DIFFERENCE,
 ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]]:
-    """Total cost V + w S of each edge, and its derivatives with respect to `q0` and `q1`.
+    """Return the total cost V + w S of each edge, and its derivatives with respect to `q0` and `q1`.
 
     Args:
-        objective: What edges cost.
-        q0: Where they begin.
-        q1: Where they end.
-        difference: How far to move each joint if the objective has no derivatives [rad].
+        objective: Objective of edges.
+        q0: Start of each edge.
+        q1: End of each edge.
+        difference: Displacement of each joint if the objective has no derivatives [rad].
     """
     if isinstance(objective, DifferentiableObjective):
         known = objective.edge_gradients(q0, q1)
@@ -47,7 +47,7 @@ def edge_derivatives(
 def _differences(
     objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], difference: float
 ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]]:
-    """Central differences: every edge with each joint of each end moved to both sides, and as it is."""
+    """Compute central differences: each joint of each end is moved to both sides, in one batch with the edges."""
     n, nq = q0.shape
     move = np.zeros((4 * nq + 1, 2, nq))
     rows, joints = np.arange(nq), np.arange(nq)
@@ -65,10 +65,10 @@ class Slopes(Questions):
     """`Questions` with derivatives.
 
     Args:
-        problem: Which states and edges are free, and how far they are from obstacles.
-        objective: What edges cost.
-        budget: Whose time counts.
-        difference: For objectives without derivatives, see `edge_derivatives`.
+        problem: Problem for collision checks and clearances.
+        objective: Objective for costs.
+        budget: Budget whose time limit and cancellation interrupt.
+        difference: Displacement for objectives without derivatives; see `edge_derivatives`.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Slopes(Questions):
     def edge_slopes(
         self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]
     ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """Total cost of each edge and its derivatives with respect to `q0` and `q1`.
+        """Return the total cost of each edge and its derivatives with respect to `q0` and `q1`.
 
         Raises:
             CostError: If the objective returns a NaN, an infinity or a negative number.
@@ -90,7 +90,7 @@ class Slopes(Questions):
         return rows[:, 0], rows[:, 1 : 1 + nq], rows[:, 1 + nq :]
 
     def clearance_slopes(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]] | None:
-        """Clearance beyond what has to be kept, and its gradient; None if the problem does not know it."""
+        """Return the clearance beyond the margin, and its gradient; None if the problem does not provide it."""
         return self.problem.clearance_gradient(q)
 
     def _edge_slopes(self, q0: Array, q1: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The best free path of an optimiser, and what of a better one that is not free can be had."""
+"""The incumbent of an optimiser: its best free path, which also moves towards better paths that are not free."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from graceful_plan.planners.resampling import evenly
 Array = np.ndarray
 
 _LEAST_GAIN = 1e-6
-"""Relative fall of J that counts as an improvement."""
+"""Relative decrease of J that counts as an improvement."""
 _BLENDS = 8
-"""Times that a path is drawn back from what it hits before it is given up."""
+"""Largest number of times that a colliding path is moved towards the incumbent before it is discarded."""
 _BLEND_SPAN = 6.0
-"""Edges over which it returns to where it wants to be."""
+"""Number of edges over which the blend returns to the colliding path."""
 
 
 def with_edges(path: Path, edges: int) -> Float[Array, "point nq"]:
-    """Return the same path with that many edges: vertices stay, the longest edges are halved, cut in three and so on.
+    """Return the path with a given number of edges: vertices are kept, and long edges are divided evenly.
 
-    A path of more edges than that is sampled evenly, and cuts its corners.
+    A path with more edges is resampled evenly, which cuts its corners.
     """
     q = path.without_duplicates().q
     lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
@@ -43,33 +43,33 @@ def with_edges(path: Path, edges: int) -> Float[Array, "point nq"]:
 
 @final
 class Incumbent:
-    """The best free path so far, with as many points as those that come after it.
+    """The best-known free path; all paths have the same number of edges.
 
     Args:
-        path: The path to begin with; if it is not free, any free path is better.
-        edges: How many edges all paths have.
-        questions: To problem and objective.
+        path: Initial path; if it is not free, any free path is better.
+        edges: Number of edges of all paths.
+        questions: Access to problem and objective.
     """
 
     def __init__(self, path: Path, edges: int, questions: Questions) -> None:
         self._questions = questions
         self.q = with_edges(path, edges)
         self.free = self.is_free(self.q)
-        """Whether `q` is free: the path to begin with may not be, or not with its corners cut."""
+        """Whether `q` is free; the initial path may not be, or not after cutting its corners."""
         self.total = np.inf
-        """J to be undercut."""
+        """Best-known J."""
         if questions.edges_free(
             path.q[:-1], path.q[1:]
-        ).all():  # by the problem's own measure, that of whoever found it
+        ).all():  # at the problem's check step, at which the path was found
             self.total = questions.path_cost(path)
 
     def offer(self, q: Float[Array, "point nq"], total: float) -> Iterator[Path]:
-        """Take a path of cost `total`, and yield it, if it is better and free."""
+        """Adopt and yield a path of cost `total` if it is better and free."""
         if self._is_better(total) and self._edges_free(q).all():
             yield self._take(q, total)
 
     def approach(self, q: Float[Array, "point nq"], total: float) -> Iterator[Path]:
-        """Take a path of cost `total` if it is better; if it is not free, as much of it as is."""
+        """Adopt and yield a path of cost `total` if it is better; if it is not free, a blend with the incumbent."""
         if not self._is_better(total):
             return
         reached = self._free_part(q)
@@ -86,7 +86,7 @@ class Incumbent:
         return Path(q)
 
     def _free_part(self, q: Float[Array, "point nq"]) -> Float[Array, "point nq"] | None:
-        """Draw the points of edges that are not free back towards the incumbent, their neighbours less."""
+        """Move points of blocked edges towards the incumbent, and their neighbours less, until all edges are free."""
         share = np.ones(len(q))
         for _ in range(_BLENDS):
             blend = self.q + share[:, None] * (q - self.q)
@@ -101,11 +101,11 @@ class Incumbent:
         return None
 
     def is_free(self, q: Float[Array, "point nq"]) -> bool:
-        """Tell whether all edges of a path are free."""
+        """Return whether all edges of a path are free."""
         return bool(self._edges_free(q).all())
 
     def _edges_free(self, q: Float[Array, "point nq"]) -> Bool[Array, " edge"]:
-        """Tell which edges are free, also where paths are looked at last: at a fine step."""
+        """Return which edges are free, at the fine step of the final check."""
         free = self._questions.edges_free(q[:-1], q[1:])
         if not free.all() or not len(free):
             return free
@@ -119,6 +119,6 @@ class Incumbent:
 
 
 def _edges_away(points: int, blocked: Int[Array, " n"]) -> Int[Array, " point"]:
-    """How many edges each point is away from the nearest blocked edge; 0 for its own ends."""
+    """Return the distance of each point from the nearest blocked edge in edges; 0 for the ends of blocked edges."""
     i = np.arange(points)[:, None]
     return np.maximum(0, np.maximum(blocked - i, i - blocked - 1)).min(axis=1)

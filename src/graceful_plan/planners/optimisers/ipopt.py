@@ -1,12 +1,10 @@
 """Direct transcription of a path: IPOPT moves all of its points at once, within joint limits and clear of obstacles.
 
-What CHOMP folds into one energy stays apart here: the cost is J itself and obstacles are constraints, so that a path
-along an obstacle needs no weight to be found.
+CHOMP combines cost and obstacles in one energy. Here the cost is J itself and obstacles are constraints, so no weight
+has to be tuned for paths along obstacles. As in CHOMP, solves begin with places of impact blurred over decimetres,
+since the impact of hitting an entity rises within about a centimetre and its gradient is zero farther away.
 
-Hazards have borders a centimetre wide, and a gradient says nothing about what lies beyond. So solves begin with hits
-smeared over decimetres, as those of CHOMP do.
-
-`CasADi` is about paths; `graceful_plan.optimise_trajectory` does the same to path and timing at once.
+`CasADi` optimises paths; `graceful_plan.optimise_trajectory` optimises path and timing together.
 
 References:
     [Waechter2006] On the implementation of an interior-point filter line-search algorithm for large-scale nonlinear
@@ -36,13 +34,13 @@ from graceful_plan.planners.settings import count, positive
 Array = np.ndarray
 
 _SETTLED, _IDLE = 1e-4, 10
-"""Relative fall of J below which an iteration counts as idle, and how many of these in a row end a solve."""
+"""Relative decrease of J below which an iteration counts as idle, and number of consecutive ones that end a solve."""
 _WORTH = 1e-3
-"""Relative fall of J in a solve that makes it worthwhile to go on from there before anything else."""
+"""Relative decrease of J in a solve from which on the next solve continues from its result."""
 _BARRIER = 1e-3
-"""IPOPT's barrier parameter to begin with: the path is good already, so constraints need not be felt from afar."""
+"""IPOPT's initial barrier parameter; it is small since the initial path is good already."""
 _NEARLY = 1e-3
-"""How far a constraint may be broken by an iterate that is worth checking."""
+"""Largest constraint violation of an iterate that is checked."""
 
 
 @final
@@ -50,19 +48,19 @@ _NEARLY = 1e-3
 class CasADi(Optimiser):
     """Improves a path by direct transcription with IPOPT, through CasADi.
 
-    One iteration is one of IPOPT's. When a solve has settled, another one begins at the best path with a random bend.
-    Obstacles of problems that do not know their clearance stop a path, but do not guide it.
+    One iteration is one of IPOPT's. After a solve has converged, the next one begins at the best path plus a smooth
+    random displacement, called bend. If a problem does not provide clearances, colliding paths are only discarded.
 
     Args:
-        edges: How many edges a path has while it is worked on.
-        widths: How far hits are smeared in solves before the last [m]; () to do without.
-        stage_iterations: Iterations of each of these.
-        solve_iterations: Of the last one.
-        memory: How many steps IPOPT's approximation of the Hessian remembers.
-        reach: How far a joint of a point may move in one solve [rad or m].
-        clearance: Clearance to keep beyond that of the problem, for what lies between two constraints [m].
+        edges: Number of edges of the path during optimisation.
+        widths: Blur of places of impact in the solves before the last one [m]; () for the last solve only.
+        stage_iterations: Iterations of each of these solves.
+        solve_iterations: Iterations of the last solve.
+        memory: Number of steps in IPOPT's approximation of the Hessian.
+        reach: Largest move of a joint of any point in one solve [rad or m].
+        clearance: Clearance in addition to the problem's margin, for the path between two constrained points [m].
         spacing: Largest distance between points of an edge at which the clearance is a constraint [rad].
-        bend: Standard deviation of a random bend at its highest [rad]; None to end when the first solve has settled.
+        bend: Largest standard deviation along a bend [rad]; None to end when solves no longer improve the path.
     """
 
     name: ClassVar[str] = "casadi"
@@ -90,14 +88,14 @@ class CasADi(Optimiser):
     def improve(
         self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths."""
+        """Yield paths of decreasing cost."""
         with suppress(Interrupted):
             piece = Workpiece(path, self.edges, Slopes(problem, objective, budget))
             if piece.movable:
                 yield from self._solves(piece, rng)
 
     def _solves(self, piece: Workpiece, rng: np.random.Generator) -> Iterator[Path]:
-        """Solve from the path, on from there for as long as that is worthwhile, then from bent ones."""
+        """Solve from the path, repeat from the result while that helps, then solve from bent paths."""
         solves = _Solves(self, piece)
         bend, stages = JITTER, bool(solves.stages)
         while not piece.budget.exhausted:
@@ -113,7 +111,7 @@ class CasADi(Optimiser):
 
 @final
 class _Solves:
-    """Solves of one path, and what they find."""
+    """Solves of one path, and the improvements that they find."""
 
     def __init__(self, settings: CasADi, piece: Workpiece) -> None:
         self.settings, self.slopes, self.kept, self.budget = settings, piece.slopes, piece.kept, piece.budget
@@ -121,7 +119,7 @@ class _Solves:
         self.found: list[Path] = []
 
     def solve(self, q: Float[Array, "point nq"], stages: bool) -> Iterator[Path]:
-        """Solve from a path on, through all stages or the last alone, and yield the best of what was found."""
+        """Solve from a path, through all stages or only the last, and yield the best improvement."""
         self.found = []
         with suppress(Interrupted):
             for stage in self.stages if stages else ():
@@ -151,7 +149,7 @@ class _Solves:
 
 @final
 class _Watch:
-    """Spends the budget, keeps what is free and better, and ends a solve that has settled."""
+    """Spends the budget, keeps free iterates that are better, and ends a solve that has converged."""
 
     def __init__(self, program: PathProgram, solves: _Solves, last: bool) -> None:
         self.program, self.solves, self.last = program, solves, last
@@ -174,7 +172,7 @@ class _Watch:
         return self._idle >= _IDLE
 
     def _offer(self, q: Float[Array, "point nq"], total: float) -> None:
-        """Keep a path that is better and free; the cost of one that was cut off at limits is another one."""
+        """Keep a path if it is better and free; its cost is evaluated again, since it is clamped to the limits."""
         kept = self.solves.kept
         if total < kept.total:
             self.solves.found += kept.offer(q, self.solves.slopes.path_cost(Path(q)))

@@ -1,7 +1,7 @@
 """Nonlinear programs in NumPy, solved by IPOPT through CasADi.
 
-A `Program` computes value, gradient, constraints and their Jacobian in one call, so that a batch of native kernels is
-asked once per point, and, if it can, the Hessian of the Lagrangian; otherwise IPOPT builds one up from gradients.
+A `Program` computes cost, gradient, constraints and their Jacobian in one call, so that native kernels are called once
+per point. It may also provide the Hessian of the Lagrangian; otherwise IPOPT approximates it from gradients.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _INFEASIBLE = frozenset({"Infeasible_Problem_Detected", "Restoration_Failed"})
 
 
 class Values(NamedTuple):
-    """What a program is at one point."""
+    """Values of a program at one point."""
 
     cost: float
     gradient: Float[Array, " variable"]
@@ -38,14 +38,14 @@ class Values(NamedTuple):
 
 
 class Pattern(NamedTuple):
-    """Where a matrix may differ from zero; no place twice."""
+    """Sparsity pattern of a matrix, without duplicates."""
 
     row: Int[Array, " nonzero"]
     column: Int[Array, " nonzero"]
 
 
 class Program(ABC):
-    """Minimise a cost of variables within bounds, with constraints within bounds."""
+    """A nonlinear program: a cost to minimise, with bounds on variables and constraints."""
 
     lower: Float[Array, " variable"]
     upper: Float[Array, " variable"]
@@ -53,7 +53,7 @@ class Program(ABC):
     most: Float[Array, " constraint"]
     jacobian_pattern: Pattern
     hessian_pattern: Pattern | None = None
-    """Of the upper triangle; None if there is no Hessian."""
+    """Pattern of the Hessian's upper triangle; None if there is no Hessian."""
 
     @abstractmethod
     def evaluate(self, x: Float[Array, " variable"]) -> Values:
@@ -62,29 +62,29 @@ class Program(ABC):
     def hessian(
         self, x: Float[Array, " variable"], factor: float, multipliers: Float[Array, " constraint"]
     ) -> Float[Array, " nonzero"]:
-        """Hessian of factor * cost + multipliers @ constraints, or something near it, in the order of its pattern."""
+        """Return the Hessian of factor * cost + multipliers @ constraints, or an approximation, in pattern order."""
         raise NotImplementedError
 
 
 class SolveOutcome(Enum):
-    """How a solve ended."""
+    """Outcome of a solve."""
 
     SOLVED = "a local optimum"
     STOPPED = "stopped before a local optimum was reached"
-    INFEASIBLE = "no point near keeps all constraints"
+    INFEASIBLE = "no nearby point satisfies all constraints"
     FAILED = "the solver gave up"
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a solve ended."""
+    """Result of a solve."""
 
     outcome: SolveOutcome
     x: Float[Array, " variable"]
     iterations: int
     word: str
-    """IPOPT's own word for it."""
+    """IPOPT's return status."""
 
 
 Watch = Callable[[Array, Values], bool]
@@ -100,18 +100,18 @@ def minimise(
     tolerance: float = 1e-6,
     settings: dict[str, Any] | None = None,
 ) -> Solution:
-    """Solve a program from a point on. Prints nothing.
+    """Solve a program from an initial guess. Prints nothing.
 
     Args:
-        program: What to solve.
-        x: Where to begin.
-        watch: Sees every iterate and may end the solve.
-        iterations: At most so many.
+        program: The program.
+        x: Initial guess.
+        watch: Called with every iterate; may end the solve.
+        iterations: Largest number of iterations.
         tolerance: IPOPT's `tol`.
-        settings: More of IPOPT's settings.
+        settings: Further settings of IPOPT.
 
     Raises:
-        Exception: Whatever the program or `watch` raised.
+        Exception: Any exception that the program or `watch` has raised.
     """
     import casadi
 
@@ -138,7 +138,7 @@ def minimise(
 
 
 def _outcome_of(word: str) -> SolveOutcome:
-    """Say how a solve ended, given IPOPT's own word for it."""
+    """Return the outcome for a return status of IPOPT."""
     for names, outcome in (
         (_FEASIBLE, SolveOutcome.SOLVED),
         (_STOPPED, SolveOutcome.STOPPED),
@@ -151,7 +151,7 @@ def _outcome_of(word: str) -> SolveOutcome:
 
 @final
 class _Calls:
-    """Answers what CasADi asks; keeps the last point, and the first exception for later: CasADi would print it."""
+    """Implements CasADi's callbacks; caches the last point and stores the first exception, which CasADi would print."""
 
     def __init__(self, program: Program, watch: Watch | None) -> None:
         self._program, self._watch = program, watch
@@ -165,7 +165,7 @@ class _Calls:
         return self._last[1]
 
     def guarded(self, answer: Callable[..., list[Any]], nothing: list[Any]) -> Callable[..., list[Any]]:
-        """Return a function that answers with `nothing` once there is an error."""
+        """Return a callback that stores exceptions and returns `nothing` after one."""
 
         def ask(*inputs: Any) -> list[Any]:
             if self.error is not None:
@@ -180,10 +180,10 @@ class _Calls:
 
     @contextmanager
     def remembering_interrupts(self) -> Generator[None]:
-        """Keep what Ctrl-C raises for later, too.
+        """Store an exception raised by Ctrl-C, too.
 
-        CasADi looks for it between our answers and would swallow it; of one that comes while it asks for the shapes of
-        our functions, it makes a RuntimeError.
+        CasADi checks for Ctrl-C between callbacks and would swallow it, or turn it into a RuntimeError if it comes
+        while CasADi queries the shapes of the functions.
         """
         before = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is not threading.main_thread() or not callable(before):
@@ -207,7 +207,7 @@ class _Calls:
 
 
 def _functions(program: Program, calls: _Calls, casadi: Any) -> dict[str, Any]:
-    """Callbacks of the kind that `nlpsol` takes in place of derivatives of its own."""
+    """Return callbacks that replace the derivatives that `nlpsol` would generate."""
     n, m = len(program.lower), len(program.least)
     x, p, g, one = (casadi.Sparsity.dense(*shape) for shape in ((n, 1), (0, 1), (m, 1), (1, 1)))
     jacobian, order = _sparsity(program.jacobian_pattern, (m, n), casadi)
@@ -242,7 +242,7 @@ def _functions(program: Program, calls: _Calls, casadi: Any) -> dict[str, Any]:
 
 
 def _iteration(callback: Any, calls: _Calls, sparsities: dict[str, Any], casadi: Any) -> Any:
-    """Return the callback that CasADi asks after every iteration whether to stop."""
+    """Return the callback with which CasADi checks after every iteration whether to stop."""
     names = [casadi.nlpsol_out(i) for i in range(casadi.nlpsol_n_out())]
     at = names.index("x")
     stop = calls.guarded(lambda *values: [float(calls.stop(values[at]))], [1.0])
@@ -259,14 +259,14 @@ def _solver(functions: dict[str, Any], options: dict[str, Any], program: Program
 
 
 def _sparsity(pattern: Pattern, shape: tuple[int, int], casadi: Any) -> tuple[Any, Int[Array, " nonzero"]]:
-    """Return CasADi's form of a pattern, and in which order it takes the entries: by columns."""
+    """Return a pattern as a CasADi sparsity, and the column-major order of the entries."""
     order = np.lexsort((pattern.row, pattern.column))
     rows, columns = pattern.row[order].tolist(), pattern.column[order].tolist()
     return casadi.Sparsity.triplet(*shape, rows, columns), order
 
 
 def callback_class(casadi: Any) -> Any:
-    """CasADi is imported on demand only, so the class that derives from its own is made on demand, too."""
+    """Return a callback class; it is defined here because CasADi, its base, is imported only when needed."""
 
     class Callback(casadi.Callback):
         def __init__(self, name: str, answer: Any, inputs: Any, outputs: Any, names: Any = None) -> None:

@@ -1,4 +1,4 @@
-"""The contract of trajectory optimisers: planners that improve a path."""
+"""Base class of path optimisers: planners that improve an initial guess."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from graceful_plan.planners.trivial import stays_at_goal
 Array = np.ndarray
 
 _SHARE_OF_SHORTCUTS = 0.1
-"""Of the budget that is left when the first path is found; the rest is the optimiser's."""
+"""Share of the remaining budget for shortcutting the first path; the rest is for the optimiser."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optimiser(Planner):
-    """Improves a path within its class: local, so it needs one to begin with.
+    """Improves an initial path locally, within its homotopy class.
 
     Args:
-        initial: Where to begin: a path, or an array of configurations. It need not be free; where it does not begin at
-            the start or end at a goal, it is joined to them. None begins with the path of RRT-Connect after shortcuts
+        initial: Initial guess: a path or an array of configurations. It need not be free; if it does not begin at the
+            start or end at a goal, straight edges connect it to them. None: the path of RRT-Connect, after shortcutting
             for a tenth of the budget.
     """
 
@@ -38,16 +38,16 @@ class Optimiser(Planner):
     def improve(
         self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield free paths between the same ends, each of lower total cost than the one before.
+        """Yield free paths between the ends of `path`, each of lower total cost than the previous one.
 
-        If `path` itself is free, they cost less than it does. Nothing is yielded if there is none within the budget.
+        If `path` is free, they also cost less than it. Nothing is yielded if none is found within the budget.
         """
 
     @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths."""
+        """Yield paths of decreasing cost."""
         path = None if self.initial is None else joined_to_ends(self.initial, problem)
         if path is None:
             for path in _first_paths(problem, objective, budget, rng):
@@ -59,7 +59,7 @@ class Optimiser(Planner):
 def _first_paths(
     problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
 ) -> Iterator[Path]:
-    """Yield the path of RRT-Connect and shorter cuts of it, for a share of the budget."""
+    """Yield the path of RRT-Connect, then cheaper versions of it by shortcutting, for a share of the budget."""
     seconds = iterations = np.inf
     for path in RRTConnect().solve(problem, objective, budget, rng):
         yield path
@@ -71,11 +71,11 @@ def _first_paths(
 
 
 def joined_to_ends(path: Path | Array, problem: Problem) -> Path:
-    """Return a path from the start along `path` to the nearest goal; straight where `path` does not reach them.
+    """Return a path from the start along `path` to the nearest goal, with straight edges to both if needed.
 
     Raises:
         ShapeError: If the path does not have the joints of the problem.
-        NonFiniteError: If it holds a NaN or an infinity.
+        NonFiniteError: If it contains a NaN or an infinity.
     """
     nq = len(problem.start)
     q = finite_array("initial", path.q if isinstance(path, Path) else path, ndim=2, last=nq)

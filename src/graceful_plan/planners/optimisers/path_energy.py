@@ -1,22 +1,22 @@
-r"""What CHOMP descends: the energy of a path in a metric that is stretched where a failure would hurt.
+r"""Energy of a path that CHOMP minimises, in a metric that is stretched by the impact.
 
 A path is a polyline of n edges; edge i costs :math:`c_i = V_i + w S_i + \lambda O_i`, its share of the objective and of
-a potential that keeps away from obstacles. Instead of their sum, the energy
+an obstacle potential. Instead of their sum, the energy
 
 .. math:: U = \frac n2 \sum_i c_i^2 = \frac12 \Big(\sum_i c_i\Big)^2 + \frac{n^2}{2} \mathrm{Var}(c_i)
 
-is minimised, as for geodesics: its least paths are those of the least sum, with vertices spread so that all edges cost
-the same. The sum alone does not change when vertices slide along the path, and a descent would let them drift. In free
-space without impact, U is CHOMP's own smoothness term, half the integral of the squared velocity.
+is minimised, as for geodesics: its minima are the paths of the least sum, with vertices spaced so that all edges cost
+the same. The sum alone does not change when vertices slide along the path, so a descent would let them drift. In free
+space without impact, U is CHOMP's smoothness term, half the integral of the squared velocity.
 
-The potential is that of CHOMP, a function of the clearance d, integrated over arc length so that nothing is gained by
-rushing past an obstacle:
+The potential is that of CHOMP, a function of the clearance d. It is integrated over arc length, so that a larger
+spacing of vertices near an obstacle does not lower it:
 
 .. math:: c(d) = -d + \epsilon/2 \;(d < 0), \qquad (d - \epsilon)^2/(2 \epsilon) \;(0 \le d \le \epsilon), \qquad 0
 
 References:
     Zucker et al., "CHOMP: covariant Hamiltonian optimization for motion planning", IJRR 2013, Eq. (2) to (7). Differs
-    in: exact derivatives of the sums, so that the curvature term needs no formula of its own.
+    in: exact derivatives of the sums, which include the curvature term.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _TINY = 1e-12
 @final
 @dataclass(frozen=True, kw_only=True)
 class ObstaclePotential:
-    """How much a path is charged for being close to obstacles.
+    """Potential of obstacles near a path.
 
     Args:
-        weight: Charge per unit of length one unit of clearance deep inside [1/m].
-        reach: Clearance from which on nothing is charged [m].
+        weight: Slope of the potential over penetration depth, per unit of length [1/m].
+        reach: Clearance from which on the potential is 0 [m].
         step: Largest distance between samples along an edge [rad].
     """
 
@@ -51,7 +51,7 @@ class ObstaclePotential:
     step: float
 
     def density(self, clearance: Float[Array, "*batch"]) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Weighted potential at a clearance, and its derivative."""
+        """Return the weighted potential at a clearance, and its derivative."""
         gap = np.clip(self.reach - clearance, 0.0, self.reach)
         inside = np.minimum(clearance, 0.0)
         value = 0.5 * gap**2 / self.reach - inside
@@ -60,9 +60,9 @@ class ObstaclePotential:
     def edges(
         self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], slopes: Slopes
     ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """Integral of the potential over each edge, and its derivatives; None if the problem knows no clearance.
+        """Return the integral of the potential over each edge and its derivatives; None if clearance is not available.
 
-        Trapezoid sums on as many samples for all edges as the longest one needs.
+        Integrals are trapezoid sums; all edges have as many samples as the longest one needs.
         """
         n, nq = q0.shape
         delta = q1 - q0
@@ -91,27 +91,27 @@ class Evaluation:
     q: Float[Array, "point nq"]
     energy: float
     gradient: Float[Array, "inner nq"]
-    """Of the energy with respect to the inner points."""
+    """Gradient of the energy with respect to the inner points."""
     total: float
     """J = V + w S of the path, without the potential."""
     cost: Float[Array, " edge"]
-    """Of each edge, with the potential."""
+    """Cost of each edge, including the potential."""
 
 
 @final
 class PathEnergy:
-    """Evaluates whole paths.
+    """Evaluates the energy of whole paths.
 
     Args:
-        slopes: The objective, and the clearance.
-        potential: Of obstacles, if any.
+        slopes: Access to objective and clearance.
+        potential: Potential of obstacles; None for none.
     """
 
     def __init__(self, slopes: Slopes, potential: ObstaclePotential | None = None) -> None:
         self.slopes, self.potential = slopes, potential
 
     def __call__(self, q: Float[Array, "point nq"]) -> Evaluation:
-        """Return the energy of a path and its gradient: one question for all edges."""
+        """Return the energy of a path and its gradient; all edges are evaluated in one batch."""
         q0, q1 = q[:-1], q[1:]
         cost, d_q0, d_q1 = self.slopes.edge_slopes(q0, q1)
         total = float(cost.sum())

@@ -1,4 +1,4 @@
-"""A path as a nonlinear program: its inner points, the total cost of its edges, and clearance along them."""
+"""A path as a nonlinear program: inner points as variables, total cost J, clearance as constraint."""
 
 from __future__ import annotations
 
@@ -14,32 +14,33 @@ from graceful_plan.planners.optimisers.smoothness import Smoothness
 Array = np.ndarray
 
 _UNIT = 0.05
-"""Clearance [m] that counts as one in a constraint, so that all of them are of O(1)."""
+"""Unit of clearance in constraints [m], so that their values are of O(1)."""
 _FAR = 20.0
-"""Clearance in these units beyond which it does not matter."""
+"""Clearance in this unit from which on it is cut off."""
 _COARSE = 30.0
-"""Unit of the points among the variables [rad], so that the approximation of the Hessian hardly weighs them."""
+"""Unit of the points among the variables [rad]; it is large so that they have little weight in the Hessian's
+approximation."""
 
 
 @final
 class PathProgram(Program):
     r"""Minimise J over the inner points of a path, within joint limits and with clearance as constraint.
 
-    The variables are the points q and, tied to them by linear equations, whitened ones,
+    The variables are the points q, and whitened variables that linear equations tie to them,
 
     .. math:: x = L^T (q - q_0), \qquad L L^T = A
 
-    with A the stiffness of springs along the path that are as stiff as its edges cost, which is near the Hessian of J.
-    J is charged to x, where its Hessian is near the identity, from which IPOPT's limited-memory approximation starts;
-    limits and clearance are asked of q, so that every matrix stays sparse: L has two diagonals.
+    where A is the stiffness matrix of springs along the path, scaled by the cost of its edges, an approximation of the
+    Hessian of J. J is a function of x, where its Hessian is close to the identity, from which IPOPT's limited-memory
+    approximation starts. Limits and clearance are functions of q, so that all matrices are sparse: L has two diagonals.
 
     Args:
-        q: Points to begin with, ends included.
-        slopes: Questions to problem and objective.
-        clearance: Clearance to keep beyond that of the problem; less if the ends have less.
+        q: Initial points, including the ends.
+        slopes: Access to problem and objective.
+        clearance: Clearance in addition to the problem's margin [m]; at most half of that of the ends.
         spacing: Largest distance between points of an edge at which the clearance is a constraint [rad].
-        total: J of the path to begin with.
-        reach: How far a joint of a point may move [rad or m].
+        total: J of the initial path.
+        reach: Largest move of a joint of any point [rad or m].
     """
 
     def __init__(
@@ -64,9 +65,9 @@ class PathProgram(Program):
         self.most = np.append(np.full(rows, np.inf), self._tied_to)
 
     def path(self, x: Float[Array, " variable"]) -> Float[Array, "point nq"]:
-        """All points, ends included, and within the joint limits."""
+        """Return all points, including the ends, clamped to the joint limits."""
         problem, inner = self._slopes.problem, _COARSE * x[: self._n * self._nq].reshape(self._n, self._nq)
-        inner = np.clip(inner, problem.lower, problem.upper)  # for rounding
+        inner = np.clip(inner, problem.lower, problem.upper)  # against rounding errors
         return np.concatenate([self._ends[:1], inner, self._ends[1:]])
 
     def evaluate(self, x: Float[Array, " variable"]) -> Values:
@@ -89,14 +90,14 @@ class PathProgram(Program):
         )
 
     def _clearance(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
-        """Clearance and its gradient in units of its constraints."""
+        """Return the clearance and its gradient in units of the constraints."""
         known = self._slopes.clearance_slopes(q)
-        assert known is not None  # there would be no places to ask about
+        assert known is not None  # otherwise there are no places with clearance constraints
         value = known[0] / _UNIT
         return np.minimum(value, _FAR), np.where(value[:, None] < _FAR, known[1], 0.0) / _UNIT
 
     def _choose_places(self, q: Float[Array, "point nq"], spacing: float) -> None:
-        """Choose where on the edges the clearance is asked for: all points but the ends, and places in between."""
+        """Choose the places of clearance constraints: all inner points, and points along the edges."""
         pieces = np.maximum(1, np.ceil(np.linalg.norm(np.diff(q, axis=0), axis=1) / spacing)).astype(int)
         if self._slopes.clearance_slopes(self._ends) is None:
             pieces[:] = 0
@@ -106,7 +107,7 @@ class PathProgram(Program):
         self._edge: Int[Array, " row"] = edge[inside]
         self._share: Float[Array, " row"] = share[inside]
         end = self._edge[:, None] + np.arange(2)
-        # The first point of the path and the last do not move; at a point, the rest of its edge does not matter.
+        # The first and the last point do not move; a place at a vertex depends only on this vertex.
         moves = (end > 0) & (end <= self._n) & ((self._share[:, None] > 0.0) | (np.arange(2) == 0))
         self._inner: Bool[Array, "row end"] = moves
         row, which = np.nonzero(moves)
@@ -114,7 +115,7 @@ class PathProgram(Program):
         self._place_pattern = Pattern(np.repeat(row, self._nq), column.ravel())
 
     def _tie(self, factor: Float[Array, "n n"], inner: Float[Array, "n nq"]) -> None:
-        """Tie whitened variables to points: L^T q - x = L^T q_0."""
+        """Set up the equations that tie whitened variables to points: L^T q - x = L^T q_0."""
         n, nq = self._n, self._nq
         point = np.repeat(np.arange(n), nq)
         row = np.arange(n * nq)

@@ -1,4 +1,4 @@
-"""Batches of paths of evenly many points, and how STOMP weighs them against each other at every point.
+"""Batches of paths with the same number of points, and STOMP's weights of them at each point.
 
 References:
     Kalakrishnan et al., "STOMP: stochastic trajectory optimization for motion planning", ICRA 2011, Table I.
@@ -21,20 +21,20 @@ from graceful_plan.planners.scene_problem import SceneProblem
 Array = np.ndarray
 
 _FLAT = 1e-3
-"""Share of the greatest difference of costs anywhere below which differences at a point count as none."""
+"""Least range of costs at a point, relative to the largest range at any point; smaller ranges are scaled as this."""
 _TINY = 1e-300
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollouts:
-    """Paths between the same ends, and what their edges cost."""
+    """Paths between the same ends, with the costs of their edges."""
 
     q: Float[Array, "rollout point nq"]
     cost: Float[Array, "rollout edge"]
     """Total cost J of each edge."""
     blocked: Bool[Array, "rollout edge"]
-    """Which edges are not free."""
+    """True for edges that are not free."""
 
     @staticmethod
     def asked(q: Float[Array, "rollout point nq"], questions: Questions) -> Rollouts:
@@ -50,7 +50,7 @@ class Rollouts:
 
     @staticmethod
     def joined(parts: Sequence[Rollouts]) -> Rollouts:
-        """Put batches together."""
+        """Concatenate batches."""
         return Rollouts(
             q=np.concatenate([part.q for part in parts]),
             cost=np.concatenate([part.cost for part in parts]),
@@ -64,11 +64,11 @@ class Rollouts:
         return Rollouts(q=self.q[which], cost=self.cost[which], blocked=self.blocked[which])
 
     def best(self, n: int) -> Rollouts:
-        """Return the best n, the best first: those with the fewest blocked edges, and of these the cheapest."""
+        """Return the best n paths, the best first: by number of blocked edges, then by cost."""
         return self[np.lexsort((self.cost.sum(axis=1), self.blocked.sum(axis=1)))[:n]]
 
     def first_in_close_up(self, problem: Problem) -> Rollouts:
-        """Check the first path as finely as results are checked; itself if there is nothing new to say."""
+        """Check the first path at the fine step of results; return self if that does not change its blocked edges."""
         if in_close_up(problem) is problem or self.blocked[0].any():
             return self
         free = in_close_up(problem).edges_free(self.q[0, :-1], self.q[0, 1:])
@@ -79,31 +79,31 @@ class Rollouts:
         return replace(self, blocked=blocked)
 
     def beats(self, other: Rollouts, gain: float) -> bool:
-        """Whether the first path here is better than the first of another batch.
+        """Return whether the first path is better than the first path of another batch.
 
-        It is if it has fewer blocked edges, or as many and costs less by more than a share `gain`.
+        It is better if it has fewer blocked edges, or as many and a cost lower by more than the fraction `gain`.
         """
         mine, yours = int(self.blocked[0].sum()), int(other.blocked[0].sum())
         return mine < yours or (mine == yours and bool(self.cost[0].sum() < other.cost[0].sum() * (1.0 - gain)))
 
 
 def in_close_up(problem: Problem) -> Problem:
-    """Return the problem with edges checked as finely as those of results are."""
+    """Return the problem with edge checks at the fine step of results."""
     return replace(problem, check_step=FINE_STEP) if isinstance(problem, SceneProblem) else problem
 
 
 def weights(rollouts: Rollouts, spread: Float[Array, "point point"], sharpness: float) -> Float[Array, "rollout point"]:
-    r"""Return how much each rollout counts at each inner point.
+    r"""Return the weight of each rollout at each inner point.
 
     .. math:: P_{k,t} \propto \exp\Bigl(-h \frac{S_{k,t} - \min_k S_{k,t}}{\max_k S_{k,t} - \min_k S_{k,t}}\Bigr)
 
-    A point is charged with half of the edges beside it. Where paths are blocked they score worse than all that are
-    free, by an amount that is bounded, or the differences among the free ones would drown in the penalty.
+    The cost of a point is half the cost of the two edges at it. Blocked paths score worse than all free ones, by a
+    bounded amount: an unbounded penalty would hide the differences between free paths.
 
     Args:
         rollouts: The paths.
-        spread: Rows of positive weights that sum to 1: to whom else a cost at a point is charged.
-        sharpness: h.
+        spread: Averaging matrix: the cost at a point is averaged over its neighbours, with rows that sum to 1.
+        sharpness: Exponent h.
     """
     cost = _at_points(rollouts.cost) @ spread.T
     blocked = _at_points(rollouts.blocked.astype(np.float64)) @ spread.T

@@ -1,12 +1,12 @@
-r"""How rough a path is, in finite differences, and what follows from it: STOMP's noise and CHOMP's metric.
+r"""Roughness of a path by finite differences, from which follow STOMP's noise and CHOMP's metric.
 
 A path has n inner points between two fixed ends. With K the matrix of first or second differences, ends included,
 
 .. math:: \tfrac12 |K q|^2 = \tfrac12 \theta^T A \theta + \theta^T b + c, \qquad A = K_\theta^T K_\theta
 
-per joint, where theta are the inner points. Differences are those of neighbours, not divided by their spacing: A is a
-pure number, and only its shape matters here. A has 2 * order + 1 diagonals, but at the size of a path (about 100
-points) its dense inverse is faster to apply than a banded solver is to call.
+per joint, where theta are the inner points. Differences are not divided by the spacing of points: A is dimensionless,
+and only its shape matters here. A has 2 * order + 1 diagonals, but for a path of about 100 points, applying its dense
+inverse is faster than calling a banded solver.
 
 References:
     Kalakrishnan et al., "STOMP: stochastic trajectory optimization for motion planning", ICRA 2011, Sec. II.
@@ -28,19 +28,20 @@ from graceful_plan.planners.settings import count
 Array = np.ndarray
 
 _LIMIT_PASSES = 10
-"""Bumps per joint before what is still outside of the limits is cut off."""
+"""Largest number of bumps per joint; points that are still outside the limits are then clamped."""
 
 
 @final
 @dataclass(frozen=True)
 class Smoothness:
-    """The metric of paths with some number of inner points.
+    """Metric of paths with n inner points.
 
     Args:
-        n: Inner points.
-        order: 1 for differences (short paths are smooth), 2 for second differences (straight, evenly spaced ones are).
-        tether: Added to the diagonal of A: what it costs to move a point at all, so that bumps and noise of order 2
-            reach over some 6.7 / tether ** 0.25 points instead of the whole path.
+        n: Number of inner points.
+        order: 1 for first differences (short paths are smooth), 2 for second differences (straight, evenly spaced paths
+            are smooth).
+        tether: Value added to the diagonal of A, which penalises displacement itself: bumps and noise of order 2 then
+            span about 6.7 / tether ** 0.25 points instead of the whole path.
     """
 
     n: int
@@ -56,7 +57,7 @@ class Smoothness:
 
     @cached_property
     def difference(self) -> Float[Array, "row point"]:
-        """The matrix K on all points, both ends included; the ends' own second differences are not counted."""
+        """The matrix K on all points, including both ends; there are no second differences at the ends."""
         stencil = np.diff(np.eye(self.order + 1), n=self.order, axis=0)[0]
         rows = self.n + 2 - self.order
         matrix = np.zeros((rows, self.n + 2))
@@ -77,7 +78,7 @@ class Smoothness:
 
     @cached_property
     def inverse(self) -> Float[Array, "n n"]:
-        """The inverse of A; its columns are the smooth bumps that move one point and bend least."""
+        """The inverse of A; its columns are the smoothest bumps that displace one point."""
         return self._root @ self._root.T
 
     @cached_property
@@ -85,14 +86,14 @@ class Smoothness:
         return np.linalg.inv(self.factor).T  # L^-T, so that its product with white noise has the covariance A^-1
 
     def solve(self, force: Float[Array, "*batch n nq"]) -> Float[Array, "*batch n nq"]:
-        """Return the motion of the inner points in the direction of a force that bends the path least: A^-1 force."""
+        """Return the smoothest displacement of the inner points along a force: A^-1 force."""
         return self.inverse @ force
 
     def noise(self, rollouts: int, nq: int, rng: np.random.Generator) -> Float[Array, "rollout n nq"]:
-        """Draw Gaussian displacements of the inner points of covariance A^-1, for each joint on its own.
+        """Draw Gaussian displacements of the inner points with covariance A^-1, independently for each joint.
 
-        Scaled such that the largest standard deviation of any point is 1. The ends are part of A, so that the noise
-        falls to 0 towards them without a jump.
+        The largest standard deviation of any point is scaled to 1. The noise falls to 0 smoothly towards the ends,
+        since they are part of A.
         """
         white = rng.standard_normal((rollouts, self.n, nq))
         return (self._root / np.sqrt(self.inverse.diagonal().max())) @ white
@@ -100,9 +101,9 @@ class Smoothness:
     def into_limits(
         self, inner: Float[Array, "*batch n nq"], lower: Float[Array, " nq"], upper: Float[Array, " nq"]
     ) -> Float[Array, "*batch n nq"]:
-        """Return inner points moved into the limits, smoothly: joint by joint, the worst point with a bump.
+        """Move inner points into the limits smoothly: in each pass, a bump moves the worst point of each joint.
 
-        Bumps overlap, so that after some passes what is still outside is cut off at the limit.
+        Bumps overlap, so points that are still outside after some passes are clamped.
         """
         moved = inner.copy()
         for _ in range(_LIMIT_PASSES):

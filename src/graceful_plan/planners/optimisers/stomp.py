@@ -1,6 +1,6 @@
-r"""STOMP: stochastic trajectory optimisation. Tries many noisy copies of a path and averages the good parts.
+r"""STOMP: stochastic trajectory optimisation, a weighted average of noisy copies of a path.
 
-Works with any cost and any obstacles, for it asks for values only. An iteration is
+It needs only values, no gradients, so it works with any cost and any obstacles. An iteration is
 
 .. math::
     \epsilon_k \sim N(0, \sigma^2 R^{-1}), \qquad
@@ -9,11 +9,11 @@ Works with any cost and any obstacles, for it asks for values only. An iteration
 
 References:
     Kalakrishnan et al., "STOMP: stochastic trajectory optimization for motion planning", ICRA 2011.
-    Differs in: costs are those of edges, so there is no separate control cost; R is tethered, so that noise reaches
-    over a stretch of the path, a shorter one from iteration to iteration and then the whole path again; costs are
-    averaged over such a stretch, and M is the same average instead of R^-1, which would blur all but the longest bend;
-    the deviation of each reach adapts to whether it helped; points are spread evenly after each update, for noise along
-    the path changes nothing but their spacing.
+    Differs in: costs are those of edges, so there is no separate control cost; R is tethered, so that noise spans a
+    stretch of the path, whose length cycles from the whole path to shorter ones over iterations; costs are averaged
+    over such a stretch, and M is this average instead of R^-1, which would blur all but the longest displacements; the
+    deviation of each length adapts to its success; points are spaced evenly after each update, since noise along the
+    path changes only their spacing.
 """
 
 from __future__ import annotations
@@ -41,28 +41,28 @@ Array = np.ndarray
 _NEGLIGIBLE = 1e-9
 """Relative gain below which a change is rounding, not an improvement."""
 _MORE, _LESS = 1.5, 0.7
-"""What the deviation is multiplied with after an iteration that helped, and after one that did not."""
+"""Factors on the deviation after an iteration that improved the path, and after one that did not."""
 _LEAST, _MOST = 0.01, 4.0
-"""How far it goes, as a multiple of the deviation at first."""
+"""Bounds of the deviation, relative to the initial deviation."""
 _BUMP = 6.7
-"""Points that a bump spans between its zeros, times tether ** 0.25."""
+"""Number of points between the zeros of a bump, times tether ** 0.25."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class STOMP(Optimiser):
-    """Improves a path by noise: no gradients, any cost.
+    """Improves a path by random perturbations, without gradients, for any cost.
 
-    One iteration is one batch of rollouts, evaluated in one call, and the path that follows from them.
+    One iteration is one batch of rollouts, evaluated in one call, and the path that results from them.
 
     Args:
-        points: Points of the path between its ends.
-        rollouts: Noisy paths per iteration.
-        elites: Best paths so far that are weighed again in the next iteration. They win most points and so hold the
-            path where it is: on the bundled tasks it is best to have none.
-        sharpness: h of the paper: the higher, the more the best rollout at a point counts.
-        deviation: Standard deviation of the noise at first, in joint space, as a share of the stretch it reaches over.
-        reaches: Stretches that noise bends, as shares of the path; iterations take turns.
+        points: Number of points of the path between its ends.
+        rollouts: Number of noisy paths per iteration.
+        elites: Number of best-known paths that take part in the next iteration. They dominate most points and so slow
+            the path down: on the bundled tasks, 0 is best.
+        sharpness: h of the paper: the higher it is, the more the best rollout at a point counts.
+        deviation: Initial standard deviation of the noise in joint space, relative to the length of its stretch.
+        reaches: Lengths of the stretches that noise displaces, as shares of the path; iterations cycle through them.
     """
 
     name: ClassVar[str] = "stomp"
@@ -86,7 +86,7 @@ class STOMP(Optimiser):
     def improve(
         self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield cheaper and cheaper paths between the same ends; the first may be free where `path` is not."""
+        """Yield free paths of decreasing cost between the ends of `path`."""
         if path.length == 0.0:
             return
         questions = Questions(problem, objective, budget)
@@ -101,7 +101,7 @@ class STOMP(Optimiser):
                     yield Path(mean.q[0])
 
     def _means(self, path: Path, questions: Questions, rng: np.random.Generator) -> Iterator[Rollouts]:
-        """Yield the path that the noise is around, whenever it has become better: a batch of one."""
+        """Yield the mean path, as a batch of one, whenever it has become better."""
         problem = questions.problem
         noises = [_Noise(self, reach, path.length) for reach in self.reaches]
         q = _into_limits(evenly(path.q, self.points + 2)[None], noises[0].metric, problem)
@@ -125,7 +125,7 @@ class STOMP(Optimiser):
                 yield mean
 
     def _ranked(self, seen: Rollouts, mean: Rollouts, problem: Problem) -> Rollouts:
-        """Return the best, the best first; if that is better than the mean, it is free in close-up, too."""
+        """Return the best paths, the best first; if the first beats the mean, it is checked at the fine step, too."""
         ranked = seen.best(self.elites + 1)
         while ranked.beats(mean, _NEGLIGIBLE):
             checked = ranked.first_in_close_up(problem)
@@ -144,7 +144,7 @@ class STOMP(Optimiser):
 
 @final
 class _Noise:
-    """Noise of one reach: its shape, and how much of it helps at present."""
+    """Noise of one length of stretch: its shape and adaptive deviation."""
 
     def __init__(self, settings: STOMP, reach: float, length: float) -> None:
         n = settings.points
@@ -155,14 +155,14 @@ class _Noise:
         self.deviation = self.first = settings.deviation * reach * length
 
     def around(self, mean: Float[Array, "point nq"], n: int, rng: np.random.Generator) -> Float[Array, "n point nq"]:
-        """Return noisy copies of a path, the ends as they are."""
+        """Return noisy copies of a path; the ends are unchanged."""
         nq = mean.shape[1]
         q = np.tile(mean, (n, 1, 1))
         q[:, 1:-1] += self.deviation / np.sqrt(nq) * self.metric.noise(n, nq, rng)
         return q
 
     def adapt(self, helped: bool) -> None:
-        """Go further after an iteration that helped, less far after one that did not."""
+        """Increase the deviation after an iteration that improved the path, else decrease it."""
         factor = _MORE if helped else _LESS
         self.deviation = float(np.clip(factor * self.deviation, _LEAST * self.first, _MOST * self.first))
 
@@ -174,7 +174,7 @@ def _into_limits(q: Float[Array, "n point nq"], metric: Smoothness, problem: Pro
 
 
 def _evened(q: Float[Array, "n point nq"], problem: Problem) -> Float[Array, "n point nq"]:
-    """Spread the points evenly; rounding must not carry them over the limits."""
+    """Space the points evenly; clamp them, since rounding may exceed the limits."""
     even = np.stack([evenly(path, q.shape[1]) for path in q])
     even[:, 1:-1] = np.clip(even[:, 1:-1], problem.lower, problem.upper)
     return even

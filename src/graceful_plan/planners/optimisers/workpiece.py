@@ -1,4 +1,4 @@
-"""A path that an optimiser works on: its best version, how it may be bent, and the costs that guide from afar."""
+"""State of an optimiser: its best path, random displacements of it, and blurred objectives."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from graceful_plan.planners.planner import BoundObjective, WidenableObjective
 Array = np.ndarray
 
 JITTER = 1e-3
-"""Displacement that breaks symmetries: where both sides are equal, a gradient chooses neither [rad]."""
+"""Displacement that breaks symmetries, at which the gradient is 0 [rad]."""
 
 
 @final
 class Workpiece:
-    """What the descents of one path share.
+    """Shared state of the descents from one path.
 
     Args:
-        path: The path to begin with.
-        edges: How many edges it has while it is worked on.
-        slopes: Questions to problem and objective.
+        path: Initial path.
+        edges: Number of edges of the path during optimisation.
+        slopes: Access to problem and objective.
     """
 
     def __init__(self, path: Path, edges: int, slopes: Slopes) -> None:
@@ -42,7 +42,7 @@ class Workpiece:
         return len(self.kept.q) > 2
 
     def widened(self, widths: tuple[float, ...]) -> list[BoundObjective]:
-        """The objective with hits smeared, as far as it can be; nothing where they do not count."""
+        """Return the objective with places of impact blurred by each width [m]; empty if that is not possible."""
         objective = self.slopes.objective
         if not (objective.w > 0.0 and isinstance(objective, WidenableObjective)):
             return []

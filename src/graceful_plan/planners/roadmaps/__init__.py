@@ -1,1 +1,1 @@
-"""Roadmaps, and graphs in general."""
+"""Roadmaps and graph search."""

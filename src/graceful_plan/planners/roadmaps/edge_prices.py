@@ -1,7 +1,7 @@
-"""What edges of a graph cost before anybody says how bad an impact is: motion, and exposure by column.
+"""Costs of edges, independent of severities: motion cost, and exposure by column.
 
-A column is a pair of component and somebody who may be hit, or whatever else a severity belongs to. The impact of an
-edge is the sum of exposure times severity over its columns, so that other severities need no more than a product.
+A column is a pair of a component and an entity that may be hit, or any other item with a severity. The impact of an
+edge is the sum of exposure times severity over its columns, so new severities need only a product.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from graceful_plan.array_types import Float, Int
 Array = np.ndarray
 
 _NO_INDEX = np.zeros(0, dtype=np.int32)
-_TELLING = 8  # edges with exposure that tell whether directions differ
+_TELLING = 8  # edges with exposure that are needed to compare directions
 
 
 @final
@@ -30,8 +30,8 @@ class EdgePrices:
     |----------|--------------------------------------------------------------|----------|-------|
     | motion   | V of each edge                                               | rad      | edge  |
     | edge     | edge of each exposure, ascending                             |          | entry |
-    | column   | its column                                                   |          | entry |
-    | exposure | integral of P along the edge, above 0; of time by default    | s or rad | entry |
+    | column   | column of each exposure                                      |          | entry |
+    | exposure | integral of P along the edge, above 0; over time by default  | s or rad | entry |
     """
 
     motion: Float[Array, " edge"]
@@ -44,13 +44,13 @@ class EdgePrices:
 
     @classmethod
     def of(cls, motion: Float[Array, " edge"], exposure: Float[Array, "edge column"]) -> EdgePrices:
-        """Keep what is not zero."""
+        """Create it from a dense matrix of exposures; zeros are dropped."""
         edge, column = np.nonzero(exposure)
         return cls(motion, edge.astype(np.int32), column.astype(np.int32), exposure[edge, column])
 
     @classmethod
     def concatenated(cls, parts: Sequence[EdgePrices]) -> EdgePrices:
-        """Return the prices of all edges of the parts, one part after the other."""
+        """Concatenate the costs of several sets of edges."""
         first = np.cumsum([0, *map(len, parts)], dtype=np.int32)
         return cls(
             np.concatenate([np.zeros(0), *(part.motion for part in parts)]),
@@ -60,7 +60,7 @@ class EdgePrices:
         )
 
     def impact(self, severity: Float[Array, " column"]) -> Float[Array, " edge"]:
-        """S of each edge under these severities."""
+        """Return the impact S of each edge under these severities."""
         impact = np.zeros(len(self.motion))
         if len(self.edge):
             impact[self.edge[self.first_entries]] = np.add.reduceat(
@@ -75,19 +75,19 @@ class EdgePrices:
 
 
 Price = Callable[[Float[Array, "n nq"], Float[Array, "n nq"]], EdgePrices]
-"""Prices straight edges in the direction in which they are given."""
+"""Computes the costs of straight edges, in the direction in which they are given."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Directed edges with their prices.
+    """Directed edges with their costs.
 
-    | field  | meaning               | unit | shape |
-    |--------|-----------------------|------|-------|
-    | tail   | node that each leaves |      | edge  |
-    | head   | node that it enters   |      | edge  |
-    | prices | what each costs       |      |       |
+    | field  | meaning                     | unit | shape |
+    |--------|-----------------------------|------|-------|
+    | tail   | node that each edge leaves  |      | edge  |
+    | head   | node that each edge enters  |      | edge  |
+    | prices | costs of the edges          |      |       |
     """
 
     tail: Int[Array, " edge"]
@@ -99,14 +99,14 @@ class Edges:
 
     @classmethod
     def concatenated(cls, parts: Sequence[Edges]) -> Edges:
-        """Return the edges of all parts, one part after the other."""
+        """Concatenate several sets of edges."""
         tail, head = ([_NO_INDEX, *(getattr(part, name) for part in parts)] for name in ("tail", "head"))
         prices = EdgePrices.concatenated([part.prices for part in parts])
         return cls(np.concatenate(tail, dtype=np.int32), np.concatenate(head, dtype=np.int32), prices)
 
 
 def symmetric(price: Price, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> bool | None:
-    """Tell by some edges whether both directions cost the same; None if too few have any exposure to tell."""
+    """Return whether these edges cost the same in both directions; None if too few of them have exposure."""
     there, back = price(q0, q1), price(q1, q0)
     same = (
         np.array_equal(there.edge, back.edge)

@@ -1,4 +1,4 @@
-"""Directed graphs with costs on their edges: cheapest paths, and fronts of two costs, in the native core."""
+"""Directed graphs with edge costs: cheapest paths and Pareto fronts of two costs, in the native core."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True, eq=False)
 class GraphFront:
-    """Paths none of which dominates another, by ascending first cost."""
+    """Non-dominated paths by ascending first cost."""
 
     edges: tuple[Int[Array, " _"], ...]
     """Ids of the edges along each path."""
     cost: Float[Array, "path 2"]
-    """Both costs of each path, added up from its start on."""
+    """Both costs of each path."""
     complete: bool
-    """Whether the search came to its end within its time; if not, paths of least second cost are missing."""
+    """Whether the search finished in time; if not, paths of low second cost are missing."""
 
 
 @final
 class Graph:
-    """A directed graph; loops and parallel edges do no harm.
+    """A directed graph; loops and parallel edges are allowed.
 
     Args:
         n: Number of nodes.
         tail: Node that each edge leaves.
-        head: Node that it enters.
+        head: Node that each edge enters.
     """
 
     def __init__(self, n: int, tail: ArrayLike, head: ArrayLike) -> None:
@@ -48,12 +48,12 @@ class Graph:
         """Find the cheapest path from `start` to any of `goals`, by Dijkstra's algorithm.
 
         Args:
-            cost: Of each edge, at least 0; an infinite one is no edge.
-            start: Where it begins.
-            goals: Where it may end.
+            cost: Cost of each edge, at least 0; edges of infinite cost are ignored.
+            start: Start node.
+            goals: Goal nodes.
 
         Returns:
-            Ids of the edges along it and its cost; none and infinity if there is no path.
+            Ids of the edges along the path, and its cost; empty and infinity if there is no path.
         """
         costs = self._costs(cost, ())
         return self._native.cheapest(costs, int(_nodes("start", [start], self.n)[0]), _nodes("goals", goals, self.n))
@@ -61,15 +61,15 @@ class Graph:
     def front(
         self, cost: ArrayLike, start: int, goals: ArrayLike, epsilon: float = 0.0, seconds: float = np.inf
     ) -> GraphFront:
-        """Find all non-dominated paths from `start` to any of `goals`; of several with equal costs one.
+        """Find all non-dominated paths from `start` to any of `goals`; one of several with equal costs.
 
         Args:
-            cost: Two of each edge [edge, 2], at least 0.
-            start: Where they begin.
-            goals: Where they may end.
-            epsilon: 0 for all; otherwise a selection in which for every path there is one with no more of the first
-                cost and at most `1 + epsilon` times as much of the second.
-            seconds: When to stop [s].
+            cost: Two costs of each edge [edge, 2], at least 0.
+            start: Start node.
+            goals: Goal nodes.
+            epsilon: 0 for all paths. Otherwise the result has, for every path, one with at most its first cost and at
+                most `1 + epsilon` times its second cost.
+            seconds: Time limit [s].
 
         References:
             Hernandez Ulloa et al., "A simple and fast bi-objective search algorithm", ICAPS 2020.
@@ -87,13 +87,13 @@ class Graph:
         costs = np.ascontiguousarray(cost, dtype=np.float64)
         if costs.shape != (len(self.tail), *of_each):
             raise ShapeError("cost", costs.shape, str((len(self.tail), *of_each)))
-        if not (costs >= 0.0).all():  # NaN is caught, too
+        if not (costs >= 0.0).all():  # also catches NaN
             raise SettingError("cost", float(costs[~(costs >= 0.0)][0]), "numbers of at least 0")
         return costs
 
 
 def non_dominated(cost: Float[Array, "n 2"]) -> Int[Array, " kept"]:
-    """Return which rows no other one dominates, by ascending first cost; of equal ones the first."""
+    """Return the indices of non-dominated rows by ascending first cost; the first of equal rows."""
     order = np.lexsort((np.arange(len(cost)), cost[:, 1], cost[:, 0]))
     second = cost[order, 1]
     least_before = np.concatenate([[np.inf], np.minimum.accumulate(second)[:-1]])
@@ -101,12 +101,12 @@ def non_dominated(cost: Float[Array, "n 2"]) -> Int[Array, " kept"]:
 
 
 def spread_out(cost: Float[Array, "n 2"], kept: Int[Array, " kept"], most: int | None) -> Int[Array, " chosen"]:
-    """Choose at most so many points of a front: its ends, then time and again the one farthest from those chosen.
+    """Choose at most `most` points of a front: its ends, then repeatedly the point farthest from the chosen ones.
 
     Args:
         cost: Points.
-        kept: Which of them are the front, in its order.
-        most: How many to choose; None for all.
+        kept: Indices of the front, in its order.
+        most: Largest number of points to choose; None for all.
     """
     if most is None or len(kept) <= most:
         return kept

@@ -1,9 +1,9 @@
-"""Growing a roadmap: where its nodes are, which of them are joined, and what their edges cost.
+"""Growth of a roadmap: sampling of nodes, choice of edges, and edge costs.
 
-Nodes come in batches. The first are drawn everywhere and around the straight ways between given pairs of
-configurations; every later one lies beside the best paths that the roadmap has between these pairs so far, for several
-weights, and is joined to both sides of the stretch that it replaces. So the roadmap becomes dense where good paths
-pass, as an optimiser would find out, but for all weights at once.
+Nodes are added in batches. The first nodes are sampled everywhere and around the straight lines between given pairs of
+configurations. Later nodes lie near the roadmap's best paths between these pairs, for several weights; each is
+connected to both sides of the stretch that it may replace. So the roadmap becomes dense along good paths for all
+weights.
 
 References:
     Kavraki et al., "Probabilistic roadmaps for path planning in high-dimensional configuration spaces", T-RO 1996.
@@ -28,33 +28,33 @@ from graceful_plan.planners.shortcut import Line
 Array = np.ndarray
 
 FIRST_SHARE = 0.3
-"""Share of the nodes that is drawn before there are paths to lie beside."""
+"""Share of the nodes that are sampled before there are paths to sample near."""
 WEIGHTS = (0.0, 0.2, 1.0, 5.0)
-"""Safety weights of the paths that nodes are drawn beside."""
+"""Safety weights of the paths near which nodes are sampled."""
 _BATCHES = 24
 _LEAST_BATCH = 8
-_PAIRS_AT_ONCE = 6  # whose paths a batch lies beside
-_TRIED = 4  # candidates of which the one with the least impact becomes a node
-_DRAWS = 20  # after which a space is too full for more nodes
-_AROUND = 0.7  # share of the first nodes that lie around straight ways
-_ASIDE = 0.35  # how far nodes lie from a stretch, relative to its length
-_CHORDS = 2  # one in so many stretches is bridged by a straight edge, too
-_PROBES = 32  # edges that tell whether both directions cost the same
-_CHUNK = 64  # edges that a thread prices at once
-_BLOCK = 512  # configurations whose nearest nodes are looked for at once
+_PAIRS_AT_ONCE = 6  # pairs near whose paths a batch is sampled
+_TRIED = 4  # samples per node: the one with the least impact is kept
+_DRAWS = 20  # attempts at sampling free nodes
+_AROUND = 0.7  # share of the first nodes that lie around straight lines
+_ASIDE = 0.35  # distance of nodes from a stretch, relative to its length
+_CHORDS = 2  # one in `_CHORDS` stretches also gets a straight edge between its ends
+_PROBES = 32  # edges for testing whether both directions cost the same
+_CHUNK = 64  # edges that a thread evaluates at once
+_BLOCK = 512  # configurations in a batch of nearest-neighbour search
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ground:
-    """What a roadmap is grown in.
+    """Inputs of roadmap growth.
 
     Args:
-        problem: What is free; edges are looked at as closely as paths have to be.
-        impact: Impact given a failure at rest, to prefer some nodes by.
-        price: What edges cost in the direction in which they are given.
-        severity: By column of the prices.
-        threads: How many threads ask at once; more than 1 only for what may be asked so.
+        problem: Problem for collision checks, with the check step of final paths.
+        impact: Impact of a failure at rest, by which nodes are preferred.
+        price: Costs of edges, in the direction in which they are given.
+        severity: Severity of each column of the costs.
+        threads: Number of threads; above 1 only if all of these functions are thread-safe.
     """
 
     problem: Problem
@@ -66,14 +66,14 @@ class Ground:
 
 @final
 class Growth:
-    """A roadmap while it grows.
+    """A growing roadmap.
 
     Args:
-        ground: Where.
-        pairs: Starts and goals to grow between, free; there may be none.
-        neighbours: How many nearest nodes one of the first nodes is joined to; half as many for those beside paths.
-        rng: Source of all random numbers.
-        deadline: Reading of the clock at which to stop [s]; the batch at work is then left out.
+        ground: Inputs of growth.
+        pairs: Free starts and goals to grow between; may be empty.
+        neighbours: Number of nearest nodes that each of the first nodes is connected to; half as many for later nodes.
+        rng: Random numbers.
+        deadline: Clock reading at which growth stops [s]; the current batch is then discarded.
     """
 
     def __init__(
@@ -89,17 +89,17 @@ class Growth:
         self.pairs = place.reshape(-1, 2)
         self._parts: list[Edges] = []
         self._impact: list[Float[Array, " edge"]] = []  # of each part
-        self._both_ways: bool | None = None  # whether directions differ in price, if that is known
+        self._both_ways: bool | None = None  # whether costs differ by direction; None if unknown
         self._tried: set[tuple[int, ...]] = set()  # links
         self._turn = 0
 
     @property
     def edges(self) -> Edges:
-        """All edges so far."""
+        """All edges."""
         return Edges.concatenated(self._parts)
 
     def grow(self, n: int) -> None:
-        """Add nodes until there are `n`, or the time is over."""
+        """Add nodes until there are `n` or the time is over."""
         first = int(np.ceil(FIRST_SHARE * n)) if len(self.pairs) else n
         batch = max(_LEAST_BATCH, n // _BATCHES)
         with ThreadPoolExecutor(self.ground.threads) as pool:
@@ -112,7 +112,7 @@ class Growth:
                     return
 
     def _anywhere(self, n: int) -> tuple[Float[Array, "n nq"], Int[Array, "link 2"]]:
-        """Draw nodes, and which earlier nodes each is to be joined to besides its nearest."""
+        """Sample nodes everywhere and around straight lines; return also links in addition to nearest neighbours."""
         problem, rng = self.ground.problem, self.rng
         found: list[Array] = [np.zeros((0, len(problem.lower)))]
         for _ in range(_DRAWS):
@@ -125,7 +125,7 @@ class Growth:
             found.append(self._selected(q)[0])
             if sum(map(len, found)) >= n:
                 break
-        straight = self.pairs[:0] if self._parts else self.pairs  # to begin with
+        straight = self.pairs[:0] if self._parts else self.pairs  # only in the first batch
         return np.concatenate(found)[:n], straight
 
     def _around(self, n: int) -> Float[Array, "n nq"]:
@@ -137,7 +137,7 @@ class Growth:
         return np.clip(q, problem.lower, problem.upper)
 
     def _selected(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
-        """Of every few free configurations keep the one with the least impact; also return which these are."""
+        """Keep the one of every `_TRIED` free configurations with the least impact; return also the indices."""
         free = np.flatnonzero(self.ground.problem.states_free(q))
         groups = free[: len(free) // _TRIED * _TRIED].reshape(-1, _TRIED)
         impact = self.ground.impact(q[groups.ravel()]).reshape(groups.shape)
@@ -145,7 +145,7 @@ class Growth:
         return q[kept], kept
 
     def _paths(self) -> list[Int[Array, " node"]]:
-        """Nodes along the best paths between some of the pairs."""
+        """Return the nodes along the best paths between some of the pairs."""
         if not self._parts:
             return []
         tail = np.concatenate([part.tail for part in self._parts])
@@ -164,7 +164,7 @@ class Growth:
         return list(paths.values())
 
     def _beside(self, n: int, paths: list[Array]) -> tuple[Float[Array, "n nq"], Int[Array, "link 2"]]:
-        """Draw nodes beside stretches of paths, with links to both sides of each stretch."""
+        """Sample nodes near stretches of paths, with links to both ends of each stretch."""
         problem, rng = self.ground.problem, self.rng
         counts = np.bincount(rng.integers(len(paths), size=2 * _TRIED * n + 16), minlength=len(paths))
         drawn = [_beside(self.q[path], path, m, rng) for path, m in zip(paths, counts.tolist(), strict=True)]
@@ -179,7 +179,7 @@ class Growth:
     def _add(
         self, q: Float[Array, "n nq"], links: Int[Array, "link 2"], neighbours: int, pool: ThreadPoolExecutor
     ) -> bool:
-        """Add nodes with their edges; False, and nothing added, if the time is over before they are priced."""
+        """Add nodes with their edges; return False and add nothing if the time ends before the costs are known."""
         nodes, first = np.concatenate([self.q, q]), len(self.q)
         near = nearest(q, nodes, neighbours + 1)  # the nearest is the node itself
         own = np.repeat(np.arange(first, len(nodes)), near.shape[1])
@@ -203,7 +203,7 @@ class Growth:
         return np.array([link for link in links.tolist() if tuple(link) not in self._tried], dtype=int).reshape(-1, 2)
 
     def _priced(self, nodes: Float[Array, "node nq"], links: Int[Array, "link 2"]) -> Edges | None:
-        """Price the free ones of some links in both directions; None if the time is over."""
+        """Return the free edges of some links in both directions, with their costs; None if the time is over."""
         if time.perf_counter() > self.deadline:
             return None
         i, j = links[self.ground.problem.edges_free(nodes[links[:, 0]], nodes[links[:, 1]])].T.astype(np.int32)
@@ -215,7 +215,7 @@ class Growth:
 def _beside(
     q: Float[Array, "vertex nq"], nodes: Int[Array, " vertex"], n: int, rng: np.random.Generator
 ) -> tuple[Float[Array, "n nq"], Int[Array, "n 2"]]:
-    """Draw points beside random stretches of a path, between the path and its chord; also the nodes on both sides."""
+    """Sample points near random stretches of a path, between path and chord; return also the nodes at both ends."""
     line = Line(q, np.zeros(len(q) - 1))
     ends = np.sort(rng.uniform(0.0, line.arc[-1], (n, 2)), axis=1)
     (first, a), (last, b) = line.at(ends[:, 0]), line.at(ends[:, 1])

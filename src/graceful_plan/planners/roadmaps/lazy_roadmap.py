@@ -1,7 +1,7 @@
 """A roadmap that grows node by node, with lazy collision checks and cached edge costs.
 
-Node i is joined to its k(i) nearest among the nodes before it. So the graph of the first n samples is a part of the
-graph of the first n + m, whatever the batches were, and more samples never make the best path worse.
+Node i is connected to its k(i) nearest among the earlier nodes. So the graph of the first n samples is a subgraph of
+the graph of the first n + m, for any batches, and more samples never make the best path worse.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Array = np.ndarray
 
 _UNKNOWN, _FREE, _BLOCKED = 0, 1, 2
 _NEIGHBOUR_CHUNK = 150_000  # distances per step, about 3 ms
-_LEAST_COST = 1e-12  # a stored zero would be no edge to the graph search
+_LEAST_COST = 1e-12  # the graph search ignores edges of cost 0
 
 
 @final
@@ -28,10 +28,10 @@ class LazyRoadmap:
     """Nodes, edges to earlier nodes in compressed rows, and the cheapest path among them.
 
     Args:
-        questions: The problem and the objective.
-        sampler: Knows what a path through a node costs at least.
+        questions: Access to problem and objective.
+        sampler: Provides the lower bound of the cost of a path through a node.
         symmetric: Whether an edge costs the same in both directions.
-        neighbours: k(i), the number of earlier nodes that node i is joined to.
+        neighbours: k(i), the number of earlier nodes that node i is connected to.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class LazyRoadmap:
         self.state = np.concatenate([self.state, np.zeros(len(later), dtype=np.int8)])
 
     def cheapest(self, best: float) -> tuple[float, Path] | None:
-        """Find the cheapest free path, if it costs less than `best`; check edges only when they are on one."""
+        """Find the cheapest free path if it costs less than `best`; only edges on candidate paths are checked."""
         while True:
             if out_of_time(self.questions.budget):
                 raise Interrupted
@@ -92,7 +92,7 @@ class LazyRoadmap:
                 return cost, Path(self.q[nodes])
 
     def _bound(self, a: Array, b: Array, length: Array) -> Array:
-        """Least cost of any path over the edge between `a` and `b`, by the triangle inequality."""
+        """Return a lower bound of the cost of any path over the edge from `a` to `b`, by the triangle inequality."""
         through = np.maximum(self.sampler.bound_through(a), self.sampler.bound_through(b))
         return np.maximum(through, self.sampler.length_bound * length)
 
@@ -109,7 +109,7 @@ class LazyRoadmap:
         return np.concatenate(later), np.concatenate(earlier)
 
     def _shortest(self, best: float) -> tuple[float, Int[Array, " node"]] | None:
-        from scipy.sparse import csr_array  # not at the top: importing the library must not import scipy
+        from scipy.sparse import csr_array  # scipy is imported only when needed
         from scipy.sparse.csgraph import dijkstra
 
         shape = (len(self.q), len(self.q))
@@ -140,7 +140,7 @@ class LazyRoadmap:
 
 
 def _nearest_earlier(nodes: Array, new: Array, k: Array) -> tuple[Array, Array]:
-    """For each of the `new` nodes, the k nearest among those before it, by ascending index."""
+    """Return for each of the `new` nodes the k nearest earlier nodes, by ascending index."""
     most = int(k.max())
     end = int(new[-1]) + 1
     gap = nodes[new][:, None, :] - nodes[None, :end, :]

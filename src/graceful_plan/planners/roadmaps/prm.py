@@ -3,8 +3,8 @@
 References:
     [Kavraki1996] Probabilistic roadmaps for path planning in high-dimensional configuration spaces.
     [Karaman2011] Sampling-based algorithms for optimal motion planning, Sec. 3.3. Both differ from the papers in:
-    a sample is joined to its nearest among those drawn before it (so roadmaps are nested), collision checks are
-    lazy, samples are informed once there is a solution.
+    a sample is connected to its nearest earlier samples (so roadmaps are nested), collision checks are lazy, samples
+    are informed once there is a solution.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from graceful_plan.planners.trivial import stays_at_goal
 Array = np.ndarray
 
 _PROVEN = 1e-8
-"""Relative gap to the least possible cost at which a path is the best there is."""
+"""Relative gap to the lower bound of the cost at which a path counts as optimal."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Growth:
-    """How a roadmap grows; what PRM and PRM* differ in."""
+    """Settings of growth in which PRM and PRM* differ."""
 
     neighbours: Callable[[Array], Array]
     batch: int
@@ -57,13 +57,13 @@ class PRM(Planner):
     anytime: ClassVar[bool] = False
 
     neighbours: int = 10
-    """Earlier samples that a new one is joined to (OMPL's default)."""
+    """Number of earlier samples that a new one is connected to (OMPL's default)."""
     batch: int = 50
     """Samples between two searches."""
     max_samples: int = 6000
-    """Size at which the roadmap is started afresh, so that no step takes long."""
+    """Size at which the roadmap is restarted, so that no step takes long."""
     shortcut: bool = True
-    """Whether to shortcut the path with what is left of the budget."""
+    """Whether to shortcut the path until the budget ends."""
 
     def __post_init__(self) -> None:
         count("neighbours", self.neighbours)
@@ -74,7 +74,7 @@ class PRM(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield the first path found, then shorter cuts of it."""
+        """Yield the first path, then cheaper versions of it by shortcutting."""
         growth = _Growth(
             neighbours=lambda i: np.full(len(i), self.neighbours),
             batch=self.batch,
@@ -98,13 +98,13 @@ class PRMStar(Planner):
     anytime: ClassVar[bool] = True
 
     factor: float = 1.0
-    """Multiplies the number of neighbours; 1 is the theory's constant."""
+    """Factor on the number of neighbours; 1 is the constant of the theory."""
     batch: int = 100
-    """Samples between two searches at first; later a tenth of the roadmap."""
+    """Initial number of samples between two searches; later a tenth of the roadmap."""
     informed: bool = True
     """Whether to draw samples only where they can improve the best path."""
     max_samples: int = 6000
-    """Size at which the roadmap is started afresh around the best path, so that no step takes long."""
+    """Size at which the roadmap is restarted with the best path, so that no step takes long."""
     shortcut: bool = True
     """Whether to shortcut the best path for a few rounds between two searches."""
 
@@ -117,7 +117,7 @@ class PRMStar(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths until the budget ends or a straight line is proven best."""
+        """Yield paths of decreasing cost until the budget ends or a straight line is proven optimal."""
         constant = self.factor * np.e * (1.0 + 1.0 / len(problem.start))
 
         def neighbours(i: Int[Array, " n"]) -> Int[Array, " n"]:
@@ -143,7 +143,7 @@ def _grow(growth: _Growth, questions: Questions, rng: np.random.Generator) -> It
     budget = questions.budget
     facts = learn_objective(questions.objective, questions.problem)
     sampler = InformedSampler(questions.problem, facts.length_bound if growth.informed else 0.0)
-    cut_rng = rng.spawn(1)[0]  # so that cutting does not change which samples are drawn
+    cut_rng = rng.spawn(1)[0]  # shortcutting does not change which samples are drawn
     best, best_path = np.inf, None
     roadmap = LazyRoadmap(questions, sampler, facts.symmetric, growth.neighbours)
     while best > sampler.least_cost * (1.0 + _PROVEN) or best_path is None:

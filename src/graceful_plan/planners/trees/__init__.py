@@ -1,1 +1,1 @@
-"""Trees that grow."""
+"""Tree-based planners."""

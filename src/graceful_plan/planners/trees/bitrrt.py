@@ -1,8 +1,8 @@
-"""Bi-TRRT: two trees that stay in the valleys of the impact and meet step by step.
+"""Bi-TRRT: two trees that prefer regions of low impact, and connect by tested steps.
 
 References:
-    [Devaurs2013] Enhancing the transition-based RRT to deal with complex cost spaces, Sec. III. One temperature is
-    shared by both trees; steps are tested in the direction of travel, so the goal's tree climbs freely.
+    [Devaurs2013] Enhancing the transition-based RRT to deal with complex cost spaces, Sec. III. Both trees share one
+    temperature; steps are tested in the direction of travel, so the goal tree may grow to higher costs without a test.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class BiTRRT(TransitionTrees):
     name: ClassVar[str] = "bitrrt"
 
     connection_range: float | None = None
-    """Distance [rad] within which the trees try to meet; by default three extensions."""
+    """Largest distance of a connection between the trees [rad]; by default three extensions."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         positive("connection_range", self.connection_range)
 
     def first_path(self, questions: Questions, rng: np.random.Generator) -> Path | None:
-        """Grow both trees in turns until they meet or the budget ends.
+        """Grow both trees alternately until they meet or the budget ends.
 
         Raises:
             Interrupted: If the time is over before the first sample.
@@ -61,6 +61,6 @@ class BiTRRT(TransitionTrees):
 
 
 def _joined(first: tuple[Side, int], second: tuple[Side, int]) -> Path:
-    """Path from the start over the common configuration to a goal."""
+    """Return the path from the start via the common configuration to a goal."""
     (ahead, i), (behind, j) = (first, second) if first[0].forward else (second, first)
     return Path(np.concatenate([ahead.tree.branch(i), behind.tree.branch(j)[-2::-1]])).without_duplicates()

@@ -1,4 +1,4 @@
-"""What T-RRT and Bi-TRRT share: their settings, and trees that grow by tested steps."""
+"""Shared parts of T-RRT and Bi-TRRT: settings, and trees that grow by tested steps."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from graceful_plan.planners.trivial import stays_at_goal
 Array = np.ndarray
 
 _REACH = 0.035
-"""Longest extension by default, as a share of the extent of the space (OMPL's default)."""
+"""Default longest extension, as a share of the extent of the space (OMPL's default)."""
 
 
 @final
 class Side:
-    """A tree that grows by steps that pass the transition test, with the direction in which its edges are travelled.
+    """A tree that grows by steps that pass the transition test in the direction of travel.
 
     Args:
-        roots: Where it grows from.
+        roots: Roots of the tree.
         forward: Whether motions lead away from the roots.
-        questions: To problem and objective.
-        test: Whether a climb is worth its step.
-        refinement: Rations short steps.
+        questions: Access to problem and objective.
+        test: Transition test of a step to a higher cost.
+        refinement: Limits the number of short steps.
     """
 
     def __init__(
@@ -57,13 +57,13 @@ class Side:
         self.test, self.refinement = test, refinement
 
     def extend(self, near: int, q: Float[Array, " nq"], distance: float, level: float = 0.0) -> int | None:
-        """Add `q` behind node `near` if the edge is free and its climb, as travelled, is accepted.
+        """Add `q` as a child of node `near` if the edge is free and passes the transition test as travelled.
 
         Args:
-            near: A node.
-            q: What to add.
-            distance: Between the two [rad].
-            level: Climbs up to this state cost need no acceptance, for the way leads there in any case.
+            near: Parent node.
+            q: Configuration to add.
+            distance: Distance between the two [rad].
+            level: State cost up to which climbs are not tested, since the path has to reach it anyway.
         """
         here = self.tree.q[near]
         q0, q1 = (here, q) if self.forward else (q, here)
@@ -88,7 +88,7 @@ class Side:
         return node
 
     def connect(self, target: Float[Array, " nq"], reach: float, within: float) -> int | None:
-        """Step up to `target` if it is near; every step is tested, for a jump would leap over a ridge."""
+        """Step up to `target` if it is within `within`; every step is tested, so that costs in between are seen."""
         node, distance = self.tree.nearest(target)
         if distance > within:
             return None
@@ -103,7 +103,7 @@ class Side:
 
 @dataclass(frozen=True, kw_only=True)
 class TransitionTrees(Planner):
-    """Trees under a transition test, as a planner that stops at the first path, after shortcutting it.
+    """Planners with trees under a transition test; they stop at the first path, after shortcutting it.
 
     One iteration is one sample, or one round of shortcutting.
     """
@@ -115,13 +115,13 @@ class TransitionTrees(Planner):
     range: float | None = None
     """Longest extension [rad]; by default 3.5 % of the extent of the space."""
     refinement_ratio: float = 0.1
-    """Nodes nearer than `range` to their parent, per node that is not; infinite switches the control off."""
+    """Largest ratio of nodes nearer than `range` to their parent to other nodes; infinite turns the control off."""
     initial_temperature: float | None = None
     """T0 as a multiple of the range of the cost; by default 1e-6 (jaillet), 0.1 (devaurs)."""
     most_failures: int = 10
-    """jaillet: failures before T rises; 10 is greedy, 100 is slow and finds lower passes."""
+    """jaillet: number of failures before T rises; 10 is greedy, 100 is slow and finds paths of lower peak cost."""
     shortcut: bool = True
-    """Whether to shortcut the path, by total cost, with what is left of the budget."""
+    """Whether to shortcut the path, by total cost, until the budget ends."""
 
     def __post_init__(self) -> None:
         positive("range", self.range)
@@ -133,7 +133,7 @@ class TransitionTrees(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield the first path found, then shorter cuts of it."""
+        """Yield the first path, then cheaper versions of it by shortcutting."""
         shortcut = Shortcut() if self.shortcut else None
         return first_and_shorter(self.first_path, shortcut, Questions(problem, objective, budget), rng)
 
@@ -146,16 +146,16 @@ class TransitionTrees(Planner):
         """
 
     def reach(self, problem: Problem) -> float:
-        """Longest extension [rad]."""
+        """Return the longest extension [rad]."""
         return self.range or _REACH * problem.extent
 
     def test(self, questions: Questions, rng: np.random.Generator) -> TransitionTest:
-        """Return a test at its first temperature, with a generator of its own: samples stay those of an RRT."""
+        """Return a test at its initial temperature; it has a separate generator, so samples equal those of an RRT."""
         own = rng.spawn(1)[0]
         return TransitionTest(self._transition(), estimate_cost_range(questions, own), own)
 
     def side(self, forward: bool, questions: Questions, test: TransitionTest) -> Side:
-        """Return a tree at the start, or one at the goals."""
+        """Return a tree that grows from the start, or from the goals."""
         problem = questions.problem
         roots = problem.start[None] if forward else problem.goals
         return Side(roots, forward, questions, test, RefinementControl(self.refinement_ratio, self.reach(problem)))

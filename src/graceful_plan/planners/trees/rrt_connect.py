@@ -25,15 +25,15 @@ from graceful_plan.planners.trivial import stays_at_goal
 @final
 @dataclass(frozen=True, kw_only=True)
 class RRTConnect(Planner):
-    """Two trees that grow towards each other. The fastest way to a first path; pays no heed to the cost.
+    """Two trees that grow towards each other: the fastest planner for a first path. It ignores the cost.
 
-    The straight edge to each goal is tried first. One iteration is one extension of a tree with the attempts to connect
-    the other to it; after that, one round of shortcuts.
+    The straight edge to each goal is tried first. One iteration is one extension of a tree with the attempt to connect
+    the other one to it, or one round of shortcutting.
 
     Args:
         range: Longest edge, as a fraction of the diagonal of the limits.
-        max_nodes: The trees are dropped and grown anew when they hold more nodes.
-        shortcut: Cost-aware shortcuts of the path found; None yields it as it is.
+        max_nodes: Number of nodes above which the trees are discarded and restarted.
+        shortcut: Settings of cost-aware shortcutting; None for no shortcutting.
     """
 
     name: ClassVar[str] = "rrt_connect"
@@ -51,7 +51,7 @@ class RRTConnect(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield the first path, then shorter cuts of it."""
+        """Yield the first path, then cheaper versions of it by shortcutting."""
         return first_and_shorter(self._connect, self.shortcut, Questions(problem, objective, budget), rng)
 
     def _connect(self, questions: Questions, rng: np.random.Generator) -> Path | None:

@@ -1,17 +1,17 @@
-"""RRT*: a tree that keeps the cheapest way to each of its nodes, with edges charged lazily and in batches.
+"""RRT*: a tree with the cheapest-known path to each of its nodes; edges are evaluated lazily and in batches.
 
-Half of the samples, once there is a path, lie beside the best one. Each better path of the tree is led down along the
-gradient of J where the core has one; this goes beside the tree, which is that of an RRT* and goes on from its own path:
-pruned by what a descent has found, it would never come by another valley.
+Once there is a path, half of the samples lie near the best one. If the objective has a native gradient, each better
+path of the tree also descends along it. Results of descents do not enter the tree: pruned by their low cost, it would
+not explore other homotopy classes.
 
 References:
     [Karaman2011] Sampling-based algorithms for optimal motion planning (RRT*).
-    [Akgun2011] Sampling heuristics for optimal motion planning in high dimensions (samples beside the best path, and
-        leaving out what cannot be on a better one).
+    [Akgun2011] Sampling heuristics for optimal motion planning in high dimensions (samples near the best path;
+        samples that cannot be on a better path are rejected).
     [Gammell2014] Informed RRT*; see `informed`.
     [Hauser2015] Lazy collision checking in asymptotically-optimal motion planning.
     [Jeong2019] Quick-RRT*: triangular inequality-based implementation of RRT* (parents of neighbours as parents).
-    [Choudhury2016] Regionally accelerated batch informed trees (RABIT*): a local optimiser beside a global search.
+    [Choudhury2016] Regionally accelerated batch informed trees (RABIT*): a local optimiser in a global search.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from graceful_plan.planners.trivial import stays_at_goal
 Array = np.ndarray
 
 _REACH = 0.08
-"""Longest extension by default, as a share of the extent of the space: that of RRT-Connect."""
+"""Default longest extension, as a share of the extent of the space: that of RRT-Connect."""
 _ASIDE = (-2.0, -0.3)
-"""Powers of ten between which samples lie beside the best path, as shares of its length: [Akgun2011] has one distance,
-which suits one width of the valley."""
+"""Exponents (base 10) of the distance of samples from the best path, relative to its length. [Akgun2011] uses one
+distance, which suits only one width of a low-cost region."""
 _PROVEN = 1e-8
-"""Relative gap to the least possible cost at which a path is the best there is."""
+"""Relative gap to the lower bound of the cost at which a path counts as optimal."""
 _GAIN = 1e-9
-"""Relative fall of J that counts as an improvement."""
+"""Relative decrease of J that counts as an improvement."""
 _TINY = 1e-12
 
 
@@ -56,22 +56,22 @@ class _StarTrees(Planner):
 
     anytime: ClassVar[bool] = True
     informed: ClassVar[bool]
-    """Whether to look only where a path can be better than the best of the tree."""
+    """Whether to sample only where a path can be better than the best path of the tree."""
 
     range: float | None = None
     """Longest extension [rad]; by default 8 % of the extent of the space."""
     goal_bias: float = 0.05
-    """Share of samples that are a goal; each node is extended towards it once."""
+    """Share of samples that are a goal; each node is extended towards each goal at most once."""
     path_bias: float = 0.5
-    """Share of samples that lie beside the best path of the tree, once there is one."""
+    """Share of samples near the best path of the tree, once there is one."""
     rewire_factor: float = 1.1
-    """Multiplies e (1 + 1/d) ln n neighbours."""
+    """Factor on the number of neighbours, e (1 + 1/d) ln n."""
     trust: float = 0.5
-    """How far guesses decide which edges are not worth checking and charging; with 0, certain bounds alone do."""
+    """Weight of cost estimates, as opposed to lower bounds, in skipping edges; with 0, only lower bounds count."""
     batch: int = 32
-    """Most samples at once; a small tree takes a quarter of its nodes."""
+    """Largest number of samples in a batch; for a small tree, a quarter of its nodes."""
     descend: bool = True
-    """Whether to lead each better path down along the gradient of J, if the core has one."""
+    """Whether each better path also descends along the gradient of J, if there is a native one."""
 
     def __post_init__(self) -> None:
         for name in ("range", "rewire_factor"):
@@ -84,7 +84,7 @@ class _StarTrees(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield better and better paths until the budget ends or a straight line is proven best."""
+        """Yield paths of decreasing cost until the budget ends or a straight line is proven optimal."""
         with suppress(Interrupted):
             if budget.exhausted:
                 return
@@ -117,14 +117,14 @@ class RRTStar(_StarTrees):
 @final
 @dataclass(frozen=True, kw_only=True)
 class InformedRRTStar(_StarTrees):
-    """RRT* that, once it has a path, looks only where a better one can be. One iteration is one sample."""
+    """RRT* that, once it has a path, samples only where a better one can pass. One iteration is one sample."""
 
     name: ClassVar[str] = "informed_rrt_star"
     informed: ClassVar[bool] = True
 
 
 def _with_lower(path: Path | None, descents: NativeDescents | None, best: float) -> Iterator[Path]:
-    """Yield a path if there is one, and what a descent makes of it."""
+    """Yield a path if there is one, then the result of a descent from it."""
     if path is None:
         return
     yield path
@@ -135,11 +135,11 @@ def _with_lower(path: Path | None, descents: NativeDescents | None, best: float)
 
 @final
 class _StarSearch:
-    """A tree that grows towards samples.
+    """The search of RRT*: a tree that grows towards samples.
 
     Args:
-        settings: Of the planner.
-        questions: To problem and objective.
+        settings: Settings of the planner.
+        questions: Access to problem and objective.
         rng: Random numbers.
     """
 
@@ -161,7 +161,7 @@ class _StarSearch:
 
     @property
     def optimal(self) -> bool:
-        """Whether no path can be better."""
+        """Whether the best path is proven optimal."""
         return self.best <= self.sampler.least_cost * (1.0 + _PROVEN)
 
     def improved(self) -> Path | None:
@@ -174,11 +174,11 @@ class _StarSearch:
         return Path(self.tree.q[self.way].copy()).without_duplicates()
 
     def grow(self, n: int) -> None:
-        """Take n samples.
+        """Grow the tree by n samples.
 
         Raises:
             Interrupted: If the time is over.
-            CostError: If the objective breaks its contract.
+            CostError: If the objective violates its contract.
         """
         q, near = self._steps(n)
         tree = self.tree
@@ -188,7 +188,7 @@ class _StarSearch:
         self.wiring.join(q[free], near[free], k, self.way)
 
     def _steps(self, n: int) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
-        """Step from the tree towards n samples; return where to, as far as that is new, and from which nodes."""
+        """Step from the tree towards n samples; return new configurations and the nodes that they are reached from."""
         tree, settings = self.tree, self.settings
         to_goal, to_path = self.rng.uniform(size=(2, n)) < [[settings.goal_bias], [settings.path_bias]]
         beside = to_path & (len(self.way) > 0)
@@ -203,7 +203,7 @@ class _StarSearch:
         return q[new], near[new]
 
     def _try_straight(self) -> None:
-        """Lead goals straight from the start."""
+        """Connect goals to the start by straight edges where these are free."""
         tree, goals = self.tree, self.tree.goals
         free = goals[self.questions.edges_free(tree.q[np.zeros_like(goals)], tree.q[goals])]
         steps = self.questions.edge_costs(tree.q[np.zeros_like(free)], tree.q[free])
@@ -211,13 +211,13 @@ class _StarSearch:
             tree.lead(goal, 0, step)
 
     def _anywhere(self, n: int) -> Float[Array, "n nq"]:
-        """Draw within the limits, or, if the search is informed and can hit that, where a better path can be."""
+        """Draw samples within the limits; with informed search, where a better path can pass, if that succeeds."""
         q = self.sampler.draw(n, self.best if self.settings.informed else np.inf, self.rng)
         rest = self.rng.uniform(self.problem.lower, self.problem.upper, (n - len(q), q.shape[1]))
         return np.concatenate([q, rest])
 
     def _beside(self, n: int) -> Float[Array, "n nq"]:
-        """Draw around points of the best path."""
+        """Draw samples around points of the best path."""
         if len(self.way) == 0:
             return np.zeros((n, len(self.problem.start)))
         rng, line = self.rng, Line(self.tree.q[self.way], np.zeros(len(self.way) - 1))
@@ -226,7 +226,7 @@ class _StarSearch:
         return np.clip(on_path + aside * rng.normal(size=on_path.shape), self.problem.lower, self.problem.upper)
 
     def _aim_at_goals(self, samples: Int[Array, " m"], near: Int[Array, " n"], target: Float[Array, "n nq"]) -> None:
-        """Let some samples be a goal, each stepped towards from the nearest node from which that was not tried."""
+        """Replace some samples by goals, each approached from the nearest node that has not tried that yet."""
         self.untried.learn(self.tree.q)
         for i in samples:
             goal = int(self.rng.integers(len(self.problem.goals)))
@@ -235,5 +235,5 @@ class _StarSearch:
                 near[i], target[i] = found[0], self.problem.goals[goal]
 
     def _is_new(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which are not goals: those are in the tree from the beginning."""
+        """Return which configurations are not goals; goals are in the tree from the beginning."""
         return (np.abs(q[:, None] - self.problem.goals).max(axis=2) > _TINY).all(axis=1)

@@ -1,4 +1,4 @@
-"""The tree of RRT*: who is reached from where at what cost, and who follows from whom."""
+"""The tree of RRT*: nodes with parents, children and costs."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ Array = np.ndarray
 
 _FIRST_CAPACITY = 1024
 _NEGLIGIBLE = 1e-9
-"""Relative gain below which a cheaper way is rounding, which could lead a node over those that follow from it."""
+"""Relative gain below which a lower cost is rounding, which could make a node a descendant of itself."""
 
 
 @final
 class StarTree:
-    """Nodes in the order of insertion, each with the cheapest way to it that is known.
+    """Nodes in the order of insertion, each with its cheapest-known path from the root.
 
-    Node 0 is the root. The next are the goals, which nobody may have reached yet: their cost is infinite until then.
+    Node 0 is the root. The next nodes are the goals; their cost is infinite until the tree reaches them.
 
     Args:
-        root: Where all ways begin.
-        goals: Where they may end.
+        root: Root configuration.
+        goals: Goal configurations.
         impact: State cost of the root and of each goal.
     """
 
@@ -50,7 +50,7 @@ class StarTree:
 
     @property
     def cost(self) -> Float[Array, " node"]:
-        """Cost of the way from the root to each node."""
+        """Cost of the path from the root to each node."""
         return self._cost[: self._n]
 
     @property
@@ -60,7 +60,7 @@ class StarTree:
 
     @property
     def parent(self) -> Int[Array, " node"]:
-        """From where each node is reached, -1 for the root and for goals that are not."""
+        """Parent of each node; -1 for the root and for goals that are not reached."""
         return self._parent[: self._n]
 
     def add(
@@ -70,7 +70,7 @@ class StarTree:
         step: Float[Array, " n"],
         impact: Float[Array, " n"],
     ) -> Int[Array, " n"]:
-        """Append nodes, each reached from its parent by an edge of cost `step`; return their numbers."""
+        """Append nodes, each reached from its parent by an edge of cost `step`; return their indices."""
         nodes = self._append(q, self.cost[parent] + step, impact)
         self._parent[nodes] = parent
         for node, before in zip(nodes.tolist(), parent.tolist(), strict=True):
@@ -78,7 +78,7 @@ class StarTree:
         return nodes
 
     def lead(self, node: int, parent: int, step: float) -> bool:
-        """Reach a node from another one by an edge of cost `step` if that is cheaper; tell whether it was."""
+        """Change the parent of a node, with an edge of cost `step`, if that is cheaper; return whether it is."""
         cost = float(self._cost[parent] + step)
         gain = float(self._cost[node]) - cost
         if not cost < self._cost[node] * (1.0 - _NEGLIGIBLE):
@@ -86,7 +86,7 @@ class StarTree:
         if self._parent[node] >= 0:
             self._children[self._parent[node]].remove(node)
         followers = list(self._children[node])
-        for follower in followers:  # grows meanwhile
+        for follower in followers:  # the list grows during the loop
             followers += self._children[follower]
         self._cost[followers] -= gain
         self._cost[node] = cost
@@ -95,23 +95,23 @@ class StarTree:
         return True
 
     def squares(self, q: Float[Array, "n nq"]) -> Float[Array, "n node"]:
-        """Squared distances of configurations from all nodes, up to rounding."""
+        """Return squared distances of configurations from all nodes, up to rounding."""
         nodes = self.q
         ends = np.einsum("ij,ij->i", q, q)[:, None] + np.einsum("ij,ij->i", nodes, nodes)
         return ends - 2.0 * q @ nodes.T
 
     def nearest(self, q: Float[Array, "n nq"]) -> Int[Array, " n"]:
-        """Nearest reached node of each configuration."""
+        """Return the nearest reached node of each configuration."""
         return np.where(np.isfinite(self.cost), self.squares(q), np.inf).argmin(axis=1)
 
     def neighbours(self, q: Float[Array, "n nq"], k: int) -> Int[Array, "n k"]:
-        """The k nearest nodes of each configuration in any order, all of them if there are fewer."""
+        """Return the k nearest nodes of each configuration in any order; all nodes if there are fewer."""
         if k >= self._n:
             return np.broadcast_to(np.arange(self._n), (len(q), self._n))
         return np.argpartition(self.squares(q), k - 1, axis=1)[:, :k]
 
     def branch(self, node: int) -> Int[Array, " node"]:
-        """Nodes from the root to a reached node."""
+        """Return the nodes from the root to a reached node."""
         nodes = [node]
         while nodes[-1] > 0:
             nodes.append(int(self._parent[nodes[-1]]))

@@ -1,10 +1,9 @@
-"""Two trees that grow in the space of the tool's poses, and meet in that of the joints.
+"""Two trees that grow in the space of tool poses, and connect in joint space.
 
-A sample is a pose of the tool, not a configuration: nodes near to it are near in the room, and an arm goes towards it
-straight, by differential inverse kinematics (damped least squares, in batches on the native kinematics; mink's
-quadratic programs do the same one configuration at a time). Joints that a pose leaves free drift towards those of the
-configuration that the sample is the pose of, so that no posture is out of reach. Poses are where nothing is known of
-the arm's own branches, so trees are joined by straight edges between configurations.
+A sample is a pose of the tool, not a configuration: distances are those of tool poses, and the tool moves straight
+towards the sample by differential inverse kinematics (damped least squares, in batches on the native kinematics). The
+pose comes from a random configuration; in the null space, joints drift towards this configuration, so that all postures
+can be reached. Equal poses may have different configurations, so straight edges in joint space connect the trees.
 
 References:
     A. Shkolnik, R. Tedrake, "Path planning in 1000+ dimensions using a task-space Voronoi bias", ICRA 2009. Differs in:
@@ -34,29 +33,29 @@ from graceful_plan.planners.trivial import stays_at_goal
 Array = np.ndarray
 
 _AT_ONCE = 8
-"""Samples whose turns are taken together, each question being about all of them."""
+"""Samples in a batch."""
 _DRIFT = 0.1
-"""Of the way to the configuration of its sample that a joint drifts in a step, as far as it is free to."""
+"""Drift in the null space in one step, as a share of the distance to the sample's configuration."""
 _LONGEST = 0.2
-"""Step of a joint [rad or m]."""
+"""Largest step of a joint [rad or m]."""
 _JOINT_STEP = 0.02
-"""Of a problem without a tool: a step, as a share of the extent."""
+"""Step in a problem without a tool, as a share of the extent."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class ToolRRT(Planner):
-    """A pair of trees that grow by straight motions of the tool. Stops at the first path, after shortcutting it.
+    """Two trees that grow by straight motions of the tool. Stops at the first path, after shortcutting it.
 
-    It pays no heed to the cost. One iteration is eight samples, or one round of shortcutting. A problem without a tool,
-    one that is not a scene's, is searched in its own coordinates.
+    It ignores the cost. One iteration is eight samples, or one round of shortcutting. A problem without a scene has no
+    tool and is searched in joint space.
 
     Args:
-        step: Of the tool in one step [m].
-        lever: What a turn of the tool counts [m/rad]; a step turns it by at most `step / lever`.
-        steps: Towards a sample at most.
-        max_nodes: The trees are dropped and grown anew when they hold more nodes.
-        shortcut: Cost-aware shortcuts of the path found; None yields it as it is.
+        step: Translation of the tool in one step [m].
+        lever: Weight of rotation in distances [m/rad]; the tool rotates by at most `step / lever` in one step.
+        steps: Largest number of steps towards a sample.
+        max_nodes: Number of nodes above which the trees are discarded and restarted.
+        shortcut: Settings of cost-aware shortcutting; None for no shortcutting.
     """
 
     name: ClassVar[str] = "tool_rrt"
@@ -78,11 +77,11 @@ class ToolRRT(Planner):
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield the first path, then shorter cuts of it."""
+        """Yield the first path, then cheaper versions of it by shortcutting."""
         return first_and_shorter(self._connect, self.shortcut, Questions(problem, objective, budget), rng)
 
     def _connect(self, questions: Questions, rng: np.random.Generator) -> Path | None:
-        """Grow both trees in turns until an edge between them is free.
+        """Grow both trees alternately until an edge between them is free.
 
         Raises:
             Interrupted: If the time is over.
@@ -111,21 +110,21 @@ class ToolRRT(Planner):
 
 @runtime_checkable
 class _Space(Protocol):
-    """Where trees grow: how far apart configurations are there, and how one goes from one towards others."""
+    """Space in which trees grow: its distances and its steps."""
 
     def places(self, q: Float[Array, "n nq"]) -> Float[Array, "n place"]:
-        """Return what distances are measured between."""
+        """Return vectors whose Euclidean distances are those of the space."""
         ...
 
     def towards(self, q: Float[Array, "n nq"], goal: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Make a step from configurations towards the places of others; none where it cannot go on."""
+        """Step from configurations towards the places of others; unchanged where no step is possible."""
         ...
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class _ToolSpace:
-    """Poses of the tool."""
+    """Space of tool poses."""
 
     kernels: Kernels
     lower: Float[Array, " nq"]
@@ -134,13 +133,13 @@ class _ToolSpace:
     lever: float
 
     def places(self, q: Float[Array, "n nq"]) -> Float[Array, "n place"]:
-        """Return position and, scaled so that small turns count by the lever, rotation matrix."""
+        """Return the position and the rotation matrix, scaled so that small rotations count by the lever."""
         X_WT = self.kernels.tool_pose(q)
         R = X_WT[:, :3, :3].reshape(len(q), 9)
         return np.concatenate([X_WT[:, :3, 3], self.lever / np.sqrt(2.0) * R], axis=1)
 
     def towards(self, q: Float[Array, "n nq"], goal: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Move the tool straight towards the pose that it has in the goal."""
+        """Move the tool straight towards its pose in the goal."""
         X_WT, jacobian = tool_jacobian(self.kernels, q)
         twist = missing_twist(X_WT, self.kernels.tool_pose(goal))
         size = np.maximum(np.linalg.norm(twist[:, :3], axis=1), self.lever * np.linalg.norm(twist[:, 3:], axis=1))
@@ -154,7 +153,7 @@ class _ToolSpace:
 @final
 @dataclass(frozen=True, eq=False)
 class _JointSpace:
-    """The coordinates of a problem without a tool."""
+    """Joint space, for a problem without a tool."""
 
     step: float
 
@@ -163,14 +162,14 @@ class _JointSpace:
         return q
 
     def towards(self, q: Float[Array, "n nq"], goal: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Go straight."""
+        """Step straight towards the goal."""
         gap = goal - q
         return q + gap * np.minimum(1.0, self.step / np.maximum(np.linalg.norm(gap, axis=1, keepdims=True), 1e-12))
 
 
 @final
 class _SpaceTree:
-    """A tree of configurations whose nearest nodes are those of the nearest places."""
+    """A tree of configurations with the distances of a space."""
 
     def __init__(self, roots: Float[Array, "root nq"], space: _Space) -> None:
         self.space = space
@@ -178,7 +177,7 @@ class _SpaceTree:
         self._places = space.places(roots)
 
     def grow(self, samples: Float[Array, "n nq"], steps: int, questions: Questions) -> Int[Array, " m"]:
-        """Go from the nearest nodes towards samples as far as that is free; return the last nodes of all that went."""
+        """Step from the nearest nodes towards samples while steps are free; return the last new node of each sample."""
         gaps = ((self._places[None] - self.space.places(samples)[:, None]) ** 2).sum(axis=2)
         near = gaps.argmin(axis=1)
         q = [self.nodes.q[near]]
@@ -202,7 +201,7 @@ class _SpaceTree:
 def _meeting(
     growing: _SpaceTree, new: Int[Array, " n"], other: _SpaceTree, questions: Questions
 ) -> tuple[int, int] | None:
-    """Return a node of each tree between which the straight edge is free, from the new ones to the nearest."""
+    """Return a new node and a node of the other tree with a free straight edge between them; None if there are none."""
     if not len(new):
         return None
     gaps = np.linalg.norm(growing.nodes.q[new][:, None] - other.nodes.q[None], axis=2)

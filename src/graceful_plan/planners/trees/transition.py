@@ -1,14 +1,14 @@
-"""The transition test of T-RRT, in its two published forms, and the control of refinement.
+"""The transition test of T-RRT, in its two published variants, and the refinement control.
 
-"T-RRT" names two algorithms. Jaillet et al. accept an uphill step with a probability that falls with its slope and
-adapt the temperature after a number of failures; Devaurs et al. accept deterministically and adapt it every time.
+"T-RRT" names two algorithms. Jaillet et al. accept an uphill step with a probability that falls with its slope, and
+raise the temperature after a number of failures. Devaurs et al. accept deterministically and adapt it at every step.
 
 References:
     [Jaillet2010] Sampling-based path planning on configuration-space costmaps. Differs in: the constant K is the
     range of the cost, not the mean at start and goal, which is 0 where the impact is local and changes with an
     added constant.
     [Devaurs2013] Enhancing the transition-based RRT to deal with complex cost spaces. Differs in: T0 is a multiple
-    of the range of the cost, since 100 accepts everything where costs are of order 1; the range is estimated once.
+    of the range of the cost, since 100 accepts all steps if costs are of order 1; the range is estimated once.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class TransitionSettings:
     """Constants of the transition test."""
 
     variant: Variant = "jaillet"
-    """Which of the two published tests."""
+    """Published variant of the test."""
     initial_temperature: float | None = None
     """T0 as a multiple of the range of the cost; by default 1e-6 (jaillet), 0.1 (devaurs)."""
     temperature_factor: float = 2.0
-    """jaillet: T is divided by it after an accepted climb and multiplied after too many failures."""
+    """jaillet: T is divided by this factor after an accepted climb, and multiplied by it after too many failures."""
     most_failures: int = 10
-    """jaillet: failures before T rises; 10 is greedy, 100 is slow and finds lower passes."""
+    """jaillet: number of failures before T rises; 10 is greedy, 100 is slow and finds paths of lower peak cost."""
     temperature_rate: float = 0.1
     """devaurs: T grows by exp(rate) with each rejection."""
 
@@ -58,12 +58,12 @@ class TransitionSettings:
 
 @final
 class TransitionTest:
-    """Decides whether a step is worth its climb. Temperatures are kept as logarithms, within [1e-12, 1e12].
+    """Accepts or rejects steps by their increase of the state cost. Temperatures stay within [1e-12, 1e12].
 
     Args:
-        settings: Which test, with what constants.
-        cost_range: Difference between high and low state costs; 0 accepts every step.
-        rng: For the probabilistic variant.
+        settings: Variant and constants.
+        cost_range: Difference between high and low state costs; with 0, all steps are accepted.
+        rng: Random numbers of the probabilistic variant.
     """
 
     def __init__(self, settings: TransitionSettings, cost_range: float, rng: np.random.Generator) -> None:
@@ -74,11 +74,11 @@ class TransitionTest:
 
     @property
     def temperature(self) -> float:
-        """Present temperature, as a multiple of the range of the cost."""
+        """Current temperature, as a multiple of the range of the cost."""
         return exp(self._log_t)
 
     def accepts(self, cost_from: float, cost_to: float, distance: float) -> bool:
-        """Tell whether to step over `distance` [rad] from one state cost to another, and adapt the temperature."""
+        """Return whether to accept a step of `distance` [rad] between two state costs, and adapt the temperature."""
         climb = cost_to - cost_from
         if climb <= 0.0 or self._range <= 0.0:
             return True
@@ -87,7 +87,7 @@ class TransitionTest:
         return self._devaurs(climb / self._range)
 
     def _jaillet(self, slope: float) -> bool:
-        # exp underflows to 0 harmlessly; the exponent itself stays finite because T does
+        # exp may underflow to 0; the exponent is finite since T is bounded
         if self._rng.uniform() < exp(-slope / self.temperature):
             self._heat(-log(self._settings.temperature_factor))
             self._failures = 0
@@ -114,11 +114,11 @@ class TransitionTest:
 
 @final
 class RefinementControl:
-    """Keeps a tree from growing ever denser where it already is: short steps are rationed.
+    """Refinement control: limits short steps, so that a tree does not only become denser where it already is.
 
     Args:
-        ratio: Refining nodes per exploring node; infinite switches it off.
-        reach: Steps shorter than this refine [rad].
+        ratio: Largest number of refining nodes per exploring node; infinite turns the control off.
+        reach: Length below which a step counts as refining [rad].
     """
 
     def __init__(self, ratio: float, reach: float) -> None:
@@ -126,7 +126,7 @@ class RefinementControl:
         self._refining, self._exploring = 0, 1
 
     def allows(self, distance: float) -> bool:
-        """Tell whether a step of this length may be added."""
+        """Return whether a step of this length may be added."""
         return distance >= self._reach or self._refining < self._ratio * self._exploring
 
     def added(self, distance: float) -> None:
@@ -138,7 +138,7 @@ class RefinementControl:
 
 
 def estimate_cost_range(questions: Questions, rng: np.random.Generator) -> float:
-    """Difference between the highest and the lowest cost of start, goals and random configurations."""
+    """Return the difference between the highest and the lowest cost of start, goals and random configurations."""
     problem = questions.problem
     random = rng.uniform(problem.lower, problem.upper, (_PROBES, len(problem.start)))
     costs = questions.state_costs(np.concatenate([problem.start[None], problem.goals, random]))

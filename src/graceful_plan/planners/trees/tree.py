@@ -45,14 +45,14 @@ class Tree:
         return self._n - 1
 
     def nearest(self, q: Float[Array, " nq"]) -> tuple[int, float]:
-        """Index of the nearest node and its distance [rad]. A linear scan is fastest below about 5000 nodes."""
+        """Return the nearest node and its distance [rad]. A linear scan is fastest below about 5000 nodes."""
         gap = self.q - q
         squared = np.einsum("ij,ij->i", gap, gap)
         i = int(squared.argmin())
         return i, float(np.sqrt(squared[i]))
 
     def branch(self, i: int) -> Float[Array, "node nq"]:
-        """Configurations from the root to node `i`."""
+        """Return the configurations from the root to node `i`."""
         nodes = [i]
         while self.parents[nodes[-1]] >= 0:
             nodes.append(self.parents[nodes[-1]])
@@ -60,5 +60,5 @@ class Tree:
 
 
 def steer(q0: Float[Array, " nq"], q1: Float[Array, " nq"], distance: float, reach: float) -> Float[Array, " nq"]:
-    """Go from `q0` towards `q1`, which is `distance` away, by at most `reach`."""
+    """Return the point at most `reach` from `q0` towards `q1`, which is `distance` away."""
     return q1.copy() if distance <= reach else q0 + reach / distance * (q1 - q0)

@@ -1,8 +1,8 @@
-"""T-RRT: a rapidly-exploring random tree that stays in the valleys of the impact.
+"""T-RRT: a rapidly-exploring random tree that prefers regions of low impact.
 
-It keeps the mechanical work low (the sum of the climbs), not the total cost: a source of paths of different classes.
-Warning: where the impact is 0 except close to the hazards, the transition test has nothing to decide there and this is
-an RRT. See `transition` for the papers and what differs.
+It keeps the mechanical work (the sum of increases of the state cost) low, not the total cost. Warning: where the impact
+is 0, which may be everywhere except close to entities, the transition test accepts all steps and this is an RRT. See
+`transition` for the papers and the differences.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ class TRRT(TransitionTrees):
 
 @final
 class _Goals:
-    """Steps towards goals, each tried once.
+    """Steps towards goals; each node tries each goal once.
 
-    The state cost of a goal is a level that every path to it has to climb to. Where it is high, a tree whose climb up
-    to it is tested fills all of the valley and never arrives.
+    Every path to a goal has to climb to its state cost. If this climb were tested, a tree would fill the whole region
+    of low cost around a goal of high cost and never reach it.
 
     Args:
         side: The tree that grows towards the goals.
@@ -80,7 +80,7 @@ class _Goals:
         self._untried = Untried(self._goals)
 
     def approach(self, goal: int) -> int | None:
-        """Extend the node nearest to a goal among those not tried yet by one step; return the new node."""
+        """Extend the nearest node that has not tried a goal by one step towards it; return the new node."""
         side = self._side
         self._untried.learn(side.tree.q)
         found = self._untried.take(goal)
@@ -95,7 +95,7 @@ class _Goals:
         return node
 
     def reached_from(self, node: int) -> int | None:
-        """Step from a node to its nearest goal if that is within reach; return the node there."""
+        """Step from a node to its nearest goal if that is within reach; return the node at the goal."""
         distances = np.linalg.norm(self._goals - self._side.tree.q[node], axis=1)
         goal = int(distances.argmin())
         distance = float(distances[goal])

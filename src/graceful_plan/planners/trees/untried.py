@@ -1,7 +1,7 @@
-"""Which nodes of a tree have not yet been extended towards which goal.
+"""Record of the nodes of a tree that have not yet been extended towards a goal.
 
-The node nearest to a goal stays the nearest for as long as the step from it is blocked: a tree that always extends that
-one spends all of its samples of goals on one edge.
+While the step from the nearest node to a goal is blocked, this node stays the nearest. A tree that always extends the
+nearest node would try the same edge again and again.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Array = np.ndarray
 
 @final
 class Untried:
-    """Pairs of node and goal, each handed out once, the nearest node first.
+    """Pairs of node and goal, each returned once, the nearest node first.
 
     Args:
         goals: The goals.
@@ -31,7 +31,7 @@ class Untried:
         self._excluded: set[tuple[int, int]] = set()
 
     def learn(self, q: Float[Array, "node nq"]) -> None:
-        """Take in the nodes that were added to a tree; `q` are all of its nodes."""
+        """Add the new nodes of a tree; `q` are all of its nodes."""
         new = q[self._known :]
         distances = np.linalg.norm(new[:, None, :] - self._goals, axis=2)
         for node, row in enumerate(distances.tolist(), start=self._known):
@@ -40,11 +40,11 @@ class Untried:
         self._known = len(q)
 
     def exclude(self, node: int, goal: int) -> None:
-        """Never hand out this pair."""
+        """Mark a pair as tried."""
         self._excluded.add((node, goal))
 
     def take(self, goal: int) -> tuple[int, float] | None:
-        """Return the node nearest to a goal among those not handed out, and its distance [rad]; None if all were."""
+        """Return the nearest node that has not tried a goal, and its distance [rad]; None if all nodes have."""
         while self._nodes[goal]:
             distance, node = heappop(self._nodes[goal])
             if (node, goal) not in self._excluded:

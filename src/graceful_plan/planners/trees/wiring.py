@@ -1,8 +1,8 @@
-"""How RRT* joins new configurations to its tree: lazily, with questions about many edges at once.
+"""Connection of new configurations to the tree of RRT*: lazy, and in batches of edges.
 
-The cost of an edge is an integral over the states along it, a hundred times as dear as the state costs at its ends. So
-candidates for a parent are ranked by what they are expected to cost, and are checked and charged one after the other
-until none of the rest can be cheaper. All new configurations of a batch take their turns together.
+The cost of an edge is an integral over the states along it, a hundred times as expensive as the state costs at its
+ends. So candidate parents are ranked by estimated cost, and are checked and evaluated in this order until no other
+candidate can be cheaper. All new configurations of a batch are processed together.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _TINY = 1e-300
 @final
 @dataclass(frozen=True)
 class EdgeGuess:
-    """What an edge may cost, before it is charged.
+    """Estimates the cost of an edge without evaluating it.
 
     Args:
-        bound: No edge costs less per length; 0 if nothing is known.
+        bound: Lower bound of the cost per length; 0 if it is unknown.
         motion: Mean motion cost per length.
         impact: Mean cost of the impact per length, relative to the mean of the state costs at both ends.
-        trust: Share of what is expected on top of the bound that counts as if it were certain. With 0 no edge is left
-            out that could be better; 0.5 leaves out those of which even half of what is expected is too much.
+        trust: Weight of the estimate in `least`, as opposed to the lower bound. With 0, no edge is skipped that could
+            be better; with 0.5 (and no lower bound), an edge is skipped if half of its estimated cost is too much.
     """
 
     bound: float
@@ -42,13 +42,13 @@ class EdgeGuess:
 
     @classmethod
     def learn(cls, questions: Questions, *, bound: float, reach: float, trust: float) -> EdgeGuess:
-        """Ask about edges of up to `reach` [rad] anywhere within the limits.
+        """Fit the estimates to random edges of up to `reach` [rad] within the limits.
 
         Raises:
             CostError: If the objective returns a NaN, an infinity or a negative number.
         """
         problem, objective = questions.problem, questions.objective
-        rng = np.random.default_rng(0)  # the same probes for everybody; no part of the planner's own randomness
+        rng = np.random.default_rng(0)  # the same probes in every call; independent of the planner's random numbers
         q0, towards = rng.uniform(problem.lower, problem.upper, (2, _PROBES, len(problem.start)))
         q1 = q0 + min(1.0, reach / max(problem.extent, _TINY)) * rng.uniform(size=(_PROBES, 1)) * (towards - q0)
         length = np.linalg.norm(q1 - q0, axis=1)
@@ -62,22 +62,22 @@ class EdgeGuess:
         )
 
     def expected(self, length: Float[Array, "..."], impact: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Cost of edges by their lengths, and the means of the state costs at their ends."""
+        """Return the estimated cost of edges from their lengths and the mean state costs of their ends."""
         return (self.motion + self.impact * impact) * length
 
     def least(self, length: Float[Array, "..."], expected: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Cost that edges are taken to have at least."""
+        """Return the cost below which edges are assumed not to be; see `trust`."""
         return (1.0 - self.trust) * self.bound * length + self.trust * expected
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Edges between each of n configurations and c nodes; `free` is 1 or 0, or -1 while nobody has asked."""
+    """Edges between each of n configurations and c nodes; `free` is 1 or 0, or -1 if it is unknown."""
 
     node: Int[Array, "n c"]
     own: Bool[Array, "n c"]
-    """False for a node that is there twice."""
+    """False for duplicates of a node."""
     expected: Float[Array, "n c"]
     least: Float[Array, "n c"]
     free: Int[Array, "n c"]
@@ -88,13 +88,13 @@ class _Edges:
 
 @final
 class Wiring:
-    """Joins configurations to a tree.
+    """Connects configurations to a tree.
 
     Args:
         tree: The tree.
-        questions: To problem and objective.
-        guess: What edges may cost.
-        bounded: Whether configurations are left out that no path cheaper than the best to a goal can pass.
+        questions: Access to problem and objective.
+        guess: Estimates of edge costs.
+        bounded: Whether to skip configurations that cannot be on a path cheaper than the best one.
     """
 
     def __init__(self, tree: StarTree, questions: Questions, guess: EdgeGuess, bounded: bool) -> None:
@@ -103,21 +103,21 @@ class Wiring:
     def join(
         self, q: Float[Array, "n nq"], near: Int[Array, " n"], k: int, way: Int[Array, " vertex"]
     ) -> Int[Array, " m"]:
-        """Add the configurations that can be reached, and lead others over them where that is cheaper.
+        """Add the configurations that can be reached, and rewire other nodes to them where that is cheaper.
 
         Args:
             q: New configurations.
-            near: A node of each from which a free edge leads to it.
-            k: How many of the nearest nodes may become parents or be led over it; those that these are reached from,
-                and the goals, may be so, too.
-            way: More nodes of which that is so.
+            near: For each, a node with a free edge to it.
+            k: Number of nearest nodes that are candidates for parents and for rewiring; the parents of these nodes and
+                the goals are candidates, too.
+            way: Further candidates: nodes of the best path.
 
         Returns:
             The new nodes.
 
         Raises:
             Interrupted: If the time is over.
-            CostError: If the objective breaks its contract.
+            CostError: If the objective violates its contract.
         """
         if len(q) == 0:
             return np.zeros(0, dtype=int)
@@ -143,13 +143,13 @@ class Wiring:
         return _Edges(node, own, expected, self.guess.least(length, expected), free)
 
     def _cheapest(self, q: Array, edges: _Edges) -> tuple[Int[Array, " n"], Float[Array, " n"]]:
-        """Parent of each configuration and what the edge from it costs, infinite if there is no parent."""
+        """Return the cheapest parent of each configuration and the cost of its edge; infinite if there is no parent."""
         come = np.where(edges.own, self.tree.cost[edges.node], np.inf)
         order = np.argsort(come + edges.expected, axis=1)
         least = np.take_along_axis(come + edges.least, order, axis=1)
         best, parent, step = self._limits(q), np.full(len(q), -1), np.full(len(q), np.inf)
         place = np.arange(order.shape[1])
-        turn = np.zeros(len(q), dtype=int)  # place in the order from which on candidates have not been asked about
+        turn = np.zeros(len(q), dtype=int)  # index in `order` of the first candidate that is not evaluated
         while True:
             worth = (least < best[:, None]) & (place >= turn[:, None])
             row = np.flatnonzero(worth.any(axis=1))
@@ -166,7 +166,7 @@ class Wiring:
             best[row], parent[row], step[row] = self.tree.cost[node] + cost, node, cost
 
     def _rewire(self, new: Int[Array, " n"], edges: _Edges) -> None:
-        """Lead nodes over new ones where that is cheaper."""
+        """Make new nodes the parents of other nodes where that is cheaper."""
         tree = self.tree
         limit = np.minimum(tree.cost[edges.node], self._limits(tree.q[edges.node.ravel()]).reshape(edges.node.shape))
         worth = edges.own & (tree.cost[new][:, None] + edges.least < limit) & (edges.node != tree.parent[new][:, None])
@@ -179,14 +179,14 @@ class Wiring:
             tree.lead(int(node[i]), int(over[i]), float(step[i]))
 
     def _are_free(self, edges: _Edges, row: Array, column: Array, q: Array) -> Bool[Array, " n"]:
-        """Tell which edges are free; nobody is asked about one twice, in either direction."""
+        """Return which edges are free; no edge is checked twice, in either direction."""
         ask = edges.free[row, column] < 0
         node = edges.node[row[ask], column[ask]]
         edges.free[row[ask], column[ask]] = self.questions.edges_free(self.tree.q[node], q[row[ask]])
         return edges.free[row, column] == 1
 
     def _limits(self, q: Array) -> Float[Array, " n"]:
-        """What ways to configurations have to cost less than."""
+        """Return the cost that a path to each configuration has to stay below."""
         best = self.tree.cost[self.tree.goals].min() if self.bounded else np.inf
         if np.isinf(best) or self.guess.bound == 0.0:
             return np.full(len(q), best)

@@ -1,1 +1,1 @@
-"""Timed motions that get better, and the searches, descents and timings that they come from."""
+"""Candidate motions of increasing quality: searches, descents and timing."""

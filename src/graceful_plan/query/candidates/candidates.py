@@ -1,7 +1,6 @@
-"""Timed motions that get better: the first one soon, then rounds of search and descents, each longer than the last.
+"""Candidate motions of increasing quality: a quick first one, then rounds of search and descents of doubling length.
 
-A round does not depend on how much time is left, so that a call with more time does what one with less does, and then
-more.
+A round does not depend on the remaining time, so a longer call begins with the same rounds as a shorter one.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 
 CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
-"""Clearance to keep [m] and step of edge checks [rad], of the first search and of those after the judge refused."""
+"""Clearance [m] and step of edge checks [rad] of the first search, then of the searches after the judge refused."""
 _FIRST_ROUND_SECONDS, _FIRST_ROUND_ITERATIONS = 0.05, 60
-"""Work of the first round; each other does twice as much as the one before."""
+"""Length of the first round [s] and iterations; each further round is twice as long as the previous one."""
 _FIRST_SHORT_ROUND_SECONDS = 0.01
-"""Of the first round where the shortest motion is the best one: a descent from one path takes about so long."""
+"""Length of the first round if the shortest motion is the best one [s]: about the time of a descent from one path."""
 
 
 def candidates(
@@ -35,14 +34,14 @@ def candidates(
 ) -> Iterator[Motion]:
     """Yield motions to verify until the budget ends or `best` needs no more.
 
-    While the judge refuses all motions near a first path, the search begins again with more clearance.
+    While the judge refuses all motions near the first path, the search begins again with more clearance.
 
     Args:
-        request: What to plan.
+        request: The request.
         ends: Both ends.
-        budget: For everything.
-        rng: Chance.
-        best: The best of the motions that were yielded and have passed the judge.
+        budget: Budget of the call.
+        rng: Random numbers.
+        best: The best of the yielded motions that have passed the judge.
     """
     for caution in CAUTION:
         source = _maker(request, ends, problem_of(request, ends, *caution), rng, best)
@@ -73,7 +72,7 @@ def _maker(
 
 
 def _better(source: MotionMaker, budget: Budget, best: BestVerified, request: Request) -> Iterator[Motion]:
-    """Yield the motions of rounds until the budget ends or `best` needs no more."""
+    """Yield motions, round by round, until the budget ends or `best` needs no more."""
     first = _FIRST_SHORT_ROUND_SECONDS if request.only_length else _FIRST_ROUND_SECONDS
     with budget.share(until=lambda: best.ended or best.converged(source.effort)) as part:
         for one in rounds(part, first, restarts=source.restarts):
@@ -82,14 +81,12 @@ def _better(source: MotionMaker, budget: Budget, best: BestVerified, request: Re
 
 
 def rounds(budget: Budget, seconds: float = _FIRST_ROUND_SECONDS, *, restarts: bool = True) -> Iterator[Budget]:
-    """Divide a budget into rounds, each twice as long as the one before; the last one takes the rest.
-
-    Without restarts of the search there is one round.
+    """Divide a budget into rounds, each twice as long as the previous one; the last one takes the rest.
 
     Args:
-        budget: For all rounds.
-        seconds: Of the first one [s].
-        restarts: Whether each round begins anew.
+        budget: Budget for all rounds.
+        seconds: Length of the first round [s].
+        restarts: Whether each round begins a new search; if False, there is one round.
     """
     iterations = _FIRST_ROUND_ITERATIONS
     while not budget.exhausted:
@@ -98,12 +95,19 @@ def rounds(budget: Budget, seconds: float = _FIRST_ROUND_SECONDS, *, restarts: b
         with budget.share(seconds if timed else np.inf, iterations if counted else np.inf) as part:
             yield part
         if not restarts or (not budget.timed and part.spent == 0):
-            return  # without a clock, a search that has ended by itself ends the call
+            return  # without a time limit, the call ends when a search ends early
         seconds, iterations = 2.0 * seconds, 2 * iterations
 
 
 def problem_of(request: Request, ends: Endpoints, margin: float, check_step: float) -> SceneProblem:
-    """Return where to search: with a margin [m], or with less if the ends have less than twice that."""
+    """Return the problem to search; the margin is lowered to half the clearance of the ends if that is less.
+
+    Args:
+        request: The request.
+        ends: Both ends.
+        margin: Clearance to keep [m].
+        check_step: Step of edge checks [rad].
+    """
     return SceneProblem(
         kernels=request.constraints.kernels,
         start=ends.departure.q[-1],

@@ -1,9 +1,8 @@
-"""When to go and which way, if somebody moves: candidates of a search are timed, and the best by its times is taken.
+"""Choice of path and departure time among moving entities.
 
-A search knows no times. So it looks for paths as if nobody moved, and from the best of these local moves look for paths
-of less J where moving entities are anywhere along their predicted paths. What was found by both is timed, each with
-several times of departure, and the path and departure of least J at these times are taken: what lies between these, or
-beyond, is not considered.
+A search has no times, so it ignores moving entities. Local moves then improve its best path by a J in which each
+entity may be anywhere along its predicted path. Paths of both stages are timed with several departure times, and the
+pair of path and departure time with the least J is selected. Other paths and departure times are not considered.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 WAIT_STEP = 0.25
-"""Times of departure that are tried are so far apart [s], or farther if that would be more than `MOST_WAITS`."""
+"""Step between candidate departure times [s]; larger if there would be more than `MOST_WAITS` steps."""
 MOST_WAITS = 16
 WORTH = 0.01
-"""A wait has to lower J by more than this share of it for all that a shorter one does."""
-_PIECES = 60  # of a coarse trajectory
+"""Share of J by which a longer wait has to be better than a shorter one."""
+_PIECES = 60  # samples of the coarse trajectory that waits are compared on
 _STILL = 0.6
-"""Share of the budget for the search as if nobody moved."""
+"""Share of the budget for the search without moving entities."""
 
 
 def waits(max_wait: float) -> Float[Array, " wait"]:
@@ -52,11 +51,11 @@ def waits(max_wait: float) -> Float[Array, " wait"]:
 def best_departure(
     trajectory: Trajectory, objective: SceneObjective, max_wait: float = 0.0
 ) -> tuple[Trajectory, CostBreakdown]:
-    """Return a trajectory with the wait at its start that pays, and its cost at its times.
+    """Return a trajectory with the best wait at its start, and its cost.
 
     Args:
-        trajectory: Without a wait.
-        objective: In a scene where something moves.
+        trajectory: Trajectory without a wait.
+        objective: Objective in a scene with moving entities.
         max_wait: Longest wait [s].
     """
     wait = _best_wait(trajectory, objective, max_wait)[0] if max_wait > 0.0 else 0.0
@@ -65,7 +64,7 @@ def best_departure(
 
 
 def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: float) -> tuple[float, float]:
-    """Return the wait that pays [s], and J after it but for the motion, which no wait changes."""
+    """Return the best wait [s], and w S with this wait; the motion cost does not depend on the wait."""
     tried = waits(max_wait)
     trajectory = trajectory.sample(max(trajectory.duration / _PIECES, 1e-3))
     charged, impact, w = objective.charged_states(trajectory), objective.objective.impact, objective.w
@@ -73,7 +72,7 @@ def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: floa
     totals = [
         w * float(charged.weight @ checked_state(impact, charged.batch.at(charged.batch.time + t))) for t in tried
     ]
-    if objective.objective.exposure == "time" and len(tried) > 1:  # failures while it waits
+    if objective.objective.exposure == "time" and len(tried) > 1:  # failures during the wait
         start = np.repeat(trajectory.q[:1], len(tried), axis=0)
         rest = checked_state(impact, StateBatch(objective.scene, start, time=trajectory.t[0] + tried))
         totals = totals + w * np.append(0.0, np.cumsum(0.5 * (rest[1:] + rest[:-1]) * np.diff(tried)))
@@ -85,9 +84,9 @@ def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: floa
 def search_among_moving(
     request: Request, problem: SceneProblem, ends: Endpoints, budget: Budget, rng: np.random.Generator
 ) -> Search:
-    """Search as if nobody moved, improve what was found by J among moving entities, and order by J at its times.
+    """Search without moving entities, improve the best path by J with them, and order the paths by their timed J.
 
-    The trace is of the search as if nobody moved. The best path is at the end.
+    The best path is the last one. The trace is that of the search without moving entities.
     """
     planner, objective = request.planner, request.objective
     still, among_still = without_moving(request, problem)
@@ -104,7 +103,7 @@ def search_among_moving(
 
 
 def without_moving(request: Request, problem: SceneProblem) -> tuple[SceneObjective, SceneProblem]:
-    """Return objective and problem of a search in the scene without moving entities: a search knows no times."""
+    """Return objective and problem in the scene without its moving entities, since a search has no times."""
     still = still_objective(request.objective)
     held = request.constraints.on(still.scene)
     return still, replace(problem, kernels=held.kernels, constraints=held)
@@ -112,7 +111,7 @@ def without_moving(request: Request, problem: SceneProblem) -> tuple[SceneObject
 
 @dataclass(frozen=True)
 class _Choice:
-    """By what paths are compared: J at the departure that pays, on a coarse trajectory."""
+    """Compares paths by J at their best departure time, on a coarse trajectory."""
 
     ends: Endpoints
     objective: SceneObjective
@@ -120,12 +119,12 @@ class _Choice:
     max_wait: float
 
     def ordered(self, paths: Sequence[Path], still: int, deadline: float) -> list[Path]:
-        """Return some improvements in the order of J, the best at the end; not all of them if time is short.
+        """Return a subsample of the paths by descending J, the best at the end; fewer of them if time is short.
 
         Args:
-            paths: In the order in which they were found.
-            still: Index of the best as if nobody moved.
-            deadline: Clock reading after which no more are looked at [s].
+            paths: Paths in the order in which they were found.
+            still: Index of the best path without moving entities.
+            deadline: Clock reading after which only two paths are evaluated [s].
         """
         order = thinned(len(paths))
         if order:

@@ -1,4 +1,4 @@
-"""Descents for a request: the objective and clearance that motions descend along, and where paths begin and end."""
+"""Descents for a request: their objective, clearance and starts."""
 
 from __future__ import annotations
 
@@ -22,32 +22,37 @@ from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.scene import Scene
 
 STRAY_CLEARANCE = 0.005
-"""Distance that descents keep from obstacles where there is room for it [m]: a healthy robot and the object in its
-fingers stray from the path by up to 6 mm (FailBench's Panda at half of its speed, six tasks), and with 3 mm a chart
-grazed a cabinet. Where a vessel is kept level it is no margin, which would tighten its tilt, too: J of a watering can
-rose by a third."""
+"""Clearance that descents keep from obstacles where the scene allows it [m].
+
+A healthy robot and the object in its fingers deviate from the path by up to 6 mm (FailBench's Panda at half speed, six
+tasks); with 3 mm, a held chart grazed a cabinet. Where a vessel has to stay level, this clearance is not part of the
+margin, since a margin tightens the tilt limit, too: J of a watering can rose by a third."""
 _HAND_STRAYS = 0.002
-"""How far the hand strays from the path [m]; 1 to 2.5 mm with a tray of 1.3 kg, FailBench's Panda at full speed."""
+"""Deviation of the hand from the path [m]; 1 to 2.5 mm with a tray of 1.3 kg, FailBench's Panda at full speed."""
 _TURNS = 0.035
-"""How far a held object turns in the fingers below what friction carries [rad]: 1 to 2 degrees, same tray. What it
-holds by a handle moves at its rim by as much as that, 4 to 6 mm, and with 5 mm it grazed a lamp in 5 of 16 motions."""
+"""Rotation of a held object in the fingers before it slips [rad]: 1 to 2 degrees for the same tray.
+
+The rim of an object held by its handle then moves by 4 to 6 mm; with a clearance of 5 mm, it grazed a lamp in 5 of 16
+motions."""
 _NEARLY = 0.8
-"""Share of that clearance below which a descent is repeated with a heavier penalty."""
+"""Share of the clearance below which a descent is repeated with a heavier penalty."""
 SHORTENING = DescentSettings(screens=False, bends=0, fine=1, hurries=True)
-"""Where the shortest motion is the best one: in each homotopy class a descent from one path ends within a percent of
-it, and each search that begins anew may find another class."""
+"""Settings if the shortest motion is the best one.
+
+A descent from one path ends within a percent of the shortest motion of its homotopy class, and a new search may find
+another class."""
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _LEAST_TIGHT = 0.15
-"""Least length at a tight end along which the spheres do not count [rad]."""
+"""Least length at a tight end along which the sphere model is not checked [rad]."""
 
 
 def motion_descents(request: Request, problem: SceneProblem, settings: DescentSettings) -> MotionDescents | None:
-    """Return descents for a request; None if its objective has no gradient.
+    """Return the descents for a request; None if its objective has no gradient.
 
     Args:
-        request: What to descend for.
-        problem: Where its paths were searched.
-        settings: Work of a round.
+        request: The request.
+        problem: The problem that was searched for paths.
+        settings: Amount of work in a round.
     """
     objective = request.objective.descended()
     if objective is None:
@@ -64,7 +69,7 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
         return replace(problem, margin=_NEARLY * margin, kernels=request.constraints.with_room(_NEARLY * room))
 
     return MotionDescents(
-        # Which departure pays is only known of motions that are timed.
+        # The best departure time is known only for timed motions.
         space=native_space(keeping, objective, timed=request.max_wait == 0.0 or objective.kernel is None),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
@@ -80,7 +85,10 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
 
 @per_layout
 def stray(scene: Scene) -> float:
-    """Return how far a healthy robot, or what it holds, strays from its path [m]: what is held turns in the fingers."""
+    """Return the deviation of a healthy robot and its carried object from the path [m].
+
+    A carried object adds the rotation in the fingers, times its largest distance from the tool.
+    """
     if scene.carried is None:
         return STRAY_CLEARANCE
     compiled = compile_scene(scene)
@@ -93,7 +101,7 @@ def stray(scene: Scene) -> float:
 
 
 def start_of(path: Path, ends: Endpoints) -> Start:
-    """Return a path of a search as a start of descents, from the real start to a real goal."""
+    """Return a path of a search as a start of descents, extended to the real start and a real goal."""
     whole, arrival = ends.joined(path)
     return start_along(whole, arrival, ends)
 
@@ -104,7 +112,7 @@ def start_along(whole: Path, arrival: int, ends: Endpoints) -> Start:
 
 
 def _keeps(problem: Callable[[], SceneProblem]) -> Callable[[SmoothCurve, Start], bool]:
-    """Return whether curves keep what a problem asks for, but for tight ends; it is made once it is needed."""
+    """Return a test whether curves are free in a problem, apart from their tight ends; the problem is built lazily."""
     made = cache(problem)
 
     def is_free(curve: SmoothCurve, start: Start) -> bool:
@@ -119,10 +127,10 @@ def _keeps(problem: Callable[[], SceneProblem]) -> Callable[[SmoothCurve, Start]
 
 
 def _affordable(settings: DescentSettings, objective: SceneObjective) -> DescentSettings:
-    """Spare evaluations where Python computes the cost of states."""
+    """Return settings with fewer evaluations if the cost of states is computed in Python."""
     return replace(settings, middle=LONG) if objective.kernel is None else settings
 
 
 def _tight(way: Path) -> float:
-    """Return the length at an end along which the spheres may be too close [rad]; the judge checks it exactly."""
+    """Return the length at an end along which the sphere model may collide [rad]; the judge checks it exactly."""
     return max(_LEAST_TIGHT, 3.0 * way.length) if way.length > 0.0 else 0.0

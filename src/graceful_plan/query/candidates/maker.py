@@ -1,4 +1,4 @@
-"""The contract of what makes motions for a request, from one problem."""
+"""Interface of objects that make motions for a request."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from graceful_plan.query.candidates.search import Search
 
 @runtime_checkable
 class MotionMaker(Protocol):
-    """Makes motions, each timed and with its cost, none of them verified."""
+    """Makes motions for one problem; motions are timed and have a cost, but are not verified."""
 
     @property
     def path_cost(self) -> float:
-        """Least cost of a path of a search, as the search estimates it."""
+        """Least estimated cost of a path that the searches have found."""
         ...
 
     @property
     def restarts(self) -> bool:
-        """Whether there are rounds, each longer than the one before; else there is one."""
+        """Whether there are rounds of doubling length, each with a new search; if False, there is one round."""
         ...
 
     @property
@@ -30,17 +30,17 @@ class MotionMaker(Protocol):
         ...
 
     def search_first(self, budget: Budget) -> Search:
-        """Search until there is a path; return the search."""
+        """Search until there is a path; return the result of the search."""
         ...
 
     def first(self, budget: Budget) -> Iterator[Motion]:
         """Yield motions near the first path.
 
         Raises:
-            RetimingError: If the path has no timing.
+            RetimingError: If the path cannot be timed.
         """
         ...
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
-        """Yield motions of one round, those that are ranked before the best one known."""
+        """Yield motions of one round that are ranked before the best-known one, whose ranking is `best`."""
         ...

@@ -1,7 +1,7 @@
-"""Motions from paths: a search finds paths, curves descend from them, and these are timed.
+"""Motions from paths: a search finds paths, descents turn them into smooth curves, and these are timed.
 
-Each round searches from scratch, since a search stays in one homotopy class, and which class has the best motion shows
-only once its paths are smooth and timed.
+A search stays in one homotopy class. Only smooth timed motions show which class is the best, so each round begins a
+new search.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 
 _SEARCH_SHARE = 0.15
-"""Of a round, for searching paths; the rest is for descents from them."""
+"""Share of a round for the search; the rest is for descents from its paths."""
 _SPECIAL_SEARCH_SHARE = 0.7
-"""The same of searches that rank their paths by a risk measure or by times of departure, which descents do not know."""
+"""Share of a round for searches that rank paths by a risk measure or departure time, which descents cannot do."""
 _RELATED_SHARE, _RELATED_ALONE_SHARE = 0.65, 0.1
-"""Of a round, for motions of a related objective; the latter where the full one has no descents."""
+"""Share of a round for motions of a related objective; the second one if the full objective has no descents."""
 _RELATED_KEPT = 2
-"""Motions of a related objective that descend along the full one."""
+"""Motions of a related objective that serve as starts of descents along the full one."""
 _STARTS = 5
-"""Paths of a search that descents begin with."""
+"""Paths of a search that serve as starts of descents."""
 _WORTH_TIMING = 1.1
-"""Ratio of a curve's J to that of the best up to which it is timed; descents misjudge durations by some percent."""
+"""Largest ratio of a curve's estimated J to the best J at which it is timed; estimates are off by some percent."""
 _FIRST_DESCENT = 0.01
 """Time limit of the first descent of a cancelled call [s]."""
 
 
 @final
 class MotionSource:
-    """Makes motions for a request, each timed and with its cost, none of them verified.
+    """Makes motions for a request; motions are timed and have a cost, but are not verified.
 
     Args:
-        request: What to plan.
+        request: The request.
         ends: Both ends.
-        problem: Where to search.
-        rng: Chance.
-        tell: Called with improvements of a search whose paths are not refined; returns whether to end it.
+        problem: Problem to search.
+        rng: Random numbers.
+        tell: Called with improvements of a search whose paths are not refined; returns whether to end the search.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class MotionSource:
         self._first = PausedSearch(request.planner, problem, request.objective, rng.spawn(1)[0])
         self._continues, self._tell = True, tell
         self.path_cost = np.inf
-        """Least cost of a path of a search, as the search estimates it."""
+        """Least estimated cost of a path that the searches have found."""
         self._shortens = self.restarts and request.only_length
         settings = SHORTENING if self._shortens else DescentSettings()
         self._descents = motion_descents(request, problem, settings) if request.refine else None
@@ -75,7 +75,7 @@ class MotionSource:
 
     @property
     def restarts(self) -> bool:
-        """Whether each round searches from scratch; else there is one search."""
+        """Whether each round begins a new search; if False, there is one search."""
         request = self._request
         default = isinstance(request.planner, Auto) and request.planner.initial is None
         return default and request.refine and request.preference is None and not request.objective.scene.moving
@@ -87,17 +87,17 @@ class MotionSource:
         return own + (0 if self._related is None else self._related.effort)
 
     def search_first(self, budget: Budget) -> Search:
-        """Search until there is a path; return the search."""
+        """Search until there is a path; return the result of the search."""
         if self._related is not None:
             return self._related.search_first(budget)
         self._first.advance(budget, to_first=True)
         return self._first.found
 
     def first(self, budget: Budget) -> Iterator[Motion]:
-        """Yield motions near the first path: a smooth one, then those along the path itself.
+        """Yield motions near the first path: a smooth one, then motions along the path itself.
 
         Raises:
-            RetimingError: If the path has no timing.
+            RetimingError: If the path cannot be timed.
         """
         if self._related is not None:
             yield from (costed_anew(motion, self._request) for motion in self._related.first(budget))
@@ -113,7 +113,7 @@ class MotionSource:
         yield from along(path, self._request, self._ends)
 
     def round(self, budget: Budget, best: float) -> Iterator[Motion]:
-        """Yield motions of one round; of those that descend, the ones that are ranked before the best one known."""
+        """Yield motions of one round; motions from descents only if ranked before the best-known one."""
         starts: list[Start] = []
         if self._related is not None:
             share = _RELATED_SHARE if self._descents is not None else _RELATED_ALONE_SHARE
@@ -153,7 +153,7 @@ class MotionSource:
                 continue
 
     def _search(self, budget: Budget, initial: Path | None) -> Search:
-        """Search for paths in a share of the budget, beginning with an initial path if there is one."""
+        """Search for paths in a share of the budget, from an initial path if one is given."""
         request, problem, planner = self._request, self._problem, self._request.planner
         if request.preference is not None or request.objective.scene.moving:
             with budget.share(_SPECIAL_SEARCH_SHARE * budget.remaining_seconds) as part:
@@ -163,7 +163,7 @@ class MotionSource:
         run = self._first
         if self._continues and self._shortens and budget.timed:
             self._continues = False
-            return run.found  # a descent shortens the first path faster than the search does
+            return run.found  # a descent shortens the first path faster than the search would
         if not self._continues or initial is not None:
             if initial is not None and isinstance(planner, Auto) and planner.initial is None:
                 planner = replace(planner, initial=initial)
@@ -176,7 +176,7 @@ class MotionSource:
 
 
 def _spread(paths: list[Path]) -> list[Path]:
-    """Return some of the improvements of a search, the last ones most densely, and the first."""
+    """Return a subsample of the improvements of a search: the first, and increasingly dense towards the last."""
     if not paths:
         return []
     chosen = [*thinned(len(paths))[: _STARTS - 1], 0]

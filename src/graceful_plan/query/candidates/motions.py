@@ -1,4 +1,4 @@
-"""Timed motions: a curve or a polyline becomes a trajectory, and its cost is that of the motion as it is executed."""
+"""Timed motions from curves and polylines. Costs are evaluated on the timed motion."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
-"""How far a motion may cut a corner of a polyline [rad], from fast to exact; with 0 it stops at the corner."""
+"""Distances by which a motion may cut a corner of a polyline [rad], from fast to exact; with 0 it stops there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """A timed motion that is not verified yet."""
+    """A timed motion, not yet verified."""
 
     path: Path
     trajectory: Trajectory
     cost: CostBreakdown
     arrival: int
-    """Which of the ways to a goal it takes; see `Endpoints`."""
+    """Index of the arrival, see `Endpoints`."""
     ranking: float
-    """Cost that motions are compared by."""
+    """Cost for comparing motions: the total cost by the risk measure, plus `price_of_time` times the duration."""
     estimate: float | None = None
-    """Total cost at the end of the descent that it comes from, if any."""
+    """Estimated total cost at the end of its descent; None if it comes from a polyline."""
 
 
 def timed_curve(found: DescentResult, request: Request) -> Motion | None:
-    """Time the curve of a descent; None if no timing keeps the constraints."""
+    """Time the curve of a descent; return None if no timing satisfies the constraints."""
     try:
         trajectory = request.constraints.timed(found.curve, speed=request.speed)
     except RetimingError:
@@ -51,10 +51,12 @@ def timed_curve(found: DescentResult, request: Request) -> Motion | None:
 
 
 def along(path: Path, request: Request, ends: Endpoints) -> Iterator[Motion]:
-    """Yield motions along a polyline that cut its corners less and less, at first as far as the fast checker allows.
+    """Yield motions along a polyline that cut its corners less and less.
+
+    The first one cuts each corner as far as the fast checker finds it free.
 
     Raises:
-        RetimingError: If even the last of them has no timing.
+        RetimingError: If even the polyline itself cannot be timed.
     """
     whole, arrival = ends.joined(path)
     clear = ends.in_the_clear(arrival)
@@ -68,7 +70,7 @@ def along(path: Path, request: Request, ends: Endpoints) -> Iterator[Motion]:
 
 
 def costed(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
-    """Return a motion with its cost; where something moves, the motion waits for the best moment to start."""
+    """Return a motion with its cost; among moving entities it departs at the best time."""
     objective = request.objective
     if objective.scene.moving:
         trajectory, cost = best_departure(trajectory, objective, request.max_wait)
@@ -80,25 +82,25 @@ def costed(whole: Path, trajectory: Trajectory, arrival: int, request: Request) 
 
 
 def costed_anew(motion: Motion, request: Request) -> Motion:
-    """Return the same motion with its cost by another request."""
+    """Return the motion with its cost under another request."""
     return costed(motion.path, motion.trajectory, motion.arrival, request)
 
 
 def price_of_time(request: Request) -> float:
-    """Return the cost of a second of motion when motions are compared [rad/s]."""
+    """Return the cost per second of motion in rankings [rad/s]."""
     if request.objective.scene.base is not None:
         return DRIVING_TIME_PRICE
     return time_price(careful=request.constraints.level)
 
 
 def _rounded(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
-    """Time a polyline with its corners cut by a deviation [rad]."""
+    """Time a polyline with its corners cut by up to `deviation` [rad]."""
     trajectory = request.constraints.retimed(whole, deviation=deviation, speed=request.speed)
     return costed(whole, trajectory, arrival, request)
 
 
 def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
-    """Return the deviation by which each corner can be cut while the fast checker finds it free [rad]."""
+    """Return for each corner the largest of `DEVIATIONS` at which the fast checker finds it free [rad]."""
     q = merge_near_vertices(whole)
     chosen = np.full(max(0, len(q) - 2), DEVIATIONS[0])
     kernels = request.constraints.kernels

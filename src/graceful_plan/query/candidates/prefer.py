@@ -1,16 +1,15 @@
-r"""Choosing and refining paths by a risk measure that does not add up along a path.
+r"""Selection and refinement of paths by a risk measure that is not additive along a path.
 
-Search minimises J = V + w S, where S = T E[impact] is exposure (T: time, or whatever the objective integrates over)
-times the mean impact of a failure. With another measure rho of the distribution of impact (`risk`), paths are preferred
+The search minimises J = V + w S, where S = T E[impact] is exposure (T: time, or whatever the objective integrates over)
+times the mean impact of a failure. With another measure rho of the distribution of impact (`risk`), paths are compared
 by
 
 .. math:: J_\rho = V + w\, T\, \rho(\mathrm{impact} \mid \mathrm{failure})
 
-which for rho = E is J. It has no optimal substructure: whether a detour pays depends on all
-of the rest of the path, so tree searches with it are wrong. Therefore it decides only at the end: of the improvements
-that a search by J came across, the one of least J_rho is taken and refined by local moves that lower J_rho. What is
-far from all of these paths is not found, even if it were better by J_rho. The path returned may be worse by J than
-the best one found.
+which for rho = E is J. It has no optimal substructure: whether a detour pays depends on the whole rest of the path, so
+a tree search must not minimise it. It is used only at the end: among the improvements of a search by J, the path of
+least J_rho is selected and refined by local moves that lower J_rho. Paths far from all improvements are not found, even
+if their J_rho is lower. The returned path may have a higher J than the best path by J.
 
 References:
     O. Salzman, B. Hou, S. Srinivasa, "Efficient motion planning for problems lacking optimal substructure", ICAPS
@@ -40,25 +39,25 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _SEARCH = 0.8
-"""Share of the time for searching; the rest is for refinement."""
+"""Share of the time for the search; the rest is for refinement."""
 _STEP = 4.0 * COST_STEP
 """Largest distance between samples during refinement [rad]."""
 _ROUNDS = 100
 """Most rounds of refinement, each with one move."""
 _PATIENCE = 24
-"""Refinement ends after so many rounds without success."""
+"""Rounds without an improvement after which refinement ends."""
 _PROPOSALS = 12
 """Replacements proposed in a round."""
 _LEAST_REACH = 0.05
 """Length of the shortest stretch that is replaced, as a fraction of the path."""
 _SUMS = 96
-"""Values of impact that distributions are put on for refinement."""
+"""Grid size of impact distributions during refinement."""
 _GAIN = 1e-6
-"""Relative fall of J_rho that is an improvement."""
+"""Relative decrease of J_rho that counts as an improvement."""
 
 
 class EdgeRisk(NamedTuple):
-    """What edges add to a path: all but the measure is additive."""
+    """Contributions of edges to a path. All three are additive; only the risk measure is not."""
 
     motion: Float[Array, " n"]
     exposure: Float[Array, " n"]
@@ -70,8 +69,8 @@ class Preference:
     """A risk measure in a scene.
 
     Args:
-        measure: What of the distribution of impact counts.
-        objective: What is searched for.
+        measure: Risk measure of the distribution of impact.
+        objective: Objective of the search.
 
     Raises:
         SettingError: If the objective's impact has no interaction model.
@@ -82,7 +81,7 @@ class Preference:
         self.law = HarmLaw(objective.objective.impact, objective.scene, most_sums=_SUMS)
 
     def total(self, motion: Path | Trajectory) -> float:
-        """J_rho of a path, or of a trajectory at its times."""
+        """J_rho of a path, or of a trajectory with its actual times."""
         if isinstance(motion, Trajectory) and self.objective.objective.exposure == "time":
             charged = self.objective.charged_states(motion)
             mass = charged.weight @ self.law.states(charged.batch)
@@ -112,7 +111,7 @@ class Preference:
         budget: Budget,
         rng: np.random.Generator,
     ) -> Search:
-        """Search by J, then order and refine what was found by J_rho; the best is at the end."""
+        """Search by J, then order the improvements by J_rho and refine the best one; the refined path is the last."""
         with budget.share(_SEARCH * budget.remaining_seconds) as part:
             found = search(planner, problem, self.objective, part, rng, kept=ALL)
         if found.paths and self.objective.w > 0.0:
@@ -122,7 +121,7 @@ class Preference:
         return found
 
     def refined(self, path: Path, problem: SceneProblem, budget: Budget, rng: np.random.Generator) -> Path:
-        """Improve a path by local moves, until time is up or nothing helps; it needs no planner iterations."""
+        """Improve a path by local moves, until the time is over or moves no longer help; uses no planner iterations."""
         if len(path.without_duplicates()) < 2:
             return path
         line = _Refined(path, self)
@@ -138,15 +137,15 @@ class Preference:
     def totals(
         self, motion: Float[Array, " n"], exposure: Float[Array, " n"], mass: Float[Array, "n atom"]
     ) -> Float[Array, " n"]:
-        """J_rho of paths whose edges add up to this; see `EdgeRisk`."""
-        mass = np.maximum(mass, 0.0)  # differences of sums may be below by rounding
+        """J_rho of paths from the sums over their edges; see `EdgeRisk`."""
+        mass = np.maximum(mass, 0.0)  # differences of sums may be negative by rounding
         share = mass.sum(axis=1)
         worth = self.measure.of(self.law.value, mass / np.where(share > 0.0, share, 1.0)[:, None])
         return motion + self.objective.w * exposure * worth
 
 
 class _Refined:
-    """A path under refinement, with what its edges add up to."""
+    """A path under refinement, with cumulative sums over its edges."""
 
     def __init__(self, path: Path, preference: Preference) -> None:
         self.preference = preference
@@ -159,7 +158,7 @@ class _Refined:
         self.total = float(self.preference.totals(*(total[-1:] for total in self.sums))[0])
 
     def take_best(self, proposals: list[Replacement], problem: SceneProblem) -> bool:
-        """Apply the free replacement that lowers J_rho most; return whether there is one."""
+        """Apply the free replacement that lowers J_rho most; return False if there is none."""
         proposals = [p for p in proposals if np.all((p.q >= problem.lower) & (p.q <= problem.upper))]
         if not proposals:
             return False

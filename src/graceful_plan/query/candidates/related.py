@@ -1,7 +1,8 @@
-"""A related objective that is much cheaper to plan for: its motions are where descents along the full one begin.
+"""A related objective that is much cheaper to evaluate; its motions are starts of descents along the full objective.
 
-Where failing arms count, or the energy of hits, a state costs many times what a drop does, so that a search in the same
-time sees little. A plan for drops alone is often better by the full objective than the result of that search.
+With arm failures or impact energies in the objective, a state takes many times longer to evaluate than with drops
+alone, so a search explores little in the same time. A plan for drops alone often has a lower full cost than the result
+of that search.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from graceful_plan.costs.objective import Objective, SceneObjective
 
 
 def related_objective(objective: SceneObjective) -> SceneObjective | None:
-    """Return an objective that is related and much cheaper to plan for; None if this one is cheap.
+    """Return a related objective that is much cheaper to evaluate; None if this one is cheap itself.
 
-    Of a mixture with failing arms and of damage by energy it is the contacts of drops; of a custom cost, the length.
+    It is the contacts of drops for a mixture with arm failures or for damage by energy, and the length for a custom
+    cost.
     """
     impact = objective.objective.impact
     if objective.w == 0.0 or not objective.motion_is_length:

@@ -16,11 +16,11 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.result import TracePoint
 
 KEPT = 3
-"""Improvements that are kept for the judge to choose from."""
+"""Default number of improvements to keep."""
 ALL = 10_000
-"""Keeps them all, to choose by something other than what was searched for."""
+"""Practically all improvements, for a later selection by another criterion."""
 _SAME = 1e-9
-"""Largest difference between two configurations that are the same [rad or m]."""
+"""Largest difference between two equal configurations [rad or m]."""
 
 Callback = Callable[[TracePoint], bool | None]
 """Called at every improvement; returning True ends the search."""
@@ -28,13 +28,13 @@ Callback = Callable[[TracePoint], bool | None]
 
 @dataclass
 class Search:
-    """The paths of a search and how they improved."""
+    """Result of a search: its paths and their costs over time."""
 
     paths: list[Path] = field(default_factory=list)
-    """The last improvements, the best at the end."""
+    """The latest improvements, the best at the end."""
     trace: list[TracePoint] = field(default_factory=list)
     refused: int = 0
-    """Paths that do not lead from the start to a goal, or touch something between two checked configurations."""
+    """Number of paths that do not lead from the start to a goal, or that collide at a finer step of edge checks."""
     stopped: bool = False
     """Whether the callback ended the search."""
 
@@ -44,11 +44,11 @@ class PausedSearch:
     """A run of a planner that can be continued.
 
     Args:
-        planner: What searches.
-        problem: Where.
+        planner: The planner.
+        problem: Problem to search.
         objective: Cost of a path.
-        rng: Chance of the planner.
-        kept: How many of the last improvements are kept.
+        rng: Random numbers of the planner.
+        kept: Number of latest improvements to keep.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class PausedSearch:
         self._paths = planner.solve(problem, objective, self._budget, rng)
 
     def advance(self, budget: Budget, callback: Callback | None = None, *, to_first: bool = False) -> None:
-        """Continue until the budget or the planner ends, or the callback says so; or until there is a path."""
+        """Continue until the budget or the planner ends or the callback returns True; with `to_first`, until a path."""
         mine, spent = self._budget, self._budget.spent
         mine.started, mine.time_limit, mine.cancelled = budget.started, budget.time_limit, budget.cancelled
         mine.iterations = None if budget.iterations is None else spent + int(budget.remaining_iterations)
@@ -80,7 +80,7 @@ class PausedSearch:
             budget.spent += mine.spent - spent
 
     def _kept_point(self, path: Path) -> TracePoint | None:
-        """Keep a path if it is an improvement; return its cost then."""
+        """Keep a path if it is an improvement; return its cost, or None if it is not."""
         found = self.found
         if not is_solution(path, self._problem):
             found.refused += 1
@@ -104,9 +104,9 @@ def search(
     kept: int = KEPT,
     share: float = 1.0,
 ) -> Search:
-    """Let the planner work until the budget ends, it stops, or the callback says so; keep the last improvements.
+    """Run the planner until the budget or the planner ends or the callback returns True; keep the latest improvements.
 
-    Once there is a path, the search takes no more than a share of the time.
+    Once there is a path, the search ends after the fraction `share` of the remaining time.
     """
     run = PausedSearch(planner, problem, objective, rng, kept)
     enough = budget.elapsed + share * budget.remaining_seconds
@@ -122,16 +122,16 @@ def _traced(path: Path, objective: SceneObjective, budget: Budget) -> TracePoint
 
 
 def thinned(n: int) -> list[int]:
-    """Indices of improvements that stand for all n of them, the last one first: it, and those 1, 2, 4, 8, ... before.
+    """Return a subsample of the indices of n improvements, latest first: the last one and those 1, 2, 4, 8, ... before.
 
-    Improvements come ever closer to each other, so that few of the late ones and fewer of the early ones will do.
+    Late improvements have lower costs than early ones, so they are sampled more densely.
     """
     ages = [0, *(2**k for k in range(n.bit_length()))]
     return [n - 1 - age for age in ages if age < n]
 
 
 def is_solution(path: Path, problem: SceneProblem) -> bool:
-    """Check a planner's word: from the start to one of the goals, on edges that are free at a fine step."""
+    """Check that a planner's path leads from the start to a goal, on edges that are free at a fine step."""
     ends = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
     if max(ends) > _SAME:
         return False

@@ -1,1 +1,1 @@
-"""Motions that are asked for in the tool's space."""
+"""Motions that are specified in the tool's space."""

@@ -1,8 +1,8 @@
-"""Configurations along a straight motion of the tool: differential inverse kinematics, several arms' ways at once.
+"""Configurations along a straight motion of the tool, by differential inverse kinematics of several candidates at once.
 
-An arm with more joints than the line asks for may follow it in many ways. Each candidate has a wish, a configuration
-towards which its joints drift as far as the line leaves them free to: the first has none and moves its joints as
-little as it can, the others spread out over what is possible.
+A redundant arm may follow the line in many ways. Each candidate has an attractor, a configuration towards which its
+joints drift in the null space of the line. The first candidate has none and moves its joints as little as possible; the
+attractors of the others are random.
 """
 
 from __future__ import annotations
@@ -22,30 +22,31 @@ Array = np.ndarray
 _STEP = (0.01, np.deg2rad(2.0))
 """Largest step of the tool along the line [m, rad]."""
 _FEWEST = 8
-"""Steps at least."""
+"""Least number of steps."""
 _MOST = 2000
-"""Steps at most, before they are made finer: 20 m, beyond any arm."""
+"""Largest number of steps before refinement: 20 m, beyond the reach of any arm."""
 _EXACT = 1e-8
-"""What may be missing to a pose after a step [m and rad]."""
+"""Largest remaining error of a pose after a step [m and rad]."""
 _ITERATIONS = 6
-"""Of Newton's method for a step; three do where nothing is in the way."""
+"""Newton iterations for a step; three are enough away from limits."""
 _JUMP = 0.25
-"""Largest step of a joint for a step of the tool [rad or m]: 25 rad for a metre, beyond any arm in reach of a pose."""
+"""Largest step of a joint for a step of the tool [rad or m]: 25 rad per metre, more than an arm needs except near a
+singularity."""
 _RESERVE = 1e-4
 """Distance that joints keep from their limits [rad or m], so that a curve between two steps does not exceed them."""
 _PULLS = (0.3, 1.0, 3.0)
-"""How strongly joints drift towards what they wish for; it decays by the exponential of that over a line."""
+"""Gains of the drift towards the attractors: over a line, the distance decays by the exponential of the gain."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """How candidates follow a line.
+    """Candidates that follow a line.
 
-    | field  | meaning                                                     | unit     | shape              |
-    |--------|-------------------------------------------------------------|----------|--------------------|
-    | q      | configurations at even shares of the line, as far as any went | rad or m | candidate point nq |
-    | share  | how far along the line that is                              |          |                    |
-    | why    | what stopped all of them; empty if they went all the way    |          |                    |
+    | field  | meaning                                                       | unit     | shape              |
+    |--------|---------------------------------------------------------------|----------|--------------------|
+    | q      | configurations, evenly spaced along the line up to `share`    | rad or m | candidate point nq |
+    | share  | fraction of the line that the farthest candidate has followed |          |                    |
+    | why    | reason why no candidate could go on; empty at the end         |          |                    |
     """
 
     q: Float[Array, "candidate point nq"]
@@ -55,13 +56,13 @@ class Followed:
 
 @dataclass(frozen=True, eq=False)
 class Follower:
-    """Moves arms along one line.
+    """Follows one line with an arm.
 
     Args:
-        scene: Robot and limits.
-        kernels: Those of the scene.
-        line: What the tool is to do.
-        start: Configuration that the line begins at.
+        scene: Scene with robot and limits.
+        kernels: Kernels of the scene.
+        line: Line of the tool.
+        start: Configuration at the start of the line.
     """
 
     scene: Scene
@@ -71,12 +72,12 @@ class Follower:
 
     @property
     def limits(self) -> tuple[Float[Array, " nq"], Float[Array, " nq"]]:
-        """Lower and upper limits to keep, those of the scene less a reserve where the start has it."""
+        """Lower and upper joint limits, tightened by `_RESERVE` except where the start is closer to a limit."""
         lower, upper = self.scene.limits.position.T
         return np.minimum(lower + _RESERVE, self.start), np.maximum(upper - _RESERVE, self.start)
 
     def _wishes(self, n: int, rng: np.random.Generator) -> tuple[Float[Array, "n nq"], Float[Array, " n"]]:
-        """Return what candidates wish for, and how strongly: nothing, the middle of the limits, then anything."""
+        """Return attractors and gains: none for the first candidate, the middle of the limits, then random ones."""
         wishes, pulls = self._drawn(n, rng)
         pulls[0] = 0.0
         wishes[1:2], pulls[1:2] = 0.5 * sum(self.limits), 1.0
@@ -86,15 +87,16 @@ class Follower:
         return rng.uniform(*self.limits, size=(n, len(self.start))), rng.choice(_PULLS, n)
 
     def follow(self, n: int, rng: np.random.Generator, finer: int = 1) -> Followed:
-        """Go along the line step by step with n candidates.
+        """Follow the line step by step with n candidates.
 
-        One that cannot go on, or collides by the fast checker while another does not, begins anew where another is,
-        with another wish: so few candidates find where the arm has to lean early on to get through later.
+        A candidate is replaced by a copy of another one with a new attractor if it cannot go on, or if it collides by
+        the fast checker while another candidate does not. This resampling lets few candidates find postures that are
+        needed only later on the line.
 
         Args:
-            n: How many.
-            rng: Where wishes come from.
-            finer: Divides the steps.
+            n: Number of candidates.
+            rng: Random numbers for attractors.
+            finer: Number of parts to divide each step into.
         """
         steps = finer * self._steps()
         q = np.repeat(np.repeat(self.start[None, None], steps + 1, axis=1), n, axis=0)
@@ -119,7 +121,7 @@ class Follower:
         return Followed(q=q, share=1.0, why="")
 
     def onto_line(self, q: Float[Array, "n nq"], share: Float[Array, " n"]) -> Float[Array, "n nq"] | None:
-        """Move configurations that are near to the line onto it, at these shares; None if that fails."""
+        """Move configurations near the line onto it, at these shares; return None if that fails for any."""
         moved, _, exact = self._to_pose(q, self.line.poses(share), np.zeros_like(q))
         return moved if exact.all() and np.abs(moved - q).max(initial=0.0) <= _JUMP else None
 
@@ -130,7 +132,11 @@ class Follower:
     def _to_pose(
         self, q: Float[Array, "n nq"], goal: Float[Array, "n 4 4"], drift: Float[Array, "n nq"]
     ) -> tuple[Float[Array, "n nq"], Bool[Array, "n nq"], Bool[Array, " n"]]:
-        """Return configurations at poses, which joints their limits held at first, and which of them are exact."""
+        """Move configurations to poses.
+
+        Returns:
+            Configurations, joints held by their limits in the first iteration, and whether each pose is reached.
+        """
         free_yaw, held = self.line.goal.free_yaw, np.zeros(q.shape, dtype=bool)
         exact = np.zeros(len(q), dtype=bool)
         for iteration in range(_ITERATIONS + 1):
@@ -143,12 +149,12 @@ class Follower:
                 jacobian = without_yaw(X_WT, jacobian)
             step, holding = steps_inside(missing, jacobian, q, self.limits, drift if iteration == 0 else 0.0)
             held = holding if iteration == 0 else held
-            # A step farther than a jump is refused anyhow, and must not leave the range that kernels take.
+            # Steps beyond `_JUMP` are discarded anyway; clipped, they stay in the range that kernels accept.
             q = q + np.clip(step, -2.0 * _JUMP, 2.0 * _JUMP)
         return q, held, exact
 
     def _reason(self, held: Bool[Array, "n nq"], *, leaps: Bool[Array, " n"]) -> str:
-        """Say what stopped candidates: the limits that held the fewest joints, or that there is no way on."""
+        """Return why no candidate can go on: limits, of the candidate with the fewest held joints, or a singularity."""
         stuck = held[held.any(axis=1)]
         if len(stuck) == len(held):
             names = [
@@ -159,4 +165,4 @@ class Follower:
             return f"held by the limit of joint {' and '.join(names)}"
         if leaps.any():
             return "singular: its joints would have to jump"
-        return "stretched out or singular: no step of its joints takes the tool on"
+        return "stretched out or singular: no joint step moves the tool along the line"

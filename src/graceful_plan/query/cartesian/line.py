@@ -1,4 +1,4 @@
-"""A straight motion of the tool, as geometry: from one pose to another, at every share of it."""
+"""Geometry of a straight motion of the tool from one pose to another."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from graceful_plan.scene.pose_goal import PoseGoal
 Array = np.ndarray
 
 _STILL = 1e-9
-"""Distance [m] and angle [rad] below which there is nothing to travel."""
+"""Distance [m] and angle [rad] below which the line is a single pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class ToolLine:
-    """The tool's origin goes straight and evenly, while its orientation turns evenly about one axis (slerp).
+    """A straight line of the tool's origin at constant speed, with a rotation about one axis at constant rate (slerp).
 
     Args:
         X_WT: Pose of the tool in W at the start.
-        goal: Pose at the end; with free yaw only its z axis counts, and is reached by the shortest turn.
+        goal: Pose at the end; with free yaw only its z axis counts, which turns the shortest way.
     """
 
     X_WT: Float[Array, "4 4"]
@@ -31,7 +31,7 @@ class ToolLine:
 
     @cached_property
     def translation(self) -> Float[Array, " 3"]:
-        """From the first to the last position of the tool's origin in W [m]."""
+        """Vector from the first to the last position of the tool's origin in W [m]."""
         return self.goal.X_WT[:3, 3] - self.X_WT[:3, 3]
 
     @cached_property
@@ -46,12 +46,12 @@ class ToolLine:
 
     @property
     def angle(self) -> float:
-        """Angle that the tool turns by [rad]."""
+        """Angle of the tool's rotation [rad]."""
         return float(np.linalg.norm(self.rotation))
 
     @property
     def is_still(self) -> bool:
-        """Whether there is nothing to travel."""
+        """Whether the line is a single pose."""
         return self.length <= _STILL and self.angle <= _STILL
 
     def poses(self, share: Float[Array, " n"]) -> Float[Array, "n 4 4"]:
@@ -62,7 +62,7 @@ class ToolLine:
         return X
 
     def errors(self, X_WT: Float[Array, "n 4 4"], share: Float[Array, " n"]) -> Float[Array, "n 2"]:
-        """How far poses are from the line [m], and from the orientation at their share of it [rad]."""
+        """Return distances of poses from the line [m], and angles to the orientations at these shares of it [rad]."""
         missing = missing_twist(X_WT, self.poses(share), free_yaw=self.goal.free_yaw)
         off = missing[:, :3]
         if self.length > _STILL:
@@ -71,7 +71,7 @@ class ToolLine:
         return np.stack([np.linalg.norm(off, axis=1), np.linalg.norm(missing[:, 3:], axis=1)], axis=1)
 
     def share_of(self, X_WT: Float[Array, "4 4"]) -> float:
-        """How far along the line a pose near it is."""
+        """Return the share of the line, 0 to 1, that is nearest to a pose."""
         if self.length > _STILL:
             share = (X_WT[:3, 3] - self.X_WT[:3, 3]) @ self.translation / self.length**2
         elif self.angle > _STILL:
@@ -82,7 +82,7 @@ class ToolLine:
         return float(np.clip(share, 0.0, 1.0))
 
     def place(self, share: float) -> str:
-        """Say in words where a share of the line is."""
+        """Return a description of a share of the line for messages."""
         if self.length > _STILL:
             return f"{share * self.length:.3f} m of {self.length:.3f} m"
         return f"{np.rad2deg(share * self.angle):.1f} of {np.rad2deg(self.angle):.1f} degrees"

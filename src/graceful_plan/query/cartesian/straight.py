@@ -1,8 +1,8 @@
 """Straight motions of the tool: approach, retreat, pour.
 
-The line is followed by differential inverse kinematics, in several ways at once where the arm has joints to spare. A
-spline goes through the configurations of each, with more of them until the tool stays near the line in between; the
-motions are timed and compared by J, and the judge looks at the best first.
+Differential inverse kinematics follows the line, with several candidates if the arm is redundant. A spline interpolates
+the configurations of each candidate; configurations are added until the tool stays near the line between them, too.
+The motions are timed and compared by J, and the judge verifies the best one first.
 """
 
 from __future__ import annotations
@@ -38,21 +38,23 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 DEVIATION = 1e-3
-"""Distance of the tool from its line by default [m]."""
+"""Default bound of the tool's distance from its line [m]."""
 ANGLE = float(np.deg2rad(0.5))
-"""Angle to the orientation on the line by default [rad]."""
+"""Default bound of the angle to the orientation on the line [rad]."""
 _ROUNDS = ((16, 1), (48, 1), (16, 4))
-"""Candidates, and what divides their steps: further rounds are run while none before has succeeded. Of 299 lines of the
-benchmark `straight_tool` that end at a possible pose, 244 are solved without the second round and 245 with it."""
+"""Candidates and divisor of their steps in each round; the next round is run if the previous one has failed.
+
+Of 299 lines of the benchmark `straight_tool` that end at a possible pose, 244 are solved without the second round and
+245 with it."""
 _MOST_JUDGED = 4
 """Motions of a round that are timed and compared."""
 _USED = 0.5
-"""Share of the bounds that the curve may use up: the rest is for the cubics of the trajectory between its samples."""
+"""Share of the bounds that the curve may use; the rest is for the cubics of the trajectory between its samples."""
 _BETWEEN = np.array([0.25, 0.5, 0.75])
-"""Where between two configurations the curve is looked at."""
+"""Places between two configurations at which the curve is checked."""
 _MOST_POINTS = 513
 _HALF_TURN = np.pi - 0.05
-"""Turns of more than this [rad] have no axis that is clearly the shortest way."""
+"""Largest rotation [rad]; beyond, the axis of the shortest rotation is ambiguous."""
 
 
 def straight_motion(
@@ -68,30 +70,31 @@ def straight_motion(
     speed: float = 1.0,
     seed: int = 0,
 ) -> PlanResult:
-    """Move the tool along a straight line to a pose, turning evenly on the way, without a stop.
+    """Move the tool along a straight line to a pose without a stop, while it rotates about one axis.
 
-    What the arm does with joints to spare is chosen by J; the line itself is not, and nothing is planned around
-    obstacles: where the arm cannot follow, the result says where and why.
+    The objective J selects among the ways in which a redundant arm can follow. The line itself is fixed: it does not
+    avoid obstacles. Where the arm cannot follow, the result says where and why.
 
     Args:
         start: Configuration [rad or m], or the name of a keyframe; the line begins where its tool is.
-        goal: Pose of the tool at the end. With free yaw its z axis goes the shortest way and nothing else turns.
-        scene: Robot, surroundings and what is carried.
+        goal: Pose of the tool at the end. With free yaw its z axis turns the shortest way, and the tool does not rotate
+            about it.
+        scene: Robot, surroundings and carried object.
         w: Safety weight; see `plan`.
-        deviation: Largest distance of the tool's origin from the line [m], at every time of the motion.
-        angle: Largest angle to the orientation that is due there [rad]; of the z axis, with free yaw.
-        objective: What to minimise where there is a choice; see `plan`.
-        constraints: What has to hold on the way; see `plan`. Who pours asks for none: `[]`.
-        speed: In (0, 1]: fraction of the velocity limits to use.
-        seed: Of all random numbers; the result depends on nothing else.
+        deviation: Largest distance of the tool's origin from the line [m], over the whole motion.
+        angle: Largest angle to the orientation on the line [rad]; of the z axis, with free yaw.
+        objective: Objective that selects among candidates; see `plan`.
+        constraints: Constraints along the motion; see `plan`. Pass `[]` to pour.
+        speed: Fraction of the velocity limits to use, in (0, 1].
+        seed: Seed of all random numbers; a call with the same arguments returns the same result.
 
     Returns:
-        The result, SOLVED only if the independent judge passed the motion, its checks "deviation" and "orientation"
-        included. INFEASIBLE if the arm cannot follow, or hits something; INVALID_GOAL if it cannot be at the goal at
-        all. The detail then names the place on the line.
+        The result; SOLVED only if the motion passed the independent judge, including its checks "deviation" and
+        "orientation". INFEASIBLE if the arm cannot follow or collides; INVALID_GOAL if no usable configuration reaches
+        the goal. The detail then names the place on the line.
 
     Raises:
-        GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside of their range.
+        GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside their range.
     """
     started = time.perf_counter()
     if not isinstance(goal, PoseGoal):
@@ -105,8 +108,8 @@ def straight_motion(
         return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
     line = ToolLine(bound.kernels.tool_pose(starts.q[0]), goal)
     if line.angle > _HALF_TURN:
-        detail = f"the tool would turn by {np.rad2deg(line.angle):.1f} degrees, about an axis that is not clear"
-        return PlanResult(status=PlanStatus.INFEASIBLE, detail=f"{detail}; ask for two motions")
+        detail = f"the tool would turn by {np.rad2deg(line.angle):.1f} degrees, about an ambiguous axis"
+        return PlanResult(status=PlanStatus.INFEASIBLE, detail=f"{detail}; plan two motions instead")
     query = _Query(bound, held, Follower(scene, held.kernels, line, starts.q[0]), bounds, share)
     try:
         result = query.answer(rng)
@@ -128,7 +131,7 @@ def _positive(name: str, value: object) -> float:
 
 @dataclass(eq=False)
 class _Objections:
-    """Why motions were given up, and how far along the line each came."""
+    """Reasons why candidates failed, each with the share of the line where that was."""
 
     told: list[tuple[float, str, Verdict]] = field(default_factory=list)
 
@@ -142,13 +145,13 @@ class _Objections:
 
 @dataclass(frozen=True, eq=False)
 class _Query:
-    """One straight motion: what is asked, and how it is answered."""
+    """A query for one straight motion."""
 
     objective: SceneObjective
     held: SceneConstraints
     follower: Follower
     bounds: tuple[float, float]
-    """Of distance [m] and angle [rad]."""
+    """Bounds of distance [m] and angle [rad]."""
     speed: float
 
     @property
@@ -156,7 +159,7 @@ class _Query:
         return self.follower.line
 
     def answer(self, rng: np.random.Generator) -> PlanResult:
-        """Follow the line by more and more candidates until the judge passes one."""
+        """Follow the line, with more candidates or finer steps in each round, until the judge passes a motion."""
         if self.line.is_still:
             rest, none = self.follower.start[None], np.zeros((1, len(self.follower.start)))
             still = Trajectory(np.zeros(1), rest, none, none, self.follower.scene.joints)
@@ -164,7 +167,7 @@ class _Query:
         objections, unhappy = _Objections(), ""
         gone_all_the_way = False
         for n, finer in _ROUNDS:
-            if finer > 1 and gone_all_the_way:  # the judge refused that, and smaller steps would lead to the same
+            if finer > 1 and gone_all_the_way:  # the judge refused these motions; finer steps would give the same ones
                 break
             found = self.follower.follow(n, rng, finer)
             if found.why:
@@ -186,7 +189,7 @@ class _Query:
         return PlanResult(status=status, detail=f"at {self.line.place(share)} of the line: {why}", verdict=verdict)
 
     def _promising(self, q: Float[Array, "n point nq"]) -> Float[Array, "most point nq"]:
-        """Return those that collide least by the fast checker, the cheapest first."""
+        """Return the best candidates by number of colliding points of the fast checker, then by cost."""
         n, points, nq = q.shape
         edges = self.objective.edges(q[:, :-1].reshape(-1, nq), q[:, 1:].reshape(-1, nq))
         totals = (edges[:, 0] + self.objective.w * edges[:, 1]).reshape(n, points - 1).sum(axis=1)
@@ -194,7 +197,11 @@ class _Query:
         return q[np.lexsort([totals, blocked])[:_MOST_JUDGED]]
 
     def _curve(self, q: Float[Array, "point nq"], objections: _Objections) -> Spline | None:
-        """Return a spline through configurations on the line, with twice as many until the tool is near it between."""
+        """Return a spline through configurations on the line.
+
+        The number of configurations is doubled until the tool stays near the line between them, too. If that fails, the
+        reason is added to `objections` and None is returned.
+        """
         while True:
             curve, spans = Spline.through(q), len(q) - 1
             u = (np.arange(spans)[:, None] + _BETWEEN).ravel()
@@ -223,7 +230,7 @@ class _Query:
         return Motion(path=trajectory.path, trajectory=trajectory, cost=cost, arrival=0, ranking=ranking)
 
     def _judged(self, motions: Sequence[Motion], objections: _Objections) -> PlanResult:
-        """Return the first motion that the judge passes."""
+        """Return the first motion that the judge passes; INFEASIBLE if there is none."""
         scene, goal = self.follower.scene, self.line.goal
         for motion in motions:
             straight = straightness(motion.trajectory, goal, scene, deviation=self.bounds[0], angle=self.bounds[1])
@@ -242,7 +249,7 @@ class _Query:
         return PlanResult(status=PlanStatus.INFEASIBLE)
 
     def _objection(self, trajectory: Trajectory, verdict: Verdict) -> tuple[float, str]:
-        """Return where on the line the judge first objects, and to what."""
+        """Return the share of the line at the first violation, and a description of all violations."""
         checks = [(name, verdict.checks[name]) for name in verdict.failures]
         first = min((check.first for _, check in checks if check.first is not None), default=trajectory.t[-1])
         X_WT = self.objective.kernels.tool_pose(trajectory.at(np.array(first)).q)

@@ -1,1 +1,1 @@
-"""From start and goal as users give them to both ends of a plan."""
+"""Conversion of the user's start and goal to usable configurations at both ends of a plan."""

@@ -1,4 +1,4 @@
-"""The contract of goals for bases: where to stand for a pose, of the base or of the tool of an arm on it."""
+"""Interface to goals of robots with a mobile base: configurations for a pose of the base or of the tool."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ Array = np.ndarray
 
 
 class BaseGoals(ABC):
-    """Configurations of robots with a base that drives, for poses."""
+    """Finds configurations of a robot with a mobile base for poses."""
 
     @abstractmethod
     def standing(self, goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolved:
-        """Return usable configurations with the base at a pose and the arm as it is at the start."""
+        """Return usable configurations with the base at a pose and the arm as at the start."""
 
     @abstractmethod
     def reaching(
@@ -36,23 +36,23 @@ class BaseGoals(ABC):
         seed: int,
         cancelled: Callable[[], bool],
     ) -> IKResult:
-        """Return configurations of base and arm with the tool at a pose, the nearest to drive and to move to first.
+        """Return configurations of base and arm with the tool at a pose, nearest to the start first.
 
         Args:
-            goal: The pose.
-            scene: A robot with a base and an arm.
-            start: Where it is.
-            free: Which configurations may be used.
-            seed: Of the random numbers.
-            cancelled: Asked all the time; once it returns True, what was found until then is returned.
+            goal: The pose of the tool.
+            scene: Scene whose robot has a base and an arm.
+            start: Start of the motion.
+            free: Test which configurations are free.
+            seed: Seed of the random numbers.
+            cancelled: Polled during the search; once it returns True, the solutions up to then are returned.
         """
 
 
 def base_goals(scene: Scene) -> BaseGoals | None:
-    """Return what finds goals for the base of a scene's robot; None for a robot without one.
+    """Return the `BaseGoals` for a scene whose robot has a mobile base; None if it has none.
 
     Raises:
-        UnsupportedError: If there is a base, and the room of what drives is not installed.
+        UnsupportedError: If the robot has a base, and `graceful_plan.mobile` is not installed.
     """
     if scene.base is None:
         return None

@@ -1,4 +1,4 @@
-"""Configurations as users give them: numbers, or names of keyframes."""
+"""Configurations given by the user: numbers, or names of keyframes."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def configurations_of(goal: Configuration | Sequence[Configuration], scene: Scen
     """Return configurations and keyframes as rows.
 
     Raises:
-        ShapeError: If one does not fit the scene's joints.
-        NonFiniteError: If one holds a NaN or an infinity.
-        UnknownNameError: If there is no keyframe of a name.
+        ShapeError: If a configuration does not fit the scene's joints.
+        NonFiniteError: If a configuration contains a NaN or an infinity.
+        UnknownNameError: If a keyframe does not exist.
     """
     nq = len(scene.joints)
     if isinstance(goal, str):
@@ -44,9 +44,9 @@ def named_configuration(name: str, scene: Scene) -> Float[Array, " nq"]:
 
 
 def the_short_way(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:
-    """Return goals whose joints without limits are turned as near to the start as the range that is planned lets them.
+    """Return goals with continuous joints wrapped by full turns to be near the start, within the planning range.
 
-    A configuration outside of the range stays as it is, and is refused as ever.
+    A joint position outside the range stays as it is and is refused later.
     """
     lower, upper = scene.limits.position.T
     turned = q - 2.0 * np.pi * np.round((q - start) / (2.0 * np.pi))
@@ -55,5 +55,5 @@ def the_short_way(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Sc
 
 
 def goal_words(count: int) -> Sequence[str]:
-    """Return the words for goals in messages."""
+    """Return names of goals for messages."""
     return ["goal"] if count == 1 else [f"goal {k}" for k in range(count)]

@@ -1,4 +1,4 @@
-"""Both ends of a plan: start and goals with clearance, and the short ways between them and the real ones."""
+"""Both ends of a plan: planner start and goals with clearance, and escape paths between them and the real ones."""
 
 from __future__ import annotations
 
@@ -21,29 +21,30 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _SHARE_OF_GOALS = 0.6
-"""Of the time, for inverse kinematics: what it has found by then is what there is to choose from."""
+"""Share of the time budget after which inverse kinematics ends with the goals found by then."""
 _SHARE_OF_SETS, _SHARE_OF_WAYS = 0.2, 0.3
-"""Of the time, for exact geometry's look at more configurations once one is usable, and for ways out of more of them
-once one has clearance: the nearest come first, and a motion to one of them is worth more than a look at another."""
+"""Shares of the time budget after which one usable configuration, and one with an escape path, is enough.
+
+Configurations near the start are checked first; by then, planning to one of them helps more than checking others."""
 _TOLD = 5
-"""Goals that are told what they are lacking."""
+"""Largest number of goals whose violations are listed."""
 _NO_WAY = "{}: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Endpoints:
-    """Where the planner starts and where it may end, and how that is reached and left."""
+    """Start and goals of the planner, with paths from the real start and to the real goals."""
 
     constraints: SceneConstraints
-    """What has to hold on the way."""
+    """Constraints along the motion, loosened as far as start and goals need."""
     departure: Path
-    """From the real start to where the planner starts."""
+    """Path from the real start to the planner's start."""
     arrivals: tuple[Path, ...]
-    """From where the planner may end to the real goals."""
+    """Paths from the planner's goals to the real goals."""
     goal_index: tuple[int, ...]
-    """Which of the given goals each arrival leads to."""
+    """Index of the given goal that each arrival leads to."""
     notes: tuple[str, ...] = ()
-    """What was adjusted to make them usable."""
+    """Adjustments that made start and goals usable."""
 
     @property
     def clearance(self) -> float:
@@ -52,14 +53,14 @@ class Endpoints:
         return max(0.0, float(self.constraints.clearance(q).min()))
 
     def joined(self, path: Path) -> tuple[Path, int]:
-        """Return the whole path, from the real start to a real goal, and which arrival it takes."""
+        """Return the whole path from the real start to a real goal, and the index of its arrival."""
         away = [float(np.linalg.norm(arrival.q[0] - path.q[-1])) for arrival in self.arrivals]
         index = int(np.argmin(away))
         q = np.concatenate([self.departure.q[:-1], path.q, self.arrivals[index].q[1:]])
         return Path(q).without_duplicates(), index
 
     def in_the_clear(self, index: int) -> bool:
-        """Whether a whole path is free by the fast checker's account: there are no ways out in it."""
+        """Return whether a whole path with this arrival has no escape paths, so that the fast checker finds it free."""
         return len(self.departure) == 1 and len(self.arrivals[index]) == 1
 
 
@@ -73,19 +74,19 @@ def find_endpoints(
     cancelled: Callable[[], bool] = lambda: False,
     late: Callable[[float], bool] = lambda _: False,
 ) -> Endpoints | PlanResult:
-    """Turn start and goal as users give them into both ends of a plan, or a result that says why there are none.
+    """Convert the user's start and goal to both ends of a plan; if that fails, return a result with the reason.
 
     Args:
         start: Configuration or keyframe.
-        goal: Configuration, keyframe, several of them, or a pose.
-        constraints: What has to hold, and where.
-        rng: For ways out of tight places.
-        seed: Of the random numbers of inverse kinematics.
-        cancelled: Endpoints it early.
-        late: Whether more than a share of the time for everything is over.
+        goal: Configuration, keyframe, pose, or several of these.
+        constraints: Constraints and scene.
+        rng: Random numbers for escape paths.
+        seed: Seed of the random numbers of inverse kinematics.
+        cancelled: Ends the call early once it returns True.
+        late: Returns whether more than a share of the time budget is used up.
 
     Raises:
-        GracefulPlanError: For misuse: wrong shapes, NaN, names that do not exist.
+        GracefulPlanError: For misuse: wrong shapes, NaN, unknown names.
     """
     scene = constraints.scene
     starts = constrained("start", resolve_start(start, scene), constraints)
@@ -115,7 +116,7 @@ def find_endpoints(
 
 
 def constrained(word: str, resolved: Resolved, constraints: SceneConstraints) -> Resolved:
-    """Return the configurations that keep the constraints, and what the others are lacking."""
+    """Return the configurations that satisfy the constraints, with the violations of the others as problems."""
     holds = constraints.holds(resolved.q) if len(resolved.q) else np.ones(0, dtype=bool)
     kept = np.flatnonzero(holds)
     told = tuple(f"{word}: {'; '.join(constraints.objections(q))}" for q in resolved.q[~holds][:_TOLD])
@@ -131,7 +132,7 @@ def ways_out(
     cancelled: Callable[[], bool] = lambda: False,
     late: Callable[[float], bool] = lambda _: False,
 ) -> Endpoints | PlanResult:
-    """Find a way from the start, and to as many goals as have one; a result that says so if there is none."""
+    """Find escape paths from the start and from the goals; if there are none, return a result that says so."""
 
     def over() -> bool:
         return cancelled() or late(1.0)
@@ -160,11 +161,11 @@ def ways_out(
 
 
 def _no_way(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
-    """Say that nothing leads out of a tight place, and what is tight there."""
+    """Return a message that no escape path was found, with the nearest pair of geoms."""
     told, near = _NO_WAY.format(word), nearest_pair(q, scene)
     if near is None:
         return told
-    pair = ", ".join(repr(name.partition("#")[0]) for name in near[:2])  # of unnamed geoms their body
+    pair = ", ".join(repr(name.partition("#")[0]) for name in near[:2])  # for unnamed geoms, the body
     away = f"{near.first} is {-1e3 * near.depth:.3g} mm from {near.second}"
     return f"{told}; {away}; if they may touch, say AllowedContact({pair})"
 

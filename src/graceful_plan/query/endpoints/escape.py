@@ -1,8 +1,8 @@
-"""Ways out of tight places: from a configuration free by exact geometry to one that the fast checker calls free.
+"""Escape paths: from a configuration that is free by exact geometry to one that is free by the fast checker.
 
-The fast checker's spheres stick out by up to a centimetre, so a gripper close to a table or an object that still stands
-on it seem to collide. Such a start or goal is left by a short move up the gradient of clearance, checked by exact
-geometry.
+The spheres of the fast checker protrude by up to a centimetre, so a gripper close to a table, or an object that still
+stands on it, seems to collide. A short move up the gradient of clearance leaves such a start or goal; exact geometry
+checks the move.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from graceful_plan.path import Path
 Array = np.ndarray
 
 TARGET_CLEARANCE = 0.002
-"""Clearance at which the planner takes over [m]."""
+"""Clearance at the planner's end of an escape path [m]."""
 _LEAST = 1e-5
-"""Clearance with which a planner can start where no way out is found [m]."""
+"""Clearance that is enough if no escape path is found [m]."""
 _MAX_STEP = 0.05
-"""Of one gradient step [rad]."""
+"""Largest gradient step [rad]."""
 _MAX_LENGTH = 1.0
-"""A way out that is longer leads somewhere else [rad]."""
+"""Largest length of an escape path [rad]; a longer one would end far from the real start or goal."""
 
 
 def way_out(
@@ -36,17 +36,17 @@ def way_out(
     *,
     over: Callable[[], bool] = lambda: False,
 ) -> Path | None:
-    """Find a short exact-free path from `q` to a configuration with clearance.
+    """Find a short path from `q` to a configuration with clearance; the path is free by exact geometry.
 
     Args:
-        q: A configuration that is free by exact geometry, contacts allowed at the ends aside.
-        constraints: What has to hold there too, and where that is.
-        rng: For a random nudge before each attempt but the first.
-        attempts: How often to try.
-        over: Whether there is no time for another attempt.
+        q: A configuration that is free by exact geometry, except for contacts that are allowed at the ends.
+        constraints: Constraints and scene.
+        rng: Random numbers for perturbing `q` before each attempt except the first.
+        attempts: Number of attempts.
+        over: Returns whether the time for attempts is over.
 
     Returns:
-        The path, a single configuration if `q` has clearance; None if no way out was found.
+        The path, a single configuration if `q` has clearance; None if no escape path was found.
     """
     tight = float(constraints.clearance(q[None])[0])
     if tight >= TARGET_CLEARANCE:

@@ -1,7 +1,7 @@
-"""Starts and goals as users give them -> configurations that a planner may use, or the reasons why not.
+"""Conversion of the user's starts and goals to configurations that a planner can use.
 
-Misuse (wrong shape, NaN, a name that does not exist) raises; a configuration that is out of limits or in collision is
-an outcome, told in words.
+Misuse (wrong shape, NaN, unknown name) raises. A configuration outside the limits or in collision is a result with a
+message.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ Array = np.ndarray
 Goal = Configuration | PoseGoal | BasePose | Sequence[Configuration | PoseGoal | BasePose]
 
 _ENOUGH, _OF_EACH = 8, 2
-"""Configurations that are enough for several poses that are looked at one by one, and for one of them. Of more poses
-than that, all are looked at together first."""
+"""Number of configurations that are enough for several poses solved one by one, and for each of them. More than
+`_ENOUGH` poses are first solved together."""
 
 
 def resolve_start(start: Configuration, scene: Scene) -> Resolved:
-    """Turn a start into one usable configuration, or none.
+    """Convert a start to one usable configuration, or none.
 
     Raises:
         ShapeError: If it does not fit the scene's joints.
-        NonFiniteError: If it holds a NaN or an infinity.
-        UnknownNameError: If there is no keyframe of that name.
+        NonFiniteError: If it contains a NaN or an infinity.
+        UnknownNameError: If the keyframe does not exist.
     """
     q = (
         named_configuration(start, scene)
@@ -64,24 +64,24 @@ def resolve_goal(
     cancelled: Callable[[], bool] = lambda: False,
     hurried: Callable[[], bool] = lambda: False,
 ) -> Resolved:
-    """Turn a goal into usable configurations, in the order given; of a pose, those nearest to the start first.
+    """Convert a goal to usable configurations, in the order given; those of one pose are sorted by distance from start.
 
-    Many configurations are looked at from the nearest on, and no further than for `MOST_GOALS` that are usable. Of
-    several poses, inverse kinematics begins with those nearest to where the tool is, and stops once there are enough
-    configurations for them. More poses than that are first reached together, by arms without a base (see `pose_sets`).
+    Configurations are checked in the order of their distance from the start, until `MOST_GOALS` are usable. Inverse
+    kinematics of several poses begins with the pose nearest to the tool and ends once there are enough configurations.
+    Many poses of an arm without a base are first solved together (see `pose_sets`).
 
     Args:
         goal: A configuration, a keyframe by name, a pose of tool or base, or several of these.
-        scene: Where.
-        start: Where the motion begins; poses are solved near to it.
-        seed: Of the random numbers of inverse kinematics.
-        cancelled: Endpoints it early: what was looked at by then is what there is to choose from.
-        hurried: Whether a configuration that is usable by now will do.
+        scene: The scene.
+        start: Start of the motion; poses are solved near it.
+        seed: Seed of the random numbers of inverse kinematics.
+        cancelled: Ends the call early once it returns True, with the configurations checked by then.
+        hurried: Ends the call once it returns True and a usable configuration is known.
 
     Raises:
-        ShapeError: If it does not fit the scene's joints.
-        NonFiniteError: If it holds a NaN or an infinity.
-        UnknownNameError: If there is no keyframe of that name.
+        ShapeError: If the goal does not fit the scene's joints.
+        NonFiniteError: If it contains a NaN or an infinity.
+        UnknownNameError: If the keyframe does not exist.
     """
     if isinstance(goal, PoseGoal):
         return _pose(goal, scene, start, seed, cancelled)
@@ -98,19 +98,19 @@ def resolve_goal(
 
 
 def has_poses(goal: Goal) -> bool:
-    """Whether a goal is a pose, or one of several is."""
+    """Return whether a goal is a pose, or contains one."""
     return isinstance(goal, PoseGoal) or bool(_poses_among(goal))
 
 
 def _poses_among(goal: Goal) -> Sequence[Configuration | PoseGoal | BasePose]:
-    """Return several goals if one of them is a pose; else nothing."""
+    """Return the goals of a sequence that contains a pose; empty for any other goal."""
     if isinstance(goal, Sequence) and any(isinstance(one, PoseGoal | BasePose) for one in goal):
         return cast("Sequence[Configuration | PoseGoal | BasePose]", goal)
     return ()
 
 
 def poses_of(goal: Goal, index: Sequence[int]) -> tuple[PoseGoal | None, ...]:
-    """Return the poses that goals with some indices are; None for those that are configurations."""
+    """Return the pose goals with these indices; None for each goal that is a configuration."""
     if isinstance(goal, PoseGoal):
         return (goal,) * len(index)
     several = _poses_among(goal)
@@ -126,9 +126,9 @@ def _several(
     cancelled: Callable[[], bool],
     hurried: Callable[[], bool],
 ) -> Resolved:
-    """Resolve configurations, then many poses together, then poses one by one from the nearest on until it is enough.
+    """Resolve configurations, then many poses together, then single poses from the nearest on until there are enough.
 
-    Of many poses only those are looked at one by one that were reached together, if any was.
+    If solving many poses together has reached some of them, only these are solved one by one.
     """
     given = [k for k, one in enumerate(goals) if not isinstance(one, PoseGoal | BasePose)]
     left = _from_the_nearest_on(goals, scene, start)
@@ -166,7 +166,7 @@ def _together(
     cancelled: Callable[[], bool],
     hurried: Callable[[], bool],
 ) -> Resolved:
-    """Reach many poses together, by arms alone: one configuration for each pose that has one, in the order given."""
+    """Solve many poses of an arm without a base together: at most one configuration for each, in the order given."""
     poses = {k: one for k in order if isinstance(one := goals[k], PoseGoal)}
     if len(poses) <= _ENOUGH or scene.base is not None:
         return Resolved(np.empty((0, len(start))), ())
@@ -187,7 +187,7 @@ def _given(
     cancelled: Callable[[], bool],
     hurried: Callable[[], bool],
 ) -> Resolved:
-    """Resolve those of several goals that are configurations."""
+    """Resolve the goals that are configurations."""
     if not given:
         return Resolved(np.zeros((0, len(scene.joints))), ())
     rows = [configurations_of(cast("Configuration", goals[k]), scene) for k in given]
@@ -200,7 +200,7 @@ def _given(
 def _from_the_nearest_on(
     goals: Sequence[Configuration | PoseGoal | BasePose], scene: Scene, start: Float[Array, " nq"]
 ) -> list[int]:
-    """Return which of several goals are poses: those of the base, then those of the tool by how far it is from them."""
+    """Return the indices of pose goals: poses of the base first, then poses of the tool by their distance from it."""
     X_WT = compile_scene(scene).kernels.tool_pose(start)
     away = {
         k: float(np.dot(pose_error(one, X_WT), (1.0, LEVER))) if isinstance(one, PoseGoal) else -1.0
@@ -214,7 +214,7 @@ def _standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resol
     """Resolve a pose of the base.
 
     Raises:
-        SettingError: If the robot has no base that drives.
+        SettingError: If the robot has no mobile base.
     """
     bases = base_goals(scene)
     if bases is None:

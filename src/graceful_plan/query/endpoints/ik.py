@@ -1,9 +1,8 @@
 """Inverse kinematics: configurations that bring the tool to a pose.
 
-The core takes many seeds to the pose at once by damped least squares (`Kernels.reach`), as exactly as doubles allow.
-Where no seed arrives, for instance because limits are in the way, mink's quadratic programs, which know the limits,
-try those that ended nearest. Solutions are filtered by a test for collisions, and come sorted by their distance from
-the start.
+The core iterates from many seeds at once by damped least squares (`Kernels.reach`), as exactly as doubles allow. If no
+seed converges, for instance because of joint limits, mink's quadratic programs, which include the limits, continue from
+the best seeds. Solutions that collide are discarded; the others are sorted by their distance from the start.
 """
 
 from __future__ import annotations
@@ -24,24 +23,24 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 FreeTest = Callable[[Array], Array]
-"""Which of the configurations [n, nq] are free: bool [n]."""
+"""Returns which of the configurations [n, nq] are free: bool [n]."""
 
 _RETRIED = 4
-"""Seeds that mink takes on where none arrived."""
+"""IK seeds that mink polishes if the batch search reaches the pose from none."""
 _SAME = 0.1
-"""Solutions that differ less than this in every joint [rad or m] are one."""
+"""Solutions that differ less than this in every joint [rad or m] count as one."""
 
 
 @dataclass(frozen=True, eq=False)
 class IKResult:
-    """What inverse kinematics found.
+    """Result of inverse kinematics.
 
     | field             | meaning                                                 | unit     | shape       |
     |-------------------|---------------------------------------------------------|----------|-------------|
     | q                 | solutions, nearest to the start first, possibly none    | rad or m | solution nq |
-    | position_error    | of the best configuration, free of collision or not     | m        |             |
-    | orientation_error | of the same                                             | rad      |             |
-    | colliding         | how many solutions were dropped because they collide    |          |             |
+    | position_error    | of the best configuration, even if it collides          | m        |             |
+    | orientation_error | of the same configuration                               | rad      |             |
+    | colliding         | number of solutions discarded because they collide      |          |             |
     """
 
     q: Float[Array, "solution nq"]
@@ -67,15 +66,15 @@ def solve_ik(
 
     Args:
         goal: The pose.
-        scene: Robot and tool.
-        start: Configuration to be near to; the first seed.
-        free: Which configurations may be used; all by default.
-        count: How many different solutions are enough.
-        seeds: Seeds in a round; the next round is tried while there are fewer solutions than `count`.
-        rounds: Rounds at most.
-        iterations: Iterations from each seed at most.
-        seed: Of the random numbers; the result depends on nothing else.
-        cancelled: Asked all the time; when it says so, what was found until then is returned.
+        scene: Scene with robot and tool.
+        start: First seed; solutions near it come first.
+        free: Test for free configurations; all are accepted by default.
+        count: Number of distinct solutions that is enough.
+        seeds: Seeds in a round; the next round follows if there are fewer solutions than `count`.
+        rounds: Largest number of rounds.
+        iterations: Largest number of iterations from each seed.
+        seed: Seed of the random numbers; the result is deterministic.
+        cancelled: Polled during the search; once it returns True, the solutions up to then are returned.
     """
     for name, value in (("count", count), ("seeds", seeds), ("rounds", rounds), ("iterations", iterations)):
         if value < 1:
@@ -103,13 +102,13 @@ def solve_ik(
 
 @final
 class _Solutions:
-    """Different configurations at the pose that may be used.
+    """Distinct usable configurations at the pose.
 
     Args:
-        start: What they should be near to.
-        count: How many are enough.
-        free: Which may be used; all if None.
-        cancelled: Asked before each look at some of them.
+        start: Configuration that distances are measured from.
+        count: Number of solutions that is enough.
+        free: Test for free configurations; all are accepted if None.
+        cancelled: Polled before each batch.
     """
 
     def __init__(
@@ -121,16 +120,16 @@ class _Solutions:
 
     @property
     def enough(self) -> bool:
-        """Whether there are as many as are enough."""
+        """Whether there are `count` solutions."""
         return len(self._q) >= self._count
 
     @property
     def nearest_first(self) -> Float[Array, "n nq"]:
-        """All of them, from the nearest to the start on."""
+        """All solutions, nearest to the start first."""
         return self._sorted(self._q)
 
     def add(self, q: Float[Array, "n nq"]) -> None:
-        """Look at configurations at the pose, from the nearest on, until there are enough."""
+        """Check configurations at the pose, nearest to the start first, until there are enough solutions."""
         left = self._sorted(q)
         while len(left) and not self.enough and not self._cancelled():
             some, left = left[: self._count], left[self._count :]
@@ -146,7 +145,7 @@ class _Solutions:
 def draw_seeds(
     scene: Scene, start: Float[Array, " nq"], n: int, rng: np.random.Generator, number: int
 ) -> Float[Array, "n nq"]:
-    """Draw seeds: around the start, farther out from seed to seed, and anywhere; keyframes and the start come first."""
+    """Draw n seeds: the start and keyframes (in round 0), then around the start with growing spread, then uniform."""
     lower, upper = scene.limits.position.T
     near = start + rng.normal(size=(n // 2, len(start))) * np.linspace(0.1, 1.0, n // 2)[:, None]
     anywhere = rng.uniform(lower, upper, size=(n, len(start)))

@@ -1,8 +1,8 @@
-"""Configurations for many poses at once: a grasp of hundreds that can be reached is found among those that cannot.
+"""Inverse kinematics for many poses at once, such as hundreds of grasps of which few are reachable.
 
-Inverse kinematics of one pose takes some milliseconds where all that reaches it collides, more where nothing does.
-Here the native core iterates for all poses together, from few seeds each: the start, and the random postures whose tool
-is nearest to the pose. What it reaches is a first choice; `ik` looks more closely at a pose, and gives none up so soon.
+Inverse kinematics of a single pose takes some milliseconds if all solutions collide, and more if there is none. Here
+the native core iterates for all poses together, from few seeds each: the start, and the random postures whose tool is
+nearest to the pose. It may miss reachable poses; `ik` searches a single pose more thoroughly.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 LEVER = 0.25
-"""What a radian counts as distance where poses are sorted by how far they are [m/rad]."""
+"""Weight of rotation in the distance between poses [m/rad]."""
 _POSTURES = 4000
-"""Random configurations to begin from; of an arm about a third is free."""
+"""Number of random configurations; for an arm about a third of them is free."""
 _AT_A_TIME = 64
-"""Poses between two looks at the clock."""
+"""Poses between two readings of the clock."""
 _SEEDS = (1, 2, 4)
-"""Postures to begin from, in each round of the poses without a usable configuration; the first has the start, too."""
+"""Postures that serve as seeds in each round, for poses that are not reached yet; the first round adds the start."""
 _ITERATIONS, _PATIENCE = 24, 4
-"""At most, and those in which a seed has to make progress."""
+"""Largest number of iterations, and iterations within which a seed has to make progress."""
 _OVERLAP = 0.03
-"""Depth to which spheres may collide for exact geometry to look at a configuration [m]."""
+"""Penetration of spheres up to which exact geometry checks a configuration [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Postures:
-    """Random configurations that are free, and where the tool is in them.
+    """Random free configurations and the pose of the tool in them.
 
     | field | meaning                                 | unit     | shape      |
     |-------|-----------------------------------------|----------|------------|
@@ -53,7 +53,7 @@ class Postures:
 
 @per_scene
 def postures_of(scene: Scene) -> Postures:
-    """Draw configurations of a scene's robot that spheres prove free; the same every time."""
+    """Draw configurations of a scene's robot that are free by the sphere model; deterministic."""
     kernels = compile_scene(scene).kernels
     lower, upper = scene.limits.position.T
     q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, len(lower)))
@@ -63,12 +63,12 @@ def postures_of(scene: Scene) -> Postures:
 
 @dataclass(frozen=True, eq=False)
 class PosesReached:
-    """Configurations that may be used, in the order of the poses.
+    """Usable configurations, in the order of the poses.
 
     | field | meaning                                  | unit     | shape     |
     |-------|------------------------------------------|----------|-----------|
     | q     | configurations                           | rad or m | usable nq |
-    | index | which of the poses each of them reaches  |          | usable    |
+    | index | index of the pose of each configuration  |          | usable    |
     """
 
     q: Float[Array, "usable nq"]
@@ -84,15 +84,15 @@ def reach_poses(
     cancelled: Callable[[], bool] = lambda: False,
     hurried: Callable[[], bool] = lambda: False,
 ) -> PosesReached:
-    """Find a configuration for each of as many poses as can be, in the order given.
+    """Find one usable configuration for each of as many poses as possible.
 
     Args:
-        goals: The poses, those that matter most first.
+        goals: The poses, by descending priority.
         scene: Robot and surroundings.
-        start: What configurations are near to where that costs nothing: the first seed of every pose.
-        turned: What is made of configurations before they are looked at, such as joints turned the short way.
-        cancelled: Endpoints it early.
-        hurried: Endpoints it once there is any.
+        start: First seed of every pose; the solution nearest to it is preferred.
+        turned: Transforms configurations before they are checked, such as `the_short_way`.
+        cancelled: Ends the call early once it returns True.
+        hurried: Ends the call once it returns True and a configuration is known.
     """
     poses, known = _Poses(goals, scene), postures_of(scene)
     q, index = np.empty((0, len(start))), np.empty(0, dtype=int)
@@ -120,7 +120,7 @@ def _in_order(q: Float[Array, "n nq"], index: Int[Array, " n"]) -> PosesReached:
 
 
 class _Poses:
-    """Iterations towards many poses, each from its own configurations."""
+    """Iterates towards many poses, with separate seeds for each."""
 
     def __init__(self, goals: Sequence[PoseGoal], scene: Scene) -> None:
         self.kernels = compile_scene(scene).kernels
@@ -130,7 +130,7 @@ class _Poses:
         self.tolerance = PRECISION * np.array(tolerance)
 
     def reached(self, q: Float[Array, "n nq"], of: Int[Array, " n"]) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
-        """Iterate from configurations to the poses with these indices; return what reached its pose, and which."""
+        """Iterate from seeds towards the poses with indices `of`; return converged configurations and their indices."""
         q, missing = self.kernels.reach(q, self.X_WG[of], self.free_yaw[of], iterations=_ITERATIONS, patience=_PATIENCE)
         there = within(missing, *self.tolerance[of].T)
         return q[there], of[there]
@@ -139,13 +139,20 @@ class _Poses:
 def _seeds(
     poses: _Poses, some: Int[Array, " n"], known: Postures, which: tuple[int, int]
 ) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
-    """Return the postures whose tool is nearest to each pose, after as many others, and which pose they are for."""
+    """Return the postures whose tool is nearest to each pose, and the index of that pose.
+
+    Args:
+        poses: All poses.
+        some: Indices of the poses that need seeds.
+        known: Postures to choose from.
+        which: Number of nearest postures to skip, and number of postures to return for each pose.
+    """
     first, count = which
     last = min(first + count, len(known.q))
     wanted = _places(poses.X_WG[some])
     away = (known.place**2).sum(axis=1) - 2.0 * wanted @ known.place.T
     free = np.flatnonzero(poses.free_yaw[some])
-    if len(free):  # only the axis counts: the last column of the rotation
+    if len(free):  # with free yaw only the z axis counts: the last column of the rotation
         axis = np.r_[0:3, 5, 8, 11]
         away[free] = (known.place[:, axis] ** 2).sum(axis=1) - 2.0 * wanted[free][:, axis] @ known.place[:, axis].T
     if first >= last:
@@ -159,7 +166,7 @@ def _seeds(
 def _usable(
     q: Float[Array, "n nq"], of: Int[Array, " n"], scene: Scene, start: Float[Array, " nq"]
 ) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
-    """Return, for each pose that has one, the configuration nearest to the start that is free."""
+    """Return for each pose the free configuration nearest to the start, if there is one."""
     if not len(q):
         return q, of
     compiled = compile_scene(scene)
@@ -175,12 +182,12 @@ def _usable(
 
 
 def _firsts(of: Int[Array, " n"], good: Bool[Array, " n"]) -> Int[Array, " m"]:
-    """Return where each number stands first among those that are good."""
+    """Return for each number in `of` the index of its first good entry."""
     where = np.flatnonzero(good)
     return where[np.unique(of[where], return_index=True)[1]]
 
 
 def _places(X: Float[Array, "n 4 4"]) -> Float[Array, "n 12"]:
-    """Return positions and rotations as one vector, whose distances are about those of poses with `LEVER` [m]."""
-    # The matrices of rotations that are apart by a small angle are apart by the square root of 2 times that angle.
+    """Return poses as vectors whose Euclidean distances approximate distances of poses with weight `LEVER` [m]."""
+    # Matrices of rotations that differ by a small angle have a Frobenius distance of sqrt(2) times that angle.
     return np.concatenate([X[:, :3, 3], LEVER / np.sqrt(2.0) * X[:, :3, :3].reshape(-1, 9)], axis=1)

@@ -1,4 +1,4 @@
-"""From seeds to one pose: all at once in the core, or one by one with mink, which knows the limits."""
+"""Inverse kinematics of one pose: all seeds at once in the core, or one by one with mink, which includes limits."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 PRECISION = 1e-3
-"""Share of the tolerances that a solution may use up."""
+"""Largest error of a solution, as a share of the goal's tolerances."""
 _EXACT = 1e-10
-"""Error [m and rad together] below which another iteration of mink would change nothing but the rounding."""
+"""Sum of position and orientation error [m + rad] below which more iterations of mink change only the rounding."""
 _PATIENCE = 10
-"""Iterations in which a seed has to make progress."""
+"""Iterations within which a seed has to make progress."""
 
 
 @final
 class PoseSolver:
-    """Two ways to one pose: the core's from many seeds at once, and mink's from where that ended."""
+    """Two solvers for one pose: the core iterates from many seeds at once, and mink polishes single configurations."""
 
     def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool] = lambda: False) -> None:
         self.goal, self.scene, self.cancelled = goal, scene, cancelled
@@ -35,12 +35,15 @@ class PoseSolver:
     def search(
         self, seeds: Float[Array, "n nq"], iterations: int, held: slice = slice(0)
     ) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
-        """Iterate from all seeds; return what reached the pose, and where everything ended, the best first.
+        """Iterate from all seeds.
 
         Args:
             seeds: Configurations inside the limits.
-            iterations: At most, from each seed.
-            held: Joints that stay.
+            iterations: Largest number of iterations from each seed.
+            held: Joints that do not move.
+
+        Returns:
+            Configurations that reached the pose, and the final configurations of all seeds, the best first.
         """
         X_WG = np.broadcast_to(self.goal.X_WT, (len(seeds), 4, 4))
         free_yaw = np.full(len(seeds), self.goal.free_yaw)
@@ -49,9 +52,10 @@ class PoseSolver:
         return q[exact], q[np.argsort(np.linalg.norm(missing, axis=1), kind="stable")]
 
     def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
-        """Move configurations to the pose by mink; return what reached it, and where all of them ended, the best first.
+        """Move configurations to the pose with mink; no configuration ends farther from the pose than it was.
 
-        None ends farther from the pose than it was.
+        Returns:
+            Configurations that reached the pose, and all final configurations, the best first.
         """
         ended = q.copy()
         errors = np.array([self.errors(configuration) for configuration in q])
@@ -71,7 +75,7 @@ class PoseSolver:
 
     @cached_property
     def _mink_step(self) -> Callable[[Float[Array, " nq"]], Float[Array, " nq"]]:
-        """One iteration of mink, as a function; nothing but the planned joints moves the tool."""
+        """One iteration of mink as a function of the configuration of the planned joints."""
         import mink
 
         task = mink.FrameTask(
@@ -97,16 +101,16 @@ class PoseSolver:
         return step
 
     def errors(self, q: Float[Array, " nq"]) -> tuple[float, float]:
-        """Position and orientation error of a configuration [m, rad]."""
+        """Return the position [m] and orientation error [rad] of a configuration."""
         return pose_error(self.goal, self.kernels.tool_pose(q))
 
     def badness(self, error: tuple[float, float]) -> float:
-        """Put position and orientation errors on one scale."""
+        """Return the sum of position and orientation error, each relative to its tolerance."""
         return error[0] / self.goal.position_tolerance + error[1] / self.goal.orientation_tolerance
 
 
 def within(
     error: Float[Array, "n 6"], distance: float | Float[Array, " n"], angle: float | Float[Array, " n"]
 ) -> Bool[Array, " n"]:
-    """Tell which errors of poses are no more than a distance [m] and an angle [rad]."""
+    """Return which pose errors are within a distance [m] and an angle [rad]."""
     return (np.linalg.norm(error[:, :3], axis=1) <= distance) & (np.linalg.norm(error[:, 3:], axis=1) <= angle)

@@ -1,4 +1,4 @@
-"""Which configurations may be used as they are: within the limits and free of collision, or in words why not."""
+"""Selection of usable configurations: within the limits and free of collision, with messages about the others."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 CLAMPED = 1e-6
-"""How far outside of a position limit [rad or m] a configuration is moved onto it instead of being refused."""
+"""Largest distance outside a position limit [rad or m] that is clamped instead of refused."""
 MOST_GOALS = 1000
-"""Configurations to plan for: each is the root of a tree."""
+"""Largest number of goal configurations for planners: each is the root of a tree."""
 _PROVED_AT_A_TIME, _AT_A_TIME = 1024, 64
-"""Configurations that spheres look at together, and exact geometry between two looks at the clock."""
+"""Batch sizes of the check by spheres, and of exact geometry between two readings of the clock."""
 _TOLD = 5
-"""Configurations that are told by name why they cannot be used, or were moved."""
+"""Largest number of configurations in a list of problems or notes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
-    """Configurations that may be used, and what happened to the others.
+    """Usable configurations, and messages about the others.
 
-    | field    | meaning                                                        | unit     | shape   |
-    |----------|----------------------------------------------------------------|----------|---------|
-    | q        | configurations inside the limits and free of collision         | rad or m | usable nq |
-    | index    | which of the given configurations each of them is; 0 for poses |          | usable  |
-    | notes    | what was adjusted                                              |          |         |
-    | problems | why the others cannot be used                                  |          |         |
+    | field    | meaning                                                | unit     | shape     |
+    |----------|--------------------------------------------------------|----------|-----------|
+    | q        | configurations inside the limits and free of collision | rad or m | usable nq |
+    | index    | index of the given configuration or goal               |          | usable    |
+    | notes    | descriptions of adjustments                            |          |           |
+    | problems | reasons why the others cannot be used                  |          |           |
     """
 
     q: Float[Array, "usable nq"]
@@ -43,7 +43,7 @@ class Resolved:
 
     @property
     def detail(self) -> str:
-        """Everything there is to say, in one line."""
+        """Notes and problems in one line."""
         return "; ".join([*self.notes, *self.problems])
 
 
@@ -56,18 +56,18 @@ def usable(
     cancelled: Callable[[], bool] = lambda: False,
     hurried: Callable[[], bool] = lambda: False,
 ) -> Resolved:
-    """Return those within the limits and free of collision, in the order given, and what the others are lacking.
+    """Select configurations within the limits and free of collision, in the order given, with problems of the others.
 
-    They are looked at from the nearest on, no further than for `MOST_GOALS` that are usable: first by spheres that
-    prove them free, then by exact geometry.
+    Configurations are checked in the order of their distance from the start, until `MOST_GOALS` are usable. Bounding
+    spheres prove most of them free; exact geometry checks the others.
 
     Args:
-        words: What to call each of them.
+        words: Names of the configurations for messages.
         q: The configurations [rad or m].
-        scene: Where.
-        start: What they are near to.
-        cancelled: Endpoints exact geometry's look at them.
-        hurried: Endpoints it once any is known to be usable.
+        scene: The scene.
+        start: Start of the motion [rad or m].
+        cancelled: Ends the checks by exact geometry once it returns True.
+        hurried: Ends them once it returns True and a usable configuration is known.
     """
     lower, upper = scene.limits.position.T
     inside = np.clip(q, lower, upper)
@@ -85,7 +85,7 @@ def usable(
     untold = len(outside[_TOLD:]) + len(blocked[_TOLD:])
     problems += [f"{untold} more of {len(q)} likewise"] if untold else []
     if len(free) > MOST_GOALS:
-        notes.append(f"of {len(q)} goals, the {MOST_GOALS} nearest to the start that are free are planned for")
+        notes.append(f"planned for the {MOST_GOALS} nearest free goals of {len(q)}")
         free = free[:MOST_GOALS]
     index = np.sort(nearest[free])
     return Resolved(inside[index], tuple(index.tolist()), tuple(notes), tuple(problems))
@@ -94,9 +94,9 @@ def usable(
 def _sorted_out(
     q: Float[Array, "n nq"], scene: Scene, cancelled: Callable[[], bool], hurried: Callable[[], bool]
 ) -> tuple[list[int], list[int], int]:
-    """Return which configurations are free and which collide, both in order, and of how many that is not known.
+    """Return indices of free and of colliding configurations, both in order, and the number of unchecked ones.
 
-    It ends once more than `MOST_GOALS` are free.
+    The check ends once more than `MOST_GOALS` are free.
     """
     proof = compile_scene(scene).proof
     free, blocked, looked_at, unseen = [], [], 0, 0
@@ -119,14 +119,14 @@ def _sorted_out(
 
 
 def free_of_collision(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:
-    """Tell which configurations are free: spheres prove most of them so, exact geometry looks at the others."""
+    """Return which configurations are free, by bounding spheres first and by exact geometry for the others."""
     free = compile_scene(scene).proof.free(q)
     free[~free] = exactly_free(q[~free], scene)
     return free
 
 
 def _beyond(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
-    """Say which joint is the farthest outside of its limits."""
+    """Return a message about the joint that is the farthest outside its limits."""
     lower, upper = scene.limits.position.T
     inside = np.clip(q, lower, upper)
     worst = int(np.argmax(np.abs(q - inside)))
@@ -135,12 +135,12 @@ def _beyond(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
 
 
 def collision(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
-    """Say what is deepest in collision; nothing if it is free."""
+    """Return a message about the deepest contact; empty if the configuration is free."""
     contacts = state_contacts(q, scene)
     if not contacts:
         return ""
     deepest = contacts[0]
     more = f" and {len(contacts) - 1} more" if len(contacts) > 1 else ""
-    pair = ", ".join(repr(name.partition("#")[0]) for name in deepest[:2])  # of unnamed geoms their body
+    pair = ", ".join(repr(name.partition("#")[0]) for name in deepest[:2])  # for unnamed geoms, the body
     told = f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.second}{more}"
     return f"{told}; if they may touch, say AllowedContact({pair})"

@@ -1,1 +1,1 @@
-"""Poses and configurations to pass on the way."""
+"""Motions through intermediate poses and configurations."""

@@ -1,9 +1,9 @@
-"""Motions through poses on the way: planned leg by leg, then joined into one that does not stop.
+"""Motions through intermediate poses: planned leg by leg, then joined into one motion without stops.
 
-Each leg is planned as a motion of its own, from rest to rest. A smooth curve through points of all legs, those on the
-way among them, is one motion that passes them at speed; with closer points it keeps nearer to the legs, and turns more
-sharply where two of them meet. Curves of several spacings are compared by J; where none of them is free, the legs
-are executed one after the other.
+Each leg is planned from rest to rest. A smooth curve through points on all legs, including the intermediate ones, then
+passes them at speed. With a smaller spacing of these points, the curve stays closer to the legs but turns more sharply
+between them. Curves of several spacings are compared by J. If the judge passes none of them, the legs are executed one
+after the other.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 _SPACINGS = (0.8, 0.4, 0.2, 0.1, 0.05)
-"""Between points of a curve, along the legs [rad]."""
+"""Spacings of points of a curve, along the legs [rad]."""
 _FEWEST = 2
-"""Pieces of a leg at least."""
+"""Least number of pieces of a leg."""
 _LOOKED_AT = 0.02
-"""Between configurations of a curve that are looked at with the fast checker [rad]."""
+"""Spacing of configurations that the fast checker tests on a curve [rad]."""
 _MOST_JUDGED = 4
-"""Curves."""
+"""Largest number of curves that the judge verifies."""
 _JOINING = 0.2
-"""Share of the time that is kept for joining legs, and judging the whole."""
+"""Share of the time budget that is reserved for joining the legs and verifying the result."""
 _LEAST = 0.2
-"""Share of the time for legs that is divided evenly; the rest is by their lengths."""
+"""Share of the legs' time that is divided evenly; the rest is divided by their lengths."""
 
 
 @runtime_checkable
@@ -65,14 +65,14 @@ def plan_through(
     budget: Budget,
     seed: int = 0,
 ) -> PlanResult:
-    """Plan a motion from a start past poses to a goal.
+    """Plan a motion from a start through intermediate poses to a goal.
 
     Args:
-        stops: The start, what is passed on the way (see `checked_via`), and the goal.
-        leg: Plans from one to the next.
-        request: What is asked of the whole.
-        budget: For everything.
-        seed: Of the random numbers of inverse kinematics.
+        stops: The start, the intermediate stops (see `checked_via`), and the goal.
+        leg: Plans from one stop to the next.
+        request: The request for the whole motion.
+        budget: Budget of the call.
+        seed: Seed of the random numbers of inverse kinematics.
     """
     scene = request.objective.scene
     stages = find_stages(*stops, scene, seed)
@@ -89,7 +89,7 @@ def plan_through(
 
 
 def _legs(stages: Stages, leg: Leg, budget: Budget) -> list[PlanResult] | PlanResult:
-    """Return a motion for each leg, or the result that says which of them has none."""
+    """Return a motion for each leg, or a result that names the leg that failed."""
     legs: list[PlanResult] = []
     chosen = stages.chosen()
     lengths = np.array([np.linalg.norm(b - a) for a, b in pairwise(chosen)])
@@ -116,7 +116,7 @@ def _legs(stages: Stages, leg: Leg, budget: Budget) -> list[PlanResult] | PlanRe
 
 def _not_solved(result: PlanResult, k: int, count: int) -> PlanResult:
     ends = ("the start" if k == 0 else f"via {k - 1}", "the goal" if k == count - 1 else f"via {k}")
-    # A start in the middle is no start that was given.
+    # The start of a later leg is not the start that the user gave.
     status = PlanStatus.INVALID_GOAL if k and result.status is PlanStatus.INVALID_START else result.status
     detail = f"from {ends[0]} to {ends[1]}: {result.detail or result.status.value}"
     return PlanResult(status=status, detail=detail, verdict=result.verdict, stats=result.stats)
@@ -124,14 +124,14 @@ def _not_solved(result: PlanResult, k: int, count: int) -> PlanResult:
 
 @dataclass(frozen=True, eq=False)
 class _Joining:
-    """From legs to one motion."""
+    """Joins legs into one motion."""
 
     stages: Stages
     request: Request
     budget: Budget
 
     def joined(self, legs: Sequence[PlanResult]) -> PlanResult:
-        """Return the cheapest curve that the judge passes; the legs one after the other if there is none."""
+        """Return the cheapest curve that the judge passes; if there is none, the legs one after the other."""
         trajectories = [leg.unwrap() for leg in legs]
         clear, others, why = [], [], ""
         held = self.request.constraints
@@ -145,7 +145,7 @@ class _Joining:
                 why = str(error)
                 continue
             (clear if self._is_clear(curve) else others).append(motion)
-        # Closer curves are the likelier to be free where the fast checker cannot tell.
+        # Where the fast checker finds no curve free, those with the smallest spacing are the most likely to be free.
         smooth = [*sorted(clear, key=lambda motion: motion.ranking), *reversed(others)][:_MOST_JUDGED]
         stopping = self._costed(one_after_the_other(trajectories))
         refused: Verdict | None = None
@@ -197,7 +197,7 @@ class _Joining:
 
 
 def _through(legs: Sequence[Path], spacing: float) -> Spline | None:
-    """Return a curve through points of the legs, their ends among them; None if there are too few."""
+    """Return a curve through points on the legs, including their ends; None if there are fewer than four points."""
     points = [legs[0].q[:1]]
     for leg in legs:
         if leg.length > 0.0:
@@ -211,7 +211,7 @@ def _through(legs: Sequence[Path], spacing: float) -> Spline | None:
 
 
 def one_after_the_other(trajectories: Sequence[Trajectory]) -> Trajectory:
-    """Return trajectories in a row; each ends at rest where the next begins."""
+    """Concatenate trajectories; each ends at rest where the next one begins."""
     whole = trajectories[0]
     for after in trajectories[1:]:
         if len(after) == 1:

@@ -1,4 +1,4 @@
-"""What a motion passes, stage by stage: configurations for each pose on the way, and which of them to take."""
+"""Stages of a motion: configurations for each intermediate pose, and the selection of one for each."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Via = Configuration | PoseGoal
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """What is passed, from the start to the goal.
+    """Stages of a motion from the start to the goal.
 
     Args:
         usable: Configurations of each stage that are free and inside the limits; one at the start.
-        wanted: What was asked for in between: configurations, or poses of the tool.
-        goal: The last stage, as it was given.
-        notes: What was adjusted.
+        wanted: Intermediate stops that the user gave: configurations, or poses of the tool.
+        goal: The goal that the user gave.
+        notes: Descriptions of adjustments.
     """
 
     usable: tuple[Float[Array, "_ nq"], ...]
@@ -39,7 +39,7 @@ class Stages:
     notes: tuple[str, ...]
 
     def chosen(self) -> tuple[Float[Array, " nq"], ...]:
-        """Return one configuration of each stage, such that the straight moves between them are shortest in all."""
+        """Return one configuration of each stage, with the least total length of straight moves between them."""
         length, steps = np.zeros(1), []
         for before, after in pairwise(self.usable):
             total = length[:, None] + np.linalg.norm(before[:, None] - after[None], axis=2)
@@ -52,10 +52,10 @@ class Stages:
 
 
 def checked_via(via: object, scene: Scene) -> tuple[Float[Array, " nq"] | PoseGoal, ...]:
-    """Return what is to be passed, keyframes looked up.
+    """Return the intermediate stops, with keyframes replaced by their configurations.
 
     Raises:
-        GracefulPlanError: For wrong shapes, NaN and names that do not exist.
+        GracefulPlanError: For wrong shapes, NaN and unknown names.
     """
     if isinstance(via, str | PoseGoal) or not isinstance(via, Sequence | np.ndarray):
         raise SettingError("via", via, "a list of configurations, keyframes and PoseGoals, such as [pose]")
@@ -75,7 +75,7 @@ def _checked(k: int, one: Via, scene: Scene) -> Float[Array, " nq"] | PoseGoal:
 def find_stages(
     start: Configuration, via: Sequence[Float[Array, " nq"] | PoseGoal], goal: Goal, scene: Scene, seed: int
 ) -> Stages | PlanResult:
-    """Return the stages of a motion, or a result that says which of them cannot be passed."""
+    """Return the stages of a motion, or a result that names the stage that has no usable configuration."""
     starts = resolve_start(start, scene)
     if not len(starts.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
@@ -89,5 +89,5 @@ def find_stages(
         notes += [told] if found.notes else []
         usable.append(found.q)
         if word and not isinstance(one, PoseGoal):
-            wanted[k] = found.q[0]  # as it is inside the limits
+            wanted[k] = found.q[0]  # clamped to the limits
     return Stages(tuple(usable), tuple(wanted), goal, tuple(notes))
