@@ -122,7 +122,7 @@ def _check_amounts(amounts: object) -> Findings:
         return
     steps = np.diff(values)
     if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
-        yield f"AMOUNTS are {values} from minor to critical, expected strictly increasing or strictly decreasing values"
+        yield f"AMOUNTS are {values} from minor to critical, expected strictly rising or falling values"
 
 
 class _Effect(dict[str, Array]):

@@ -73,7 +73,7 @@ def test_what_is_no_fault():
         ({"AMOUNTS": {"minor": 1.0}}, "AMOUNTS has the degrees minor, expected minor, moderate, severe, critical"),
         (
             {"AMOUNTS": EVERY_DEGREE | {"severe": 0.1}},
-            "AMOUNTS are [0.25, 0.5, 0.1, 1.0] from minor to critical, expected strictly increasing or strictly decreasing values",
+            "AMOUNTS are [0.25, 0.5, 0.1, 1.0] from minor to critical, expected strictly rising or falling values",
         ),
         (
             {"AMOUNTS": EVERY_DEGREE | {"critical": float("nan")}},
