@@ -168,7 +168,7 @@ def _shares(hits: Touches, scene: Scene) -> dict[str, float]:
 
 
 def _touches(world: World, run: HealthySteps, allowed: frozenset[tuple[str, str]]) -> dict[str, Any]:
-    """Return the recorded fields of a rollout, for the run taken as a rollout from its first state on."""
+    """Return the run's consequences, as the fields of a Rollout that begins at its first state."""
     nq, nv = world.model.nq, world.model.nv
     qpos, qvel = run.states[:, 1 : 1 + nq], run.states[:, 1 + nq : 1 + nq + nv]
     if world.model.nmocap:

@@ -1,6 +1,6 @@
 """Impact of a rollout in the planner's unit and by its rule: the sum of the severities of all touches.
 
-Each component counts once against each entity that it touches. The carried object itself is one of the entities. A
+Each component counts once against each entity that it touches. The carried object itself counts as an entity. A
 landing damages it with a probability that depends on the energy of the touch. Of several landings only the most
 damaging one counts, since the object either survives that one or does not.
 """

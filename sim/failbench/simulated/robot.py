@@ -24,7 +24,7 @@ class Robot:
     | joints            | names of the planned joints, from the base to the tool                       | nq    |
     | joint_ids         | ids of the planned joints                                                    | nq    |
     | qpos              | addresses of the planned joints in qpos                                      | nq    |
-    | reference         | joint positions in the model's reference pose; locks count from it [rad or m] | nq   |
+    | reference         | joint positions in the model's reference pose, zero of the locks [rad or m]  | nq    |
     | dofs              | addresses of the planned joints in qvel                                      | nq    |
     | actuators         | actuator of each planned joint                                               | nq    |
     | locks             | inactive equality constraint that can hold each joint at a given position    | nq    |
