@@ -39,10 +39,8 @@ def compare(
     """Estimate the harm of the first motion minus that of the second.
 
     Each failure of one motion is paired with the failure of the other that has the same fault, quantile of the onset
-    and
-    random numbers, which reduces the variance. Motions are validated first; for reports, only `per` and `confidence`
-    are
-    used.
+    and random numbers, which reduces the variance. Motions are validated first; for reports, only `per` and
+    `confidence` are used.
 
     Args:
         first: A motion, as for `validate`, or a report of `validate`.

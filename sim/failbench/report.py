@@ -47,8 +47,7 @@ class ValidationReport:
     Impacts are severities per failure, from its onset on. Spills, losses and touches of the healthy robot have
     probability 1 and are reported separately: `healthy`. Failures occur at a rate per hour, so the expected harm of an
     executed task is the healthy harm plus the impact times the expected number of failures: `observed_per_task`.
-    Diverged
-    rollouts are counted, but enter no estimate.
+    Diverged rollouts are counted, but enter no estimate.
 
     | field       | meaning                                                                                         |
     |-------------|-------------------------------------------------------------------------------------------------|
@@ -121,8 +120,7 @@ class ValidationReport:
         """Expected harm per execution of the motion.
 
         Executions without a failure do the harm of the healthy robot. Executions with one do the harm in `whole`: the
-        part
-        before the onset, and the failure's from then on. Nothing counts twice.
+        part before the onset, and the failure's from then on. Nothing counts twice.
         """
         return self.whole.scaled(self.failures_per_task).shifted(self.certain_per_task)
 

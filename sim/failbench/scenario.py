@@ -50,9 +50,8 @@ def scenarios(pattern: str = "*") -> tuple[Scenario, ...]:
     """Return the scenarios with a name or tag that matches a pattern such as "drop/*" or "desk/*/severe".
 
     Patterns that begin with "surroundings/" select faults of the surroundings. Patterns that begin with "mobile/" or
-    the
-    name of a mobile scene select driving robots. Full names select both as well. All other patterns select scenarios of
-    fixed arms.
+    the name of a mobile scene select driving robots. Full names select both as well. All other patterns select
+    scenarios of fixed arms.
 
     Raises:
         UnknownNameError: If nothing matches; the message lists valid first parts of a pattern.

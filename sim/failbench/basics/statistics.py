@@ -165,8 +165,7 @@ def estimate_ratio(
     """Estimate the mean of `first` over the mean of `second` from paired observations with common random numbers.
 
     The interval is a linearised t interval of the logarithm, guarded as in `estimate_mean`. The lower end has an
-    imaginary
-    pair with `first` at its lower and `second` at its upper bound; the upper end has the opposite pair.
+    imaginary pair with `first` at its lower and `second` at its upper bound; the upper end has the opposite pair.
 
     Args:
         first: Observations, >= 0.

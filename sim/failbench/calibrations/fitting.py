@@ -263,8 +263,7 @@ def optimum(layout: FitLayout, samples: Sequence[Sample], trust: float, iteratio
     """Return the maximum of prior times tempered likelihood.
 
     Uses Fisher scoring within bounds. A quasi-Newton method would need several times as many gradients, which are
-    finite
-    differences here.
+    finite differences here.
     """
     low, high = layout.bounds()
     z = np.zeros(len(low))

@@ -70,7 +70,7 @@ class SpillFamily(Family):
     """One use of the spill model, over the shipped drop model.
 
     Args:
-        use: One of `spill_constants.USES`.
+        use: "dropped" or "held", see `USES`.
         settings: Constants of the drop model.
     """
 

@@ -59,8 +59,7 @@ class StuckGripper(Fault):
     Args:
         closed: Whether the gripper stays as it is at the onset and ignores commands; the degree then has no effect.
             Otherwise it springs open by the amount of the degree. A weld that models the grasp is cut if fingers at
-            that
-            opening would no longer touch the object.
+            that opening would no longer touch the object.
     """
 
     closed: bool = False

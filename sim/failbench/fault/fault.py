@@ -108,8 +108,7 @@ class Fault(ABC):
 
         Called at the onset, along the ramp, and every `PERIOD` while the fault lasts. Before each call the model fields
         and the future commands are reset to those of a healthy robot, so effects do not add up over calls. Draw all
-        random
-        numbers from `plant.rng`, and keep state between calls in `plant.memory`.
+        random numbers from `plant.rng`, and keep state between calls in `plant.memory`.
 
         Args:
             plant: The simulated robot.

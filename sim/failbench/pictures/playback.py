@@ -83,8 +83,8 @@ def replay(
         lead: Shown time before the onset [s], clamped to the start of the motion.
         fps: Frames per second.
         size: Width and height of the frames [pixels].
-        camera: Name of one of the scene's cameras, or a camera. None is the camera
-            "overview" or, without it, a view of the whole scene.
+        camera: Name of one of the scene's cameras, or a camera. None is "overview" or, without it, a view of
+            the whole scene.
         slow: Slow-down factor.
 
     Returns:

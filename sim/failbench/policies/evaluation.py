@@ -45,8 +45,7 @@ def evaluate(
     """Run a policy on a task many times, healthy and with faults.
 
     Every fault is applied to the same n episodes as the healthy robot, with the same starts. It begins during the
-    motion:
-    its onset is a fraction of the duration of the same episode without a fault.
+    motion: its onset is a fraction of the duration of the same episode without a fault.
 
     Args:
         task: The task, see `policy_task`.

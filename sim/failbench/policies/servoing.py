@@ -23,8 +23,7 @@ class Servoing:
     """The low-level controller of one episode: it moves the joint targets, within the joints' speed limits.
 
     Joint targets move linearly between actions. Feed-forward of their speed and of gravity keeps the servos on target,
-    as
-    for trajectories. The controller does not know sensor faults, which act in the servos.
+    as for trajectories. The controller does not know sensor faults, which act in the servos.
 
     Args:
         task: The task.

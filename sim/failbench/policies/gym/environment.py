@@ -48,10 +48,9 @@ _BONUS = 1.0
 class FailBenchEnv(gymnasium.Env[Any, Array]):
     """One task, with one fault or without.
 
-    The reward "joint_distance" is the decrease of the joints' distance from the goal, relative to the start-goal distance.
-    A bonus of 1 is added once the tool has been at its goal for the dwell time. At the episode's end, `harm_weight`
-    times
-    its harm is subtracted, and `info["rollout"]` holds the outcome.
+    The reward "joint_distance" is the decrease of the joints' distance from the goal, relative to the start-goal
+    distance. A bonus of 1 is added once the tool has been at its goal for the dwell time. At the episode's end,
+    `harm_weight` times its harm is subtracted, and `info["rollout"]` holds the outcome.
 
     Args:
         task: "SCENE/TASK", or a `PolicyTask`.
