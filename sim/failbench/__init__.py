@@ -1,13 +1,13 @@
-"""FailBench: execute a trajectory in MuJoCo, break the robot, and record what was really hit, and how hard.
+"""FailBench: execute a trajectory in MuJoCo, break the robot, and record all hits and their force.
 
-It uses what is public in `graceful_plan`, which never imports it.
+It uses only the public interface of `graceful_plan`, which never imports it.
 """
 
 from typing import TYPE_CHECKING
 
 from graceful_plan import on_demand
 
-# What a name needs is imported when it is first asked for; type checkers read where each comes from.
+# Names are imported at their first use; type checkers read these imports.
 if TYPE_CHECKING:
     from failbench.basics.errors import ExecutionRefused
     from failbench.basics.onset import AtFraction, AtTime, Uniform

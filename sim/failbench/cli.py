@@ -1,7 +1,7 @@
-"""The command line, `failbench`. Thin: it calls the public API, prints, and turns outcomes into exit codes.
+"""The command line `failbench`. It calls the public API, prints results, and maps outcomes to exit codes.
 
-0: done. 1: no motion, or a part of a sweep failed. 2: misuse. 130: interrupted. With `--json`, what goes wrong is a
-document on standard output as well, with the exit code in it.
+0: done. 1: no motion, or a part of a sweep failed. 2: misuse. 130: interrupted. With `--json`, errors are also printed
+as a document on standard output, with the exit code.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from graceful_plan.tools.parsing import DONE, FAILED, INTERRUPTED, MISUSE, Parse
 
 __all__ = ["DONE", "FAILED", "INTERRUPTED", "MISUSE", "main", "parser"]
 
-NAME, ABOUT = "failbench", "Break a simulated robot on its way and see what it hits, and how hard."
+NAME, ABOUT = "failbench", "Break a simulated robot during a motion, and record its hits and their force."
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     name, as_json, args = NAME, "--json" in words, None
-    if words == ["--version"]:  # before anything is imported that simulates
+    if words == ["--version"]:  # before the imports of the simulation
         program(NAME, ABOUT).parse_args(words)
     try:
         args = parser().parse_args(words)
@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(args.run(args).shown(args.json))
         return DONE
     except BrokenPipeError:
-        # The reader went away, as `head` does; a second complaint at shutdown is kept from it.
+        # The reader closed the pipe, as `head` does; this prevents a second error at shutdown.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except UsageError as error:
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         folder = getattr(args, "folder", None)
         begun = folder is not None and (folder / JOURNAL).exists()
-        said = "interrupted" + (f"; to go on: failbench resume {folder}" if begun else "")
+        said = "interrupted" + (f"; to continue: failbench resume {folder}" if begun else "")
         return _complain(name, KeyboardInterrupt(said), INTERRUPTED, as_json)
 
 
@@ -55,7 +55,7 @@ def _code(error: BaseException) -> int:
 
 
 def _complain(name: str, error: BaseException, code: int, as_json: bool) -> int:
-    """Say what went wrong on standard error, and as a document on standard output if JSON was asked for."""
+    """Print an error on standard error, and with JSON output also as a document on standard output."""
     print(f"{name}: {error}", file=sys.stderr)
     if as_json:
         from graceful_plan import documents

@@ -1,4 +1,4 @@
-"""How much more harm does one motion do than another? Differences and ratios under common random numbers."""
+"""Comparison of the harm of two motions: differences and ratios with common random numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graceful_plan.exceptions import SettingError
 Array = np.ndarray
 
 PER = ("failure", "task")
-"""What harm is counted by: a failure, or the executed task with the failures to be expected while it lasts."""
+"""Reference of harm: one failure, or one executed task with the expected number of failures during it."""
 
 
 def compare(
@@ -36,30 +36,30 @@ def compare(
     confidence: float = 0.95,
     progress: Progress | None = None,
 ) -> Estimate:
-    """Estimate by how much more harm the first motion does than the second.
+    """Estimate the harm of the first motion minus that of the second.
 
-    Every failure of one is paired with the failure of the other that has the same fault, the same quantile of its onset
-    and the same random numbers, so that much of their luck cancels. Motions are validated; of reports, only `per` and
-    `confidence` still matter.
+    Each failure of one motion is paired with the failure of the other that has the same fault, quantile of the onset
+    and random numbers, which reduces the variance. Motions are validated first; for reports, only `per` and
+    `confidence` are used.
 
     Args:
-        first: A motion, as for `validate`, or what that returned.
-        second: Likewise.
-        scene: Where; not needed for reports.
-        scenarios: What fails, as of `validate`.
-        per: "failure", or "task" for harm per executed task, in which a longer motion has more failures, and what the
-            healthy robot does harm to counts with probability 1.
+        first: A motion, as for `validate`, or a report of `validate`.
+        second: Another motion or report.
+        scene: The scene; not needed for reports.
+        scenarios: Faults, as for `validate`.
+        per: "failure", or "task" for harm per executed task: longer motions have more failures, and harm of the healthy
+            robot counts with probability 1.
         n: Number of failures.
-        horizon: How long is simulated after the onset [s].
-        seed: Of everything random.
-        threads: Threads of the simulation.
-        settings: How it is simulated.
+        horizon: Simulated time after the onset [s].
+        seed: Seed of all random numbers.
+        threads: Number of simulation threads.
+        settings: Settings of the simulation.
         rate: Failures per hour of motion.
-        confidence: Of the interval.
-        progress: Called with the number of rollouts done and of all, for each motion.
+        confidence: Confidence level of the interval.
+        progress: Called with the numbers of finished and of all rollouts, for each motion.
 
     Raises:
-        SettingError: If the failures of two reports are not the same, or, per task, do not come at the same rate.
+        SettingError: If the failures of two reports differ, or, per task, their failure rates.
     """
 
     def validated(motion: Motion | ValidationReport) -> ValidationReport:
@@ -89,19 +89,19 @@ def compare(
 def harm_ratio(
     first: ValidationReport, second: ValidationReport, *, per: str = "task", confidence: float = 0.95
 ) -> Estimate:
-    """Estimate how many times as much harm the first motion does as the second; see `compare`.
+    """Estimate the harm of the first motion divided by that of the second; see `compare`.
 
     Args:
-        first: Of the motion whose harm is divided.
-        second: Of the motion by whose harm it is divided.
+        first: Report of the motion in the numerator.
+        second: Report of the motion in the denominator.
         per: "task" or "failure".
-        confidence: Of the interval.
+        confidence: Confidence level of the interval.
 
     Returns:
-        The ratio; infinite if only the second does no harm at all, NaN if neither does.
+        The ratio; infinite if only the second does no harm, NaN if neither does.
 
     Raises:
-        SettingError: If the failures of the two are not the same, or, per task, do not come at the same rate.
+        SettingError: If the failures of the two reports differ, or, per task, their failure rates.
     """
     pairs = _paired(first, second, per)
     return estimate_ratio(
@@ -115,15 +115,15 @@ def harm_ratio(
 
 
 class _Pairs(NamedTuple):
-    """Harm of failures that share their random numbers."""
+    """Harm of paired failures with common random numbers."""
 
     first: Float[Array, " n"]
     second: Float[Array, " n"]
     weights: Float[Array, " n"]
     greatest: float
-    """That one of them can be expected to do."""
+    """Greatest harm that one failure can be expected to do."""
     certain: tuple[float, float]
-    """Harm per task without any failure, of the first and of the second; 0 per failure."""
+    """Harm without a failure of the first and the second motion, per task; 0 per failure."""
 
 
 def _paired(first: ValidationReport, second: ValidationReport, per: str) -> _Pairs:

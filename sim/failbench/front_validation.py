@@ -1,4 +1,4 @@
-"""Does impact fall along a Pareto front as predicted? Observed impact beside predicted, point by point."""
+"""Validation of a Pareto front: observed and predicted impact, point by point."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _SCHEMA = {"schema": "failbench.front_validation", "version": 2}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointValidation:
-    """One point of a front.
+    """Validation of one point of a front.
 
     Args:
-        motion: Motion V.
-        impact: Impact S that the planner charges: an integral over the length of the path.
-        report: Predicted and observed impact of a failure; None if the healthy robot cannot carry out the motion.
-        refused: Why it cannot.
-        lost: What the healthy robot does harm to if it cannot because it loses the object.
+        motion: Motion cost V.
+        impact: Impact cost S of the planner: an integral over the length of the path.
+        report: Predicted and observed impact per failure; None if the healthy robot cannot execute the motion.
+        refused: Reason why it cannot.
+        lost: Harm of the healthy robot if it cannot because it loses the object.
     """
 
     motion: float
@@ -43,19 +43,19 @@ class PointValidation:
 
     @property
     def healthy(self) -> HealthyHarm | None:
-        """What the healthy robot does harm to, with probability 1; None if it cannot carry out the motion at all."""
+        """Harm of the healthy robot, with probability 1; None if it cannot execute the motion at all."""
         return self.lost if self.report is None else self.report.healthy
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrontValidation:
-    """A front, validated. Made by `validate_front`.
+    """Validation of a front. Made by `validate_front`.
 
     Args:
         scene: Name of the scene.
-        points: From the shortest motion to that of least impact.
-        n: Failures along each.
-        seed: Of everything random; all points share their random numbers.
+        points: Points from the shortest motion to that of least impact.
+        n: Number of failures along each motion.
+        seed: Seed of all random numbers, common to all points.
         rate: Failures per hour of motion.
     """
 
@@ -67,7 +67,7 @@ class FrontValidation:
 
     @property
     def rank_correlation(self) -> float:
-        """Kendall's tau between predicted and observed impact of a failure; NaN with less than two points."""
+        """Kendall's tau between predicted and observed impact per failure; NaN with fewer than two points."""
         reports = [point.report for point in self.points if point.report is not None]
         if len(reports) < 2:
             return float("nan")
@@ -80,7 +80,7 @@ class FrontValidation:
         return float(np.sum(signs[0] * signs[1]) / np.sqrt(pairs[0] * pairs[1])) if min(pairs) > 0.0 else float("nan")
 
     def to_document(self) -> dict[str, Any]:
-        """Return everything as a document of plain values."""
+        """Return the validation as a document of plain values."""
         points = [
             {
                 "motion": point.motion,
@@ -143,24 +143,24 @@ def validate_front(
     confidence: float = 0.95,
     progress: Callable[[int, int], None] | None = None,
 ) -> FrontValidation:
-    """Let a robot fail along every motion of a front, with the same random numbers along each.
+    """Simulate failures along every motion of a front, with common random numbers.
 
     Args:
-        front: The front, or the file that `ParetoFront.save` wrote.
-        scene: Where, with the carried object attached: `task.scene`.
-        scenarios: What fails, as of `validate`.
-        n: Failures along each motion.
-        horizon: How long is simulated after the onset [s].
-        seed: Of everything random.
-        threads: Threads of the simulation.
-        settings: How it is simulated.
+        front: The front, or a file written by `ParetoFront.save`.
+        scene: The scene with the carried object attached: `task.scene`.
+        scenarios: Faults, as for `validate`.
+        n: Number of failures along each motion.
+        horizon: Simulated time after the onset [s].
+        seed: Seed of all random numbers.
+        threads: Number of simulation threads.
+        settings: Settings of the simulation.
         rate: Failures per hour of motion, for the harm per executed task.
-        confidence: Of the intervals.
-        progress: Called with the number of motions done and of all.
+        confidence: Confidence level of the intervals.
+        progress: Called with the numbers of finished and of all motions.
 
     Raises:
-        SettingError: If the front is empty, or a setting makes no sense.
-        FormatError: If the file holds no front.
+        SettingError: If the front is empty, or a setting is out of range.
+        FormatError: If the file does not hold a front.
     """
     loaded = front if isinstance(front, ParetoFront) else ParetoFront.load(front)
     if not len(loaded):

@@ -1,4 +1,4 @@
-"""What a validation says: records, a table to read, a JSON document."""
+"""Report of a validation: records, a table, and a JSON document."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from graceful_plan.array_types import Float
 Array = np.ndarray
 
 FAILURES_PER_HOUR = 1e-3
-"""One failure in 1000 h: a round figure to state harm per executed task at, not a measured one. That harm is
-proportional to it where the healthy robot does none, and ratios of it do not depend on it there."""
+"""One failure in 1000 h: a round reference for harm per executed task, not a measured rate. If the healthy robot does
+no harm, the harm per task is proportional to the rate, and ratios of it do not depend on the rate."""
 _SCHEMA = {"schema": "failbench.validation", "version": 3}
 _SECONDS_PER_HOUR = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class EntityReport:
-    """What failures do to one entity.
+    """Effects of failures on one entity.
 
     Args:
-        probability: Probability that a failure makes the robot, the carried object or its contents touch it; of the
-            carried object itself, that it is damaged.
-        impact: Its share of the observed impact.
-        predicted: Its share of the predicted impact.
+        probability: Probability that a failure makes the robot, the carried object or its contents touch the entity;
+            for the carried object itself, that it is damaged.
+        impact: The entity's part of the observed impact.
+        predicted: The entity's part of the predicted impact.
     """
 
     probability: Estimate
@@ -42,41 +42,41 @@ class EntityReport:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ValidationReport:
-    """Observed impact of failures along a motion beside the predicted. Made by `validate`.
+    """Observed and predicted impact of failures along a motion. Made by `validate`.
 
-    Impacts are severities per failure, from its onset on. What the healthy robot spills, loses or touches comes with
-    probability 1 and is no failure's: `healthy`. Failures come per hour, so what an executed task has to expect is that
-    and the impact times the number of failures while it lasts: `observed_per_task`. Diverged rollouts are in no
-    estimate; they are counted.
+    Impacts are severities per failure, from its onset on. Spills, losses and touches of the healthy robot have
+    probability 1 and are reported separately: `healthy`. Failures occur at a rate per hour, so the expected harm of an
+    executed task is the healthy harm plus the impact times the expected number of failures: `observed_per_task`.
+    Diverged rollouts are counted, but enter no estimate.
 
     | field       | meaning                                                                                         |
     |-------------|-------------------------------------------------------------------------------------------------|
     | scene       | name of the scene                                                                               |
-    | healthy     | what the healthy robot does harm to, with probability 1                                         |
-    | observed    | sum over components and entities of the severities of what is touched, with `own_loss` if the  |
-    |             | prediction counts it                                                                            |
-    | whole       | the same with what was hit before the failure began, each pair once; `observed` if nothing was  |
-    | energy      | `observed`, each severity times the probability that the energy of the touch does damage          |
-    | own_loss    | severity of the loss of the carried object itself, times the probability that it is damaged     |
-    | secondary   | the same as `observed` for entities that other entities are knocked onto                        |
+    | healthy     | harm of the healthy robot, with probability 1                                                   |
+    | observed    | sum over components and entities of the severities of all touches, with `own_loss` if the       |
+    |             | prediction includes it                                                                          |
+    | whole       | `observed` with the hits before the onset, each pair once; equal to `observed` without such hits |
+    | energy      | `observed`, each severity times the damage probability at the energy of the touch               |
+    | own_loss    | severity of the loss of the carried object itself, times its damage probability                 |
+    | secondary   | impact on entities that only other entities touch                                               |
     | predicted   | mean of the planner's sum of P S over the times of the failures                                 |
-    | duration    | of the motion [s]                                                                               |
+    | duration    | duration of the motion [s]                                                                      |
     | rate        | failures per hour of motion                                                                     |
     | by_fault    | observed impact of each fault, by "NAME/DEGREE"                                                 |
-    | by_entity   | share of each entity                                                                            |
+    | by_entity   | part of each entity                                                                             |
     | dropped     | fraction of the rollouts in which the carried object left the gripper                           |
     | spilled     | lost fraction of the contents that were there at the onset                                      |
-    | diverged    | rollouts whose simulation blew up                                                               |
-    | n           | rollouts, with the diverged ones                                                                |
-    | effective_n | rollouts of equal weight that would tell as much; n without importance sampling                 |
-    | seed        | of everything random                                                                            |
-    | horizon     | how long was simulated after each onset [s]                                                     |
-    | confidence  | of the intervals                                                                                |
-    | greatest    | severity of the worst single touch that is possible; guards the intervals                       |
-    | versions    | of what computed this                                                                           |
-    | jobs        | the failures                                                                                    |
-    | impacts     | observed impact of each; NaN if it diverged                                                     |
-    | wholes      | the same as in `whole`                                                                          |
+    | diverged    | number of rollouts whose simulation blew up                                                     |
+    | n           | number of rollouts, including diverged ones                                                     |
+    | effective_n | effective sample size of the weighted rollouts; n without importance sampling                   |
+    | seed        | seed of all random numbers                                                                      |
+    | horizon     | simulated time after each onset [s]                                                             |
+    | confidence  | confidence level of the intervals                                                               |
+    | greatest    | severity of the worst possible single touch; guards the intervals                               |
+    | versions    | versions of the packages                                                                        |
+    | jobs        | specifications of the failures                                                                  |
+    | impacts     | observed impact of each failure; NaN if it diverged                                             |
+    | wholes      | each failure's impact as in `whole`                                                             |
     """
 
     scene: str
@@ -107,26 +107,26 @@ class ValidationReport:
 
     @property
     def failures_per_task(self) -> float:
-        """Failures to be expected while the motion is executed once."""
+        """Expected number of failures per execution of the motion."""
         return self.rate * self.duration / _SECONDS_PER_HOUR
 
     @property
     def certain_per_task(self) -> float:
-        """Harm of the healthy robot to be expected of executing the motion once: if nothing fails on the way."""
+        """Expected harm of the healthy robot per execution of the motion: its harm if nothing fails."""
         return max(0.0, 1.0 - self.failures_per_task) * self.healthy.harm
 
     @property
     def observed_per_task(self) -> Estimate:
-        """Harm to be expected of executing the motion once.
+        """Expected harm per execution of the motion.
 
-        Executions without a failure do what the healthy robot does, those with one what is in `whole`: the part that
-        had happened before, and from the onset on the failure's. So nothing counts twice.
+        Executions without a failure do the harm of the healthy robot. Executions with one do the harm in `whole`: the
+        part before the onset, and the failure's from then on. Nothing counts twice.
         """
         return self.whole.scaled(self.failures_per_task).shifted(self.certain_per_task)
 
     @property
     def predicted_per_task(self) -> float:
-        """Predicted impact of failures to be expected of executing the motion once."""
+        """Expected predicted impact of failures per execution of the motion."""
         return self.predicted * self.failures_per_task
 
     def __str__(self) -> str:
@@ -163,7 +163,7 @@ class ValidationReport:
         return "\n\n".join([*([loud] if loud else []), head, *tables])
 
     def to_document(self) -> dict[str, Any]:
-        """Return everything but the single failures as a document of plain values."""
+        """Return the report as a document of plain values, without the single failures."""
         names = "scene predicted duration rate diverged n effective_n seed horizon confidence greatest".split()
         estimates = ("observed", "whole", "energy", "own_loss", "secondary", "dropped", "spilled")
         return {
@@ -182,7 +182,7 @@ class ValidationReport:
         }
 
     def to_json(self, file: str | FilePath | None = None) -> str:
-        """Return the document as JSON text, NaN as null; write it to `file` if one is given."""
+        """Return the document as JSON text, with null for NaN; write it to `file` if given."""
         text = documents.to_json(self.to_document()) + "\n"
         if file is not None:
             FilePath(file).write_text(text, encoding="utf-8")
@@ -190,7 +190,7 @@ class ValidationReport:
 
 
 def loudly(healthy: HealthyHarm) -> str:
-    """Return what people read first about harm without failure; "" if there is none."""
+    """Return a warning about harm without failure; "" if there is none."""
     return "" if healthy.harmless else f"HARM WITHOUT FAILURE: {healthy}"
 
 

@@ -1,4 +1,4 @@
-"""The registry of scenarios: what may break, how badly, in which task of which scene. Listing it simulates nothing."""
+"""The registry of scenarios: faults by degree, task and scene. Listing it simulates nothing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from graceful_plan.yaml_file import Block, read_yaml
 _FILE = Path(__file__).parent / "scenarios.yaml"
 _NEEDS = ("carried", "contents")
 MOBILE = "mobile"
-"""Family of scenarios whose robots drive."""
+"""Family of scenarios with driving robots."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Scenario:
         name: "SCENE/TASK/FAULT/DEGREE".
         scene: Name of the bundled scene.
         task: Name of its task.
-        fault: What breaks.
-        tags: "FAMILY/FAULT/DEGREE" for each family that it belongs to, the fault's category first.
+        fault: The fault.
+        tags: "FAMILY/FAULT/DEGREE" for each of its families, the fault's category first.
     """
 
     name: str
@@ -42,19 +42,19 @@ class Scenario:
     tags: tuple[str, ...]
 
     def matches(self, pattern: str) -> bool:
-        """Whether the name or a tag matches a pattern with the wildcards * and ?."""
+        """Return whether the name or a tag matches a pattern with the wildcards * and ?."""
         return any(fnmatchcase(label, pattern) for label in (self.name, *self.tags))
 
 
 def scenarios(pattern: str = "*") -> tuple[Scenario, ...]:
-    """Return the scenarios whose name or one of whose tags matches a pattern such as "drop/*" or "desk/*/severe".
+    """Return the scenarios with a name or tag that matches a pattern such as "drop/*" or "desk/*/severe".
 
-    All others are about arms that stand: faults of the surroundings are found by patterns that begin with
-    "surroundings/", robots that drive by patterns that begin with "mobile/" or with the name of a mobile scene, and
-    both by their whole names.
+    Patterns that begin with "surroundings/" select faults of the surroundings. Patterns that begin with "mobile/" or
+    the name of a mobile scene select driving robots. Full names select both as well. All other patterns select
+    scenarios of fixed arms.
 
     Raises:
-        UnknownNameError: If there are none, with what the first part of a pattern can be.
+        UnknownNameError: If nothing matches; the message lists valid first parts of a pattern.
     """
     found = tuple(scenario for scenario in _registry() if scenario.matches(pattern))
     first = pattern.split("/")[0]
@@ -74,7 +74,7 @@ def _families(scenario: Scenario) -> tuple[str, ...]:
 
 
 class _Family(NamedTuple):
-    """Which scenarios belong to it: None stands for all."""
+    """A family of scenarios; None in a field matches everything."""
 
     faults: tuple[str, ...] | None
     scenes: tuple[str, ...] | None
@@ -101,7 +101,7 @@ def _registry() -> tuple[Scenario, ...]:
 
 @cache
 def _around() -> tuple[Scenario, ...]:
-    """Return every fault of the surroundings, in every degree, on every task."""
+    """Return all faults of the surroundings, in every degree, on every task."""
     return tuple(
         Scenario(
             f"{scene}/{task}/{name}/{degree}", scene, task, kind(degree=degree), (f"{SURROUNDINGS}/{name}/{degree}",)
@@ -116,7 +116,7 @@ def _around() -> tuple[Scenario, ...]:
 
 @cache
 def _driving() -> tuple[Scenario, ...]:
-    """Return what robots that drive do in the mobile scenes; a robot without a gripper has no faults of one."""
+    """Return the scenarios of driving robots in the mobile scenes; without a gripper, faults of it are left out."""
     found = []
     for scene in gp.mobile_scenes():
         loaded = gp.load_scene(scene)
@@ -149,7 +149,7 @@ def _of_task(scene: str, task: str, holds: frozenset[str], families: Mapping[str
 
 
 def _tasks(scene_name: str) -> dict[str, frozenset[str]]:
-    """Return the tasks of a bundled scene and which of the components "carried" and "contents" each has."""
+    """Return the tasks of a bundled scene, with which of the components "carried" and "contents" each has."""
     scene = gp.load_scene(scene_name)
     found = {}
     for name, task in scene.tasks.items():
@@ -163,7 +163,7 @@ def read_file(file: Path) -> Mapping[str, _Family]:
     """Read families from a YAML file laid out like `scenarios.yaml`.
 
     Raises:
-        SceneError: If the file is broken or names a fault or a scene that does not exist, with the line.
+        SceneError: If the file is malformed, or names an unknown fault or scene; the message has the line.
     """
     root = read_yaml(file)
     root.only("version", "families")

@@ -1,9 +1,9 @@
-"""A check that tells the author of a fault what is wrong with theirs.
+"""A check that reports mistakes in a user-defined fault to its author.
 
     from failbench.testing import check_fault
     check_fault(MyFault())
 
-It breaks a robot with the fault and compares what happens with the contract. All findings are reported together.
+It applies the fault to a robot, and compares its effects with the interface. All findings are reported together.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ Array = np.ndarray
 Findings = Iterator[str]
 
 _STEPS = 200
-"""Steps that are simulated after the onset."""
+"""Simulated steps after the onset."""
 _SEED = 7
 
 
 def check_fault(fault: object, execution: Execution | None = None) -> None:
-    """Break a robot with a fault, in every degree, and report everything that breaks the contract of `Fault`.
+    """Apply a fault to a robot in every degree, and report all violations of the interface of `Fault`.
 
     Args:
         fault: The `Fault` to check.
-        execution: The healthy run to break; by default a short one of our own.
+        execution: The healthy run to break; a short one by default.
 
     Raises:
-        ContractError: With all findings, if there are any.
+        ContractError: If there are findings; it holds all of them.
     """
     if not isinstance(fault, Fault):
         raise ContractError(fault, ("is not a failbench.Fault",))
     findings = list(_check_class(type(fault)))
-    if not findings:  # without its class data a fault cannot be tried
+    if not findings:  # a fault without class data cannot be applied
         trials = _Trials(_short_execution(fault) if execution is None else execution)
         for check in _CHECKS:
             findings += _tried(check, fault, trials)
@@ -76,7 +76,7 @@ def _tried(check: _Check, fault: Fault, trials: _Trials) -> list[str]:
 
 @cache
 def _short_execution(fault: Fault) -> Execution:
-    """Return a short motion in a scene that has what the fault needs."""
+    """Return a short execution in a scene that meets the fault's needs."""
     task = next(iter(load_scene("tabletop_l1").tasks.values()))
     scene = staged_for(fault, task.scene)
     if scene is task.scene and fault is not _NONE:
@@ -85,7 +85,7 @@ def _short_execution(fault: Fault) -> Execution:
 
 
 _NONE = faults()["noise"]()
-"""A fault that needs nothing in the scene."""
+"""A fault without requirements on the scene."""
 
 
 def _check_class(cls: type[Fault]) -> Findings:
@@ -104,7 +104,7 @@ def _check_class(cls: type[Fault]) -> Findings:
     valid = {name for name in MODEL_FIELDS if "." not in name}
     for name in cls.FIELDS:
         if name not in valid:
-            yield f"FIELDS names {name!r}, which is not a field of the model that simulations can have of their own"
+            yield f"FIELDS names {name!r}, which is not a field of the model that simulations can change separately"
     if cls.PERIOD is not None and not (math.isfinite(cls.PERIOD) and cls.PERIOD >= 0.0):
         yield f"PERIOD is {cls.PERIOD!r}, expected a finite time >= 0 s, or None"
 
@@ -122,18 +122,18 @@ def _check_amounts(amounts: object) -> Findings:
         return
     steps = np.diff(values)
     if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
-        yield f"AMOUNTS are {values} from minor to critical, expected that they only rise or only fall"
+        yield f"AMOUNTS are {values} from minor to critical, expected strictly rising or falling values"
 
 
 class _Effect(dict[str, Array]):
-    """What a fault has changed, after one call: model fields, commands and constraints."""
+    """State after one call of a fault: model fields, commands and constraints."""
 
     def same(self, other: _Effect, *, but: Array | None = None) -> bool:
-        """Whether two effects are the same bit by bit, but for some constraints."""
+        """Return whether two effects are bit-identical, except for some constraints."""
         return all(np.array_equal(_without(n, v, but), _without(n, other[n], but)) for n, v in self.items())
 
     def not_numbers(self) -> list[str]:
-        """Name what has a NaN in it."""
+        """Return the names of arrays that contain a NaN."""
         return [name for name, values in self.items() if np.isnan(values.astype(float)).any()]
 
 
@@ -143,7 +143,7 @@ def _without(name: str, values: Array, constraints: Array | None) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Trace:
-    """One trial: the healthy robot, then what it was like after every call, and where it ended."""
+    """One trial: the healthy state, the effect of every call, and the final state."""
 
     healthy: _Effect
     effects: tuple[_Effect, ...]
@@ -152,7 +152,7 @@ class _Trace:
 
 
 class _Trials:
-    """Breaks one execution with faults, in a plain loop, and watches."""
+    """Applies faults to one execution in a plain loop, and records their effects."""
 
     def __init__(self, execution: Execution) -> None:
         self.execution = execution
@@ -183,7 +183,7 @@ class _Trials:
                 improper += _differences(before, _untouchable(data))
                 effects.append(_effect(injection, step))
                 if effects[-1].not_numbers():
-                    break  # it would only blow up
+                    break  # the simulation would only diverge
             data.ctrl[:] = injection.plant.command[step]
             put_walkers(model, data, injection.plant.walk[step])
             mujoco.mj_step(model, data)
@@ -195,19 +195,19 @@ def _effect(injection: Injection, step: int) -> _Effect:
     plant = injection.plant
     changed = {name: values.copy() for name, values in plant.fields.items()}
     sent = plant.command - plant.healthy
-    sent[:step] = 0.0  # these are gone
+    sent[:step] = 0.0  # past steps
     walk = plant.walk[step:][:1].copy()
     return _Effect(changed, command=sent, eq_active=plant.eq_active.copy(), xfrc=plant.xfrc.copy(), walk=walk)
 
 
 def _untouchable(data: mujoco.MjData) -> dict[str, Array]:
-    """Copy what a fault may only read."""
+    """Copy the arrays that a fault may only read."""
     return {"qpos": data.qpos.copy(), "qvel": data.qvel.copy()}
 
 
 def _differences(before: Mapping[str, Array], after: Mapping[str, Array]) -> list[str]:
     return [
-        f"apply() wrote into plant.{name}, which is to be read only"
+        f"apply() wrote into plant.{name}, which is read only"
         for name, values in before.items()
         if not np.array_equal(values, after[name])
     ]
@@ -248,17 +248,17 @@ def _check_determinism(fault: Fault, trials: _Trials) -> Findings:
 
 
 def _global_random_state() -> tuple[bytes, int]:
-    _, keys, position, *_ = np.random.get_state()  # noqa: NPY002 - to see whether somebody touches it
+    _, keys, position, *_ = np.random.get_state()  # noqa: NPY002 - to detect its use
     return np.asarray(keys).tobytes(), int(position)
 
 
 def _check_restoration(fault: Fault, trials: _Trials) -> Findings:
     trace = trials.run(dataclasses.replace(fault, duration=0.1))
-    weld = np.array([trials.robot.weld] if trials.robot.weld >= 0 else [], dtype=int)  # nothing mends it
+    weld = np.array([trials.robot.weld] if trials.robot.weld >= 0 else [], dtype=int)  # a cut weld stays cut
     last = trace.effects[-1]
     if not last.not_numbers() and not last.same(trace.healthy, but=weld):
         names = [name for name, values in trace.healthy.items() if not np.array_equal(values, last[name])]
-        yield f"is not undone when its duration is over: changed for good: {', '.join(names)}"
+        yield f"is not undone at the end of its duration: changed permanently: {', '.join(names)}"
 
 
 def _check_document(fault: Fault, trials: _Trials) -> Findings:

@@ -1,10 +1,9 @@
-"""Does the robot do as little harm when it fails as the planner says? Observed impact beside predicted, with intervals.
+"""Validation of the planner's impact: observed and predicted harm of failures, with confidence intervals.
 
-Both have one unit, severity per failure, and one rule, the sum over components and entities, one of which is the
-carried object itself. Observed: the mean over rollouts of the summed severities of what was touched. Predicted: the
-mean of the planner's sum of P S over the times at which the same faults begin. Times the failures while the motion
-lasts, either is the harm of failures to be expected of an executed task. What the healthy robot does harm to comes on
-top, with probability 1, and is reported first.
+Both are severities per failure, summed over components and entities, including the carried object itself.
+Observed: the mean over rollouts of the summed severities of all touches. Predicted: the mean of the planner's sum of
+P S over the onsets of the same faults. Times the expected number of failures during the motion, either is the expected
+harm of failures per executed task. Harm of the healthy robot is added with probability 1, and is reported first.
 """
 
 from __future__ import annotations
@@ -55,10 +54,10 @@ Array = np.ndarray
 Motion = Trajectory | Path | PlanResult | ArrayLike
 Scenarios = str | Fault | Sequence[str | Fault]
 Progress = Callable[[int, int], None]
-"""Called with the number of rollouts done and the number of all."""
+"""Called with the numbers of finished and of all rollouts."""
 
 _CHUNK = 128
-"""Rollouts between two calls of `progress`."""
+"""Rollouts between calls of `progress`."""
 
 
 def validate(
@@ -78,32 +77,33 @@ def validate(
     confidence: float = 0.95,
     progress: Progress | None = None,
 ) -> ValidationReport:
-    """Let a robot fail many times along a motion, and compare what it hits with what the planner predicted.
+    """Simulate many failures along a motion, and compare their observed impact with the planner's prediction.
 
     Args:
         motion: A trajectory, the result of `plan`, or a path or configurations, which are timed within the limits.
-        scene: Where, with the carried object attached: `task.scene`.
-        scenarios: What fails: patterns of the registry's tags or names such as "drop/*", of which only the faults
-            count here, or faults. All weigh alike.
+        scene: The scene with the carried object attached: `task.scene`.
+        scenarios: Faults, equally weighted: fault objects, or patterns of the registry's tags or names such as
+            "drop/*", of which only the faults are used.
         n: Number of rollouts, rounded up to a multiple of the number of faults.
-        horizon: How long is simulated after the onset [s].
-        seed: Of everything random. Motions validated with the same seed, n and faults share their random numbers.
-        importance: Draw onsets more often where harm is predicted, instead of evenly; then no other motion shares them.
-        threads: Threads of the simulation; None for one a core. The result does not depend on it.
-        settings: How it is simulated.
-        prediction: The impact cost that predicts; None for the planner's default. If the loss of the carried object
-            itself does not count there (`ImpactCost.own_loss`), it does not count in what is observed, either.
-        controller: Of a base that drives, see `execute`. It goes on after the onset, as well as it can.
-        rate: Failures per hour of motion, of all those faults together; harm per executed task is proportional to it.
-        confidence: Of the intervals.
-        progress: Called now and then with the number of rollouts done and of all.
+        horizon: Simulated time after the onset [s].
+        seed: Seed of all random numbers. Validations with the same seed, n and faults have common random numbers.
+        importance: Whether to sample onsets more densely where harm is predicted. Other motions then have different
+            onsets.
+        threads: Number of simulation threads; None for one per core. It does not affect the result.
+        settings: Settings of the simulation.
+        prediction: The impact cost that predicts; None for the planner's default. If it excludes the loss of the
+            carried object itself (`ImpactCost.own_loss`), the observed impact excludes it as well.
+        controller: Controller of a driving base, see `execute`. It continues after the onset.
+        rate: Failures per hour of motion, of all these faults together, for the harm per executed task.
+        confidence: Confidence level of the intervals.
+        progress: Called with the numbers of finished and of all rollouts.
 
     Raises:
-        ExecutionRefused: If the healthy robot cannot carry out the motion, or loses the object (`ObjectLost`). Spilling
-            is not refused: it is what the report says first.
+        ExecutionRefused: If the healthy robot cannot execute the motion, or loses the object (`ObjectLost`). A healthy
+            robot that spills is not refused; the report begins with its harm.
         UnknownNameError: If a pattern matches nothing, or a fault strikes a joint that the robot does not have.
-        PlanningFailed: If `motion` is the result of a plan that failed.
-        SettingError: If a setting makes no sense, or only the gripper fails and there is nothing in it.
+        PlanningFailed: If `motion` is the result of a failed plan.
+        SettingError: If a setting is out of range, or all faults are of the gripper and it holds no object.
     """
     faults = chosen_faults(scenarios)
     _check_droppable(faults, scene)
@@ -133,11 +133,11 @@ def validate(
 
 
 def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
-    """Return the faults that are meant by patterns of the registry, or given, each once.
+    """Return the faults given directly or by patterns of the registry, each once.
 
     Raises:
         UnknownNameError: If a pattern matches nothing.
-        SettingError: If something is neither a pattern nor a fault, or there is nothing.
+        SettingError: If an entry is neither a pattern nor a fault, or there are no entries.
     """
     given = [scenarios] if isinstance(scenarios, str) or not isinstance(scenarios, Sequence) else list(scenarios)
     found: dict[Fault, None] = {}
@@ -159,7 +159,7 @@ def _check_rate(rate: float) -> None:
 
 
 def _check_droppable(faults: Sequence[Fault], scene: Scene) -> None:
-    """Raise SettingError if nothing can come of any of the faults."""
+    """Raise SettingError if all faults are of the gripper and it holds no object."""
     if scene.carried is None and all(set(fault.targets or fault.TARGETS) == {"gripper"} for fault in faults):
         raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
 
@@ -167,10 +167,10 @@ def _check_droppable(faults: Sequence[Fault], scene: Scene) -> None:
 def predicted_impact(
     trajectory: Trajectory, scene: Scene, times: Float[Array, " n"], cost: ImpactCost
 ) -> Float[Array, "n entity"]:
-    """Predict the impact of a failure at some times after the start of a trajectory [s].
+    """Predict the impact of a failure at times after the start of a trajectory [s].
 
     Returns:
-        By entity of the scene, then by entity that moves; last the carried object itself, if its loss counts.
+        Impact for the scene's entities, then moving entities, then the carried object itself if its loss counts.
     """
     clock = trajectory.t[0] + times
     batch = trajectory_batch(scene, trajectory, clock, clock if scene.moving else None)
@@ -178,19 +178,19 @@ def predicted_impact(
 
 
 def _onsets(fault: Fault, duration: float) -> Float[Array, " n"]:
-    """Return times at which a fault begins, evenly in probability."""
+    """Return equally probable onsets of a fault."""
     return np.array([fault.when.onset(u, duration) for u in quantile_grid()])
 
 
 class _Expected(NamedTuple):
-    """What was predicted, and by what."""
+    """The predicted impact, and the cost that predicts it."""
 
     cost: ImpactCost
     impact: Float[Array, " hazard"]
 
 
 class _Failures(NamedTuple):
-    """What was to fail, what came of it, and what was expected."""
+    """The faults, their rollouts, and the prediction."""
 
     faults: Sequence[Fault]
     jobs: tuple[Job, ...]
@@ -238,7 +238,7 @@ def _report(
         by_entity[scene.carried.body] = EntityReport(
             probability=mean([own_damage(rollout, scene, table) for rollout in rollouts], 1.0),
             impact=mean(shares[:, -1], scene.own_severity),
-            predicted=float(expected.impact[len(scene.entities) :].sum()),  # 0 if the model does not know it
+            predicted=float(expected.impact[len(scene.entities) :].sum()),  # 0 if the model excludes it
         )
     struck = {label: np.array([job.fault == fault for job in jobs]) for label, fault in _labels(faults).items()}
     return ValidationReport(
@@ -271,7 +271,7 @@ def _report(
 
 
 def _counted(healthy: HealthyHarm, scene: Scene, fragility: FragilityTable, *, own: bool) -> HealthyHarm:
-    """Return harm without failure, counted as that of failures is."""
+    """Return the healthy harm by the same rule as for failures."""
     found = impact_by_entity(healthy, scene, fragility, own=own)
     return replace(healthy, by_entity=MappingProxyType({name: x for name, x in found.items() if x > 0.0}))
 
@@ -279,7 +279,7 @@ def _counted(healthy: HealthyHarm, scene: Scene, fragility: FragilityTable, *, o
 def _shares(
     scene: Scene, rollouts: Sequence[Touches], fragility: FragilityTable, *, own: bool
 ) -> Float[Array, "n hazard"]:
-    """Return each entity's share in the observed impacts, and last that of the carried object itself if it counts."""
+    """Return each entity's part of the observed impacts, with the carried object's own loss last if it counts."""
     names = [*scene.entities, *([scene.carried.body] if own and scene.carried is not None else [])]
     found = [impact_by_entity(rollout, scene, fragility, own=own) for rollout in rollouts]
     return np.array([[impact.get(name, 0.0) for name in names] for impact in found]).reshape(-1, len(names))
@@ -290,7 +290,7 @@ def _touches(rollout: Rollout, entity: str) -> bool:
 
 
 def _labels(faults: Sequence[Fault]) -> dict[str, Fault]:
-    """Name each fault by kind and degree; those that differ otherwise are numbered."""
+    """Label each fault with its name and degree, numbered if taken."""
     found: dict[str, Fault] = {}
     for fault in faults:
         name = label = f"{fault.NAME}/{fault.degree}"

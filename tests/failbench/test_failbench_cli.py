@@ -15,7 +15,7 @@ from failbench.sweeps.dataset import MANIFEST, read_dataset
 from failbench.sweeps.sweep import JOURNAL
 
 DROP = "tabletop/lift_to_goal/gripper_failure/severe"
-GO_ON = "interrupted; to go on: failbench resume data"
+GO_ON = "interrupted; to continue: failbench resume data"
 QUICK = ("--iterations", "50", "--horizon", "0.04")
 
 
@@ -180,7 +180,7 @@ def test_dry_run_prints_a_sweep_that_generate_takes(run, tmp_path):
         (("validate", "--scene", "moon"), "unknown scene 'moon'; valid: apartment, desk"),
         (("validate", "--task", "dance"), "unknown task of tabletop 'dance'"),
         (("generate", "folder"), "expected patterns of scenarios, or --sweep FILE"),
-        (("generate", "folder", DROP, "--sweep", "s.json"), "and not both"),
+        (("generate", "folder", DROP, "--sweep", "s.json"), "but not both"),
         (("generate", "folder", "--sweep", "nowhere.json"), "nowhere.json"),
         (("generate", "folder", "drop/*/minor", "--trajectory", "t.json"), "expected patterns of one task, not"),
         (("generate", "folder", DROP, "--workers", "-1"), "workers = -1"),

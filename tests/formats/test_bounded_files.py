@@ -86,5 +86,5 @@ def test_a_part_of_a_dataset_has_as_many_rows_as_its_manifest_says(tmp_path: Pat
     content = file.read_bytes()
     part = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
     for rows in (1, 200_000):
-        with pytest.raises(FormatError, match="not the columns or rows"):
+        with pytest.raises(FormatError, match="wrong columns or number of rows"):
             dataset._read_part(file, part | {"rows": rows}, dataset.VERSION)

@@ -1,1 +1,1 @@
-"""What every room of the harness uses."""
+"""Types, errors, onsets, tables and statistics that all parts of FailBench use."""

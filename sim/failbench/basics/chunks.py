@@ -1,4 +1,4 @@
-"""What a sweep is cut into, and what doing one piece gives: the words that work, journal and executors share."""
+"""Chunks of a sweep and their outcomes: the types that work, journal and executors share."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ Rows = dict[str, list[dict[str, Any]]]
 
 @dataclass(frozen=True, kw_only=True)
 class Chunk:
-    """A piece of a sweep that is done in one go: some rollouts of one fault on one motion.
+    """A part of a sweep that one call computes: some rollouts of one fault on one motion.
 
     Args:
-        index: Place in the sweep.
+        index: Index in the sweep.
         motion: Index of the motion.
         fault: Index of the fault.
-        first: The first of the rollouts, counted within motion and fault.
-        last: The one after the last.
-        name: What it is called in messages.
+        first: First rollout, counted within motion and fault.
+        last: Rollout after the last one.
+        name: Name for messages.
     """
 
     index: int
@@ -33,7 +33,7 @@ class Chunk:
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkOutcome:
-    """How a chunk ended: with rows, or with an error."""
+    """Outcome of a chunk: its rows, or an error."""
 
     chunk: Chunk
     rows: Rows | None = None
@@ -41,11 +41,11 @@ class ChunkOutcome:
 
 
 Work = Callable[[Chunk], Rows]
-"""Does a chunk. It is sent to other processes, so it must be picklable; its rows must depend on the chunk alone."""
+"""Computes a chunk. Must be picklable, since it is sent to other processes; its rows must depend on the chunk alone."""
 
 
 def attempt(work: Work, chunk: Chunk) -> ChunkOutcome:
-    """Do a chunk and report how it ended; whatever is raised becomes the outcome's error, with the chunk's name."""
+    """Compute a chunk; an exception becomes the outcome's error, prefixed with the chunk's name."""
     try:
         return ChunkOutcome(chunk=chunk, rows=work(chunk))
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Errors of FailBench, besides those of graceful_plan."""
+"""Errors of FailBench, in addition to those of graceful_plan."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from graceful_plan import GracefulPlanError
 
 
 class ExecutionRefused(GracefulPlanError, RuntimeError):
-    """A motion that the healthy robot cannot carry out, so that nothing can be learnt from breaking it.
+    """Raised for a motion that the healthy robot cannot execute: failures along it would tell nothing.
 
     Args:
-        what: The joint that does not follow, or the object that does not stay in the gripper.
-        time: When, on the trajectory's clock [s].
-        problem: What happens there, and what to do about it.
+        what: The joint that does not follow, or the object that leaves the gripper.
+        time: Time on the trajectory's clock [s].
+        problem: What happens there, and the remedy.
     """
 
     def __init__(self, what: str, time: float, problem: str) -> None:
@@ -23,7 +23,7 @@ class ExecutionRefused(GracefulPlanError, RuntimeError):
 
 
 class SweepBusy(GracefulPlanError, RuntimeError):
-    """A sweep that another process is working on."""
+    """Raised if another process is working on the sweep."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -31,22 +31,21 @@ class SweepBusy(GracefulPlanError, RuntimeError):
 
 
 class WorkerError(GracefulPlanError, RuntimeError):
-    """Processes that die before they can do anything."""
+    """Raised if worker processes die before they compute anything."""
 
     def __init__(self, problem: str) -> None:
         self.problem = problem
         super().__init__(
-            f"workers: {problem}; a script that uses workers has to keep its own actions below "
-            'if __name__ == "__main__":'
+            f'workers: {problem}; a script that uses workers must keep its own actions below if __name__ == "__main__":'
         )
 
 
 class NoPicture(GracefulPlanError, RuntimeError):
-    """A picture that cannot be made or shown on this machine.
+    """Raised if a picture cannot be made or shown on this machine.
 
     Args:
         problem: What is missing.
-        remedy: What to do about it.
+        remedy: How to fix it.
     """
 
     def __init__(self, problem: str, remedy: str) -> None:
@@ -55,11 +54,11 @@ class NoPicture(GracefulPlanError, RuntimeError):
 
 
 class SweepFailed(GracefulPlanError, RuntimeError):
-    """A sweep of which chunks failed. What is done is kept.
+    """Raised if chunks of a sweep failed. Finished chunks are kept.
 
     Args:
         folder: The sweep's folder.
-        errors: What went wrong, a text for each chunk.
+        errors: Error message of each failed chunk.
         chunks: Number of all chunks.
     """
 
@@ -67,12 +66,12 @@ class SweepFailed(GracefulPlanError, RuntimeError):
         self.folder, self.errors, self.chunks = folder, tuple(errors), chunks
         super().__init__(
             f"{folder}: {len(self.errors)} of {chunks} chunks failed and there is no dataset yet; the first: "
-            f"{self.errors[0]}; to try them again: failbench resume {folder}"
+            f"{self.errors[0]}; to retry them: failbench resume {folder}"
         )
 
 
 class MissingExtra(GracefulPlanError, ImportError):
-    """A package that comes with an extra and is not installed."""
+    """Raised if a package of an extra is not installed."""
 
     def __init__(self, package: str, extra: str) -> None:
         self.package, self.extra = package, extra

@@ -1,4 +1,4 @@
-"""When a fault begins: at a fixed time, at a fraction of the trajectory, or anywhere in a stretch of it."""
+"""Onset of a fault: at a fixed time, at a fraction of the trajectory, or uniform over a part of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from graceful_plan.path import is_real
 
 @dataclass(frozen=True)
 class AtTime:
-    """A fixed time after the start of the trajectory [s]; beyond its end, the end."""
+    """A fixed time after the start of the trajectory [s], clamped to its end."""
 
     time: float
 
@@ -20,7 +20,7 @@ class AtTime:
             raise SettingError("time", self.time, "a finite time >= 0 s")
 
     def onset(self, u: float, duration: float) -> float:
-        """Return the onset [s] on a trajectory that takes `duration` [s]; `u` in [0, 1) is not needed."""
+        """Return the onset [s] on a trajectory of length `duration` [s]; `u` is ignored."""
         return min(self.time, duration)
 
 
@@ -35,13 +35,13 @@ class AtFraction:
             raise SettingError("fraction", self.fraction, "0 <= fraction <= 1")
 
     def onset(self, u: float, duration: float) -> float:
-        """Return the onset [s] on a trajectory that takes `duration` [s]; `u` in [0, 1) is not needed."""
+        """Return the onset [s] on a trajectory of length `duration` [s]; `u` is ignored."""
         return self.fraction * duration
 
 
 @dataclass(frozen=True)
 class Uniform:
-    """Anywhere between two fractions of the trajectory's duration, all times alike."""
+    """Uniformly distributed between two fractions of the trajectory's duration."""
 
     first: float = 0.0
     last: float = 1.0
@@ -51,7 +51,7 @@ class Uniform:
             raise SettingError("first, last", (self.first, self.last), "0 <= first <= last <= 1")
 
     def onset(self, u: float, duration: float) -> float:
-        """Return the onset [s] on a trajectory that takes `duration` [s], for the quantile `u` in [0, 1]."""
+        """Return the onset [s] on a trajectory of length `duration` [s], for the quantile `u` in [0, 1]."""
         return (self.first + u * (self.last - self.first)) * duration
 
 

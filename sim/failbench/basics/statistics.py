@@ -1,10 +1,10 @@
-"""Means and probabilities with intervals, for observations that are mostly zero and sometimes very large.
+"""Means and probabilities with confidence intervals, for observations that are mostly zero and sometimes very large.
 
-A hundred rollouts that hit nothing do not show that nothing can be hit. So no interval here has width zero: that of a
-probability is Wilson's, and that of any other mean is a t interval of the observations together with one imaginary one
-at the end of their range, which bounds it as the rule of three would. Measured coverage of the t interval alone, at
-95 % nominal, falls to 60 % where few rollouts hit anything; the bootstrap shares that fault, since it never draws what
-was not seen. Onsets are stratified, which these intervals ignore: the truth is rather nearer than they say.
+A hundred rollouts without a hit do not show that hits are impossible, so no interval here has width zero. Probabilities
+have Wilson's interval. Other means have a t interval of the observations and one imaginary observation at the end of
+their range, which bounds the interval as the rule of three does. Without that observation, the measured coverage of a
+t interval at 95 % nominal falls to 60 % where few rollouts hit anything. The bootstrap has the same defect, since it
+never draws unseen values. The intervals ignore that onsets are stratified, so they are somewhat too wide.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean with its interval.
+    """A mean with its confidence interval.
 
     Args:
         mean: The mean; NaN if nothing was observed.
@@ -44,20 +44,20 @@ class Estimate:
         return f"{self.mean:.3g} [{self.low:.3g}, {self.high:.3g}]"
 
     def scaled(self, factor: float) -> Estimate:
-        """Return the estimate of `factor` times what is estimated.
+        """Return the estimate of the quantity multiplied by `factor`.
 
         Raises:
-            SettingError: Unless the factor is a finite number >= 0.
+            SettingError: Unless `factor` is a finite number >= 0.
         """
         if not 0.0 <= factor < math.inf:
             raise SettingError("factor", factor, "a finite number >= 0")
         return Estimate(factor * self.mean, factor * self.low, factor * self.high, self.n)
 
     def shifted(self, by: float) -> Estimate:
-        """Return the estimate of what is estimated plus something that is known.
+        """Return the estimate of the quantity plus the known number `by`.
 
         Raises:
-            SettingError: Unless that is a finite number.
+            SettingError: Unless `by` is a finite number.
         """
         if not math.isfinite(by):
             raise SettingError("by", by, "a finite number")
@@ -65,7 +65,7 @@ class Estimate:
 
 
 def wilson(hits: int, n: int, confidence: float = 0.95) -> Estimate:
-    """Estimate a probability from `hits` out of `n` alike and independent trials, with Wilson's interval.
+    """Estimate a probability from `hits` out of `n` independent trials, with Wilson's interval.
 
     References:
         [Wilson1927] Probable inference, the law of succession, and statistical inference.
@@ -79,7 +79,7 @@ def wilson(hits: int, n: int, confidence: float = 0.95) -> Estimate:
     p = hits / n
     centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    # At the ends of the range the formula is exact but for rounding.
+    # At both ends of the range the interval is exact; setting it avoids rounding errors.
     low, high = 0.0 if hits == 0 else centre - half, 1.0 if hits == n else centre + half
     return Estimate(p, low, high, n)
 
@@ -89,18 +89,18 @@ def estimate_mean(
 ) -> Estimate:
     """Estimate the mean of observations, weighted or not, with a guarded t interval.
 
-    The lower end is that of the observations and one more at the lower bound, the upper end that of the observations
-    and one more at the upper bound. Of weighted observations, the mean is sum(w y) / sum(w), and the interval that of
-    its linearisation; the imaginary one has the greatest weight.
+    The lower end is that of the observations plus an imaginary one at the lower bound, the upper end that of the
+    observations plus one at the upper bound. With weights, the mean is sum(w y) / sum(w), the interval is that of its
+    linearisation, and the imaginary observation has the greatest weight.
 
     Args:
         values: Observations.
-        bounds: The least and the greatest value that an observation may be expected to have.
-        weights: Importance weights, >= 0; all alike if None.
-        confidence: Probability that the interval covers the truth.
+        bounds: Least and greatest value expected of an observation.
+        weights: Importance weights, >= 0; equal if None.
+        confidence: Probability that the interval covers the true mean.
 
     Returns:
-        The estimate; of no observations, NaN between the bounds.
+        The estimate. Without observations, or with zero total weight, its mean is NaN and its interval the bounds.
     """
     check_confidence(confidence)
     y = finite_array("values", values, ndim=1)
@@ -122,7 +122,7 @@ def estimate_mean(
 
 
 def estimate_probability(hits: ArrayLike, *, weights: ArrayLike | None = None, confidence: float = 0.95) -> Estimate:
-    """Estimate a probability from whether each trial was a hit: `wilson`, or `estimate_mean` if weights differ."""
+    """Estimate a probability from hit indicators, by `wilson`, or by `estimate_mean` if the weights differ."""
     y = finite_array("hits", hits, ndim=1)
     if weights is None or len(np.unique(np.asarray(weights))) <= 1:
         return wilson(int(np.count_nonzero(y)), len(y), confidence)
@@ -137,14 +137,14 @@ def estimate_difference(
     weights: ArrayLike | None = None,
     confidence: float = 0.95,
 ) -> Estimate:
-    """Estimate the mean of first - second from pairs that share their random numbers.
+    """Estimate the mean of first - second from paired observations with common random numbers.
 
     Args:
         first: Observations.
-        second: Observations under the same random numbers, pair by pair.
-        bounds: Of an observation, as for `estimate_mean`.
-        weights: Of the pairs.
-        confidence: Probability that the interval covers the truth.
+        second: Observations with the same random numbers, pair by pair.
+        bounds: Bounds of an observation, as for `estimate_mean`.
+        weights: Importance weights of the pairs.
+        confidence: Probability that the interval covers the true difference.
     """
     a, b = finite_array("first", first, ndim=1), finite_array("second", second, ndim=1)
     if a.shape != b.shape:
@@ -162,22 +162,21 @@ def estimate_ratio(
     certain: tuple[float, float] = (0.0, 0.0),
     confidence: float = 0.95,
 ) -> Estimate:
-    """Estimate the mean of `first` over the mean of `second` from pairs that share their random numbers.
+    """Estimate the mean of `first` over the mean of `second` from paired observations with common random numbers.
 
-    The interval is a t interval of the logarithm, linearised. As in `estimate_mean` it is guarded: the lower end is
-    that of the pairs and one more in which `first` is at its lower and `second` at its upper bound, the upper end the
-    other way round.
+    The interval is a linearised t interval of the logarithm, guarded as in `estimate_mean`. The lower end has an
+    imaginary pair with `first` at its lower and `second` at its upper bound; the upper end has the opposite pair.
 
     Args:
         first: Observations, >= 0.
-        second: Observations under the same random numbers, pair by pair, >= 0.
-        bounds: The least and the greatest value that an observation may be expected to have, >= 0.
-        weights: Of the pairs.
-        certain: What is known to come on top of each observation and of the bounds, of `first` and of `second`, >= 0.
-        confidence: Probability that the interval covers the truth.
+        second: Observations with the same random numbers, pair by pair, >= 0.
+        bounds: Least and greatest value expected of an observation, >= 0.
+        weights: Importance weights of the pairs.
+        certain: Known constants added to every observation and bound of `first` and of `second`, >= 0.
+        confidence: Probability that the interval covers the true ratio.
 
     Returns:
-        The estimate; infinite if only the second mean is 0, NaN from 0 to infinity if both are.
+        The estimate; infinite if only the second mean is 0, NaN with the interval [0, inf] if both are.
     """
     check_confidence(confidence)
     a, b = finite_array("first", first, ndim=1), finite_array("second", second, ndim=1)
@@ -219,7 +218,7 @@ def _log_limit(
 
 
 def effective_sample_size(weights: ArrayLike) -> float:
-    """Return how many observations of equal weight tell as much: (sum w)^2 / sum w^2."""
+    """Return the effective sample size (sum w)^2 / sum w^2: the equivalent number of equally weighted observations."""
     w = finite_array("weights", weights, ndim=1)
     squares = float(w @ w)
     return float(w.sum()) ** 2 / squares if squares else 0.0
@@ -234,18 +233,18 @@ def cluster_bootstrap(
     seed: int = 0,
     confidence: float = 0.95,
 ) -> Estimate:
-    """Estimate any statistic of observations that come in clusters, such as trajectories of a few scenes.
+    """Estimate a statistic of clustered observations, for example trajectories from a few scenes, by the bootstrap.
 
-    Whole clusters are drawn with replacement, and the interval is that between percentiles of the statistic. It needs
-    ten clusters or more to mean much, and it cannot see what no cluster shows.
+    Whole clusters are drawn with replacement; the interval lies between percentiles of the statistic. It is unreliable
+    with fewer than ten clusters, and it cannot account for values that no cluster shows.
 
     Args:
         values: Observations along the first axis.
-        clusters: Which cluster each belongs to.
-        statistic: Of the observations; higher axes are its business.
-        resamples: How often to draw. Resamples where the statistic is NaN are left out.
-        seed: Of the draws.
-        confidence: Probability that the interval covers the truth.
+        clusters: Cluster label of each observation.
+        statistic: Function of the observations; it receives the further axes unchanged.
+        resamples: Number of resamples. Those with a NaN statistic are left out.
+        seed: Seed of the draws.
+        confidence: Probability that the interval covers the true value.
     """
     check_confidence(confidence)
     y, labels = np.asarray(values, dtype=float), np.asarray(clusters)
@@ -262,9 +261,9 @@ def cluster_draws(clusters: ArrayLike, resamples: int, seed: int) -> Iterator[In
     """Yield rows of resamples in which whole clusters are drawn with replacement.
 
     Args:
-        clusters: Which cluster each row belongs to.
-        resamples: How often to draw.
-        seed: Of the draws.
+        clusters: Cluster label of each row.
+        resamples: Number of resamples.
+        seed: Seed of the draws.
     """
     names, members = np.unique(np.asarray(clusters), return_inverse=True)
     parts: list[Int[Array, " n"]] = [np.flatnonzero(members == i) for i in range(len(names))]
@@ -274,7 +273,7 @@ def cluster_draws(clusters: ArrayLike, resamples: int, seed: int) -> Iterator[In
 
 
 def check_confidence(confidence: float) -> None:
-    """Raise SettingError unless this is a level of confidence."""
+    """Raise SettingError unless 0 < confidence < 1."""
     if not 0.0 < confidence < 1.0:
         raise SettingError("confidence", confidence, "0 < confidence < 1")
 

@@ -1,4 +1,4 @@
-"""The tables of a dataset: their columns, types, units and meaning."""
+"""Tables of a dataset: their columns, types, units and meaning."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 VERSION = 3
-"""Of the tables' layout; it grows when a column is added, removed or changes its meaning."""
+"""Version of the table layout. Increased when a column is added, removed or changes its meaning."""
 ADDED = {"own_loss": 2, "healthy_harm": 3, "healthy_spilled": 3, "whole_impact": 3}
-"""Columns that came later than with version 1, with the version that they came with."""
+"""Columns added after version 1, with the version that added them."""
 
 
 class Column(NamedTuple):

@@ -1,4 +1,4 @@
-"""Versions of what decides about results."""
+"""Versions of the packages that determine results."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ import graceful_plan as gp
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what decides about results."""
+    """Return the versions of the packages that determine results."""
     return {"graceful_plan": gp.__version__} | {name: metadata.version(name) for name in ("mujoco", "numpy")}

@@ -1,7 +1,7 @@
 """Fit the margins of the body model to failures, by maximum likelihood.
 
-How an arm moves when it fails is physics and is not fitted; how sure that is, is: an offset and a spread for each
-generator and row. Joints fail one at a time and it is known which one did, so each event came about in one way.
+The motion of a failing arm is physics and is not fitted. Its uncertainty is: an offset and a spread for each generator
+and row. Joints fail one at a time and the failing joint is known, so each event has exactly one cause.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from graceful_plan.exceptions import SettingError
 Array = np.ndarray
 
 SINGLE: Mapping[str, str] = {"complete_shutdown": "joint", "stuck_position": "stuck"}
-"""Faults of one joint, and the generators that are fitted to them."""
+"""Faults of one joint, and the generators fitted to them."""
 WHOLE: Mapping[str, str] = {
     "power_loss": "collapse",
     **dict.fromkeys(("noise", "bias_drift", "control_delay", "dead_zone", "dropout"), "stray"),
 }
-"""Faults that do not strike one joint, and the generators that are fitted to them."""
+"""Faults that do not strike one joint, and the generators fitted to them."""
 _DIGITS = 4
 _RESAMPLES = 100
 
 
 def faults_of(scene: Scene) -> list[Fault]:
-    """Return the faults that the model is fitted to; the gripper is self-locking, so that what is held stays held."""
+    """Return the faults that the model is fitted to; the gripper is self-locking, so that it keeps its object."""
     known = faults()
     single = [known[name](degree="severe", targets=(joint,)) for name in SINGLE for joint in scene.joints]
     whole = [known[name](degree="severe") for name in WHOLE if name != PowerLoss.NAME]
@@ -51,7 +51,7 @@ def faults_of(scene: Scene) -> list[Fault]:
 
 
 def wide(settings: BodySettings) -> BodySettings:
-    """Return settings whose margins do not cut any distance below `REACH`."""
+    """Return settings whose margins cut off no distance below `REACH`."""
     margin = Margin(offset=0.0, spread=REACH / FAR)
     return replace(settings, **{g: replace(getattr(settings, g), body=margin, carried=margin) for g in GENERATORS})
 
@@ -59,27 +59,27 @@ def wide(settings: BodySettings) -> BodySettings:
 def fit_distances(
     settings: BodySettings, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
 ) -> Float[Array, "n mode row entity"]:
-    """Return the distances of all ways to fail, up to `REACH`, that margins are fitted to."""
+    """Return the distances of all failure modes, up to `REACH`, that margins are fitted to."""
     return BodyModel(wide(settings)).distances(batch, ahead)
 
 
 def touches(
     settings: BodySettings, failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene]
 ) -> dict[tuple[str, str], MarginEvents]:
-    """Put distances beside what happened, by generator and row.
+    """Pair distances with observed hits, by generator and row.
 
-    What is dropped in a collapse is left out of "carried": others tell where it falls.
+    Objects dropped during a collapse are left out of "carried"; other models predict where they fall.
 
     Args:
-        settings: Constants of the motion and of what stops it; the step has to be that of `AHEAD`.
-        failures: Of any faults; those that are not fitted to are passed over. Each entry is one motion.
-        scenes: By name of the scene and the task, with the object attached.
+        settings: Constants of the motion and of its stopping; the step must be that of `AHEAD`.
+        failures: Failures of any faults; faults without a generator are ignored. Each entry is one motion.
+        scenes: Scenes with the object attached, by name of the scene and the task.
 
     Raises:
-        SettingError: If the step is another one.
+        SettingError: If the settings have another step.
     """
     if not np.isclose(settings.step, AHEAD[0]):
-        raise SettingError("step", settings.step, f"{AHEAD[0]:g} s, as the motion to come is known")
+        raise SettingError("step", settings.step, f"{AHEAD[0]:g} s, the step of the stored motion")
     found: dict[tuple[str, str], list[MarginEvents]] = {}
     for motion, whole in enumerate(failures):
         scene = scenes[whole.scene, whole.task]
@@ -106,7 +106,7 @@ def touches(
 
 
 def _mode(label: str) -> str | None:
-    """Return the name of the way to fail that a fault acts like, as in `mode_names`."""
+    """Return the name of the failure mode that a fault corresponds to, as in `mode_names`."""
     name, *targets = label.split()
     if name in SINGLE and len(targets) == 1:
         return f"{SINGLE[name]}/{targets[0]}"
@@ -119,11 +119,11 @@ def _mode(label: str) -> str | None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class BodyCalibration(Calibration):
-    """Margins of the body model, and why they are what they are. Made by `fit_body`.
+    """Fitted margins of the body model, with their provenance. Made by `fit_body`.
 
     Args:
-        base: Constants of the motion, and of what stops it, which are not fitted.
-        margins: By generator and row; what had nothing to be fitted to keeps the margin of `base`.
+        base: Constants of the motion and of its stopping, which are not fitted.
+        margins: Margins by generator and row; those without data keep the margin of `base`.
         provenance: Scenes, failures, seed, versions.
     """
 
@@ -139,7 +139,7 @@ class BodyCalibration(Calibration):
         return replace(self.base, **fitted)
 
     def to_document(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the calibration as JSON values."""
         settings = self.settings()
         named = {f"{generator}.{row}": found for (generator, row), found in self.margins.items()}
         intervals = {
@@ -184,12 +184,12 @@ def fit_body(
     """Fit the margins to failures.
 
     Args:
-        failures: Of the faults in `SINGLE`, each with its joint, and in `WHOLE`.
-        scenes: By name of the scene and the task; the bundled ones if None.
+        failures: Failures of the faults in `SINGLE`, each with its joint, and in `WHOLE`.
+        scenes: Scenes by name of the scene and the task; the bundled ones if None.
         base: Constants that are not fitted; the shipped ones if None.
-        about: What else to put down: how the failures were made.
-        seed: Of the intervals.
-        resamples: For the intervals; 100 if None.
+        about: Further provenance, for example how the failures were made.
+        seed: Seed of the intervals.
+        resamples: Number of resamples for the intervals; 100 if None.
     """
     draws = _RESAMPLES if resamples is None else resamples
     base = BodySettings.shipped() if base is None else base

@@ -1,4 +1,4 @@
-"""Fit one margin of the body model, an offset and a spread, to what happened at which distance."""
+"""Fit one margin of the body model, an offset and a spread, to observed hits and their predicted distances."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ Array = np.ndarray
 REACH = 0.35
 """Distance [m] up to which distances are computed for a fit."""
 _PRIOR = Margin(offset=-0.03, spread=0.03)
-"""What the search begins with."""
+"""Start of the search."""
 _STEPS = (0.04, 0.8)
 """First steps of the search: of the offset [m], and of the logarithm of the spread."""
 _FINEST = 1e-3
-"""Share of the first steps at which it ends."""
+"""Fraction of the first steps at which the search ends."""
 _CONFIDENCE = 0.95
 
 
 class MarginEvents(NamedTuple):
-    """What one generator and row is fitted to: pairs of a failure and an entity."""
+    """Data for one generator and row: pairs of a failure and an entity."""
 
     d: Float[Array, " n"]
-    """Distance [m], at most `REACH`."""
+    """Predicted distance [m], at most `REACH`."""
     hit: Bool[Array, " n"]
     motion: Array
     """Index of the motion."""
@@ -46,23 +46,23 @@ def fit_margin(
     weight: Float[Array, " n"] | None = None,
     start: Margin = _PRIOR,
 ) -> Margin:
-    """Return the margin under which what happened was likeliest.
+    """Return the margin with the greatest likelihood.
 
     Args:
-        d: Distance for each event and way in which it may have come about, all equally likely: one column if it is
-            known which joint failed.
-        hit: Whether it happened.
-        weight: How often each event counts; once if None.
-        start: What the search begins with.
+        d: Distance for each event and possible cause, all causes equally likely; one column if the failing joint is
+            known.
+        hit: Whether each event is a hit.
+        weight: Weight of each event; 1 if None.
+        start: Start of the search.
 
     Raises:
-        ShapeError: If there is not one row for each event.
-        SettingError: If nothing happened, or everything.
+        ShapeError: If the numbers of rows and events differ.
+        SettingError: If all events are hits, or none is.
     """
     if d.ndim != 2 or len(d) != len(hit):
         raise ShapeError("d", d.shape, f"({len(hit)}, way)")
     if not 0 < hit.sum() < len(hit):
-        raise SettingError("hit", int(hit.sum()), "some that happened and some that did not")
+        raise SettingError("hit", int(hit.sum()), "at least one hit and one miss")
     w = np.ones(len(hit)) if weight is None else weight
 
     def surprise(point: Float[Array, " 2"]) -> float:
@@ -83,7 +83,7 @@ def fit_margin(
 
 
 def predicted(d: Float[Array, "event way"], margin: Margin) -> Float[Array, " event"]:
-    """Return P of each event under a margin: the mean over the ways in which it may come about."""
+    """Return the probability of each event under a margin: the mean over its possible causes."""
     offset, spread = (np.full((d.shape[1], 1), value) for value in (margin.offset, margin.spread))
     return chance(d[:, :, None, None], offset, spread)[:, :, 0, 0].mean(axis=1)
 
@@ -94,13 +94,13 @@ def _margin(point: Float[Array, " 2"]) -> Margin:
 
 @dataclass(frozen=True, kw_only=True)
 class FittedMargin:
-    """A margin, and how good it is.
+    """A fitted margin, and its quality.
 
     Args:
-        offset: With its interval [m].
-        spread: With its interval [m].
-        fitted: Figures on what it was fitted on.
-        held_out: Of all scenes together, each with a margin that was fitted on the others; None with one scene.
+        offset: Offset with its interval [m].
+        spread: Spread with its interval [m].
+        fitted: Figures on the data of the fit.
+        held_out: Figures over all scenes, each predicted with a margin fitted on the others; None with one scene.
     """
 
     offset: Fitted
@@ -110,14 +110,14 @@ class FittedMargin:
 
     @property
     def margin(self) -> Margin:
-        """As the model wants it."""
+        """The margin in the model's format."""
         return Margin(offset=self.offset.value, spread=self.spread.value)
 
 
 def fit_touches(events: MarginEvents, *, resamples: int = 100, seed: int = 0) -> FittedMargin:
-    """Fit one margin; intervals draw whole motions with replacement."""
+    """Fit one margin; intervals resample whole motions with replacement."""
     best = fit_margin(events.d[:, None], events.hit)
-    near = events.d < REACH  # what is farther is predicted by no margin
+    near = events.d < REACH  # farther events do not affect the fit
     d, hit = events.d[near, None], events.hit[near]
     drawn = []
     for rows in cluster_draws(events.motion, resamples, seed):

@@ -1,8 +1,8 @@
-"""Calibration: let robots fail in many scenes, fit a model to that, and write down where its constants come from.
+"""Calibration: simulate failures in many scenes, fit a model to them, and record the provenance of its constants.
 
-A `Recipe` says for each model what has to fail for it and how it is fitted; the rest is the same for all. A document
-holds, beside each constant and its interval, what failed where with which versions, and how good the model is on each
-scene with constants that were fitted on all the others.
+A `Recipe` gives the faults and the fit of each model; the rest is common to all. A document holds each constant with
+its interval, the failures and versions behind it, and the model's quality on each scene with constants fitted on all
+other scenes.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ _HEAD = """\
 
 
 class Calibration(ABC):
-    """Constants of a model, and why they are what they are."""
+    """Constants of a model, with their provenance."""
 
     ONE_A_LINE: ClassVar[tuple[str, ...]] = ()
-    """Parts of the document whose constants get a line each when it is written."""
+    """Parts of the document that are written with one constant per line."""
     ABOUT: ClassVar[str] = ""
-    """What else the head of the file says, as comments."""
+    """Further comment lines for the head of the file."""
 
     @abstractmethod
     def to_document(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the calibration as JSON values."""
 
     @abstractmethod
     def __str__(self) -> str:
-        """Return what it is worth, as a table."""
+        """Return the quality of the calibration as a table."""
 
     def to_yaml(self) -> str:
-        """Return it as YAML text that the model reads."""
+        """Return the calibration as YAML text that the model reads."""
         document = self.to_document()
         compact = {key: value for key, value in document.items() if key not in self.ONE_A_LINE}
         long = {key: document[key] for key in self.ONE_A_LINE}
@@ -55,10 +55,10 @@ class Calibration(ABC):
 
 
 class _Plain(yaml.SafeDumper):
-    """Writes what is in two places twice: models refuse aliases."""
+    """YAML dumper without aliases, which models refuse."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Return that there are to be none."""
+        """Return True, to write repeated values in full."""
         del data
         return True
 
@@ -71,15 +71,15 @@ class Fit(Protocol):
     """Fits a model to failures."""
 
     def __call__(self, failures: Sequence[Failures], *, about: Mapping[str, Any], seed: int) -> Calibration:
-        """Return the constants; `about` is put down with them, and `seed` is of the intervals."""
+        """Return the constants; `about` is recorded with them, and `seed` is for the intervals."""
         ...
 
 
 class Recipe(NamedTuple):
-    """How a model is calibrated."""
+    """Calibration recipe of a model."""
 
     faults: Callable[[Scene], Sequence[Fault]]
-    """What has to fail for it, on the robot of a scene."""
+    """Faults to simulate, for the robot of a scene."""
     fit: Fit
 
 
@@ -91,19 +91,19 @@ def calibrate(
     kept: str | FilePath | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Let robots fail in bundled scenes, or take failures from a file, and calibrate a model with them.
+    """Calibrate a model with failures simulated in bundled scenes, or read from a file.
 
     Args:
-        recipe: How.
+        recipe: The model's recipe.
         scenes: Names of bundled scenes; most models need two.
-        settings: How often something fails; the fit is done in this process.
-        kept: File that the failures are kept in, or taken from if it is there. Then only those in `scenes` count.
+        settings: Numbers of failures and motions; the fit runs in this process.
+        kept: File to store the failures in, or to read them from if it exists. Only failures in `scenes` are used.
         progress: Called after each motion.
 
     Raises:
         UnknownNameError: If there is no such scene.
         SettingError: If there are too few scenes for the model.
-        FormatError: If the file is there and holds something else.
+        FormatError: If the file exists and holds something else.
     """
     settings = FailureSettings() if settings is None else settings
     failures, source = fetch(
@@ -122,18 +122,18 @@ def write(calibration: Calibration, file: str | FilePath) -> None:
 
 
 def scenes_of(failures: Sequence[Failures], load: Callable[[str], Scene]) -> dict[tuple[str, str], Scene]:
-    """Load the scene of every scene's name and task's name, with the object attached."""
+    """Load the scenes of all failures, with the object attached, by name of the scene and the task."""
     loaded = {name: load(name) for name in sorted({part.scene for part in failures})}
     return {(part.scene, part.task): loaded[part.scene].tasks[part.task].scene for part in failures}
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what decides about constants."""
+    """Return the versions of the packages that determine constants."""
     return {"graceful_plan": gp.__version__, "mujoco": mujoco.__version__}
 
 
 def rounded(value: float, digits: int = 5) -> float:
-    """Return a number with so many significant digits."""
+    """Return a number rounded to `digits` significant digits."""
     return float(f"{value:.{digits}g}")
 
 

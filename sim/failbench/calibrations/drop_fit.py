@@ -1,8 +1,8 @@
-"""The drop model as something whose constants can be fitted.
+"""The drop model as a family of fitted constants.
 
-Priors are what the constants would be taken to be without any drops: a gripper needs some hundredths of a second to let
-go and does not do it quite evenly; what falls off something moves by about its own size. Their spreads say how far off
-that may well be; drops decide.
+Priors are estimates without any drop data: a gripper needs some hundredths of a second to release an object and does
+not release it quite evenly; an object that falls off something moves by about its own size. The prior's spread is the
+plausible error of the estimate.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _PRIORS: Mapping[str, Prior] = {
 
 
 class FootprintFamily(Family):
-    """`Footprint`, one set of constants for each of `SHAPE_CLASSES`, some of them shared."""
+    """`Footprint` with one set of constants for each of `SHAPE_CLASSES`; some constants are shared."""
 
     constants = tuple(Constant(name=name, shared=name in SHARED, **prior._asdict()) for name, prior in _PRIORS.items())
 
@@ -66,7 +66,7 @@ class FootprintFamily(Family):
         return States(scene, q, qd)
 
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
-        """Return what `Footprint` predicts for the carried object."""
+        """Return the probabilities that `Footprint` predicts for the carried object."""
         constants = DropConstants(**values)
         model = Footprint(settings=DropSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
         found = model.probability(moving_batch(prepared.scene, prepared.q, prepared.qd))
@@ -79,7 +79,7 @@ def fit_drop(failures: Sequence[Failures], *, about: Mapping[str, Any], seed: in
 
 
 def faults_of(scene: Scene) -> Sequence[Fault]:
-    """Return the fault that the model is fitted to; it is the same for all robots."""
+    """Return the fault that the model is fitted to, which is the same for all robots."""
     del scene
     return DROP
 

@@ -1,12 +1,12 @@
-r"""Which way of failing a fault acts like: effects of `graceful_plan.FaultPrior`, fitted to failures.
+r"""Effects of faults for `graceful_plan.FaultPrior`: the generator that each fault acts like, fitted to failures.
 
-Of one fault, the robot's body (B) and what it carries, with contents (C), touch an entity with the probabilities
+Under one fault, the robot's body (B) and the carried object with its contents (C) touch an entity with probabilities
 
 .. math:: P_B = \sum_g a_g P_{Bg}, \qquad P_C = d P_{drop} + (1 - d) \Big( s P_{spill} + \sum_g a_g P_{Cg} \Big)
 
-where the models of the generators say P. Given d, these are linear in s and a; given s and a, in d. So the one and the
-others are fitted in turns (`mixture`), each time to the global maximum, from two sides. Events of one motion are alike:
-intervals come from resamples of whole motions. They cannot see what no motion shows.
+where the generators' models give the P on the right. They are linear in s and a for fixed d, and linear in d for fixed
+s and a. The two parts are fitted alternately (`mixture`), each to its global maximum, from two starts. Events of one
+motion are correlated, so intervals resample whole motions. They cannot account for effects that no motion shows.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 
-_GAIN = 1e-3  # of the logarithm of the likelihood, below which turns end [nat]
+_GAIN = 1e-3  # gain of the log-likelihood below which the alternation ends [nat]
 _TURNS = 50
 _DIGITS = 4
 _DEGREE = "severe"
@@ -43,17 +43,17 @@ _DEFINED = {
         name: Fitted(float(name == "drop"), float(name == "drop"), float(name == "drop")) for name in FAILURES
     }
 }
-"""The drop model is about what this fault does."""
+"""Effects that hold by definition: the drop model is the model of this fault."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaultEffect:
-    """What one fault acts like.
+    """Effect of one fault.
 
     Args:
-        shares: Probability of each generator; of "spill", if the object is not dropped.
-        fitted: Figures of the predicted events that the shares were fitted on.
-        held_out: The same, each scene predicted with shares that were fitted on the others; None with one scene.
+        shares: Probability of each generator; for "spill", given that the object is not dropped.
+        fitted: Figures on the events of the fit.
+        held_out: Figures over all scenes, each predicted with shares fitted on the others; None with one scene.
         motions: Number of motions.
     """
 
@@ -69,13 +69,13 @@ def fit_effects(
     """Fit the effects of faults.
 
     Args:
-        events: By fault.
-        resamples: For the intervals.
-        seed: Of the resamples.
-        confidence: Of the intervals.
+        events: Events by fault.
+        resamples: Number of resamples for the intervals.
+        seed: Seed of the resamples.
+        confidence: Confidence level of the intervals.
 
     Raises:
-        SettingError: If there are no events of a fault.
+        SettingError: If a fault has no events.
     """
     check_confidence(confidence)
     return {fault: _fit(fault, each, resamples, seed, confidence) for fault, each in events.items()}
@@ -84,12 +84,12 @@ def fit_effects(
 def likeliest(
     events: FaultEvents, weight: Float[Array, " n"] | None = None, start: Float[Array, " generator"] | None = None
 ) -> Float[Array, " generator"]:
-    """Return the shares of `FAILURES` under which the events of a fault are likeliest.
+    """Return the shares of `FAILURES` with the greatest likelihood of a fault's events.
 
     Args:
-        events: What happened.
-        weight: How often each event counts; once if None.
-        start: Shares to begin with; from two sides if None.
+        events: The events.
+        weight: Weight of each event; 1 if None.
+        start: Initial shares; two starts if None.
     """
     if start is not None:
         return _turns(events, weight, start)
@@ -98,7 +98,7 @@ def likeliest(
 
 
 def predicted(events: FaultEvents, shares: Float[Array, " generator"]) -> Float[Array, " n"]:
-    """Return the probability of events of a fault with some shares."""
+    """Return the probability of a fault's events for given shares."""
     d = np.where(events.body, 0.0, shares[0])
     return likely(d * events.probability[:, 0] + (1.0 - d) * (events.probability[:, 1:] @ shares[1:]))
 
@@ -106,13 +106,13 @@ def predicted(events: FaultEvents, shares: Float[Array, " generator"]) -> Float[
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffectsCalibration(Calibration):
-    """Effects of faults, and why they are what they are. Made by `fit_faults`.
+    """Fitted effects of faults, with their provenance. Made by `fit_faults`.
 
     Args:
-        effects: By fault.
-        degree: How bad the faults were.
-        seed: Of everything random.
-        about: Scenes, numbers of failures.
+        effects: Effects by fault.
+        degree: Degree of the faults.
+        seed: Seed of all random numbers.
+        about: Scenes and numbers of failures.
     """
 
     ABOUT: ClassVar[str] = (
@@ -126,7 +126,7 @@ class EffectsCalibration(Calibration):
     about: Mapping[str, Any]
 
     def to_document(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the calibration as JSON values."""
         held_out = {fault: x.held_out for fault, x in self.effects.items() if x.held_out is not None}
         intervals = {
             fault: {
@@ -161,13 +161,13 @@ class EffectsCalibration(Calibration):
 
 
 def faults_of(scene: Scene) -> list[Fault]:
-    """Return all faults, severe; they are the same for all robots."""
+    """Return all faults at degree "severe", the same for all robots."""
     del scene
     return [cls(degree=_DEGREE) for cls in faults().values()]
 
 
 def fit_faults(failures: Sequence[Failures], *, about: Mapping[str, Any], seed: int = 0) -> EffectsCalibration:
-    """Fit what severe faults act like; failures of other faults are passed over."""
+    """Fit the effects of severe faults; failures of other faults are ignored."""
     single = [part for part in (part.only(faults()) for part in failures) if len(part)]
     events = fault_events(single, scenes_of(single, gp.load_scene), generator_probabilities)
     effects = fit_effects({name: _possible(name, events[name]) for name in faults() if name in events}, seed=seed)
@@ -184,7 +184,7 @@ RECIPE = Recipe(faults_of, fit_faults)
 
 
 def _possible(fault: str, events: FaultEvents) -> FaultEvents:
-    """Leave arms alone where only the gripper fails: too few events would tell them from chance."""
+    """Exclude generators of the arm for faults of the gripper, which have too few events to reject them."""
     if faults()[fault].CATEGORY != "end_effector":
         return events
     arm = np.isin(FAILURES, ARM)
@@ -213,7 +213,7 @@ def _fit(fault: str, events: FaultEvents, resamples: int, seed: int, confidence:
 
 
 def _turns(events: FaultEvents, weight: Float[Array, " n"] | None, start: Array) -> Float[Array, " generator"]:
-    """Fit the share of drops and the other shares in turns."""
+    """Fit the share of drops and the other shares alternately."""
     p, y, held = events.probability, events.happened, ~events.body
     w = np.ones(len(y)) if weight is None else weight
     shares, here = start.copy(), -np.inf
@@ -234,7 +234,7 @@ def _turns(events: FaultEvents, weight: Float[Array, " n"] | None, start: Array)
 
 
 def _held_out(events: FaultEvents) -> Figures | None:
-    """Judge each scene with shares that were fitted on the others."""
+    """Return figures over all scenes, each predicted with shares fitted on the others."""
     names = np.unique(events.scene)
     if len(names) < 2:
         return None
@@ -246,5 +246,5 @@ def _held_out(events: FaultEvents) -> Figures | None:
 
 
 def _rounded_down(value: float) -> float:
-    # So that shares never sum to more than 1.
+    # So that the sum of shares never exceeds 1.
     return float(np.floor(value * 10**_DIGITS) / 10**_DIGITS)

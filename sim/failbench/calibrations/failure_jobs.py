@@ -1,4 +1,4 @@
-"""Motions along which robots fail, and many failures along many motions: simulated, or taken from a file."""
+"""Motions for calibration, and failures along many motions, simulated or read from a file."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from graceful_plan.exceptions import UnknownNameError
 Array = np.ndarray
 
 Progress = Callable[[int, int], None]
-"""Called with the number of motions done and the number of all."""
+"""Called with the numbers of finished and of all motions."""
 
 _VIA_SPREAD = 0.35
-"""How far via points are from the straight way [rad], standard deviation of each joint."""
+"""Standard deviation of via points from the straight path, for each joint [rad]."""
 _VIA_ROOM = 0.01
 """Least clearance at a via point [m]."""
 _VIA_TRIES = 30
@@ -34,13 +34,13 @@ _VIA_TRIES = 30
 
 @dataclass(frozen=True, kw_only=True)
 class MotionKind:
-    """How a motion along which things fail is made.
+    """Settings for a motion along which failures are simulated.
 
     Args:
-        way: A planner, or "via": over a random configuration near the straight way.
-        w: Safety weight of the planner; of none for "via".
+        way: A planner, or "via": over a random configuration near the straight path.
+        w: Safety weight of the planner; ignored for "via".
         speed: Fraction of the velocity limits.
-        iterations: Of the planner.
+        iterations: Iterations of the planner.
     """
 
     way: str
@@ -53,12 +53,12 @@ class MotionKind:
 
 
 def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:
-    """Plan a motion for a task; None if none is found.
+    """Plan a motion for a task; return None if the planner finds none.
 
     Args:
-        task: What to do.
-        kind: How.
-        seed: Of everything random; with iterations instead of time, it decides everything.
+        task: The task.
+        kind: Settings of the motion.
+        seed: Seed of all random numbers. The result depends on it alone, since planning is limited by iterations.
     """
     if kind.way != "via":
         result = gp.plan(
@@ -70,7 +70,7 @@ def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:
             iterations=kind.iterations,
             seed=seed,
             speed=kind.speed,
-            constraints=(),  # what is spilt is what the models are about
+            constraints=(),  # spilling motions are allowed, since the models are about spills
         )
         return result.trajectory
     rng, scene = np.random.default_rng(seed), task.scene
@@ -114,25 +114,25 @@ KINDS = (
     MotionKind(way="via", speed=0.7),
     MotionKind(way="via", speed=1.0),
 )
-"""Motions along which a model of failures is fitted and judged: planned with regard for failures, without, and not.
+"""Motions for fitting and evaluating failure models: planned with and without impact costs, or random.
 
-Planning seeks out what the model thinks harmless, so that its errors there are what a user suffers."""
+Planning seeks out motions that the model considers harmless, so the model's errors there are those that users meet."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FailureJob:
-    """The failures along one motion that is still to be made.
+    """Specification of the failures along one motion, which is planned later.
 
     Args:
-        load: Loads a scene by name; a function of a module, so that other processes find it.
+        load: Loads a scene by name; a module-level function, so that other processes can import it.
         scene: Name of the scene.
         task: Name of the task.
-        kind: How the motion is made.
-        faults: What fails.
+        kind: Settings of the motion.
+        faults: Faults to simulate.
         n: Number of failures.
-        seed: Of everything random.
-        horizon: How long is simulated after each onset [s].
-        variation: How what is carried differs from what the scene says.
+        seed: Seed of all random numbers.
+        horizon: Simulated time after each onset [s].
+        variation: Deviation of the carried object from the scene's; None for none.
     """
 
     load: Callable[[str], Scene]
@@ -158,18 +158,18 @@ def failure_jobs(
     horizon: float = 1.0,
     variation: Variation | None = None,
 ) -> list[FailureJob]:
-    """Return jobs for every kind of motion on every task of some scenes that carries something.
+    """Return jobs for every kind of motion and every task with a carried object.
 
     Args:
         load: Loads a scene by name.
-        scenes: Names of scenes.
-        faults: What fails.
-        n: Failures along each motion.
-        seed: Of everything random; each motion gets its own.
-        kinds: Of motions.
-        repeats: Motions of each kind.
-        horizon: How long is simulated after each onset [s].
-        variation: How what is carried differs from what the scenes say.
+        scenes: Names of the scenes.
+        faults: Faults to simulate.
+        n: Number of failures along each motion.
+        seed: Seed of all random numbers; each motion gets its own seed.
+        kinds: Kinds of motions.
+        repeats: Number of motions of each kind.
+        horizon: Simulated time after each onset [s].
+        variation: Deviation of the carried objects from the scenes'; None for none.
     """
     tasks = [
         (scene, name) for scene in scenes for name, task in load(scene).tasks.items() if task.object_name is not None
@@ -193,7 +193,7 @@ def failure_jobs(
 
 
 def do_job(job: FailureJob) -> Failures | str:
-    """Make the motion and fail along it; where that cannot be done, return why."""
+    """Plan the motion and simulate its failures; return the reason as text if that is not possible."""
     task, about = job.load(job.scene).tasks[job.task], f"{job.scene}/{job.task}, {job.kind}"
     motion = make_motion(task, job.kind, job.seed)
     if motion is None:
@@ -219,15 +219,14 @@ def do_job(job: FailureJob) -> Failures | str:
 
 @dataclass(frozen=True, kw_only=True)
 class FailureSettings:
-    """How much is to fail in each scene.
+    """Numbers of failures and motions.
 
     Args:
-        n: Failures along each motion.
-        repeats: Motions of each kind for each task.
-        seed: Of everything random. What comes out depends on it alone, not on `processes`.
-        processes: How many to work in.
-        variation: How what is carried differs from what the scenes say, along every second motion: what the scenes say
-            counts, too.
+        n: Number of failures along each motion.
+        repeats: Number of motions of each kind for each task.
+        seed: Seed of all random numbers. Results depend on it alone, not on `processes`.
+        processes: Number of processes.
+        variation: Deviation of the carried objects from the scenes', applied along every second motion.
     """
 
     n: int = 30
@@ -249,17 +248,17 @@ def generate(
     load: Callable[[str], Scene] = gp.load_scene,
     progress: Progress | None = None,
 ) -> tuple[list[Failures], list[str]]:
-    """Let a robot fail along several motions for every task of some scenes that carries something.
+    """Simulate failures along several motions for every task with a carried object.
 
     Args:
-        scenes: Names of scenes.
-        faults: What fails.
-        settings: How often; see there for what is usual.
-        load: Loads a scene by name; a function of a module.
+        scenes: Names of the scenes.
+        faults: Faults to simulate.
+        settings: Numbers of failures and motions; the defaults if None.
+        load: Loads a scene by name; a module-level function.
         progress: Called after each motion.
 
     Returns:
-        What happened, and why some motions have none.
+        The failures, and the reasons why some motions have none.
     """
     settings = FailureSettings() if settings is None else settings
     jobs = failure_jobs(load, scenes, faults, n=settings.n, seed=settings.seed, repeats=settings.repeats)
@@ -270,7 +269,7 @@ def generate(
 def do_all(
     jobs: Sequence[FailureJob], processes: int = 1, progress: Progress | None = None
 ) -> tuple[list[Failures], list[str]]:
-    """Do jobs in so many processes; return what happened, in their order, and why some motions have no failures."""
+    """Run jobs in several processes; return the failures in their order, and reasons why motions have none."""
     found: list[Failures] = []
     refused: list[str] = []
 
@@ -283,7 +282,7 @@ def do_all(
         for job in jobs:
             take(do_job(job))
     else:
-        # Spawned, not forked: libraries below have threads.
+        # Spawned, not forked, since the libraries start threads.
         with multiprocessing.get_context("spawn").Pool(processes) as pool:
             for outcome in pool.imap(do_job, jobs):
                 take(outcome)
@@ -298,21 +297,21 @@ def fetch(
     kept: FilePath | None = None,
     progress: Progress | None = None,
 ) -> tuple[list[Failures], dict[str, Any]]:
-    """Let a robot fail in bundled scenes, or take failures from a file; see `generate`.
+    """Simulate failures in bundled scenes as `generate` does, or read them from a file.
 
     Args:
         scenes: Names of bundled scenes.
-        faults: Returns what fails; asked only if something is to be simulated.
-        settings: How often.
-        kept: File that the failures are kept in, or taken from if it is there. Then only those in `scenes` count.
+        faults: Returns the faults to simulate; called only if needed.
+        settings: Numbers of failures and motions.
+        kept: File to store the failures in, or to read them from if it exists. Only failures in `scenes` are used.
         progress: Called after each motion.
 
     Returns:
-        What happened, and what a record should say of where it comes from.
+        The failures, and their provenance for the record.
 
     Raises:
         UnknownNameError: If there is no such scene.
-        FormatError: If the file is there and holds something else.
+        FormatError: If the file exists and holds something else.
     """
     for name in scenes:
         if name not in gp.scenes():

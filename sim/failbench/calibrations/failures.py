@@ -1,8 +1,7 @@
-"""What failures do, event by event: what models of them are fitted on and judged by.
+"""Outcomes of failures, event by event, for fitting and evaluating failure models.
 
-For each rollout: configuration and velocity at the onset, what failed, and for every entity whether the robot's body,
-the carried object or its contents touched it. What entities do to each other afterwards is not counted, nor what is
-touched in the healthy run.
+Each rollout has the configuration and velocity at the onset and the fault. For every entity it tells whether body,
+carried object or contents touched it. Later touches among entities, and touches of the healthy run, do not count.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ Array = np.ndarray
 
 _SCHEMA, _VERSION = "failbench.failures", 1
 DROP: tuple[Fault, ...] = (GripperFailure(degree="critical"),)
-"""The gripper lets go at once."""
+"""Immediate release by the gripper."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,21 +45,21 @@ class Failures:
     | ---------- | --------------------------------------------------------------------- | ------------------ |
     | scene      | name of the scene                                                     |                    |
     | task       | name of the task, whose object is carried                             |                    |
-    | motion     | how the motion was made, if it is known                               |                    |
-    | grasp      | what held the object: "fingers" or "weld"                             |                    |
+    | motion     | kind of the motion, if known                                          |                    |
+    | grasp      | how the object was held: "fingers" or "weld"                          |                    |
     | components | names of the components, in the order of the scene                    | component          |
     | entities   | names of the entities, in the order of the scene                      | entity             |
-    | categories | their classes                                                         | entity             |
+    | categories | classes of the entities                                               | entity             |
     | faults     | labels of the faults, see `fault_label`                               | fault              |
-    | counted    | whether the pair counts: not one that touches in the healthy run, too | component entity   |
-    | fault      | what failed, as an index into `faults`                                | n                  |
+    | counted    | whether the pair counts: False if it touches in the healthy run       | component entity   |
+    | fault      | fault of each rollout, as an index into `faults`                      | n                  |
     | q          | configuration at the onset [rad or m]                                 | n nq               |
-    | qd         | velocity there                                                        | n nq               |
-    | ahead      | where the robot was to be `AHEAD` later [rad or m]                    | n step nq          |
+    | qd         | velocity at the onset                                                 | n nq               |
+    | ahead      | planned configurations `AHEAD` after the onset [rad or m]             | n step nq          |
     | hit        | whether the component touched the entity                              | n component entity |
     | dropped    | whether the object left the gripper                                   | n                  |
-    | spilled    | lost part of the contents                                             | n                  |
-    | lost       | rollouts that diverged and are left out                               |                    |
+    | spilled    | lost fraction of the contents                                         | n                  |
+    | lost       | number of diverged rollouts, which are left out                       |                    |
     """
 
     scene: str
@@ -85,27 +84,27 @@ class Failures:
         return len(self.q)
 
     def states(self, scene: Scene) -> StateBatch:
-        """Return the states in which the robot failed, in the scene that it failed in."""
+        """Return the states at the onsets, in the scene of the failures."""
         found = moving_batch(scene, self.q, self.qd)
         return StateBatch(scene, self.q, found.direction, found.speed, ahead=self.ahead)
 
     def only(self, faults: Iterable[str]) -> Failures:
-        """Return those that some faults caused, by the faults' labels."""
+        """Return the failures of some faults, by the faults' labels."""
         return self.where(np.isin(self.fault, [self.faults.index(name) for name in faults if name in self.faults]))
 
     def where(self, rows: Bool[Array, " n"]) -> Failures:
-        """Return some of them."""
+        """Return a subset of the failures."""
         names = ("fault", "q", "qd", "ahead", "hit", "dropped", "spilled")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def events(self, components: Sequence[str]) -> tuple[Bool[Array, "n entity"], Bool[Array, " entity"]]:
-        """Return which entities one of some components touched, and which of them count for none of these."""
+        """Return the entities that any of some components touched, and the entities that count for all of these."""
         rows = [self.components.index(name) for name in components]
         return np.any(self.hit[:, rows], axis=1), np.all(self.counted[rows], axis=0)
 
 
 def fault_label(fault: Fault) -> str:
-    """Return what failures of a fault are called: its name, and what it strikes where that is given."""
+    """Return the label of a fault: its name, and its targets if they are set."""
     return " ".join((fault.NAME, *fault.targets))
 
 
@@ -121,24 +120,24 @@ def fail_along(
     threads: int = 1,
     variation: Variation | None = None,
 ) -> Failures:
-    """Let a robot fail many times along a motion, and tell what is hit.
+    """Simulate many failures along a motion, and return the hits.
 
-    The object is held by the fingers where they can, otherwise by a weld.
+    The fingers hold the object if they can, otherwise a weld does.
 
     Args:
-        motion: What is carried out.
-        scene: Where, with the object attached if there is one.
-        faults: What fails, each under a label of its own; by default, the gripper lets go.
+        motion: The motion.
+        scene: The scene, with the object attached if there is one.
+        faults: Faults to simulate, each with its label; by default, the gripper releases the object.
         n: Number of failures, rounded up to a multiple of the number of faults.
-        seed: Of everything random.
+        seed: Seed of all random numbers.
         task: Name of the task, for the record.
-        horizon: How long is simulated after the onset [s].
-        threads: Of the simulation; the result does not depend on it.
-        variation: How the carried object differs from what the scene says; not at all if None.
+        horizon: Simulated time after the onset [s].
+        threads: Number of simulation threads; it does not affect the result.
+        variation: Deviation of the carried object from the scene's; None for none.
 
     Raises:
-        ExecutionRefused: If the healthy robot cannot carry the motion out in either way.
-        SettingError: If nothing is carried, and nothing fails but the gripper.
+        ExecutionRefused: If the healthy robot cannot execute the motion with either grasp.
+        SettingError: If no object is carried and all faults are of the gripper.
     """
     if scene.carried is None and all(fault.NAME == GripperFailure.NAME for fault in faults):
         raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
@@ -146,7 +145,7 @@ def fail_along(
     jobs = make_jobs(faults, execution.duration, n=n, seed=seed)
     rollouts = run(execution, jobs, horizon=horizon, threads=threads)
     completed = [rollout for rollout in rollouts if rollout.status == "completed"]
-    # What a planner would know: where the motion is to be, not where the servos have brought the arm.
+    # The state that a planner knows: the planned one, not the one that the servos reach.
     onset = motion.t[0] + np.array([rollout.onset for rollout in completed])
     state = motion.at(onset)
     names = tuple(dict.fromkeys(fault_label(fault) for fault in faults))
@@ -219,10 +218,10 @@ def write_failures(file: str | FilePath, failures: Iterable[Failures]) -> None:
 
 
 def read_failures(file: str | FilePath) -> list[Failures]:
-    """Read what `write_failures` wrote.
+    """Read a file written by `write_failures`.
 
     Raises:
-        FormatError: If it is something else.
+        FormatError: If the file holds something else.
     """
     data: dict[str, Any] = dict(read_arrays(file))
     try:
@@ -239,4 +238,4 @@ def read_failures(file: str | FilePath) -> list[Failures]:
     except FormatError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FormatError(str(file), f"no file of failures: {error}") from None
+        raise FormatError(str(file), f"not a file of failures: {error}") from None

@@ -1,4 +1,4 @@
-"""Fit the constants of a `Family` to failures in many scenes, and judge each scene with those fitted on the others."""
+"""Fit the constants of a `Family` to failures in many scenes, and evaluate each scene with the fit on the others."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = np.ndarray
 
 
 class States(NamedTuple):
-    """States in which something fails, for families that prepare no more than that."""
+    """States at onsets, for families without further preparation."""
 
     scene: Scene
     q: Float[Array, "n nq"]
@@ -31,17 +31,17 @@ class States(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FamilyCalibration(Calibration):
-    """Constants of a model, and why they are what they are. Made by `fit_family`.
+    """Fitted constants of a model, with their provenance. Made by `fit_family`.
 
     | field      | meaning                                                                     |
     |------------|-----------------------------------------------------------------------------|
     | model      | name of the model                                                           |
-    | constants  | by shape class and name                                                     |
-    | units      | of the constants, by name                                                   |
+    | constants  | constants by shape class and name                                           |
+    | units      | units of the constants, by name                                             |
     | shared     | names of the constants that all shape classes share                         |
-    | fitted     | figures on what they were fitted on                                         |
-    | held_out   | figures on each scene, with constants fitted on all others; "all" of them together |
-    | provenance | scenes, failures, seed, versions                                               |
+    | fitted     | figures on the data of the fit                                              |
+    | held_out   | figures on each scene, with constants fitted on all others; "all": over all scenes |
+    | provenance | scenes, failures, seed, versions                                            |
     """
 
     ONE_A_LINE: ClassVar[tuple[str, ...]] = ("shared", "classes")
@@ -55,7 +55,7 @@ class FamilyCalibration(Calibration):
     provenance: Mapping[str, Any]
 
     def to_document(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the calibration as JSON values."""
         shapes = list(self.constants)
         own = [name for name in self.units if name not in self.shared]
         intervals = {
@@ -99,25 +99,25 @@ def fit_family(
     iterations: int = 30,
     about: Mapping[str, Any] | None = None,
 ) -> FamilyCalibration:
-    """Fit a model's constants to failures, and judge them on scenes that they were not fitted on.
+    """Fit a model's constants to failures, and evaluate them on held-out scenes.
 
     Args:
         family: The model.
-        failures: What happened, in two scenes at least.
-        model: Its name, for the record.
+        failures: Failures in at least two scenes.
+        model: Name of the model, for the record.
         load: Loads a scene by name.
-        shapes: Shape classes that get constants even if nothing of the kind was carried.
-        trusts: To be tried, see `fitting.fit`; the one whose log loss on held-out scenes is least is taken.
-        seed: Of the intervals.
-        iterations: Of each fit, at most.
-        about: What else to put down: how the failures were made.
+        shapes: Shape classes that get constants even without data.
+        trusts: Values of `trust` to try, see `fitting.fit`; the one with the least log loss on held-out scenes is used.
+        seed: Seed of the intervals.
+        iterations: Greatest number of iterations of each fit.
+        about: Further provenance, for example how the failures were made.
 
     Raises:
         SettingError: If all failures are in one scene.
     """
     names = sorted({part.scene for part in failures})
     if len(names) < 2:
-        raise SettingError("scenes", tuple(names), "at least two, to judge on each what was fitted on the others")
+        raise SettingError("scenes", tuple(names), "at least two, to evaluate each with the fit on the others")
     failures = [part for whole in failures if len(part := whole.only(family.faults))]
     samples = samples_of(family, failures, scenes_of(failures, load))
     every = (*shapes, *(sample.shape for sample in samples))
@@ -152,7 +152,7 @@ def fit_family(
 def _held_out(
     family: Family, samples: Sequence[Sample], trust: float, iterations: int, shapes: Sequence[str]
 ) -> dict[str, Figures]:
-    """Judge constants on each scene that were fitted on all others, and on "all" of these together."""
+    """Evaluate each scene with constants fitted on all others, and "all" scenes together."""
     found: dict[str, Figures] = {}
     guessed: list[tuple[Array, Array]] = []
     for name in sorted({sample.scene for sample in samples}):
@@ -167,7 +167,7 @@ def _held_out(
 def events(
     predicted: Sequence[Float[Array, "_ _"]], samples: Sequence[Sample]
 ) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
-    """Return predicted probabilities and outcomes of all events that count."""
+    """Return predicted probabilities and outcomes of all counted events."""
     pairs = [(p[sample.counted], sample.hit[sample.counted]) for p, sample in zip(predicted, samples, strict=True)]
     return np.concatenate([p for p, _ in pairs]), np.concatenate([hit for _, hit in pairs])
 

@@ -1,4 +1,4 @@
-"""What faults did, event by event, beside what models of the generators would make likely."""
+"""Events of faults, paired with the probabilities that the generators' models predict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graceful_plan.exceptions import SettingError, ShapeError
 Array = np.ndarray
 
 GeneratorModel = Callable[[Scene, Failures], Mapping[str, Float[Array, "n c e"]]]
-"""P(component hits entity) by generator, for the states in which something failed, if that acts like the generator."""
+"""Returns P(component hits entity) by generator, for states at onsets, given that the failure is of that generator."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,9 +27,9 @@ class FaultEvents:
     | field       | meaning                                                  | shape       |
     |-------------|----------------------------------------------------------|-------------|
     | probability | P_g of each of `FAILURES`                              | n generator |
-    | happened    | whether it did                                           | n           |
-    | body        | whether it is a touch by the body, not by what it carries | n           |
-    | motion      | which motion the robot failed on                         | n           |
+    | happened    | whether the event occurred                               | n           |
+    | body        | whether the body touches, not the carried object         | n           |
+    | motion      | index of the motion of the failure                       | n           |
     | scene       | name of the scene                                        | n           |
     """
 
@@ -40,7 +40,7 @@ class FaultEvents:
     scene: Array
 
     def __post_init__(self) -> None:
-        # Not by annotations, so that users are told, too.
+        # Checked here, not only by annotations, which are not enforced for users.
         n = len(self.probability)
         if self.probability.shape != (n, len(FAILURES)):
             raise ShapeError("probability", self.probability.shape, f"(n, {len(FAILURES)}), a column a generator")
@@ -54,7 +54,7 @@ class FaultEvents:
         return len(self.happened)
 
     def rows(self, chosen: Bool[Array, " n"]) -> FaultEvents:
-        """Return some of the events."""
+        """Return a subset of the events."""
         return FaultEvents(
             probability=self.probability[chosen],
             happened=self.happened[chosen],
@@ -67,12 +67,12 @@ class FaultEvents:
 def fault_events(
     failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene], model: GeneratorModel
 ) -> dict[str, FaultEvents]:
-    """Put what models of the generators say beside what happened, by fault.
+    """Pair the predictions of the generators' models with observed events, by fault.
 
     Args:
-        failures: Of any faults; each entry is one motion.
-        scenes: By name of the scene and the task, with the object attached.
-        model: The models; generators that it leaves out never happen.
+        failures: Failures of any faults; each entry is one motion.
+        scenes: Scenes with the object attached, by name of the scene and the task.
+        model: The generators' models; generators that it leaves out have probability 0.
     """
     found: dict[str, list[FaultEvents]] = {}
     for motion, part in enumerate(failures):
@@ -96,7 +96,7 @@ def fault_events(
 
 
 def generator_probabilities(scene: Scene, failures: Failures) -> Mapping[str, Float[Array, "n component entity"]]:
-    """Return what `Footprint` says if the failure is like each generator, and nothing else."""
+    """Return the predictions of `Footprint` for failures of each single generator."""
     batch, found = failures.states(scene), {}
     for generator in FAILURES:
         prior = gp.FaultPrior({"it": 1.0}, {"it": {generator: 1.0}})

@@ -1,8 +1,8 @@
-"""Fit the constants of a model of failures to rollouts, by maximum likelihood, and say how sure they are.
+"""Fit the constants of a failure model to rollouts by maximum likelihood, with intervals.
 
-A model is a `Family`: named constants, and probabilities that depend on them. Events of one motion are alike and no
-model is true, so the likelihood is tempered: a prior weighs as if `trust` events told as much as one. Intervals draw
-whole motions.
+A model is a `Family`: named constants, and probabilities that depend on them. Events of one motion are correlated and
+models are approximate, so the likelihood is tempered: `trust` events weigh as much as one independent event. Intervals
+resample whole motions.
 """
 
 from __future__ import annotations
@@ -24,29 +24,28 @@ from graceful_plan.exceptions import SettingError
 Array = np.ndarray
 
 _STEP = 1e-5
-"""Of finite differences, in units of a prior's spread."""
+"""Step of finite differences, in units of a prior's spread."""
 _ENOUGH = 0.05
-"""An expected gain of the log-likelihood [nat] that is not worth another step."""
+"""Expected gain of the log-likelihood below which the search ends [nat]."""
 _SHORTEST = 1e-3
-"""Least share of a step."""
+"""Least fraction of a step in the line search."""
 _FARTHEST = 4.0
-"""How many spreads a constant may be from its prior, within its own bounds."""
+"""Greatest distance of a constant from its prior in spreads, within its own bounds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Constant:
-    """A number of a model that is fitted.
+    """A fitted constant of a model.
 
     Args:
-        name: What it is called.
-        prior: What it is taken to be before anything is seen.
-        spread: How far from that it may well be, as a standard deviation: of its logarithm if it is positive by
-            nature, which is the case if `low` is.
+        name: Name of the constant.
+        prior: Value expected without data.
+        spread: Standard deviation of the prior; of the logarithm if the constant is positive, that is if `low` > 0.
         low: Least value.
         high: Greatest value.
-        unit: Of the value.
-        meaning: In words.
-        shared: Whether all shape classes have the same.
+        unit: Unit of the value.
+        meaning: Meaning in words.
+        shared: Whether all shape classes share the value.
     """
 
     name: str
@@ -66,22 +65,22 @@ class Constant:
 
     @property
     def positive(self) -> bool:
-        """Whether it is fitted by its logarithm."""
+        """Whether the constant is fitted by its logarithm."""
         return self.low > 0.0
 
     def value(self, z: float, centre: float) -> float:
-        """Return the value that is `z` spreads from `centre`."""
+        """Return the value at `z` spreads from `centre`."""
         found = centre * np.exp(z * self.spread) if self.positive else centre + z * self.spread
         return float(np.clip(found, self.low, self.high))
 
     def bounds(self, centre: float) -> tuple[float, float]:
-        """Return the least and the greatest number of spreads from `centre`."""
+        """Return the least and the greatest `z`, in spreads from `centre`."""
         ends = [np.log(x / centre) if self.positive else x - centre for x in (self.low, self.high)]
         return max(-_FARTHEST, float(ends[0] / self.spread)), min(_FARTHEST, float(ends[1] / self.spread))
 
 
 class Prior(NamedTuple):
-    """What a `Constant` is made of besides its name, for tables of many."""
+    """Fields of a `Constant` other than its name, for tables of constants."""
 
     prior: float
     spread: float
@@ -94,11 +93,11 @@ class Family(ABC):
     """A model of failures whose constants can be fitted."""
 
     constants: tuple[Constant, ...]
-    """What is fitted: once if it is shared, otherwise for each shape class."""
+    """Fitted constants: once if shared, otherwise for each shape class."""
     faults: tuple[str, ...] = ("gripper_failure",)
-    """Names of the faults that the model is about."""
+    """Names of the faults that the model describes."""
     components: tuple[str, ...] = ("carried",)
-    """What strikes the entities in the events that it is fitted to; any of these."""
+    """Components whose touches are the events of the fit; any of them."""
 
     @abstractmethod
     def shape(self, scene: Scene) -> str:
@@ -106,26 +105,26 @@ class Family(ABC):
 
     @abstractmethod
     def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Any:
-        """Return whatever of some states does not depend on the constants."""
+        """Compute everything for some states that does not depend on the constants."""
 
     @abstractmethod
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
-        """Return P(one of the components hits the entity | one of the faults) for each of the states."""
+        """Return P(any of the components hits the entity | a fault of `faults`) for each state."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sample:
-    """All failures of one task, prepared.
+    """All failures of one task, prepared for a fit.
 
     | field    | meaning                                        | shape    |
     |----------|------------------------------------------------|----------|
     | scene    | name of the scene                              |          |
     | task     | name of the task                               |          |
-    | shape    | shape class of what is dropped                 |          |
-    | prepared | what the family makes of the states            |          |
-    | hit      | what happened                                  | n entity |
-    | counted  | which of it counts                             | n entity |
-    | motion   | which motion each failure is of                   | n        |
+    | shape    | shape class of the carried object              |          |
+    | prepared | result of the family's `prepare`               |          |
+    | hit      | whether the failure hit the entity             | n entity |
+    | counted  | whether the pair counts                        | n entity |
+    | motion   | index of the motion of each failure            | n        |
     """
 
     scene: str
@@ -138,7 +137,7 @@ class Sample:
 
 
 class Fitted(NamedTuple):
-    """A constant that was fitted, with its interval."""
+    """A fitted constant with its interval."""
 
     value: float
     low: float
@@ -146,12 +145,12 @@ class Fitted(NamedTuple):
 
 
 def samples_of(family: Family, failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene]) -> list[Sample]:
-    """Prepare those failures that a family is about.
+    """Prepare the failures that a family describes.
 
     Args:
-        family: Whose constants are to be fitted.
-        failures: What happened.
-        scenes: The scene of each scene's name and task's name, with the object attached.
+        family: The family to fit.
+        failures: The failures.
+        scenes: Scenes with the object attached, by name of the scene and the task.
     """
     groups: dict[tuple[str, str], list[tuple[int, Failures]]] = {}
     for i, whole in enumerate(failures):
@@ -181,16 +180,16 @@ def samples_of(family: Family, failures: Sequence[Failures], scenes: Mapping[tup
 def predictions(
     family: Family, samples: Sequence[Sample], values: Mapping[str, Mapping[str, float]]
 ) -> list[Float[Array, "n entity"]]:
-    """Return what a family predicts for samples, with the constants of each one's shape class."""
+    """Return a family's predictions for samples, with the constants of each sample's shape class."""
     return [family.probability(values[sample.shape], sample.prepared) for sample in samples]
 
 
 class FitLayout(NamedTuple):
-    """Which constants of which shape classes are fitted, in the order of a vector of spreads from their centres."""
+    """Layout of the fitted vector: its constants and shape classes; entries are in spreads from their centres."""
 
     family: Family
     slots: tuple[tuple[Constant, str | None], ...]
-    """None: of all shapes."""
+    """Constants with their shape class; None for all classes."""
     centres: tuple[float, ...]
 
     def values(self, z: Float[Array, " slot"], shape: str) -> dict[str, float]:
@@ -202,11 +201,11 @@ class FitLayout(NamedTuple):
         return self.slots[slot][0].value(z, self.centres[slot])
 
     def columns(self, shape: str) -> list[int]:
-        """Return the slots that matter to a shape class."""
+        """Return the slots that a shape class depends on."""
         return [i for i, (_, own) in enumerate(self.slots) if own in (None, shape)]
 
     def bounds(self) -> Float[Array, "2 slot"]:
-        """Return least and greatest spreads."""
+        """Return the least and the greatest value of each slot, in spreads."""
         return np.array([c.bounds(x) for (c, _), x in zip(self.slots, self.centres, strict=True)]).T
 
 
@@ -221,17 +220,17 @@ def fit(
     iterations: int = 30,
     shapes: Sequence[str] = (),
 ) -> dict[str, dict[str, Fitted]]:
-    """Fit the constants: first for all shapes alike, then for each, with what fits all as its prior.
+    """Fit the constants: first common ones for all shapes, then for each shape with the common ones as prior.
 
     Args:
         family: The model.
-        samples: What happened; see `samples_of`.
-        trust: How many events weigh as much as one independent one.
-        resamples: How often motions are drawn for the intervals.
-        seed: Of the draws.
-        confidence: Of the intervals.
-        iterations: Of the search, at most.
-        shapes: Shape classes that get constants even if nothing of the kind was dropped: those that fit all.
+        samples: The data, see `samples_of`.
+        trust: Number of events that weigh as much as one independent event.
+        resamples: Number of resamples of the motions for the intervals.
+        seed: Seed of the resamples.
+        confidence: Confidence level of the intervals.
+        iterations: Greatest number of iterations of the search.
+        shapes: Shape classes that get constants even without data: the common ones.
 
     Returns:
         Constants by shape class and name.
@@ -261,10 +260,10 @@ def fit(
 
 
 def optimum(layout: FitLayout, samples: Sequence[Sample], trust: float, iterations: int) -> Float[Array, " slot"]:
-    """Return where prior and tempered likelihood are greatest.
+    """Return the maximum of prior times tempered likelihood.
 
-    By Fisher's scoring within bounds: a quasi-Newton method needs several times as many gradients, which are finite
-    differences here.
+    Uses Fisher scoring within bounds. A quasi-Newton method would need several times as many gradients, which are
+    finite differences here.
     """
     low, high = layout.bounds()
     z = np.zeros(len(low))
@@ -292,7 +291,7 @@ def _clipped(p: Float[Array, "n entity"]) -> Float[Array, "n entity"]:
 
 
 def loss(layout: FitLayout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float) -> float:
-    """Return the negative log-likelihood with that of the prior [nat]."""
+    """Return the negative logarithm of the likelihood and the prior [nat]."""
     found = 0.5 * trust * float(z @ z)
     for sample in samples:
         found += _surprise(_clipped(layout.family.probability(layout.values(z, sample.shape), sample.prepared)), sample)
@@ -306,7 +305,7 @@ def _surprise(p: Float[Array, "n entity"], sample: Sample) -> float:
 def quadratic(
     layout: FitLayout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float
 ) -> tuple[float, Float[Array, " slot"], Float[Array, "slot slot"], dict[int, Float[Array, " slot"]]]:
-    """Return the loss, its gradient, Fisher's information with the prior's, and each motion's share in the gradient."""
+    """Return the loss, its gradient, the Fisher information with the prior's, and the gradient of each motion."""
     here, fisher = 0.5 * trust * float(z @ z), trust * np.eye(len(z))
     shares: dict[int, Float[Array, " slot"]] = {}
     for sample in samples:
@@ -325,7 +324,7 @@ def quadratic(
 def _slopes(
     layout: FitLayout, sample: Sample, z: Float[Array, " slot"], columns: Sequence[int]
 ) -> tuple[Float[Array, "n entity"], Float[Array, "column n entity"]]:
-    """Return probabilities and their derivatives with respect to the constants, in spreads."""
+    """Return probabilities, and their derivatives by the constants in units of spreads."""
 
     def at(point: Float[Array, " slot"]) -> Float[Array, "n entity"]:
         return _clipped(layout.family.probability(layout.values(point, sample.shape), sample.prepared))
@@ -337,11 +336,11 @@ def _slopes(
 def _bootstrap(
     layout: FitLayout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float, resamples: int, seed: int
 ) -> Float[Array, "resample slot"]:
-    """Draw whole motions with replacement, and take one Newton step from the optimum to that of each draw."""
+    """Resample whole motions with replacement; take one Newton step from the optimum to that of each resample."""
     _, _, fisher, shares = quadratic(layout, samples, z, trust)
     pushes = np.array(list(shares.values()))
     n = len(pushes)
     drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=resamples)
-    # Less that of all motions once, which the prior balances but for what bounds hold back.
+    # Minus the full sample, whose gradient the prior balances except at active bounds.
     steps = np.linalg.solve(fisher, ((drawn - 1.0) @ pushes).T).T
     return np.clip(z - steps, *layout.bounds())

@@ -1,13 +1,13 @@
-r"""How likely each of several causes is, from what each of them would make likely: a concave fit.
+r"""Concave maximum-likelihood fit of the probabilities of several causes, given the events that each predicts.
 
-An event happens with the probability
+The probability of an event is
 
 .. math:: P = \epsilon + (1 - 2 \epsilon) \Big( o + \sum_g \theta_g P_g \Big), \qquad
     \theta_g \ge 0, \quad \sum_g \theta_g \le 1
 
-where cause g makes it happen with P_g, epsilon is the least that counts, and o is what is known already. The logarithm
-of the likelihood of independent events is concave in theta, so its maximum is global; Newton steps, each the exact
-solution of a quadratic problem over all active sets, find it, and the Frank-Wolfe gap bounds how much is missing.
+where P_g is its probability under cause g, epsilon the least probability, and o a known offset. The log-likelihood of
+independent events is concave in theta, so its maximum is global. It is found by Newton steps, each the exact solution
+of a quadratic problem over all active sets. The Frank-Wolfe gap bounds the distance from the maximum.
 
 References:
     [Jaggi2013] Revisiting Frank-Wolfe, for the gap.
@@ -24,9 +24,9 @@ from graceful_plan.array_types import Bool, Float
 
 Array = np.ndarray
 
-_GAP = 1e-4  # how much of the logarithm of the likelihood may be missing [nat]
+_GAP = 1e-4  # greatest gap of the log-likelihood from its maximum [nat]
 _STEPS = 100
-_RIDGE = 1e-9  # of the curvature; keeps causes that say the same where they are
+_RIDGE = 1e-9  # relative to the curvature; keeps causes with equal predictions in place
 _NOTHING = 1e-7
 
 
@@ -39,26 +39,26 @@ def most_likely(
     start: Float[Array, " cause"] | None = None,
     harmless: bool = True,
 ) -> tuple[Float[Array, " cause"], float]:
-    """Return the shares of causes under which events are most likely, and a bound of what is missing [nat].
+    """Return the shares of causes with the greatest likelihood, and a bound of the gap from the maximum [nat].
 
     Args:
-        probability: P_g.
+        probability: P_g of each event and cause.
         happened: Whether each event happened.
-        weight: How often each event counts; once if None.
-        offset: What is known already; with any shares, P has to be in [0, 1].
-        start: Shares to begin with.
-        harmless: Whether shares may sum to less than 1. If so, a cause that never says anything has no share.
+        weight: Weight of each event; 1 if None.
+        offset: Known part o of the probability; P must be in [0, 1] for any shares.
+        start: Initial shares.
+        harmless: Whether shares may sum to less than 1. If so, a cause that predicts no event has share 0.
     """
     w = np.ones(len(happened)) if weight is None else weight
     known = np.zeros(len(happened)) if offset is None else offset
-    # What nobody expects and did not happen says nothing.
+    # Events that no cause predicts and that did not happen carry no information.
     telling = (w > 0.0) & (happened | (probability > _NOTHING).any(axis=1))
     speaks = np.asarray((probability[telling] > _NOTHING).any(axis=0)) | (not harmless)
     p, y, w, known = probability[telling][:, speaks], happened[telling].astype(float), w[telling], known[telling]
     if harmless:
         p = np.column_stack([p, np.zeros(len(p))])
     theta = np.full(p.shape[1], 1.0 / p.shape[1])
-    if start is not None:  # an inner point, since a share of 0 says nothing about its neighbourhood
+    if start is not None:  # moved to an inner point, since a share of 0 would stay at the boundary
         given = np.append(start[speaks], 1.0 - start[speaks].sum()) if harmless else start
         theta[:] = 0.01 * theta + 0.99 * given
     gap = np.inf
@@ -78,23 +78,23 @@ def most_likely(
 
 
 def likely(probability: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Return probabilities that are never quite 0 or 1."""
+    """Return probabilities bounded away from 0 and 1 by `SMALLEST`."""
     return SMALLEST + (1.0 - 2.0 * SMALLEST) * probability
 
 
 def log_likelihood(
     P: Float[Array, " n"], happened: Bool[Array, " n"], weight: Float[Array, " n"] | None = None
 ) -> float:
-    """Return the logarithm of the likelihood of events [nat]."""
+    """Return the log-likelihood of events [nat]."""
     each = np.where(happened, np.log(P), np.log1p(-P))
     return float(each.sum() if weight is None else weight @ each)
 
 
 def _least(slope: Float[Array, " k"], bend: Float[Array, "k k"]) -> Float[Array, " k"]:
-    """Minimise slope.x + x.bend.x/2 over the probability simplex, exactly: every set of positive entries is tried."""
+    """Minimise slope.x + x.bend.x/2 over the probability simplex, exactly: all sets of positive entries are tried."""
     k = len(slope)
     free = np.array([chosen for chosen in product((False, True), repeat=k) if any(chosen)])
-    # Lagrange's equations on each set; the others' rows say x = 0.
+    # Lagrange's equations on each set; the rows of the other entries say x = 0.
     system = np.zeros((len(free), k + 1, k + 1))
     system[:, :k, :k] = np.where(free[:, :, None] & free[:, None, :], bend, ~free[:, :, None] * np.eye(k))
     system[:, :k, k] = system[:, k, :k] = free
@@ -107,7 +107,7 @@ def _least(slope: Float[Array, " k"], bend: Float[Array, "k k"]) -> Float[Array,
 
 
 def _search(p: Array, known: Array, y: Array, w: Array, theta: Array, step: Array) -> Array:
-    """Go along a step as far as the likelihood rises."""
+    """Move along a step, halving it until the likelihood rises."""
 
     def loss(there: Array) -> float:
         return -log_likelihood(likely(known + p @ there), y > 0.0, w)

@@ -1,7 +1,7 @@
-"""How good predicted probabilities are, given what happened: scores, calibration, ranking, and their uncertainty.
+"""Quality of predicted probabilities: scores, calibration, ranking, and their uncertainty.
 
-Per event: Brier score, logarithmic loss, area under the ROC curve, calibration error and
-reliability curve. Per trajectory: rank correlations. Events of one motion are alike, so intervals draw whole motions.
+Per event: Brier score, logarithmic loss, area under the ROC curve, calibration error and reliability curve. Per
+trajectory: rank correlations. Events of one motion are correlated, so intervals resample whole motions.
 
 References:
     [Brier1950] Verification of forecasts expressed in terms of probability.
@@ -24,7 +24,7 @@ from graceful_plan.path import finite_array
 Array = np.ndarray
 
 SMALLEST = 1e-4
-"""Probabilities nearer to 0 or 1 than this count as this near in the logarithmic loss, which knows no certainty."""
+"""Probabilities are clamped to this distance from 0 and 1 in the logarithmic loss, which is infinite there."""
 
 
 class Reliability(NamedTuple):
@@ -33,36 +33,36 @@ class Reliability(NamedTuple):
     predicted: Float[Array, " bin"]
     """Mean prediction of each bin."""
     observed: Float[Array, " bin"]
-    """How often it happened."""
+    """Observed frequency in each bin."""
     low: Float[Array, " bin"]
     """Lower end of the band."""
     high: Float[Array, " bin"]
     """Upper end of the band."""
     events: Int[Array, " bin"]
-    """How many."""
+    """Number of events in each bin."""
 
 
 class Figures(NamedTuple):
-    """How good predicted probabilities are, at a glance."""
+    """Summary of the quality of predicted probabilities."""
 
     events: int
-    """How many."""
+    """Number of events."""
     happened: int
-    """How many of them did."""
+    """Number of events that happened."""
     brier_skill: float
-    """Over the base rate."""
+    """Brier skill relative to the base rate."""
     auc: float
     """Area under the ROC curve."""
     calibration_error: float
-    """By bins of equal counts."""
+    """Expected calibration error, by bins of equal counts."""
     ratio: float
-    """Predicted over observed."""
+    """Predicted over observed number of events."""
     log_loss: float
-    """Mean [nat]."""
+    """Mean logarithmic loss [nat]."""
 
 
 def figures(predicted: ArrayLike, happened: ArrayLike, bins: int = 10) -> Figures:
-    """Judge predicted probabilities."""
+    """Compute all figures of predicted probabilities."""
     p, y = _events(predicted, happened)
     return Figures(
         events=len(y),
@@ -84,7 +84,7 @@ def brier(predicted: ArrayLike, happened: ArrayLike) -> float:
 def brier_skill(predicted: ArrayLike, happened: ArrayLike) -> float:
     """Return 1 - (Brier score) / (that of the base rate): 1 is perfect, 0 is as good as the base rate.
 
-    NaN where everything happened, or nothing.
+    NaN if all events happened, or none.
     """
     p, y = _events(predicted, happened)
     base = y.mean()
@@ -92,16 +92,16 @@ def brier_skill(predicted: ArrayLike, happened: ArrayLike) -> float:
 
 
 def log_loss(predicted: ArrayLike, happened: ArrayLike) -> float:
-    """Return the mean negative logarithm of what was predicted for what happened [nat]; see `SMALLEST`."""
+    """Return the mean negative logarithm of the probability predicted for the outcome [nat]; see `SMALLEST`."""
     p, y = _events(predicted, happened)
     p = np.clip(p, SMALLEST, 1.0 - SMALLEST)
     return float(-np.mean(np.where(y > 0.0, np.log(p), np.log1p(-p))))
 
 
 def auc(predicted: ArrayLike, happened: ArrayLike) -> float:
-    """Return the probability that an event that happened was predicted likelier than one that did not; ties count half.
+    """Return the probability that a random hit has a higher prediction than a random miss; ties count half.
 
-    NaN where everything happened, or nothing.
+    NaN if all events happened, or none.
     """
     from scipy.stats import rankdata
 
@@ -120,7 +120,7 @@ def calibration_error(predicted: ArrayLike, happened: ArrayLike, bins: int = 10)
 
 
 def predicted_ratio(predicted: ArrayLike, happened: ArrayLike) -> float:
-    """Return how many events were predicted for each that happened; NaN if none did."""
+    """Return the predicted over the observed number of events; NaN if none happened."""
     p, y = _events(predicted, happened)
     return float(p.sum() / y.sum()) if y.any() else math.nan
 
@@ -141,13 +141,13 @@ def reliability(
     Args:
         predicted: Probabilities.
         happened: Outcomes.
-        clusters: Which motion each event is of; whole motions are drawn with replacement.
-        bins: How many, of equal counts.
-        by_hits: Whether equally many hits are predicted in each bin, instead of equally many events: most events are
-            all but impossible, and bins of equal counts tell little about those that are not.
-        resamples: How often to draw.
-        seed: Of the draws.
-        confidence: Of each bin's band.
+        clusters: Index of each event's motion; whole motions are drawn with replacement.
+        bins: Number of bins.
+        by_hits: Whether bins have equal numbers of predicted hits instead of equal numbers of events. Most events are
+            nearly impossible, so bins of equal counts resolve the other events poorly.
+        resamples: Number of resamples.
+        seed: Seed of the resamples.
+        confidence: Confidence level of each bin's band.
     """
     check_confidence(confidence)
     p, y = _events(predicted, happened)
@@ -158,7 +158,7 @@ def reliability(
     for i, part in enumerate(parts):
         hits[i] = np.bincount(members[part], weights=y[part], minlength=shape[1])
         counts[i] = np.bincount(members[part], minlength=shape[1])
-    # How often each cluster is drawn; a bin none of whose clusters is drawn says nothing in that resample.
+    # Number of draws of each cluster; a bin without any drawn cluster is NaN in that resample.
     drawn = np.random.default_rng(seed).multinomial(shape[1], np.full(shape[1], 1.0 / shape[1]), size=resamples)
     totals = counts @ drawn.T
     rates = np.divide(hits @ drawn.T, totals, out=np.full(totals.shape, np.nan), where=totals > 0.0)
@@ -168,7 +168,7 @@ def reliability(
 
 
 def spearman(predicted: ArrayLike, observed: ArrayLike) -> float:
-    """Return Spearman's rank correlation, ties sharing their ranks; NaN if all of either are alike."""
+    """Return Spearman's rank correlation, with average ranks for ties; NaN if either input is constant."""
     from scipy.stats import rankdata
 
     a, b = (rankdata(finite_array(name, x, ndim=1)) for name, x in (("predicted", predicted), ("observed", observed)))
@@ -179,7 +179,7 @@ def spearman(predicted: ArrayLike, observed: ArrayLike) -> float:
 
 
 def kendall(predicted: ArrayLike, observed: ArrayLike) -> float:
-    """Return Kendall's tau-b, which is corrected for ties; NaN if all of either are alike."""
+    """Return Kendall's tau-b, which is corrected for ties; NaN if either input is constant."""
     from scipy.stats import kendalltau
 
     a, b = finite_array("predicted", predicted, ndim=1), finite_array("observed", observed, ndim=1)
@@ -190,7 +190,7 @@ def kendall(predicted: ArrayLike, observed: ArrayLike) -> float:
 
 
 def slope(predicted: ArrayLike, observed: ArrayLike) -> float:
-    """Return the slope of the least-squares line of what was observed over what was predicted; NaN if that is alike."""
+    """Return the slope of the least-squares line of observed over predicted values; NaN for constant predictions."""
     a, b = finite_array("predicted", predicted, ndim=1), finite_array("observed", observed, ndim=1)
     _check_pairs(a, b)
     a = a - a.mean()
@@ -210,13 +210,13 @@ def bootstrap(
     """Estimate any of these figures with its percentile interval.
 
     Args:
-        statistic: Of (predicted, observed).
-        predicted: What was predicted.
-        observed: What happened.
-        clusters: Which motion each belongs to, and whole motions are drawn; None if each stands for itself.
-        resamples: How often to draw. Resamples where the figure is NaN are left out.
-        seed: Of the draws.
-        confidence: Probability that the interval covers the truth.
+        statistic: Function of (predicted, observed).
+        predicted: Predictions.
+        observed: Outcomes.
+        clusters: Index of each pair's motion, to resample whole motions; None to resample pairs.
+        resamples: Number of resamples. Those with a NaN figure are left out.
+        seed: Seed of the resamples.
+        confidence: Probability that the interval covers the true value.
     """
     a, b = np.asarray(predicted, dtype=float), np.asarray(observed, dtype=float)
     _check_pairs(a, b)
@@ -240,7 +240,7 @@ def _bins_of_hits(p: Float[Array, " n"], bins: int) -> list[Int[Array, " member"
     order = np.argsort(p, kind="stable")
     reached = np.cumsum(p[order])
     cuts = np.searchsorted(reached, reached[-1] * np.arange(1, bins) / bins)
-    cuts = np.searchsorted(p[order], p[order[cuts]])  # what is predicted alike stays together
+    cuts = np.searchsorted(p[order], p[order[cuts]])  # equal predictions stay together
     return [part for part in np.split(order, cuts) if len(part)]
 
 

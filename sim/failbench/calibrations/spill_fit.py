@@ -1,7 +1,8 @@
-"""The spill model `spill` as something whose constants can be fitted: for each use, to failures of its own.
+"""The spill model as a family of fitted constants, one family for each use of the model.
 
-"dropped" is fitted to what the gripper let go of. "held" is fitted to rollouts in which the gripper held on and
-contents got out, since the model tells whom they reach then. Priors are what physics and the size of things suggest.
+"dropped" is fitted to failures in which the gripper released the object. "held" is fitted to rollouts in which the
+gripper kept the object and contents spilled, since the model predicts which entities they reach. Priors come from
+physics and typical object sizes.
 """
 
 from __future__ import annotations
@@ -31,19 +32,19 @@ from graceful_plan.exceptions import UnknownNameError
 Array = np.ndarray
 
 SPILT = 0.01
-"""Part of the contents whose loss counts as a spill."""
+"""Lost fraction of the contents that counts as a spill."""
 FAULTS: Mapping[str, tuple[str, ...]] = {
     "dropped": ("gripper_failure", "weak_grip", "stuck_gripper"),
     "held": ("complete_shutdown", "loose_joint", "power_loss", "dropout", "noise"),
 }
-"""Faults that each use is fitted to; only of rollouts in which the object left the gripper, or did not."""
+"""Faults that each use is fitted to; only rollouts in which the object left the gripper ("dropped") or not ("held")."""
 _ALWAYS = {"soft_speed": -10.0, "soft_spread": 0.4}
-"""What "held" has instead of a soft landing: contents are out."""
+"""Constants of "held" in place of a soft landing: the contents have already left."""
 _SHAPE = "all"
 
 
 def faults_of(scene: Scene) -> list[Fault]:
-    """Return the faults that the model is fitted to; they are the same for all robots."""
+    """Return the faults that the model is fitted to, which are the same for all robots."""
     del scene
     return [faults()[name](degree="severe") for use in USES for name in FAULTS[use]]
 
@@ -62,14 +63,14 @@ _PRIORS: Mapping[str, Prior] = {
     "soft_speed": Prior(0.7, 0.3, -1.0, 3.0, "m/s"),
     "soft_spread": Prior(0.3, 0.5, 0.02, 2.0, "m/s"),
 }
-"""A square with the area of a disc has 0.89 times its radius; jolts of 0.7 m/s spill."""
+"""A square with the area of a disc has a half side of 0.89 times its radius; jolts of 0.7 m/s spill."""
 
 
 class SpillFamily(Family):
     """One use of the spill model, over the shipped drop model.
 
     Args:
-        use: One of `spill_constants.USES`.
+        use: "dropped" or "held", see `USES`.
         settings: Constants of the drop model.
     """
 
@@ -88,7 +89,7 @@ class SpillFamily(Family):
         )
 
     def shape(self, scene: Scene) -> str:
-        """Return the same for all."""
+        """Return the only shape class."""
         del scene
         return _SHAPE
 
@@ -97,7 +98,7 @@ class SpillFamily(Family):
         return States(scene, q, qd)
 
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
-        """Return what the spill model predicts for the contents."""
+        """Return the probabilities that the spill model predicts for the contents."""
         scene, tables = prepared.scene, drop_tables(prepared.scene)
         constants = self.of(values)
         kernel = DropKernel(
@@ -115,7 +116,7 @@ class SpillFamily(Family):
         return SpillConstants(**{**values, **self._fixed})
 
     def concerned(self, failures: Sequence[Failures]) -> list[Failures]:
-        """Return the rollouts that this use is about."""
+        """Return the rollouts that this use is fitted to."""
         found = []
         for whole in failures:
             part = whole.only(self.faults)
@@ -128,7 +129,7 @@ class SpillFamily(Family):
 @final
 @dataclass(frozen=True, kw_only=True)
 class SpillCalibration(Calibration):
-    """Constants of the spill model by use, and why they are what they are. Made by `fit_spill`."""
+    """Fitted constants of the spill model by use, with their provenance. Made by `fit_spill`."""
 
     ONE_A_LINE: ClassVar[tuple[str, ...]] = USES
 
@@ -143,7 +144,7 @@ class SpillCalibration(Calibration):
         return family.of({name: x.value for name, x in self.uses[use].constants[_SHAPE].items()})
 
     def to_document(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the calibration as JSON values."""
         provenance: dict[str, Any] = {}
         constants: dict[str, dict[str, float]] = {}
         for use, found in self.uses.items():
@@ -162,7 +163,7 @@ class SpillCalibration(Calibration):
 def fit_spill(
     failures: Sequence[Failures], *, about: Mapping[str, Any] | None = None, seed: int = 0
 ) -> SpillCalibration:
-    """Fit both uses to failures in two scenes at least."""
+    """Fit both uses to failures in at least two scenes."""
     found = {}
     for use in USES:
         family = SpillFamily(use)

@@ -1,6 +1,6 @@
-"""Drops of things that bounce more, or less, than the scenes' materials say, and that turn when they are let go.
+"""Drops of objects that bounce differently from the scenes' materials, and that spin at their release.
 
-Only what is simulated varies: neither planners nor models know of it, as nobody knows of a real thing before it falls.
+Only the simulation varies. Planners and models do not know the variation, as for real objects.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from failbench.simulated.world import World
 from graceful_plan.exceptions import SettingError
 
 _RESTITUTION = (0.017, 0.193, 0.266, 0.351, 0.460, 0.529, 0.611, 0.694)
-"""Of a sphere that falls 0.3 m, measured by `benchmarks/materials.py: restitution` at ..."""
+"""Restitution of a sphere that falls 0.3 m, measured by `benchmarks/materials.py: restitution` for `_DAMPING`."""
 _DAMPING = (0.8, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15)
-"""... these damping ratios, MuJoCo's time constant 0.02 s."""
+"""Damping ratios of the contact, with MuJoCo's time constant of 0.02 s."""
 _ALONE = 1e3
-"""Share of the carried object's contact parameters in those of a contact, over that of what it touches."""
+"""Mixing weight of the carried object's contact parameters, relative to those of the touched geom."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variation:
-    """How what is dropped differs from what a scene says.
+    """Deviation of the dropped object from the scene's.
 
     Args:
-        restitution: Least and greatest coefficient of restitution, drawn for each motion; None if as in the scene.
-        spin: Angular velocity that is added to the object's when the gripper fails [rad/s], standard deviation about
-            each axis. Fingers that still touch the object take some of it away. One of two fingers that opens 20 ms
-            late holds half the weight at half the width (3 cm) of a thing with a radius of gyration of 5 cm: 1.2 rad/s.
+        restitution: Least and greatest coefficient of restitution, drawn for each motion; None for the scene's.
+        spin: Standard deviation about each axis of the angular velocity added at the failure of the gripper [rad/s].
+            Fingers that still touch the object reduce it. Example: a finger that opens 20 ms after the other
+            holds half the weight at half the width (3 cm) of an object with a radius of gyration of 5 cm: 1.2 rad/s.
     """
 
     restitution: tuple[float, float] | None = None
@@ -48,11 +48,11 @@ class Variation:
 
 
 VARIED = Variation(restitution=(0.1, 0.6), spin=1.2)
-"""From cartons to hard balls (docs/failbench.md), let go by fingers that do not open together."""
+"""From cartons to hard balls (docs/failbench.md), released by fingers that do not open simultaneously."""
 
 
 def bounce(world: World, variation: Variation, seed: int) -> None:
-    """Give the carried object of a world its restitution, against everything but the fingers."""
+    """Set the carried object's restitution in a world, for contacts other than with the fingers."""
     if variation.restitution is None:
         return
     e = np.random.default_rng(seed).uniform(*variation.restitution)
@@ -63,13 +63,13 @@ def bounce(world: World, variation: Variation, seed: int) -> None:
 
 
 def spun(execution: Execution, variation: Variation, seed: int) -> Execution:
-    """Return an execution in which the carried object turns wherever a rollout may begin."""
+    """Return an execution in which the carried object spins at every checkpoint."""
     if variation.spin == 0.0:
         return execution
     model, states = execution.world.model, execution.states.copy()
     joint = int(model.body_jntadr[execution.world.carried_body])
     before = mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS
-    first = mujoco.mj_stateSize(model, int(before)) + int(model.jnt_dofadr[joint]) + 3  # what is linear comes first
+    first = mujoco.mj_stateSize(model, int(before)) + int(model.jnt_dofadr[joint]) + 3  # after the linear velocity
     rng = np.random.default_rng((seed, 1))
     states[:, first : first + 3] += rng.normal(scale=variation.spin, size=(len(states), 3))
     states.flags.writeable = False

@@ -1,1 +1,1 @@
-"""The commands of `failbench`, by what they are about."""
+"""The commands of `failbench`, by topic."""

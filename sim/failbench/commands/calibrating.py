@@ -26,25 +26,25 @@ _RECIPES: Mapping[str, Recipe] = {
 
 
 def add(commands: Any) -> None:
-    """Add it to the command line."""
+    """Add the command to the parser."""
     fit = add_command(commands, "calibrate", _calibrate, "fit a model's constants to failures in bundled scenes")
-    fit.add_argument("output", type=FilePath, help="YAML file for the constants, with where they come from")
-    fit.add_argument("--model", choices=tuple(_RECIPES), default="footprint", help="which (default footprint)")
+    fit.add_argument("output", type=FilePath, help="YAML file for the constants and their provenance")
+    fit.add_argument("--model", choices=tuple(_RECIPES), default="footprint", help="model to fit (default footprint)")
     fit.add_argument("--scenes", nargs="+", metavar="SCENE", help="bundled scenes, two or more (default: all)")
     fit.add_argument("-n", type=int, default=30, help="drops along each motion (default 30)")
     fit.add_argument("--repeats", type=int, default=2, help="motions of each kind for each task (default 2)")
-    fit.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
+    fit.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default 0)")
     fit.add_argument(
         "--varied",
         action="store_true",
-        help="along every second motion, things bounce up to 0.6 and turn when let go",
+        help="along every second motion, objects bounce (restitution up to 0.6) and spin at their release",
     )
-    fit.add_argument("--drops", type=FilePath, metavar="FILE", help="keep the drops here, or take them if it is there")
-    fit.add_argument("--workers", type=int, default=0, help="processes (default: one for each core)")
+    fit.add_argument("--drops", type=FilePath, metavar="FILE", help="store the drops here, or read them if it exists")
+    fit.add_argument("--workers", type=int, default=0, help="processes (default: one per core)")
 
 
 def _calibrate(args: argparse.Namespace) -> Answer:
-    check_file(args.output, (".yaml", ".yml"))  # before hours of work, not after
+    check_file(args.output, (".yaml", ".yml"))  # fail before hours of work
     workers = args.workers or os.cpu_count() or 1
     settings = FailureSettings(
         n=args.n,

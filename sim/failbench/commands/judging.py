@@ -1,4 +1,4 @@
-"""Commands that compare what failures hit with what was predicted: for a motion, and for a front of motions."""
+"""Commands that compare observed harm of failures with the prediction, for a motion or a front of motions."""
 
 from __future__ import annotations
 
@@ -17,33 +17,38 @@ from failbench.validation import validate
 
 
 def add(commands: Any) -> None:
-    """Add them to the command line."""
+    """Add the commands to the parser."""
     judge = add_command(
-        commands, "validate", _validate, "compare what failures of a motion hit with what was predicted"
+        commands, "validate", _validate, "compare observed harm of a motion's failures with its prediction"
     )
     judge.add_argument(
         "patterns",
         nargs="*",
         default=["drop/*/severe"],
-        help="of scenarios, whose faults count (default drop/*/severe)",
+        help="patterns of scenarios, of which the faults are used (default drop/*/severe)",
     )
     judge.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
     judge.add_argument("--task", help="task of the scene (default: its first)")
     judge.add_argument("-n", type=int, default=400, help="number of failures (default 400)")
     _add_rate(judge)
-    judge.add_argument("--importance", action="store_true", help="fail more often where harm is predicted")
+    judge.add_argument("--importance", action="store_true", help="sample onsets more densely where harm is predicted")
     add_motion(judge)
 
     front = add_command(
-        commands, "validate-front", _validate_front, "compare the motions of a Pareto front in that way"
+        commands,
+        "validate-front",
+        _validate_front,
+        "compare observed and predicted harm of the motions of a Pareto front",
     )
     front.add_argument("front", type=FilePath, help="file of `graceful-plan tune` or of ParetoFront.save")
-    front.add_argument("patterns", nargs="*", default=["drop/*/severe"], help="of scenarios (default drop/*/severe)")
+    front.add_argument(
+        "patterns", nargs="*", default=["drop/*/severe"], help="patterns of scenarios (default drop/*/severe)"
+    )
     front.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
     front.add_argument("--task", help="task of the scene (default: its first)")
     front.add_argument("-n", type=int, default=200, help="number of failures along each motion (default 200)")
     _add_rate(front)
-    front.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
+    front.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default 0)")
     front.add_argument("--horizon", type=float, default=1.0, metavar="S", help="seconds after the onset (default 1)")
     add_grasp(front)
 

@@ -1,4 +1,4 @@
-"""What commands answer, and how they show how far they have come."""
+"""Output of commands, and their progress bar."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from graceful_plan import documents
 
 
 class Answer(NamedTuple):
-    """What a command found out."""
+    """Result of a command."""
 
     document: Any
     text: str | None = None
-    """The same for people; None if the document is what was asked for."""
+    """Readable text; None prints the document instead."""
 
     def shown(self, as_json: bool) -> str:
-        """Return it as it is to be printed."""
+        """Return the text to print."""
         return documents.to_json(self.document) if as_json or self.text is None else self.text
 
 
 class Bar:
-    """Shows how much is done, if somebody sits at a terminal."""
+    """Progress bar, shown on a terminal only."""
 
     def __init__(self, args: argparse.Namespace, unit: str = "rollouts") -> None:
         self.unit = unit
@@ -39,12 +39,12 @@ class Bar:
             _write("")
 
     def sweep(self, progress: SweepProgress) -> None:
-        """Overwrite the line with how far a sweep has come."""
+        """Update the progress of a sweep."""
         failed = f", {progress.failed} chunks FAILED" if progress.failed else ""
         self.show(progress.rollouts_done, progress.rollouts, failed)
 
     def show(self, done: int, total: int, note: str = "") -> None:
-        """Overwrite the line with how many are done."""
+        """Update the numbers of finished and of all units."""
         if self.shown:
             bar = "#" * (30 * done // total)
             seconds = time.monotonic() - self.started
@@ -52,6 +52,6 @@ class Bar:
 
 
 def _write(line: str) -> None:
-    """Overwrite the line that the cursor is in."""
+    """Overwrite the current line of the terminal."""
     sys.stderr.write(f"\r\x1b[K{line}")
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""The command that breaks a robot under a policy."""
+"""The command that evaluates a policy under faults."""
 
 from __future__ import annotations
 
@@ -15,33 +15,40 @@ _RECOVERIES = ("none", "stop", "replan")
 
 
 def add(commands: Any) -> None:
-    """Add it to the command line."""
-    usual = "plan, plan0 (w = 0), scripted, reach (trained), or package.module:factory of your own"
-    judge = add_command(commands, "policy", _policy, "let a policy do a task, healthy and with faults")
+    """Add the command to the parser."""
+    usual = "plan, plan0 (w = 0), scripted, reach (trained), or your own package.module:factory"
+    judge = add_command(commands, "policy", _policy, "evaluate a policy on a task, healthy and with faults")
     judge.add_argument("policy", help=usual)
     judge.add_argument(
-        "patterns", nargs="*", default=["*/*/severe"], help="of scenarios, whose faults count (default */*/severe)"
+        "patterns",
+        nargs="*",
+        default=["*/*/severe"],
+        help="patterns of scenarios, of which the faults are used (default */*/severe)",
     )
     judge.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
     judge.add_argument("--task", help="task of the scene (default: its first)")
     judge.add_argument("-n", type=int, default=20, help="episodes without failure, and with each fault (default 20)")
-    judge.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
+    judge.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default 0)")
     judge.add_argument("--horizon", type=float, default=1.0, metavar="S", help="seconds after the onset (default 1)")
-    judge.add_argument("--period", type=float, default=0.02, metavar="S", help="from one action to the next")
-    judge.add_argument("--noise", type=float, default=0.02, metavar="RAD", help="of where episodes start")
-    judge.add_argument("--limit", type=float, metavar="S", help="longest episode (default: by the straight path)")
+    judge.add_argument("--period", type=float, default=0.02, metavar="S", help="time between actions")
+    judge.add_argument("--noise", type=float, default=0.02, metavar="RAD", help="standard deviation of the start")
+    judge.add_argument(
+        "--limit", type=float, metavar="S", help="time limit of an episode (default: from the straight path)"
+    )
     judge.add_argument("--speed", type=float, default=0.5, help="fraction of the limits (default 0.5)")
-    judge.add_argument("--camera", action="append", default=[], help="whose pictures the policy sees; may be repeated")
-    judge.add_argument("--recovery", choices=_RECOVERIES, default="none", help="once a fault is noticed")
-    judge.add_argument("--delay", type=float, default=0.1, metavar="S", help="from its onset until it is noticed")
+    judge.add_argument(
+        "--camera", action="append", default=[], help="camera whose pictures the policy gets; may be repeated"
+    )
+    judge.add_argument("--recovery", choices=_RECOVERIES, default="none", help="reaction to a detected fault")
+    judge.add_argument("--delay", type=float, default=0.1, metavar="S", help="detection delay after the onset")
     judge.add_argument(
         "--rate", type=float, default=FAILURES_PER_HOUR, help=f"failures per hour (default {FAILURES_PER_HOUR:g})"
     )
-    judge.add_argument("--grasp", choices=("fingers", "weld"), default="fingers", help="what holds the object")
+    judge.add_argument("--grasp", choices=("fingers", "weld"), default="fingers", help="how the object is held")
 
 
 def _policy(args: argparse.Namespace) -> Answer:
-    # Here, since no other command needs any of it.
+    # Imported here, since no other command needs them.
     from failbench import policies
     from failbench.simulated.world import SimSettings
 

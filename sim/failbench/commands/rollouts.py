@@ -1,4 +1,4 @@
-"""Commands about single scenarios: list them, let one happen, show a rollout."""
+"""Commands for single scenarios: list them, run one, show a rollout."""
 
 from __future__ import annotations
 
@@ -19,22 +19,26 @@ from failbench.sweeps.work import execution_of, jobs_of, run_chunk, scene_of
 
 
 def add(commands: Any) -> None:
-    """Add them to the command line."""
+    """Add the commands to the parser."""
     listing = add_command(
         commands, "scenarios", _scenarios, "list scenarios: a fault of some degree in a task of a scene"
     )
-    listing.add_argument("pattern", nargs="?", help="name or tag with * and ?, such as 'drop/*'; none: the families")
+    listing.add_argument(
+        "pattern", nargs="?", help="name or tag with * and ?, such as 'drop/*' (default: list the families)"
+    )
 
-    run = add_command(commands, "run", _run, "let one scenario happen a number of times")
+    run = add_command(commands, "run", _run, "simulate one scenario a number of times")
     add_scenario(run)
 
     show = add_command(commands, "replay", _replay, "show a rollout of a scenario, or of a sweep")
     add_scenario(show, "name of the scenario, or folder of a sweep")
-    show.add_argument("--rollout", type=int, default=0, help="its number in the sweep, or in `run` (default 0)")
     show.add_argument(
-        "--output", type=FilePath, help="folder for PNG frames, or .gif, .webp, .apng, .mp4; none: a viewer"
+        "--rollout", type=int, default=0, help="number of the rollout in the sweep, or in `run` (default 0)"
     )
-    show.add_argument("--slow", type=float, default=1.0, help="how many times slower than in reality (default 1)")
+    show.add_argument(
+        "--output", type=FilePath, help="folder for PNG frames, or .gif, .webp, .apng, .mp4 (default: a viewer)"
+    )
+    show.add_argument("--slow", type=float, default=1.0, help="slow-down factor (default 1)")
     show.add_argument("--camera", help="name of a camera of the scene")
 
 

@@ -1,4 +1,4 @@
-"""Commands that do sweeps: begin one, go on with one."""
+"""Commands for sweeps: start one, resume one."""
 
 from __future__ import annotations
 
@@ -16,27 +16,29 @@ from graceful_plan.exceptions import SettingError
 
 
 def add(commands: Any) -> None:
-    """Add them to the command line."""
-    make = add_command(commands, "generate", _generate, "do a sweep over scenarios and write its dataset")
-    make.add_argument("folder", type=FilePath, help="where journal and dataset go")
-    make.add_argument("patterns", nargs="*", help="of scenarios, such as 'drop/*'; every fault on every task")
+    """Add the commands to the parser."""
+    make = add_command(commands, "generate", _generate, "run a sweep over scenarios and write its dataset")
+    make.add_argument("folder", type=FilePath, help="folder for journal and dataset")
+    make.add_argument(
+        "patterns", nargs="*", help="patterns of scenarios, such as 'drop/*'; all tasks must have the same faults"
+    )
     make.add_argument("--sweep", type=FilePath, metavar="FILE", help="sweep as JSON, instead of patterns and options")
-    make.add_argument("--dry-run", action="store_true", help="print the sweep as JSON and do nothing")
+    make.add_argument("--dry-run", action="store_true", help="print the sweep as JSON and stop")
     make.add_argument("-n", type=int, default=32, help="rollouts of each fault on each task (default 32)")
     add_motion(make)
     _add_executor(make)
 
-    again = add_command(
-        commands, "resume", _resume, "go on with a sweep that was killed, interrupted or failed in part"
-    )
-    again.add_argument("folder", type=FilePath, help="where it was begun")
+    again = add_command(commands, "resume", _resume, "continue a sweep that was killed, interrupted or failed in part")
+    again.add_argument("folder", type=FilePath, help="folder of the sweep")
     _add_executor(again)
 
 
 def _add_executor(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--workers", type=int, default=0, help="processes (default: one for each core)")
-    parser.add_argument("--executor", choices=("local", "ray"), default="local", help="who does it (default local)")
-    parser.add_argument("--address", help="of a Ray cluster that runs already, or auto; default: a Ray of our own")
+    parser.add_argument("--workers", type=int, default=0, help="processes (default: one per core)")
+    parser.add_argument(
+        "--executor", choices=("local", "ray"), default="local", help="executor of the chunks (default local)"
+    )
+    parser.add_argument("--address", help="address of a running Ray cluster, or auto (default: start a local Ray)")
 
 
 def _generate(args: argparse.Namespace) -> Answer:
@@ -73,7 +75,7 @@ def _made(made: Generated) -> Answer:
 
 def _sweep(args: argparse.Namespace) -> Sweep:
     if (args.sweep is None) != bool(args.patterns):
-        raise SettingError("patterns", " ".join(args.patterns), "patterns of scenarios, or --sweep FILE, and not both")
+        raise SettingError("patterns", " ".join(args.patterns), "patterns of scenarios, or --sweep FILE, but not both")
     if args.sweep is not None:
         return Sweep.from_json(args.sweep)
     sweep = sweep_of(

@@ -1,4 +1,4 @@
-"""The command that writes what happens in rollouts, step by step."""
+"""The command that writes step-by-step traces of rollouts."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from failbench.traces.trace import Sampling
 
 
 def add(commands: Any) -> None:
-    """Add it to the command line."""
+    """Add the command to the parser."""
     made = add_command(commands, "trace", _trace, "write states, contact points and pictures of a dataset's rollouts")
-    made.add_argument("folder", type=FilePath, help="of a dataset that `generate` made")
+    made.add_argument("folder", type=FilePath, help="folder of a dataset made by `generate`")
     made.add_argument("output", type=FilePath, help="folder to write to")
-    made.add_argument("--rollouts", type=int, nargs="+", metavar="N", help="their numbers (default: all)")
-    made.add_argument("--every", type=int, default=5, help="steps from one row to the next (default 5)")
-    made.add_argument("--images", type=int, default=0, help="steps from one picture to the next (default: none)")
+    made.add_argument("--rollouts", type=int, nargs="+", metavar="N", help="numbers of the rollouts (default: all)")
+    made.add_argument("--every", type=int, default=5, help="steps per row (default 5)")
+    made.add_argument("--images", type=int, default=0, help="steps per picture (default: no pictures)")
     made.add_argument("--camera", help="name of a camera of the scene")
-    made.add_argument("--form", choices=("tables", "lerobot"), default="tables", help="of the folder (default tables)")
+    made.add_argument(
+        "--form", choices=("tables", "lerobot"), default="tables", help="format of the folder (default tables)"
+    )
 
 
 def _trace(args: argparse.Namespace) -> Answer:

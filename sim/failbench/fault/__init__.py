@@ -1,1 +1,1 @@
-"""The faults."""
+"""Faults of the robot, by category, and its reactions."""

@@ -1,4 +1,4 @@
-"""What faults do to the drives that they strike: weaken them, let joints rub, see whether the gripper still holds."""
+"""Effects of faults on drives: reduced torque, joint friction, brakes, and the loss of a weld-based grasp."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ Array = np.ndarray
 DRIVE = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 """Model fields that `scale_torque` needs."""
 GRIP = ("eq_obj2id", "body_mass", "geom_friction")
-"""Model fields that `cut_overloaded_weld` needs besides."""
+"""Further model fields that `cut_overloaded_weld` needs."""
 
 FRICTION = ("dof_frictionloss", "dof_solref", "dof_solimp", "actuator_forcerange")
 """Model fields that `add_friction` needs."""
 
 BRAKE_TORQUE = 1.5
-"""Torque up to which a brake holds, as a multiple of what the joint's motor can give."""
+"""Greatest holding torque of a brake, as a multiple of the joint motor's torque limit."""
 
 BRAKES = FRICTION
 """Model fields that `close_brakes` needs."""
 
 _GRAVITY = 9.81
 _STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Impedance of friction that lets a joint at rest creep as little as the solver allows."""
+"""Solver impedance (solimp) of joint friction, as hard as the solver allows, so that a joint at rest barely creeps."""
 
 
 def actuators(plant: Plant) -> Array:
@@ -41,15 +41,15 @@ def actuators(plant: Plant) -> Array:
 
 
 def add_friction(plant: Plant, share: float) -> Array:
-    """Let the struck joints rub, with dry friction of a share of the greatest torque of their motors.
+    """Add dry friction to the struck joints, as a fraction `share` of their motors' torque limits.
 
     Needs the fields `FRICTION`.
 
     Returns:
-        The friction of each of them [N m or N].
+        Friction torque of each struck joint [N m or N].
 
     Raises:
-        UnsupportedError: If the greatest torque of one of them is not known.
+        UnsupportedError: If the torque limit of a struck joint is not known.
     """
     limit = _greatest(plant["actuator_forcerange"], plant.robot, plant.joints)
     torque = share * limit
@@ -58,16 +58,16 @@ def add_friction(plant: Plant, share: float) -> Array:
 
 
 def close_brakes(fields: Mapping[str, Array], world: World) -> None:
-    """Hold all joints, the fingers' excepted, by brakes, and take the power from their drives.
+    """Hold all joints except the fingers by brakes, and remove the power from their drives.
 
-    Brakes are as strong as a healthy robot's, whatever is broken: springs close them.
+    The brakes close by springs, so they have the full strength of a healthy robot's whatever else is broken.
 
     Args:
-        fields: Live model fields of one simulation: `BRAKES`, as they are without brakes.
-        world: Where.
+        fields: Live model fields `BRAKES` of one simulation, with the values they have without brakes.
+        world: World of the simulation.
 
     Raises:
-        UnsupportedError: If the greatest torque of a joint is not known.
+        UnsupportedError: If the torque limit of a joint is not known.
     """
     robot, model = world.robot, world.model
     limit = _greatest(model.actuator_forcerange, robot, np.arange(len(robot.joints)))
@@ -76,10 +76,12 @@ def close_brakes(fields: Mapping[str, Array], world: World) -> None:
 
 
 def _greatest(force_range: Array, robot: Robot, joints: Array) -> Array:
-    """Return what the motors of joints can give, which has to be known."""
+    """Return the torque limits of the joints' motors; raise UnsupportedError if one is not known."""
     limit = force_range[robot.actuators[joints], 1]
     for joint in joints[limit <= 0.0]:
-        raise UnsupportedError(f"the greatest torque of the joint {robot.joints[joint]!r} is not known; tell the scene")
+        raise UnsupportedError(
+            f"the torque limit of the joint {robot.joints[joint]!r} is not known; set it in the scene"
+        )
     return limit
 
 
@@ -91,7 +93,7 @@ def _rub(fields: Callable[[str], Array], dofs: Array, torque: Array, dt: float) 
 
 
 def scale_response(plant: Plant, share: float) -> None:
-    """Let the struck drives answer to commands, errors and speeds with a share of what they should.
+    """Scale the response of the struck drives to commands, position errors and speeds by `share`.
 
     Needs "actuator_gainprm" and "actuator_biasprm".
     """
@@ -101,7 +103,7 @@ def scale_response(plant: Plant, share: float) -> None:
 
 
 def scale_torque(plant: Plant, share: float) -> None:
-    """Let the struck drives give a share of their torque: of what is asked for, and of the most they can give.
+    """Scale the torque of the struck drives by `share`: both their response and their torque limit.
 
     Needs the fields `DRIVE`.
     """
@@ -110,7 +112,7 @@ def scale_torque(plant: Plant, share: float) -> None:
 
 
 def weaken(plant: Plant, share: float) -> None:
-    """Let the struck drives give a share of their torque; fingers that get too weak lose what a weld stands for.
+    """Scale the torque of the struck drives by `share`; fingers that get too weak release a grasp modelled by a weld.
 
     Needs the fields `DRIVE` and `GRIP`.
     """
@@ -119,20 +121,20 @@ def weaken(plant: Plant, share: float) -> None:
 
 
 def hold_grip(plant: Plant) -> None:
-    """Leave the gripper as it was told to be at the onset, deaf to later commands."""
+    """Freeze the gripper's commands at their values at the onset."""
     grippers = plant.robot.gripper_actuators
     plant.ahead[:, grippers] = plant.healthy[0, grippers]
 
 
 def cut_overloaded_weld(plant: Plant, share: float = 1.0) -> None:
-    """Cut the weld that stands for the grasp if fingers would not hold the object's weight any more.
+    """Cut the weld that models the grasp once the fingers could no longer hold the object's weight.
 
-    Fingers hold it as long as the friction coefficient times the sum of their normal forces carries its weight. A hand
-    without drives holds until nothing is left. Needs the fields `GRIP` and "actuator_forcerange".
+    The fingers hold as long as the friction coefficient times the sum of their normal forces is at least the weight. A
+    gripper without actuators holds until `share` is 0. Needs the fields `GRIP` and "actuator_forcerange".
 
     Args:
-        plant: Where.
-        share: Part of the greatest force that the fingers still press with.
+        plant: The simulated robot.
+        share: Remaining finger force, as a fraction of the current limit.
     """
     robot = plant.robot
     if robot.weld < 0 or not plant.gripper:

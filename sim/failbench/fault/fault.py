@@ -1,4 +1,4 @@
-"""The contract of a fault: a small frozen object that says what breaks, how badly, and for how long."""
+"""Base class of faults: a small frozen object that states which part fails, how badly, and for how long."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ DEGREES = ("minor", "moderate", "severe", "critical")
 
 CATEGORIES = ("actuator", "sensor", "end_effector", "power")
 REACTION = "reaction"
-"""Category of what the robot does on purpose: nothing is broken."""
+"""Category of deliberate reactions of a robot in which nothing is broken."""
 SURROUNDINGS = "surroundings"
-"""Category of what happens around a robot."""
+"""Category of events around the robot."""
 
 _PARTS = {"gripper": ("gripper",), "robot": ("joints", "gripper")}
-"""The parts that a target stands for, if not joints alone."""
+"""Parts that a target stands for, if not only joints."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault(ABC):
-    """Something that breaks in the robot at some moment of a motion.
+    """A failure of a robot part at some time during a motion.
 
-    A fault of your own is a frozen dataclass that inherits from this, sets the class data below and has `apply`;
-    `failbench.testing.check_fault` says what is wrong with it. Pass the object; nothing has to be registered.
+    To add a fault, write a frozen dataclass that inherits from this class, sets the class data below and implements
+    `apply`. `failbench.testing.check_fault` reports mistakes in it. Pass the object; no registration is needed.
 
     Args:
-        degree: "minor", "moderate", "severe" or "critical"; what it scales is the class's `PARAMETER`.
+        degree: "minor", "moderate", "severe" or "critical": sets the value of the class's `PARAMETER`.
         ramp: Time over which the effect grows from nothing to its full strength [s]; 0 is at once.
-        duration: Time from the onset after which everything is as before [s]; None for good.
-        targets: Names of the joints that are struck, "any" for one drawn at random, "all" joints, "gripper", or "robot"
-            for joints and gripper. Empty: the class's `TARGETS`.
-        when: When it begins.
-        rates: How often each joint has this fault, from the base to the tool; "any" draws in proportion. Only ratios
-            matter. Empty: all alike.
+        duration: Time from the onset after which the effect is undone [s]; None if it is permanent.
+        targets: Names of the struck joints, "any" for a random joint, "all" for all joints, "gripper", or "robot" for
+            joints and gripper. Empty: the class's `TARGETS`.
+        when: Onset of the fault.
+        rates: Relative frequency of this fault for each joint, from the base to the tool: "any" draws in proportion.
+            Empty: all joints are equally likely.
     """
 
     degree: str = "severe"
@@ -54,17 +54,17 @@ class Fault(ABC):
     CATEGORY: ClassVar[str]
     """One of "actuator", "sensor", "end_effector", "power", "reaction" and "surroundings"."""
     PARAMETER: ClassVar[str]
-    """What the degree scales, in words, with its unit."""
+    """Meaning of the parameter that the degree sets, with its unit."""
     AMOUNTS: ClassVar[Mapping[str, float]]
     """The parameter's value by degree."""
     TARGETS: ClassVar[tuple[str, ...]] = ("any",)
-    """What is struck unless the user says otherwise."""
+    """Default targets."""
     STRIKES: ClassVar[tuple[str, ...]] = ("joints", "gripper")
-    """Which parts of a robot can have this fault at all."""
+    """Parts of a robot that can have this fault: "joints", "gripper"."""
     FIELDS: ClassVar[tuple[str, ...]] = ()
     """Fields of the MuJoCo model that `apply` writes."""
     PERIOD: ClassVar[float | None] = None
-    """Time between calls of `apply` while the fault lasts [s]: 0 for every step; None if once is enough."""
+    """Time between calls of `apply` while the fault lasts [s]: 0 for every step; None for a single call."""
 
     def __post_init__(self) -> None:
         if self.degree not in DEGREES:
@@ -72,7 +72,7 @@ class Fault(ABC):
         if not (math.isfinite(self.ramp) and self.ramp >= 0.0):
             raise SettingError("ramp", self.ramp, "a finite time >= 0 s")
         if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):
-            raise SettingError("duration", self.duration, "a finite time > 0 s, or None for good")
+            raise SettingError("duration", self.duration, "a finite time > 0 s, or None if permanent")
         if not isinstance(self.when, Onset):
             raise SettingError("when", self.when, "AtTime, AtFraction or Uniform")
         if not isinstance(self.targets, tuple | list):
@@ -82,7 +82,7 @@ class Fault(ABC):
         parts = {part for target in self.targets for part in _PARTS.get(target, ("joints",))}
         if parts and parts.isdisjoint(self.STRIKES):
             able = " or ".join({"joints": "a joint", "gripper": "the gripper"}[part] for part in self.STRIKES)
-            raise SettingError("targets", self.targets, f"{able} among them: nothing else can have a {self.NAME}")
+            raise SettingError("targets", self.targets, f"to include {able}: no other part can have a {self.NAME}")
 
     def _check_rates(self) -> None:
         if not isinstance(self.rates, tuple | list):
@@ -94,7 +94,7 @@ class Fault(ABC):
 
     @property
     def period(self) -> float | None:
-        """Time between calls of `apply` with these settings [s]: `PERIOD`, unless settings decide."""
+        """Time between calls of `apply` with these settings [s] (default: `PERIOD`)."""
         return self.PERIOD
 
     @property
@@ -104,13 +104,13 @@ class Fault(ABC):
 
     @abstractmethod
     def apply(self, plant: Plant, level: float) -> None:
-        """Break the robot.
+        """Apply the fault to a simulated robot.
 
-        Called at the onset, along the ramp, and every `PERIOD` while the fault lasts. Before each call the model's
-        fields and the commands to come are as in a healthy robot again, so effects never add up by being repeated. All
-        that is random comes from `plant.rng`; what has to be remembered from call to call goes into `plant.memory`.
+        Called at the onset, along the ramp, and every `PERIOD` while the fault lasts. Before each call the model fields
+        and the future commands are reset to those of a healthy robot, so effects do not add up over calls. Draw all
+        random numbers from `plant.rng`, and keep state between calls in `plant.memory`.
 
         Args:
-            plant: The one simulated robot that breaks.
-            level: How far the ramp has come, in (0, 1]; 1 is the full strength of the degree.
+            plant: The simulated robot.
+            level: Progress of the ramp, in (0, 1]; 1 is the full strength of the degree.
         """

@@ -1,4 +1,4 @@
-"""Faults of the power supply: they strike all drives, the gripper's too. Values and their reasons: docs/faults.md."""
+"""Faults of the power supply, which strike all drives including the gripper's. For the values see docs/faults.md."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ GRIPS = ("lost", "kept")
 
 @dataclass(frozen=True, kw_only=True)
 class BatteryDegradation(Fault):
-    """A battery runs down: the torque of all drives sags with time. `ramp` is how long that takes."""
+    """A battery runs down: the torque of all drives decreases over the time `ramp`."""
 
     ramp: float = 1.0
 
     NAME: ClassVar[str] = "battery_degradation"
     CATEGORY: ClassVar[str] = "power"
-    PARAMETER: ClassVar[str] = "torque that is left after the ramp, as a share of the healthy one"
+    PARAMETER: ClassVar[str] = "remaining torque after the ramp, as a fraction of the healthy one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.8, "moderate": 0.5, "severe": 0.25, "critical": 0.0}
     TARGETS: ClassVar[tuple[str, ...]] = ("robot",)
     FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Weaken all drives as far as the ramp has come."""
+        """Weaken all drives in proportion to the progress of the ramp."""
         weaken(plant, 1.0 + level * (self.amount - 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class VoltageDrop(Fault):
-    """A brown-out: for a short time all drives give a share of their torque, then everything is as before."""
+    """A brown-out: for a short time all drives give a fraction of their torque, then they recover fully."""
 
     ramp: float = 0.02
     duration: float | None = 0.2
 
     NAME: ClassVar[str] = "voltage_drop"
     CATEGORY: ClassVar[str] = "power"
-    PARAMETER: ClassVar[str] = "voltage, and with it torque, that is left, as a share of the healthy one"
+    PARAMETER: ClassVar[str] = "remaining voltage, and with it torque, as a fraction of the healthy one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.8, "moderate": 0.7, "severe": 0.4, "critical": 0.0}
     TARGETS: ClassVar[tuple[str, ...]] = ("robot",)
     FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
@@ -64,12 +64,12 @@ class VoltageDrop(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class PowerLoss(Fault):
-    """The power fails: no drive gives any torque, until brakes hold the joints, if there are any.
+    """The power fails: no drive gives torque, and the joints move freely until brakes, if any, hold them.
 
     Args:
-        brake: "delayed": spring-closed brakes hold the joints after the time that the degree sets; "immediate": at
-            once; "none": never, the arm falls. The degree scales nothing then.
-        grip: "lost": the fingers have no force either, as in most grippers; "kept": they are self-locking.
+        brake: "delayed": spring-closed brakes hold the joints after the time set by the degree. "immediate": they hold
+            at once. "none": they never do, and the arm falls. The degree has an effect with "delayed" only.
+        grip: "lost": the fingers lose their force as well, as in most grippers. "kept": they are self-locking.
     """
 
     brake: str = "delayed"
@@ -77,7 +77,7 @@ class PowerLoss(Fault):
 
     NAME: ClassVar[str] = "power_loss"
     CATEGORY: ClassVar[str] = "power"
-    PARAMETER: ClassVar[str] = "time until the brakes hold, if they are delayed [s]"
+    PARAMETER: ClassVar[str] = "delay until the brakes hold, if brake is delayed [s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.1, "moderate": 0.15, "severe": 0.25, "critical": 0.5}
     TARGETS: ClassVar[tuple[str, ...]] = ("robot",)
     FIELDS: ClassVar[tuple[str, ...]] = tuple(dict.fromkeys((*DRIVE, *GRIP, *FRICTION)))
@@ -90,7 +90,7 @@ class PowerLoss(Fault):
                 raise SettingError(name, value, f"one of {', '.join(valid)}")
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Take the torque away, and close the brakes when it is time."""
+        """Remove the torque, and close the brakes once their delay has passed."""
         wait = {"none": float("inf"), "delayed": self.amount, "immediate": 0.0}[self.brake]
         if plant.time >= wait - plant.dt / 2.0:
             add_friction(plant, level * BRAKE_TORQUE)

@@ -1,4 +1,4 @@
-"""What the robot does on purpose when it must not go on. Values and their reasons: docs/faults.md."""
+"""Deliberate reactions of a robot that has to stop. Values and their reasons: docs/faults.md."""
 
 from __future__ import annotations
 
@@ -14,26 +14,27 @@ from failbench.simulated.plant import Plant
 from graceful_plan.exceptions import SettingError, UnsupportedError
 
 STOPS = (0, 1)
-"""Stop categories of IEC 60204-1 that are known."""
+"""Supported stop categories of IEC 60204-1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProtectiveStop(Fault):
-    """The robot stops: a person comes near, a force is felt, somebody presses the button. Nothing is broken.
+    """The robot stops because of a near person, a contact force or a pressed button. Nothing is broken.
 
-    The gripper goes on holding. The stop is over when nothing moves any more, and nobody lets the robot go on.
+    The gripper keeps holding. The robot does not resume the motion.
 
     Args:
-        category: As in IEC 60204-1. 1: all joints brake together along the motion's path, under power, as hard as the
-            degree says for the one that needs longest. Then servos hold, as brakes would that close now. 0: the power
-            goes and the brakes close at once, each joint on its own. The degree scales nothing then.
+        category: Stop category of IEC 60204-1. With 1, all joints brake under power and stay on the motion's path. The
+            joint that needs longest decelerates at the rate of the degree. The servos then hold the joints, as closed
+            brakes would. With 0, the power is cut and the brakes close at once, each joint on its own. The degree then
+            has no effect.
     """
 
     category: int = 1
 
     NAME: ClassVar[str] = "protective_stop"
     CATEGORY: ClassVar[str] = REACTION
-    PARAMETER: ClassVar[str] = "deceleration of the joints, over the greatest acceleration that motions have"
+    PARAMETER: ClassVar[str] = "deceleration of the joints, as a multiple of the motions' acceleration limit"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.25, "moderate": 0.5, "severe": 1.0, "critical": 2.0}
     TARGETS: ClassVar[tuple[str, ...]] = ("all",)
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
@@ -45,23 +46,23 @@ class ProtectiveStop(Fault):
             raise SettingError("category", self.category, f"one of {', '.join(map(str, STOPS))}")
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Brake."""
+        """Brake by the chosen stop category."""
         if self.category == 0:
             add_friction(plant, level * BRAKE_TORQUE)
             scale_torque(plant, 1.0 - level)
             return
         if any(wheel in plant.joints for side in plant.robot.together for wheel in side):
             raise UnsupportedError(
-                "a base that drives cannot brake along its way here: use category 0, or strike joints of its arm"
+                "a driving base cannot brake along its path here: use category 0, or strike joints of its arm"
             )
         time, pace, change = self._pace(plant, level)
         plant.ahead[:, plant.robot.actuators[plant.joints]] = plant.paced(time, pace, change)[:, plant.joints]
 
     def _pace(self, plant: Plant, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return how the motion goes on from the next step: time on its clock since the onset [s], pace, its change."""
+        """Return the braked motion from the next step on: its clock since the onset [s], pace, and pace rate [1/s]."""
         began, clock, rate, slowing = plant.memory.get("braking", (plant.step, 0.0, 1.0, 0.0))
         clock, rate, _ = _braked(clock, rate, slowing, plant.dt * np.array([plant.step - began]))
-        # Of the joints' speed at the onset: they slow down in proportion to one another, as a path wants it.
+        # From the joint speeds at the onset, and in proportion to one another: they stay on the path.
         speed = plant.memory.setdefault("speed", np.abs(plant.qd))
         longest = float(np.max(speed / plant.robot.acceleration)) / (level * self.amount)
         slowing = 1.0 / max(longest, plant.dt)
@@ -71,7 +72,7 @@ class ProtectiveStop(Fault):
 
 
 def _braked(clock: float, rate: float, slowing: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return clock [s], pace and its change [1/s] at times after both were `clock` and `rate` [s]."""
+    """Return clock [s], pace and pace rate [1/s] at times [s] after the clock was `clock` and the pace `rate`."""
     braking = np.minimum(time, rate / slowing) if slowing > 0.0 else time
     pace = rate - slowing * braking
     return clock + braking * (rate + pace) / 2.0, pace, np.where(braking == time, -slowing, 0.0)

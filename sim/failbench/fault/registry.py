@@ -1,4 +1,4 @@
-"""The faults, by category, and the robot's reactions; as JSON documents; and how a fault of the user's own is found."""
+"""Registry of faults and reactions, their conversion from and to JSON documents, and loading of user faults."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def faults() -> Mapping[str, type[Fault]]:
 
 
 def reactions() -> Mapping[str, type[Fault]]:
-    """Return the class of each reaction by its name: what a robot does on purpose, and harms what it carries."""
+    """Return the class of each reaction by its name: deliberate stops that can still harm the carried object."""
     return _REACTIONS
 
 
@@ -114,11 +114,11 @@ def to_document(fault: Fault) -> dict[str, Any]:
 
 
 def from_document(document: Mapping[str, Any], classes: Mapping[str, type[Fault]] | None = None) -> Fault:
-    """Return the fault that a JSON document describes; settings that it does not name have their defaults.
+    """Return the fault that a JSON document describes; missing settings take their defaults.
 
     Args:
-        document: What `to_document` returned, or a part of it that has at least the key "fault".
-        classes: The classes that it may name, besides ours.
+        document: Result of `to_document`, or a part of it with at least the key "fault".
+        classes: Further fault classes that the document may name.
 
     Raises:
         UnknownNameError: If it names a fault, a setting or an onset that does not exist.
@@ -141,7 +141,7 @@ def from_document(document: Mapping[str, Any], classes: Mapping[str, type[Fault]
 
 
 def load_class(where: str) -> type[Fault]:
-    """Return a fault's class from a file of the user's: "path/to/file.py:ClassName". The file is run.
+    """Load a fault class from a user's file, "path/to/file.py:ClassName". Executes the file.
 
     Raises:
         FormatError: If there is no such file, it cannot be run, or it has no such class.
@@ -157,7 +157,7 @@ def load_class(where: str) -> type[Fault]:
     if spec is None or spec.loader is None:
         raise FormatError(file, "expected a file whose name ends in .py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # dataclasses look their own module up
+    sys.modules[module_name] = module  # dataclasses look up their own module
     try:
         spec.loader.exec_module(module)
     except Exception as error:
@@ -194,7 +194,7 @@ def _onset(document: Any) -> Onset:
 
 
 def _checked(name: str, value: Any, default: Any) -> Any:
-    """Return a setting as what its default is, if that is what it looks like."""
+    """Return a setting converted to the type of its default; raise SettingError if it has another type."""
     if name == "rates":
         if not isinstance(value, list | tuple) or any(
             isinstance(x, bool) or not isinstance(x, int | float) for x in value

@@ -1,7 +1,7 @@
-"""Faults of position sensors and of the line that commands come in on. Values and their reasons: docs/faults.md.
+"""Faults of position sensors and of the command line. Values and their reasons: docs/faults.md.
 
-The servos follow what their sensors say, so what is broken here is the feedback and not the command, except where the
-two are the same: a reading that is wrong by a known error acts exactly like a command that is wrong by its opposite.
+The servos follow their sensors, so these faults change the feedback. Where a known reading error is equivalent to the
+opposite error of the command, the command is changed instead.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ LINES = ("command", "measurement", "both")
 ZONES = ("range", "play")
 
 _SAMPLE = 0.01
-"""Time between two readings of a noisy sensor [s]."""
+"""Time between readings of a noisy sensor [s]."""
 _GAP_SPACING = 0.25
-"""Mean time from the beginning of one gap of a sensor that drops out to the beginning of the next [s]."""
+"""Mean time between the beginnings of two gaps of a sensor with dropouts [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Noise(Fault):
-    """A position sensor is noisy: every reading is off by a normal deviate, and stands until the next one."""
+    """A position sensor is noisy: each reading has a normally distributed error and is held until the next reading."""
 
     ramp: float = 0.2
 
@@ -39,7 +39,7 @@ class Noise(Fault):
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Let the readings scatter."""
+        """Add noise to the readings."""
         if "deviates" not in plant.memory:
             held = max(1, round(_SAMPLE / plant.dt))
             readings = plant.rng.standard_normal((-(-len(plant.command) // held), len(plant.joints)))
@@ -49,24 +49,24 @@ class Noise(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class BiasDrift(Fault):
-    """A position sensor drifts: its error grows at a constant rate, up or down as the seed has it.
+    """A position sensor drifts: its error grows at a constant rate, with a random sign drawn from the seed.
 
-    Along the ramp the rate grows from nothing; the error is its integral.
+    Along the ramp the rate grows from zero; the error is the integral of the rate.
     """
 
     ramp: float = 0.2
 
     NAME: ClassVar[str] = "bias_drift"
     CATEGORY: ClassVar[str] = "sensor"
-    PARAMETER: ClassVar[str] = "rate at which the position reading drifts away [rad/s or m/s]"
+    PARAMETER: ClassVar[str] = "drift rate of the position reading [rad/s or m/s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.02, "moderate": 0.05, "severe": 0.15, "critical": 0.4}
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Let the readings drift."""
+        """Add the drift to the readings."""
         if "sign" not in plant.memory:
             plant.memory["sign"] = plant.rng.choice([-1.0, 1.0], len(plant.joints))
-        # For how long it would have drifted at its full rate, and when that was found.
+        # Equivalent drift time at full rate, the time when it was computed, and the rate since then.
         before, found, rate = plant.memory.get("drifted", (0.0, plant.time, level))
         drifted = before + rate * (plant.time - found)
         plant.memory["drifted"] = drifted, plant.time, level
@@ -76,11 +76,11 @@ class BiasDrift(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class ControlDelay(Fault):
-    """Commands arrive late, or what sensors say, or both.
+    """Commands arrive late, or sensor readings, or both.
 
     Args:
-        line: What is late: "command", "measurement" (position and speed of the joints, as their servos see them), or
-            "both". The gripper's own measurement never is.
+        line: The delayed line: "command", "measurement" (joint position and speed as the servos see them), or "both".
+            The gripper's measurement is never delayed.
     """
 
     ramp: float = 0.5
@@ -99,11 +99,11 @@ class ControlDelay(Fault):
 
     @property
     def period(self) -> float | None:
-        """Every step if readings are late; commands are known in advance."""
+        """Every step if readings are delayed; once for commands, which are known in advance."""
         return None if self.line == "command" else 0.0
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Send what was meant for some steps ago, and read what was true then; a base is told its speeds late."""
+        """Delay commands and readings by the same number of steps; for a base, its commanded speeds."""
         steps = round(level * self.amount / plant.dt)
         if self.line != "measurement":
             struck, wheels = actuators(plant), plant.robot.actuators[plant.wheels]
@@ -125,7 +125,7 @@ class ControlDelay(Fault):
 
 
 def _late_commands(plant: Plant, steps: int) -> np.ndarray:
-    """Return the commands from now on as they arrive that many steps late; the first stood before the motion began."""
+    """Return the commands from now on, delayed by `steps`; the first command is taken to hold before the motion."""
     before = plant.past[len(plant.past) - min(steps, len(plant.past)) :]
     known = np.concatenate([before, plant.healthy])
     at_rest = np.repeat(known[:1], steps - len(before), axis=0)
@@ -133,7 +133,7 @@ def _late_commands(plant: Plant, steps: int) -> np.ndarray:
 
 
 def _stand_still(plant: Plant, q: np.ndarray, qd: np.ndarray) -> None:
-    """Let the servos of the struck joints see these readings until further notice. Needs "actuator_biasprm"."""
+    """Give the servos of the struck joints these constant readings. Needs "actuator_biasprm"."""
     bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
     bias[struck, 0] += bias[struck, 1] * q + bias[struck, 2] * qd
     bias[struck, 1:3] = 0.0
@@ -141,12 +141,12 @@ def _stand_still(plant: Plant, q: np.ndarray, qd: np.ndarray) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Dropout(Fault):
-    """A sensor drops out time and again: during a gap the last reading of position and speed stands."""
+    """A sensor drops out repeatedly: during a gap, position and speed keep their last reading."""
 
     NAME: ClassVar[str] = "dropout"
     CATEGORY: ClassVar[str] = "sensor"
     PARAMETER: ClassVar[str] = (
-        "length of a gap [s]; gaps begin at random, 0.25 s apart in the mean, the first at the onset"
+        "length of a gap [s]; gaps begin at random, 0.25 s apart on average, the first at the onset"
     )
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.02, "moderate": 0.04, "severe": 0.08, "critical": 0.16}
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
@@ -154,7 +154,7 @@ class Dropout(Fault):
     PERIOD: ClassVar[float | None] = 0.01
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Keep the readings from the controller while there is a gap."""
+        """Freeze the readings during gaps."""
         if "begins" not in plant.memory:
             plant.memory["begins"] = plant.rng.random(len(plant.command)) < plant.dt / _GAP_SPACING
             plant.memory["begins"][0] = True
@@ -168,7 +168,7 @@ class Dropout(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class ScaleError(Fault):
-    """A sensor is calibrated wrongly: position and speed read too great in proportion, as from a wrong gear ratio."""
+    """A sensor has a wrong scale: it reads position and speed too large by a factor, as with a wrong gear ratio."""
 
     ramp: float = 0.2
 
@@ -180,7 +180,7 @@ class ScaleError(Fault):
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Scale the feedback; of wheels what they turn from the onset on, for their encoders only count."""
+        """Scale the feedback; encoders of wheels count increments, so only rotation since the onset is scaled."""
         bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
         counted = np.isin(plant.joints, plant.wheels)
         before = plant.memory.setdefault("before", np.where(counted, plant.q[plant.joints], 0.0))
@@ -190,19 +190,19 @@ class ScaleError(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class DeadZone(Fault):
-    """A sensor does not respond within a range of positions: there its reading stands.
+    """A sensor does not respond within a range of positions: its reading is frozen there.
 
     Args:
-        zone: "range": the range lies around where the joint is at the onset; within it, the reading is what it was
-            when the joint came in, and outside it is right. "play": the range goes along; the reading stands until the
-            joint has moved by its width, and from then on follows that far behind.
+        zone: "range": the zone is fixed around the position at the onset. Within it, the reading is the one from the
+            entry into the zone; outside it, the reading is right. "play": the zone moves along, like backlash: the
+            reading is constant until the joint has moved by the width of the zone, then lags by that width.
     """
 
     zone: str = "range"
 
     NAME: ClassVar[str] = "dead_zone"
     CATEGORY: ClassVar[str] = "sensor"
-    PARAMETER: ClassVar[str] = "width of the zone to either side [rad or m]"
+    PARAMETER: ClassVar[str] = "width of the zone on either side [rad or m]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.01, "moderate": 0.03, "severe": 0.06, "critical": 0.12}
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
@@ -214,7 +214,7 @@ class DeadZone(Fault):
             raise SettingError("zone", self.zone, f"one of {', '.join(ZONES)}")
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Let the reading stand, or drag behind the position."""
+        """Freeze the reading, or let it lag behind the position."""
         q, width = plant.q[plant.joints], level * self.amount
         last = plant.memory.get("reading", q)
         if self.zone == "play":

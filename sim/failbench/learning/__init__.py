@@ -1,1 +1,1 @@
-"""A network that learns from rollouts in generated scenes what the drop model gets wrong; see docs/learned-drops.md."""
+"""A network that corrects the drop model, learned from rollouts in generated scenes; see docs/learned-drops.md."""

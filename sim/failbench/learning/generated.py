@@ -1,6 +1,6 @@
-"""Scenes made at random, to learn from: boards at various heights, many kinds of things on them, odd things carried.
+"""Random scenes for learning: boards at various heights, many kinds of things on them, odd carried objects.
 
-Nothing of the bundled scenes is in them but the robot, so that all of those remain for tests.
+They share only the robot with the bundled scenes, so that all bundled scenes remain for tests.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from graceful_plan.scene.elements import EntityNote, Notes, ObjectNote, TaskNote
 Array = np.ndarray
 
 PREFIX = "generated_"
-"""Of names; a number, the seed, follows."""
+"""Prefix of the scenes' names; the seed follows."""
 CARRIED = 2
-"""Things that are carried in each scene, one task each."""
+"""Carried objects per scene, one task each."""
 _BASE = "desk"
-"""Bundled scene whose robot is taken."""
+"""Bundled scene from which the robot is taken."""
 _CATEGORIES = ("laptop", "phone", "glass", "robust", "paper", "textile", "mains", "adult", "pet", "heirloom")
 _STAND = 0.74
-"""Height at which that robot stands [m]."""
+"""Height of the robot's base [m]."""
 _BOARD = 0.012
-"""Half of how thick a board is [m]."""
+"""Half thickness of a board [m]."""
 _GRIP = 0.07
-"""Of what fits between the fingers [m]."""
+"""Greatest object width between the fingers [m]."""
 _BELOW = 0.015
-"""How far below the tool's point something begins that does not [m]."""
+"""Distance of wider objects below the tool point [m]."""
 _TRIES = 60
 
 
@@ -50,10 +50,10 @@ class Board(NamedTuple):
 
 @lru_cache(maxsize=4)
 def generated_scene(name: str) -> gp.Scene:
-    """Make the scene of a name such as "generated_17"; the same name gives the same scene.
+    """Generate the scene of a name such as "generated_17", reproducibly.
 
     Raises:
-        UnknownNameError: If it is no such name.
+        UnknownNameError: If the name has another form.
     """
     number = name.removeprefix(PREFIX)
     if number == name or not number.isdecimal() or len(number) > 9:
@@ -63,11 +63,11 @@ def generated_scene(name: str) -> gp.Scene:
         made = _scene(name, rng)
         if made is not None:
             return made
-    raise SceneError(f"{name}: no start and goal found that are free")
+    raise SceneError(f"{name}: no collision-free start and goal found")
 
 
 def scene_names(count: int, first: int = 0) -> list[str]:
-    """Return the names of so many generated scenes."""
+    """Return the names of `count` generated scenes."""
     return [f"{PREFIX}{number}" for number in range(first, first + count)]
 
 
@@ -105,7 +105,7 @@ def _scene(name: str, rng: np.random.Generator) -> gp.Scene | None:
 
 
 def _boards(rng: np.random.Generator) -> list[Board]:
-    """Return a table in front of the robot, and perhaps a board lower or higher at its side."""
+    """Return a table in front of the robot, and with probability 0.6 a lower or higher board at its side."""
     main = Board(rng.uniform(0.45, 0.65), rng.uniform(-0.1, 0.1), rng.uniform(0.2, 0.4), rng.uniform(0.3, 0.7), 0.0)
     main = main._replace(top=_STAND + rng.uniform(-0.2, 0.1))
     if rng.random() < 0.4:
@@ -117,7 +117,7 @@ def _boards(rng: np.random.Generator) -> list[Board]:
 
 
 def _furnish(spec: mujoco.MjSpec, boards: list[Board], rng: np.random.Generator) -> dict[str, EntityNote]:
-    """Add boards, floor and things; return the classes of those that count."""
+    """Add boards, floor and things; return the classes of the entities."""
     _add(spec, "pedestal", [Lump("box", (0.12, 0.12, 0.5 * _STAND), z=0.5 * _STAND)], (0.0, 0.0, 0.0), 0.0, free=False)
     _add(spec, "floor", [Lump("box", (2.0, 2.0, 0.05), z=-0.05)], (0.5, 0.0, 0.0), 0.0, free=False)
     entities = {"floor": EntityNote(category="floor")}
@@ -134,7 +134,7 @@ def _furnish(spec: mujoco.MjSpec, boards: list[Board], rng: np.random.Generator)
             x, y, yaw = spot
             key = f"thing{i}_{j}"
             _add(spec, key, parts, (board.x + x, board.y + y, board.top), yaw, free=rng.random() < 0.75, rng=rng)
-            if rng.random() < 0.9:  # the others are obstacles
+            if rng.random() < 0.9:  # the others are only obstacles
                 entities[key] = EntityNote(category=str(rng.choice(_CATEGORIES)))
     return entities
 
@@ -172,21 +172,21 @@ def _add(
         )
 
 
-# --- what is carried, and between where -------------------------------------------------------------------------------
+# --- carried objects, starts and goals --------------------------------------------------------------------------------
 
 
 def _carried(spec: mujoco.MjSpec, name: str, number: int, rng: np.random.Generator) -> ObjectNote:
-    """Add something to carry, behind the robot, and say how it is held."""
+    """Add a carried object, placed behind the robot, and return its grasp."""
     parts = scattered(thing(rng, carried=True), rng)
     _add(spec, name, parts, (-0.8, 0.4 * number, 0.0), 0.0, free=True, rng=rng)
-    turn = np.diag([1.0, -1.0, -1.0])  # the tool points down, the object stands ..
-    if rng.random() < 0.35:  # .. or is held by another side
+    turn = np.diag([1.0, -1.0, -1.0])  # the tool points down and the object stands,
+    if rng.random() < 0.35:  # or the object is held by another side
         angle = 0.5 * math.pi * rng.choice([1.0, -1.0, 2.0, 0.5])
         c, s = math.cos(angle), math.sin(angle)
         turn = turn @ [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]
     low, high = extent(parts, turn)
     width, depth = high[1] - low[1], high[2] - low[2]
-    # Between the fingers, or just below them if they do not open that far; then it is welded to them.
+    # Between the fingers, or just below them and welded if the fingers do not open wide enough.
     above = rng.uniform(0.2, 0.5) * min(depth, 0.08) if width < _GRIP else -_BELOW
     X_TO = np.eye(4)
     X_TO[:3, :3] = turn
@@ -195,7 +195,7 @@ def _carried(spec: mujoco.MjSpec, name: str, number: int, rng: np.random.Generat
 
 
 def _ends(scene: gp.Scene, board: Board, rng: np.random.Generator) -> tuple[list[float], list[float]] | None:
-    """Return two free configurations over a board with the tool more or less pointing down, not too near each other."""
+    """Return two free configurations over a board, apart from each other, with the tool pointing roughly down."""
     low, high = scene.limits.position.T
     middle = np.array([0.0, 0.1, 0.0, -1.9, 0.0, 2.0, 0.785])
     spread = np.array([0.7, 0.5, 0.25, 0.6, 0.25, 0.5, 0.6])

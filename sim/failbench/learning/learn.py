@@ -1,4 +1,4 @@
-"""From nothing to a network: generate scenes, let things fall, fit, and say where it comes from."""
+"""Learn a network from scratch: generate scenes, simulate drops, fit, and record the provenance."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ def learn(
     kept: str | FilePath | None = None,
     progress: Progress | None = None,
 ) -> Learned:
-    """Let things fall in generated scenes, and fit a network to that.
+    """Simulate drops in generated scenes, and fit a network to them.
 
     Args:
-        data: How much falls.
-        training: How the network is fitted.
-        kept: File that the drops are kept in, or taken from if it is there.
+        data: Numbers of scenes and drops.
+        training: Settings of the fit.
+        kept: File to store the drops in, or to read them from if it exists.
         progress: Called after each motion.
 
     Raises:
-        FormatError: If the file is there and holds something else.
-        SettingError: If no drops are left to learn from.
+        FormatError: If the file exists and holds something else.
+        SettingError: If there are no drops to learn from.
     """
     data, training = data or DropData(), training or Training()
     file = None if kept is None else FilePath(kept)
@@ -60,7 +60,7 @@ def learn(
 
 
 def document(found: Learned) -> dict[str, Any]:
-    """Return how good it is on the scenes that it was chosen by, as JSON values."""
+    """Return the quality on the scenes that selected the network, as JSON values."""
     return {
         "decay": found.decay,
         "scale": rounded(found.scale),
@@ -69,12 +69,14 @@ def document(found: Learned) -> dict[str, Any]:
 
 
 def table(found: Learned) -> str:
-    """Return the same for people."""
+    """Return the quality on the scenes that selected the network, as a table."""
     names = ("brier_skill", "auc", "calibration_error", "ratio", "log_loss")
     rows: list[tuple[str, ...]] = [("", *names)]
     for label, figures in (("drop model", found.plain), ("network", found.corrected)):
         rows.append((label, *(f"{getattr(figures, name):.4f}" for name in names)))
     about = found.network.about
-    head = f"{about['drops']} drops in {about['scenes']} scenes; in {about['bundled_scenes']} bundled ones of them, "
-    head += "by which it was chosen:\n"
+    head = (
+        f"{about['drops']} drops in {about['scenes']} scenes; quality on the {about['bundled_scenes']} bundled ones, "
+    )
+    head += "which selected the network:\n"
     return head + "\n".join(f"{row[0]:<12}" + "".join(f"{cell:>19}" for cell in row[1:]) for row in rows)

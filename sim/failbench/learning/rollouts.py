@@ -1,4 +1,4 @@
-"""Drops in generated scenes, and what a network is to learn of them."""
+"""Drops in generated scenes, and the training data of a network."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 Array = np.ndarray
 
 _STRIDE = 2
-"""Every second kind of motion is made for a task; kinds and tasks take turns."""
+"""Each task gets every second kind of motion, alternating between tasks."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DropData:
-    """How much is to fall.
+    """Numbers of generated scenes and drops.
 
     Args:
-        scenes: How many are generated.
-        rollouts: How many drops in all of them, about.
-        seed: Of scenes and drops. What comes out depends on it alone, not on `processes`.
-        processes: How many to work in.
+        scenes: Number of generated scenes.
+        rollouts: Approximate number of drops in all of them.
+        seed: Seed of scenes and drops. Results depend on it alone, not on `processes`.
+        processes: Number of processes.
     """
 
     scenes: int = 180
@@ -56,13 +56,13 @@ def drop_jobs(data: DropData) -> list[FailureJob]:
 
 
 def bundled_jobs(data: DropData) -> list[FailureJob]:
-    """Return jobs in bundled scenes, by which networks are chosen: as many drops along each motion."""
+    """Return jobs in bundled scenes, for the selection of networks; as many drops along each motion."""
     n = drop_jobs(data)[0].n
     return failure_jobs(load_scene, scenes(), n=n, seed=data.seed)[::_STRIDE]
 
 
 def drop_things(data: DropData, progress: Progress | None = None) -> tuple[list[Failures], list[str]]:
-    """Let things fall in generated and in bundled scenes; return what happened, and why some motions have no drops."""
+    """Simulate drops in generated and bundled scenes; return them, and the reasons why motions have none."""
     return do_all([*drop_jobs(data), *bundled_jobs(data)], data.processes, progress)
 
 
@@ -73,17 +73,17 @@ def scene_of(name: str) -> Scene:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pairs:
-    """Pairs of a drop and an entity that it may hit, and the surfaces of the entity that it may hit; rows of surfaces.
+    """Pairs of a drop and an entity, with the surfaces of the entity that the object may hit, as rows.
 
     | field   | meaning                                                        | shape          |
     |---------|----------------------------------------------------------------|----------------|
-    | told    | what a network is told of state and surface                    | surface told   |
-    | looks   | of the surface                                                 | surface looks  |
-    | shape   | 1 for the class of what falls                                  | surface shape  |
+    | told    | network inputs of state and surface                            | surface told   |
+    | looks   | network inputs of the surface alone                            | surface looks  |
+    | shape   | one-hot shape class of the dropped object                      | surface shape  |
     | plain   | P of a hit by the drop model                                   | surface        |
-    | first   | first surface of each pair, most likely ones and others        | pair           |
+    | first   | index of each pair's first surface                             | pair           |
     | hit     | whether the entity was hit                                     | pair           |
-    | chooses | whether networks are chosen by it: bundled scenes              | pair           |
+    | chooses | whether the pair selects networks: it is of a bundled scene    | pair           |
     | motion  | number of the motion                                           | pair           |
     """
 
@@ -100,7 +100,7 @@ class Pairs:
         return len(self.hit)
 
     def of(self, chosen: Bool[Array, " pair"]) -> Pairs:
-        """Return some of the pairs."""
+        """Return a subset of the pairs."""
         counts = np.diff(np.append(self.first, len(self.plain)))
         rows = np.repeat(chosen, counts)
         first = np.concatenate([[0], np.cumsum(counts[chosen])[:-1]]).astype(np.int64)[: int(chosen.sum())]
@@ -110,7 +110,7 @@ class Pairs:
 
 
 def pairs_of(failures: Sequence[Failures], load: Callable[[str], Scene] = scene_of) -> Pairs:
-    """Return what may be learned of drops: pairs whose P is above what the network leaves alone."""
+    """Return the training pairs of drops: those with a P above the threshold of the network."""
     found = [_pairs(part, load(part.scene).tasks[part.task].scene) for part in failures]
     starts = np.cumsum([0, *(len(part["plain"]) for part in found)])
     columns: dict[str, Any] = {
@@ -128,7 +128,7 @@ def _pairs(part: Failures, scene: Scene) -> Mapping[str, Array]:
     tables = drop_tables(scene)
     sights = drop_kernel(scene, DropSettings.shipped()).sights(part.q, part.qd)
     hit, counted = part.events(["carried"])
-    # By state, then by entity: surfaces of an entity stand side by side.
+    # By state, then by entity, so that surfaces of an entity are consecutive.
     order = np.argsort(tables.target_entity, kind="stable")
     entity = tables.target_entity[order]
     sights, seen = sights[:, order], looks(tables)[order]

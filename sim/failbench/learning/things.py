@@ -1,4 +1,4 @@
-"""Things made at random: a few simple parts each, standing on z = 0, and where there is room for them."""
+"""Random things of a few simple parts, standing on z = 0, and free places for them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from graceful_plan.array_types import Float
 Array = np.ndarray
 
 _GAP = 0.006
-"""Between things [m]."""
+"""Least distance between things [m]."""
 _TRIES = 40
 
 
@@ -28,7 +28,7 @@ class Lump:
 
     @property
     def half(self) -> Float[Array, " 3"]:
-        """Half sizes of the box around it."""
+        """Half sizes of the bounding box [m]."""
         if self.kind == "box":
             return np.array(self.size)
         if self.kind == "sphere":
@@ -37,7 +37,7 @@ class Lump:
 
 
 class Taken(NamedTuple):
-    """A disc that is taken, seen from above: around a thing [m]."""
+    """An occupied disc around a thing, seen from above [m]."""
 
     x: float
     y: float
@@ -45,13 +45,13 @@ class Taken(NamedTuple):
 
 
 def thing(rng: np.random.Generator, *, carried: bool = False) -> list[Lump]:
-    """Make a thing that stands: a box, can, ball, slab, dish, tower, bottle, or something with a back or a foot."""
+    """Return a random thing that stands: a box, can, ball, slab, dish, tower, bottle, screen or hump."""
     makers = _CARRIED if carried else _MAKERS
     return makers[int(rng.integers(len(makers)))](rng, 0.6 if carried else 1.0)
 
 
 def scattered(parts: list[Lump], rng: np.random.Generator) -> list[Lump]:
-    """Return a thing that is now and then not its own mirror image: with an ear, as cups have."""
+    """Return a thing that in 3 of 10 cases gets an asymmetric part, like the handle of a cup."""
     if rng.random() < 0.7:
         return parts
     low, high = extent(parts)
@@ -60,7 +60,7 @@ def scattered(parts: list[Lump], rng: np.random.Generator) -> list[Lump]:
 
 
 def extent(parts: list[Lump], turn: Float[Array, "3 3"] | None = None) -> tuple[Array, Array]:
-    """Return the lowest and the highest corner of the box around a thing, turned or as it stands [m]."""
+    """Return the lowest and highest corner of a thing's bounding box, after an optional rotation [m]."""
     R = np.eye(3) if turn is None else turn
     centre = np.array([[part.x, part.y, part.z] for part in parts]) @ R.T
     half = np.array([part.half for part in parts]) @ np.abs(R).T
@@ -70,7 +70,7 @@ def extent(parts: list[Lump], turn: Float[Array, "3 3"] | None = None) -> tuple[
 def free_spot(
     parts: list[Lump], a: float, b: float, taken: list[Taken], rng: np.random.Generator
 ) -> tuple[float, float, float] | None:
-    """Return place and yaw on a board with half sizes a and b, and take it; None if there is no room."""
+    """Find and occupy a free place on a board with half sizes a and b; return x, y and yaw, or None."""
     low, high = extent(parts)
     radius = float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))[:2]))
     if radius >= min(a, b):
@@ -122,14 +122,14 @@ def _bottle(rng: np.random.Generator, scale: float) -> list[Lump]:
 
 
 def _screen(rng: np.random.Generator, scale: float) -> list[Lump]:
-    """A foot with an upright back, as of a laptop."""
+    """Return a foot with an upright back, like a laptop."""
     foot = _raised("box", (scale * rng.uniform(0.06, 0.12), scale * rng.uniform(0.08, 0.18), 0.01))
     back = _raised("box", (0.008, foot.size[1], scale * rng.uniform(0.06, 0.14)), 0.02)
     return [foot, replace(back, x=float(foot.size[0]) - 0.01)]
 
 
 def _hump(rng: np.random.Generator, scale: float) -> list[Lump]:
-    """Something round that sits, as an animal."""
+    """Return a low rounded thing, like a sitting animal."""
     return [_raised("capsule", (scale * rng.uniform(0.03, 0.07), scale * rng.uniform(0.02, 0.06)))]
 
 

@@ -1,8 +1,7 @@
-"""Fit a network to drops by maximum likelihood: L-BFGS over all pairs at once, so that the same drops give the same.
+"""Fit a network to drops by maximum likelihood, with L-BFGS over all pairs at once, so that fits are reproducible.
 
-Generated scenes are what is fitted to. Bundled ones, which look different, are what is chosen by: how much weights are
-held down, and how far the network is to be trusted: its bound is scaled so that the likelihood of what happened there
-is greatest, which calibrates it. Where it has learned nothing that holds there, that scale is 0.
+Generated scenes are the training data. Bundled scenes, which look different, select the weight decay and calibrate the
+network: its bound is scaled to the greatest likelihood on them. The scale is 0 if nothing learned generalises to them.
 """
 
 from __future__ import annotations
@@ -22,22 +21,22 @@ from graceful_plan.exceptions import SettingError
 Array = np.ndarray
 
 _CERTAIN = 1e-6
-"""Probabilities nearer to 1 than this count as this near: there is nothing to be learned from more."""
+"""Distance from 1 to which probabilities are clamped; nothing can be learned beyond."""
 _SCALES = tuple(i / 20 for i in range(31))
-"""Of the bound, that are tried."""
+"""Scales of the bound to try."""
 _LEAST_SPREAD = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """How a network is fitted.
+    """Settings of the fit.
 
     Args:
         hidden: Units in each of two layers.
-        bound: Of the logarithm of a factor of odds, before calibration.
-        decays: Weights of the squares of all weights that are tried.
-        iterations: Of each fit, at most.
-        seed: Of initial weights.
+        bound: Bound of the logarithm of the odds factor, before calibration.
+        decays: Weight decays to try.
+        iterations: Greatest number of iterations of each fit.
+        seed: Seed of the initial weights.
     """
 
     hidden: int = 16
@@ -56,7 +55,7 @@ class Training:
 
 
 class Learned(NamedTuple):
-    """A network, and how good it is on the scenes that it was chosen by, beside the drop model alone."""
+    """A network, and its quality on the scenes that selected it, compared with the drop model alone."""
 
     network: DropNetwork
     plain: Figures
@@ -69,7 +68,7 @@ def train(pairs: Pairs, training: Training | None = None) -> Learned:
     """Fit a network to pairs of drops and entities.
 
     Raises:
-        SettingError: If there are none to fit to, or none to choose by.
+        SettingError: If there are no pairs to fit, or none to select by.
     """
     training = Training() if training is None else training
     if pairs.chooses.all() or not pairs.chooses.any():
@@ -93,12 +92,12 @@ def train(pairs: Pairs, training: Training | None = None) -> Learned:
 
 
 def probability(network: DropNetwork | None, pairs: Pairs) -> Float[Array, " pair"]:
-    """Return P of a hit for each pair, by the drop model alone if there is no network."""
+    """Return P of a hit for each pair; by the drop model alone without a network."""
     return 1.0 / (1.0 + np.exp(-logits(network, pairs)[0]))
 
 
 def logits(network: DropNetwork | None, pairs: Pairs) -> tuple[Float[Array, " pair"], Int[Array, " pair"]]:
-    """Return the logarithms of the odds of each pair, and the surface that decides each."""
+    """Return the log-odds of each pair, and the index of the surface with the greatest."""
     found = _plain_logit(pairs)
     if network is not None:
         found = found + fade(pairs.plain) * network.log_factor(pairs.told, pairs.looks, pairs.shape)
@@ -157,7 +156,7 @@ def _fit(pairs: Pairs, training: Training, decay: float) -> DropNetwork:
         options={"maxiter": training.iterations},
     )
     weights = _unpacked(found.x, training.hidden)
-    # What inputs were shifted and scaled by goes into the weights.
+    # The normalisation of the inputs is folded into the weights.
     weights["told"] = weights["told"] / spread
     weights["first_bias"] = weights["first_bias"] - weights["told"] @ mean
     return DropNetwork(**weights, bound=training.bound)

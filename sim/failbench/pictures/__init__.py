@@ -1,1 +1,1 @@
-"""Rollouts to look at."""
+"""Pictures and films of rollouts."""

@@ -1,7 +1,7 @@
-"""All faults on one page, each at the moment of its worst consequence; a program of its own, with `-m`.
+"""A contact sheet of all faults, each at its worst consequence. Run it with `python -m`.
 
-Every fault strikes the same motion of the Panda in the scene "tabletop" at several moments. Shown is the hardest blow
-of all of them or, where nothing is ever hit, the moment at which the tool is farthest from where it should be.
+Every fault strikes the same motion of the Panda in the scene "tabletop" at several onsets. The picture shows the worst
+hit over all onsets or, without any hit, the time when the tool is farthest from its place in the healthy run.
 """
 
 from __future__ import annotations
@@ -55,20 +55,20 @@ WORDS = {
     "voltage_drop": "all drives pause for 0.2 s",
     "power_loss": "the arm falls until braked",
 }
-"""What each fault does, in about five words."""
+"""Effect of each fault, in about five words."""
 
 _MOMENTS = 12
-"""Onsets that are tried for each fault, spread evenly over the motion."""
+"""Onsets tried for each fault, spread evenly over the motion."""
 _GOLDEN = 0.618034
-"""Shift of the onsets from fault to fault, as a share of their distance: no two faults begin at the same moment."""
+"""Shift of the onsets from fault to fault, as a fraction of their spacing, so that no two faults begin together."""
 _AFTER = 0.02
-"""Time from the first touch to the picture [s]: the blow is at its strongest then."""
+"""Time from the first touch to the picture [s]: the contact force is near its peak then."""
 _COLUMNS, _WIDTH, _HEIGHT, _TEXT, _GAP = 4, 400, 300, 84, 14
 """Layout [pixels]: columns, size of a picture, height of the text below it, space between."""
 _DISTANCE, _AZIMUTH, _ELEVATION = 0.78, 128.0, -28.0
-"""Where the camera is when everything happens in the middle of the scene [m, degrees]."""
+"""Camera distance [m], azimuth and elevation [degrees] for an event in the middle of the scene."""
 _VISIBLE = 0.02
-"""A tool farther [m] than this from where it should be is shown with the healthy robot beside it."""
+"""Distance of the tool from its healthy position above which the healthy robot is outlined [m]."""
 _INK, _MUTED, _PAPER = "#191919", "#6e6e6e", "#ffffff"
 _LEGEND = (
     ("#ed008c", "force on what is hit; its length", "grows with the root of the force"),
@@ -79,13 +79,13 @@ _LEGEND = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Worst:
-    """What is shown of a fault.
+    """The worst consequence of a fault.
 
     Args:
-        job: What fails, and when.
-        time: Of the picture, since the onset [s].
-        place: Where it happens, in W [m].
-        text: What it is.
+        job: The fault and its onset.
+        time: Time of the picture since the onset [s].
+        place: Position of the event, in W [m].
+        text: Description.
     """
 
     job: Job
@@ -98,7 +98,7 @@ def contact_sheet(output: str | Path) -> Path:
     """Write the contact sheet of all faults to a PNG file.
 
     Raises:
-        NoPicture: If there is no OpenGL that works without a window.
+        NoPicture: If no OpenGL works without a window.
     """
     execution = healthy_run()
     cells = []
@@ -113,14 +113,14 @@ def contact_sheet(output: str | Path) -> Path:
 
 
 def healthy_run() -> Execution:
-    """Return the motion that every fault strikes, as a healthy robot executes it."""
+    """Return the healthy execution of the motion that every fault strikes."""
     task = gp.load_scene(SCENE).tasks[TASK]
     plan = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50, seed=0, speed=0.5)
     return execute(plan, build_world(task.scene))
 
 
 def worst_of(execution: Execution, names: Sequence[str]) -> list[Worst]:
-    """Let each fault strike at several moments; return the worst that each does."""
+    """Return the worst consequence of each fault over several onsets."""
     known = faults()
     spacing = execution.duration / _MOMENTS
     jobs = [
@@ -133,7 +133,7 @@ def worst_of(execution: Execution, names: Sequence[str]) -> list[Worst]:
 
 
 def _worst(execution: Execution, rollouts: Sequence[Rollout]) -> Worst:
-    """Return the blow with the greatest product of severity and energy; if there is none, the greatest deviation."""
+    """Return the hit with the greatest product of severity and energy or, without hits, the greatest deviation."""
     entities = execution.world.scene.entities
     blows = [(event, one.job) for one in rollouts for event in one.events if not event.secondary]
     if not blows:
@@ -150,18 +150,18 @@ def _worst(execution: Execution, rollouts: Sequence[Rollout]) -> Worst:
 
 
 def _farthest(execution: Execution, job: Job) -> tuple[float, Worst]:
-    """Return how far the tool gets from where a healthy robot has it [m], and when."""
+    """Return the greatest distance of the tool from its healthy position [m], and its description."""
     tool = execution.world.model.site(execution.world.scene.tool).id
     broken = [moment.data.site_xpos[tool].copy() for moment in film(execution, job, horizon=1.0, lead=0.0)]
     steps = healthy(execution, execution.checkpoint(job.onset), len(broken))
     distance = np.linalg.norm(np.array(broken) - [data.site_xpos[tool].copy() for _, data in steps], axis=1)
     step = int(np.argmax(distance))
-    text = f"tool {100 * distance[step]:.2g} cm off its way after {step * execution.dt:.2f} s"
+    text = f"tool {100 * distance[step]:.2g} cm off its path after {step * execution.dt:.2f} s"
     return float(distance[step]), Worst(job=job, time=step * execution.dt, place=broken[step], text=text)
 
 
 def picture(execution: Execution, worst: Worst, offscreen: Offscreen) -> UInt8[Array, "height width 3"]:
-    """Take the picture of a moment, with the outline of the healthy robot where that makes a difference."""
+    """Take the picture of a worst consequence, with the outline of the healthy robot where it differs."""
     touches = TouchPaint(execution.world, execution.baseline)
     steps = round(worst.time / execution.dt) + 1
     *_, (_, intact) = healthy(execution, execution.checkpoint(worst.job.onset), steps)
@@ -180,7 +180,7 @@ def beside_healthy(
     camera: mujoco.MjvCamera,
     offscreen: Offscreen,
 ) -> UInt8[Array, "height width 3"]:
-    """Take a picture of a broken robot with what it has hit, and the outline of the healthy one where it is apart."""
+    """Take a picture of a broken robot and all it has hit, with the outline of the healthy robot where it differs."""
     world = execution.world
     touches.paint(offscreen.model)
     pixels = offscreen.picture(broken, camera, touches.draw)
@@ -192,7 +192,7 @@ def beside_healthy(
 
 
 def camera_on(execution: Execution, place: Float[Array, " xyz"]) -> mujoco.MjvCamera:
-    """Return a camera that sees a place and what is around."""
+    """Return a camera that sees a place and its surroundings."""
     data = mujoco.MjData(execution.world.model)
     mujoco.mj_forward(execution.world.model, data)
     centre = np.mean([data.xpos[body] for body in execution.world.movable.values()], axis=0)
@@ -238,7 +238,7 @@ def _page(cells: Sequence[Image]) -> Image:
 
 
 def main() -> None:
-    """Write the contact sheet to the file that the command line names."""
+    """Write the contact sheet to the file named on the command line."""
     parser = argparse.ArgumentParser(prog="contact_sheet", description=contact_sheet.__doc__)
     parser.add_argument("output", type=Path, help="PNG file to write")
     contact_sheet(parser.parse_args().output)

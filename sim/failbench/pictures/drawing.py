@@ -1,4 +1,4 @@
-"""What is drawn into pictures of a failure: what is hit, where and how hard, and where the robot should be."""
+"""Drawings for pictures of a failure: hit entities, contact points and forces, and the healthy robot's outline."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from graceful_plan.array_types import Bool, Float, Int, UInt8
 Array = np.ndarray
 
 _LINGER = 0.12
-"""How long a touch is drawn [s]; most last a few milliseconds."""
+"""Time for which a touch is drawn [s]; most touches last a few milliseconds."""
 _LENGTH = 0.01
-"""Length of an arrow for 1 N [m]; it grows with the root of the force, so that weights and blows can both be seen."""
+"""Length of an arrow for 1 N [m]; it grows with the root of the force, so that weights and hits are both visible."""
 _LONGEST = 0.2
 _WIDTH = 0.007
 _POINT = 0.007
 _FORCE = np.array([0.93, 0.0, 0.55, 1.0], dtype=np.float32)
 _STRUCK = (1.0, 0.88, 0.1)
 _FURNITURE = ("floor", "table")
-"""Categories of what is too large to be coloured; the points of contact have to do."""
+"""Categories too large to be coloured; only their contact points are drawn."""
 _HEALTHY = np.array([21, 101, 216])
 _LINE = 2
 """Width of an outline [pixels]."""
 _FILL = 0.12
-"""Opacity of what is inside it."""
+"""Opacity inside an outline."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Touch:
-    """One component on one entity, in one step. Positions in W [m], the force [N] is what the entity feels."""
+    """Touch of one entity by one component in one step. Positions in W [m], force on the entity [N]."""
 
     time: float
     points: Float[Array, "contact xyz"]
@@ -47,12 +47,12 @@ class _Touch:
 
 
 class TouchPaint:
-    """Remembers what the robot and the object it carries have hit, and draws it.
+    """Collects the hits of the robot and the carried object, and draws them.
 
-    What touches in the healthy run, and things that lie on one another, are not drawn.
+    Touches of the healthy run, and touches between entities, are not drawn.
 
     Args:
-        world: Where.
+        world: The simulated world.
         baseline: Components and entities that touch in the healthy run.
     """
 
@@ -69,10 +69,10 @@ class TouchPaint:
         self._colours = world.model.geom_rgba.copy(), world.model.geom_matid.copy()
         self._recent: dict[tuple[str, str], list[_Touch]] = {}
         self.struck: set[str] = set()
-        """The entities that have been hit so far."""
+        """The entities that have been hit."""
 
     def observe(self, model: mujoco.MjModel, data: mujoco.MjData, time: float) -> None:
-        """Take in the contacts of one step, at `time` [s]."""
+        """Process the contacts of one step, at `time` [s]."""
         self._recent = {
             pair: kept
             for pair, touches in self._recent.items()
@@ -88,7 +88,7 @@ class TouchPaint:
             self.struck.add(pair[1])
 
     def _pairs(self, geoms: Int[Array, "contact 2"]) -> dict[tuple[str, str], tuple[list[int], list[float]]]:
-        """Return which contacts belong to which component and entity, and the signs that turn forces to the entity."""
+        """Group contacts by component and entity, with the signs that turn each force into the one on the entity."""
         found: dict[tuple[str, str], tuple[list[int], list[float]]] = {}
         for striker, struck, sign in ((0, 1, 1.0), (1, 0, -1.0)):
             component, entity = self._component[geoms[:, striker]], self._entity[geoms[:, struck]]
@@ -100,14 +100,14 @@ class TouchPaint:
         return found
 
     def paint(self, model: mujoco.MjModel) -> None:
-        """Colour the entities that were hit, and nothing else, in a model that is only looked at."""
+        """Colour exactly the entities that were hit, in a model used only for rendering."""
         model.geom_rgba[:], model.geom_matid[:] = self._colours
         for entity in self.struck - self._furniture:
             geoms = self._entity == self._entities.index(entity)
             model.geom_rgba[geoms, :3], model.geom_matid[geoms] = _STRUCK, -1
 
     def draw(self, view: Any) -> None:
-        """Draw the strongest of each pair's latest touches into an MjvScene."""
+        """Draw the strongest recent touch of each pair into an MjvScene."""
         for touches in self._recent.values():
             touch = max(touches, key=lambda touch: touch.strength)
             for point in touch.points:
@@ -117,7 +117,7 @@ class TouchPaint:
 
 
 def add_geoms(view: Any, model: mujoco.MjModel, data: mujoco.MjData, bodies: Collection[int]) -> None:
-    """Add the geoms of moving bodies, as they are in `data`."""
+    """Add the geoms of moving bodies to an MjvScene, at their poses in `data`."""
     first = view.ngeom
     dynamic = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
     mujoco.mjv_addGeoms(model, data, mujoco.MjvOption(), mujoco.MjvPerturb(), dynamic, view)
@@ -129,7 +129,7 @@ def add_geoms(view: Any, model: mujoco.MjModel, data: mujoco.MjData, bodies: Col
 def outlined(
     pixels: UInt8[Array, "height width 3"], silhouette: Bool[Array, "height width"]
 ) -> UInt8[Array, "height width 3"]:
-    """Return a picture with a silhouette drawn over it: a firm line around it and a breath of colour inside."""
+    """Return a picture with a silhouette drawn over it: a solid outline and a light fill."""
     padded = np.pad(silhouette, _LINE)
     inside = silhouette.copy()
     for axis in (0, 1):
@@ -140,14 +140,14 @@ def outlined(
 
 
 def _force(model: mujoco.MjModel, data: mujoco.MjData, contact: int) -> Float[Array, " xyz"]:
-    """Return the force of a contact in W [N], on the second of its geoms."""
+    """Return the force of a contact on the second of its geoms, in W [N]."""
     force = np.zeros(6)
     mujoco.mj_contactForce(model, data, contact, force)
     return data.contact.frame[contact].reshape(3, 3).T @ force[:3]
 
 
 def _add_arrow(view: Any, touch: _Touch) -> None:
-    """Add an arrow that points at what is hit, in the direction in which it is pushed."""
+    """Add an arrow that points at the hit entity, along the force on it."""
     length = min(_LENGTH * np.sqrt(touch.strength), _LONGEST)
     tail = touch.position - touch.force / touch.strength * length
     geom = _add(view, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), touch.position)
@@ -156,7 +156,7 @@ def _add_arrow(view: Any, touch: _Touch) -> None:
 
 
 def _add(view: Any, kind: mujoco.mjtGeom, size: Float[Array, " 3"], position: Float[Array, " xyz"]) -> Any:
-    """Append a geom to what is rendered and return it; None if there is no room."""
+    """Append a geom to an MjvScene and return it; return None if the scene is full."""
     if view.ngeom >= view.maxgeom:
         return None
     geom = view.geoms[view.ngeom]

@@ -1,7 +1,7 @@
-"""Every fault as a small film of its worst consequence; a program of its own, with `-m`.
+"""Films of the worst consequence of every fault. Run it with `python -m`.
 
-The films are of the failures that the contact sheet has as single pictures, at half their speed: what comes before
-the onset, with a green bar, then what comes of it, with a red one. The outline is where the healthy robot would be.
+The films show the failures of the contact sheet at half speed. A bar is green before the onset and red after it. The
+outline is the healthy robot at the same time.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 _WIDTH, _HEIGHT, _BAR = 320, 240, 6
-"""Of a film, and how high the bar at its lower edge is [pixels]."""
+"""Width and height of a film, and height of the bar at its lower edge [pixels]."""
 _RATE, _SLOW = 12.5, 2.0
-"""Frames per second, and how many times slower than in reality they are played."""
+"""Frames per second, and slow-down factor."""
 _LEAD, _TAIL, _LEAST = 0.3, 0.45, 0.8
-"""What is shown before the onset, after the worst moment, and after the onset at least [s]."""
+"""Shown time before the onset, after the worst moment, and at least after the onset [s]."""
 _REST = 1200.0
-"""How long the last frame stands [ms]."""
+"""Duration of the last frame [ms]."""
 _QUALITY = 55
-"""Of WebP, in per cent: edges stay sharp, and all films together below 3 MB."""
+"""WebP quality in per cent: edges stay sharp, and all films together stay below 3 MB."""
 _BEFORE, _AFTER, _TO_COME = (42, 127, 79), (194, 24, 91), (205, 205, 205)
-"""Colours of the bar."""
+"""Colours of the bar before and after the onset, and of its remaining part."""
 
 
 def fault_films(folder: str | Path) -> tuple[Path, ...]:
     """Write a film of each fault into a folder, as animated WebP.
 
     Raises:
-        NoPicture: If there is no OpenGL that works without a window.
+        NoPicture: If no OpenGL works without a window.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -81,7 +81,7 @@ def _frames(execution: Execution, worst: Worst, offscreen: Offscreen) -> Iterato
 
 
 def _draw_bar(pixels: UInt8[Array, "height width 3"], now: float, onset: float) -> None:
-    """Draw how far the film is over the lower edge of a picture: green until the onset, red after it."""
+    """Draw the film's progress over the lower edge of a picture: green until the onset, red after it."""
     done, broken = round(now * _WIDTH), round(onset * _WIDTH)
     pixels[-_BAR:] = _TO_COME
     pixels[-_BAR:, : min(done, broken)] = _BEFORE
@@ -89,9 +89,9 @@ def _draw_bar(pixels: UInt8[Array, "height width 3"], now: float, onset: float) 
 
 
 def main() -> None:
-    """Write the films into the folder that the command line names."""
+    """Write the films into the folder named on the command line."""
     parser = argparse.ArgumentParser(prog="fault_films", description=fault_films.__doc__)
-    parser.add_argument("folder", type=Path, help="where the films go")
+    parser.add_argument("folder", type=Path, help="folder for the films")
     fault_films(parser.parse_args().folder)
 
 

@@ -1,4 +1,4 @@
-"""Pictures one after the other: captions, and files of frames, animated images and videos."""
+"""Films from pictures: captions, and files of frames, animated images and videos."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Array = np.ndarray
 
 ANIMATED = (".gif", ".webp", ".apng")
 SUFFIXES = ("", *ANIMATED, ".mp4")
-"""Endings of what a film can be written to; none is a folder of PNG files."""
+"""Supported suffixes of a film's path; no suffix is a folder of PNG files."""
 
 _INK, _PAPER, _MUTED = (25, 25, 25), (255, 255, 255), (110, 110, 110)
 
 
 def check_output(output: Path) -> None:
-    """Raise FormatError or NoPicture if no film can be written there."""
+    """Raise FormatError or NoPicture if no film can be written to `output`."""
     suffix = output.suffix.lower()
     if suffix not in SUFFIXES:
         raise FormatError(str(output), f"expected a folder for PNG files, or a name in {', '.join(SUFFIXES[1:])}")
     if suffix == "" and output.exists() and not output.is_dir():
-        raise FormatError(str(output), "frames go into a folder, and this is a file")
+        raise FormatError(str(output), "frames are written into a folder, but this is a file")
     if suffix == "" and output.exists() and any(output.iterdir()):
         raise FormatError(str(output), "this folder is not empty; frames of two films would be mixed up")
     if suffix == ".mp4":
@@ -40,7 +40,7 @@ def check_output(output: Path) -> None:
 
 
 def write_film(frames: Iterator[Image], output: Path, fps: float) -> tuple[Path, ...]:
-    """Write frames, as they come, to what `output` names by its suffix; return the files."""
+    """Write frames as they arrive, in the format of `output`'s suffix, and return the files."""
     suffix = output.suffix.lower()
     if suffix == "":
         return _write_frames(frames, output)
@@ -48,10 +48,10 @@ def write_film(frames: Iterator[Image], output: Path, fps: float) -> tuple[Path,
     if suffix == ".mp4":
         _write_video(frames, output, fps)
     else:
-        # GIF counts in hundredths of a second, and what is left over would be cut off.
+        # GIF stores durations in hundredths of a second and truncates the rest.
         duration = 10 * round(100.0 / fps) if suffix == ".gif" else 1000.0 / fps
         first = next(frames)
-        rest = list(frames) if suffix == ".apng" else frames  # Pillow goes through those of an APNG twice
+        rest = list(frames) if suffix == ".apng" else frames  # Pillow iterates twice for APNG
         first.save(output, save_all=True, append_images=rest, duration=duration, loop=0)
     return (output,)
 
@@ -92,7 +92,7 @@ def captioned(pixels: UInt8[Array, "height width 3"], heading: str, text: str, c
         pixels: The picture.
         heading: The upper line.
         text: The lower line.
-        colour: Of the strip that they stand beside.
+        colour: Colour of the strip beside the text.
     """
     from PIL import Image, ImageDraw
 
@@ -109,7 +109,7 @@ def captioned(pixels: UInt8[Array, "height width 3"], heading: str, text: str, c
 
 
 def font(size: int) -> Any:
-    """Return the font of captions, for letters of about `size` [pixels]."""
+    """Return the font of captions, for a letter size of about `size` [pixels]."""
     from PIL import ImageFont
 
     return ImageFont.load_default(size)

@@ -1,8 +1,8 @@
 """Pictures of a simulation without a window.
 
-MuJoCo decides when it is imported which OpenGL it uses, and takes one that needs a display unless MUJOCO_GL says
-otherwise. Here the choice is made when the first picture is: what MUJOCO_GL names, and EGL, which needs no display,
-where it names nothing. No environment variable is set.
+On import, MuJoCo chooses an OpenGL backend that needs a display, unless MUJOCO_GL says otherwise. This module chooses
+the backend when the first picture is taken: the one named by MUJOCO_GL, else EGL, which needs no display. It sets no
+environment variable.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from graceful_plan.exceptions import UnknownNameError
 Array = np.ndarray
 
 Mark = Callable[[Any], None]
-"""Adds to what is in an MjvScene."""
+"""Adds geoms to an MjvScene."""
 
 _AZIMUTH, _ELEVATION = 120.0, -35.0
-"""Where a camera looks from if the scene has none [degrees]."""
+"""View angles if the scene has no camera [degrees]."""
 _SHINE = 0.85
 """Opacity of marks."""
 _MOST = 10_000
-"""Geoms in a picture."""
+"""Greatest number of geoms in a picture."""
 _SHADOW = 2048
 """Resolution of shadows; without a graphics card, finer ones take longer than the rest of the picture."""
 _SMOOTHING = 4
-"""Samples of each pixel."""
+"""Samples per pixel."""
 
 
 def has_display() -> bool:
-    """Whether a window can be opened."""
+    """Return whether a window can be opened."""
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def find_camera(model: mujoco.MjModel, camera: str | mujoco.MjvCamera | None) -> mujoco.MjvCamera:
-    """Return the camera of that name; for None the one called "overview", or else one that sees the whole scene.
+    """Return the named camera; for None the camera "overview", or else one that sees the whole scene.
 
     Raises:
         UnknownNameError: If the scene has no such camera.
@@ -66,7 +66,7 @@ def find_camera(model: mujoco.MjModel, camera: str | mujoco.MjvCamera | None) ->
 
 
 def close_to(point: Float[Array, " xyz"], distance: float, azimuth: float, elevation: float) -> mujoco.MjvCamera:
-    """Return a camera that looks at a point in W [m], from `distance` [m] and angles [degrees]."""
+    """Return a camera that looks at a point in W [m], from a distance [m] and angles [degrees]."""
     camera = mujoco.MjvCamera()
     camera.lookat[:] = point
     camera.distance, camera.azimuth, camera.elevation = distance, azimuth, elevation
@@ -74,17 +74,17 @@ def close_to(point: Float[Array, " xyz"], distance: float, azimuth: float, eleva
 
 
 class Offscreen:
-    """Takes pictures. Use it in a `with` statement.
+    """Renderer for pictures without a window. Use it in a `with` statement.
 
-    `model` is a copy to be painted: colours are taken from it.
+    `model` is a copy for painting: pictures use its colours.
 
     Args:
-        model: Of what is seen.
-        width: Of the pictures [pixels].
-        height: Of the pictures [pixels].
+        model: Model of the scene.
+        width: Width of the pictures [pixels].
+        height: Height of the pictures [pixels].
 
     Raises:
-        NoPicture: If there is no OpenGL that works without a window.
+        NoPicture: If no OpenGL works without a window.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
@@ -95,13 +95,13 @@ class Offscreen:
         self.model.vis.quality.shadowsize = min(_SHADOW, self.model.vis.quality.shadowsize)
         self._view = mujoco.MjvScene(self.model, maxgeom=_MOST)
         self._marks = mujoco.MjvScene(self.model, maxgeom=_MOST)
-        self._marks.flags[:] = 0  # nothing but what is drawn, on black
+        self._marks.flags[:] = 0  # only the marks, on black
         self._renderer = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_150)
         mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), self._renderer)
         self._viewport = mujoco.MjrRect(0, 0, width, height)
 
     def picture(self, data: mujoco.MjData, camera: mujoco.MjvCamera, *marks: Mark) -> UInt8[Array, "height width 3"]:
-        """Take a picture, with marks drawn over it: nothing hides them."""
+        """Take a picture with marks drawn over it; nothing hides them."""
         pixels = self._render(self._view, data, camera, int(mujoco.mjtCatBit.mjCAT_ALL))
         drawn = self._render(self._marks, data, camera, 0, marks)
         marked = drawn.max(axis=2) > 0
@@ -109,7 +109,7 @@ class Offscreen:
         return pixels
 
     def silhouette(self, data: mujoco.MjData, camera: mujoco.MjvCamera, mark: Mark) -> Bool[Array, "height width"]:
-        """Return which pixels a mark covers."""
+        """Return the pixels that a mark covers."""
         return self._render(self._marks, data, camera, 0, [mark]).max(axis=2) > 0
 
     def _render(
@@ -142,7 +142,7 @@ class Offscreen:
 
 
 def _context(width: int, height: int) -> Any:
-    """Return an OpenGL context that is current."""
+    """Return a current OpenGL context."""
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     named = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa"}
     if wanted:
@@ -155,7 +155,7 @@ def _context(width: int, height: int) -> Any:
             context = importlib.import_module(name).GLContext(width, height)
             context.make_current()
             return context
-        except Exception as error:  # every backend fails in a way of its own
+        except Exception as error:  # backends raise different errors
             problems.append(f"{name}: {type(error).__name__}: {error}")
     raise NoPicture(
         "no OpenGL works here without a window (" + "; ".join(problems) + ")",

@@ -1,7 +1,7 @@
-"""A rollout to look at: the last moments before the failure, then what came of it, step by step.
+"""Replay of a rollout, step by step: the time before the onset of the failure, then its consequences.
 
-The rollout is simulated again from its job, bit by bit the same as it was in a batch, and drawn. Nothing of it has to
-be stored.
+The rollout is simulated again from its job, bit-identical to its batch simulation, and drawn. Nothing needs to be
+stored.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ Array = np.ndarray
 _BEFORE, _AFTER = "#2a7f4f", "#c2185b"
 """Colours of the caption's strip before and after the onset."""
 _NAMES = 4
-"""How many entities a caption names."""
+"""Greatest number of entities that a caption names."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moment:
-    """One step of a film. Model and data are changed in place by the next one.
+    """One step of a film. The next step changes model and data in place.
 
     Args:
-        time: Since the onset [s], < 0 before it.
-        model: As it is simulated now.
-        data: After the step; what is derived from the state belongs to the state before it.
-        diverged: Whether the simulation has just blown up; then it is the last moment.
+        time: Time since the onset [s], < 0 before it.
+        model: The model as currently simulated.
+        data: Data after the step; derived quantities belong to the state before it.
+        diverged: Whether the simulation has just blown up; this is then the last moment.
     """
 
     time: float
@@ -69,30 +69,30 @@ def replay(
     camera: str | mujoco.MjvCamera | None = None,
     slow: float = 1.0,
 ) -> tuple[Path, ...]:
-    """Show a failure, with the last moments before it.
+    """Show a failure, and the time before it.
 
-    Entities that are hit turn yellow, furniture excepted. Arrows point at where they are hit, in the direction of the
-    force; their length grows with the root of the force. Things that lie on one another get none.
+    Entities that are hit turn yellow, except furniture. Arrows point at the contact in the direction of the force, and
+    their length grows with the root of the force. Contacts between entities are not drawn.
 
     Args:
         execution: The healthy run.
-        rollout: What failed, or is to fail; a rollout stands for its job.
-        output: A folder for numbered PNG frames, or a file whose suffix says what it becomes: .gif, .webp, .apng, .mp4.
-            None opens MuJoCo's viewer, which plays it again and again until it is closed.
-        horizon: How long is shown after the onset [s].
-        lead: How long is shown before it [s], where the motion is that long.
+        rollout: The failure, as a rollout or its job.
+        output: A folder for numbered PNG frames, or a file with the suffix .gif, .webp, .apng or .mp4. None opens
+            MuJoCo's viewer, which repeats the film until its window is closed.
+        horizon: Shown time after the onset [s].
+        lead: Shown time before the onset [s], clamped to the start of the motion.
         fps: Frames per second.
         size: Width and height of the frames [pixels].
-        camera: Name of one of the scene's cameras, or a camera. None is "overview" or, in scenes without, one that
-            sees everything.
-        slow: How many times slower than in reality it is played.
+        camera: Name of one of the scene's cameras, or a camera. None is "overview" or, without it, a view of
+            the whole scene.
+        slow: Slow-down factor.
 
     Returns:
-        The files that were written.
+        The written files.
 
     Raises:
-        SettingError: If a number is out of range, or the rollout is one of another execution.
-        FormatError: If the suffix is none of those.
+        SettingError: If a number is out of range, or the rollout belongs to another execution.
+        FormatError: If the suffix is not supported.
         UnknownNameError: If the scene has no such camera.
         NoPicture: If there is no OpenGL, no display to open a window on, or no encoder for MP4.
     """
@@ -120,7 +120,7 @@ def film(execution: Execution, job: Job, *, horizon: float, lead: float) -> Iter
     for step, (model, data) in enumerate(single.steps(execution, job, horizon=horizon)):
         diverged = bool(data.warning.number.any())
         if diverged and last is not None:
-            # MuJoCo has gone back to its initial state; what is to be seen is the last one that made sense.
+            # MuJoCo has reset itself to its initial state; the last valid state is shown instead.
             data.qpos[:] = last
             mujoco.mj_kinematics(model, data)
             mujoco.mj_camlight(model, data)
@@ -145,9 +145,9 @@ def healthy(execution: Execution, checkpoint: int, count: int) -> Iterator[tuple
 
 
 def struck_parts(execution: Execution, job: Job) -> str:
-    """Return in words what a job's fault strikes."""
+    """Describe the parts that a job's fault strikes."""
     robot = execution.world.robot
-    rng = np.random.default_rng(job.seed)  # the draw that the injection makes
+    rng = np.random.default_rng(job.seed)  # the same draw as the injection's
     joints, gripper = robot.struck(job.fault.targets or job.fault.TARGETS, rng, job.fault.rates)
     if len(joints) == len(robot.joints):
         return "whole robot" if gripper else "all joints"
@@ -178,7 +178,7 @@ def _check(execution: Execution, horizon: float, lead: float, fps: float, size: 
 
 
 def _sampled(touches: TouchPaint, moments: Iterator[Moment], rate: float) -> Iterator[Moment]:
-    """Yield `rate` moments per simulated second and the last one of a simulation that blows up; see all touches."""
+    """Observe all moments; yield `rate` of them per simulated second, and the moment of a divergence."""
     shown, start = 0, None
     for moment in moments:
         touches.observe(moment.model, moment.data, moment.time)

@@ -1,7 +1,7 @@
-"""Policies: controllers that look and act again and again, broken by the same faults as trajectories.
+"""Closed-loop policies under the same faults as trajectories.
 
-Imported on demand: `import failbench.policies`. Environments for Gymnasium are in `failbench.policies.gym`, which needs
-the extra `policies`; nothing else here does.
+Imported on demand: `import failbench.policies`. Only the Gymnasium environments in `failbench.policies.gym` need the
+extra `policies`.
 """
 
 from failbench.policies.adapters import LeRobotPolicy, OpenLoop, Scripted, executor, planned, reach, scripted

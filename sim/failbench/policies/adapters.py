@@ -1,4 +1,4 @@
-"""Policies made of what there is: motions of planners, a script, trained networks, LeRobot's policies."""
+"""Policies from planned motions, a script, trained networks, and LeRobot policies."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from graceful_plan.array_types import Float
 Array = np.ndarray
 
 _LIFT = 0.15
-"""How far the scripted policy lifts the tool before it goes across [m]."""
+"""Height by which the scripted policy lifts the tool before it moves across [m]."""
 _PACE = 0.3
-"""How fast it moves its tool [m/s]."""
+"""Speed of the scripted tool motion [m/s]."""
 _TURN = 1.0
-"""How fast it turns it [rad/s]."""
+"""Angular speed of the scripted tool motion [rad/s]."""
 _FADE = 0.5
-"""Time in which the distance from where a motion begins fades away [s]; on shorter motions, theirs."""
+"""Time in which an initial offset from the motion fades out [s], clamped to the motion's duration."""
 REACH = FilePath(__file__).parent / "reach.npz"
 """Weights of `reach`, trained by `benchmarks/train_reach.py`."""
 
 
 class OpenLoop:
-    """Follows a trajectory by the clock. How far it is from its beginning at the first look fades away on the way.
+    """Policy that follows a trajectory by the clock; the initial offset from the trajectory fades out.
 
     Args:
-        motion: What it follows.
-        period: Time from one action to the next [s].
+        motion: The trajectory.
+        period: Time between actions [s].
     """
 
     action = "joint_position"
@@ -47,26 +47,26 @@ class OpenLoop:
         self._offset: Float[Array, " nq"] | None = None
 
     def __call__(self, observation: Observation, /) -> Float[Array, " nq"]:
-        """Return where the joints are to be after the period."""
+        """Return the joint positions for the end of the period."""
         return self.at(observation.time, observation.q)
 
     def at(self, time: float, q: Float[Array, " nq"]) -> Float[Array, " nq"]:
-        """Return where they are to be a period after a time since the beginning of the motion [s].
+        """Return the joint positions for a period after `time`.
 
         Args:
-            time: The time.
-            q: Where they are; looked at the first time only.
+            time: Time since the beginning of the motion [s].
+            q: Current joint positions; only the first call uses them.
         """
         motion, after = self._motion, time + self._period
         offset = self._offset = q - motion.q[0] if self._offset is None else self._offset
         wanted = motion.at(motion.t[0] + np.array([min(after, motion.duration)])).q[0]
         part = min(1.0, after / min(_FADE, max(motion.duration, self._period)))
-        # Minimum jerk: a step of the target would spill what is carried.
+        # Minimum jerk, since a step of the target would spill the contents.
         return wanted + (1.0 - part**3 * (10.0 + part * (6.0 * part - 15.0))) * offset
 
 
 def executor(execution: Execution) -> PolicyFactory:
-    """Return the policy that sends what `execute` sends; its period is to be the time step, its noise 0."""
+    """Return a policy that replays an execution's commands; it needs the time step as period, and noise 0."""
 
     def make(task: PolicyTask, seed: int) -> Policy:
         steps = task.settings.steps
@@ -80,13 +80,13 @@ def executor(execution: Execution) -> PolicyFactory:
 
 
 def planned(w: float | None = None, *, iterations: int = 500, seed: int = 0, planner: str = "auto") -> PolicyFactory:
-    """Return a policy that plans once, and follows its motion by the clock.
+    """Return a policy that plans once and follows the motion by the clock.
 
     Args:
         w: Safety weight; None for the planner's default.
-        iterations: Of the planner, in the place of seconds, so that the motion is the same every time.
-        seed: Of the planner.
-        planner: Its name.
+        iterations: Iterations of the planner, instead of a time budget, so that the motion is reproducible.
+        seed: Seed of the planner.
+        planner: Name of the planner.
     """
 
     @lru_cache(maxsize=8)
@@ -111,7 +111,7 @@ def planned(w: float | None = None, *, iterations: int = 500, seed: int = 0, pla
 
 
 class Scripted:
-    """Lifts the tool, goes straight across, and puts it down, by where its sensors say that it is."""
+    """Policy that lifts the tool, moves it straight across and puts it down, by the measured tool pose."""
 
     action = "tool_pose"
 
@@ -120,7 +120,7 @@ class Scripted:
         self._stage = 0
 
     def __call__(self, observation: Observation, /) -> Float[Array, " 7"]:
-        """Return where the tool is to be after the period."""
+        """Return the tool pose for the end of the period."""
         tool, goal = observation.tool, observation.tool_goal
         if self._stage == 0:
             self._height = max(tool[6], goal[6]) + _LIFT
@@ -138,7 +138,7 @@ class Scripted:
 
 
 def scripted(task: PolicyTask, seed: int) -> Policy:
-    """Make the scripted policy."""
+    """Return a scripted policy."""
     return Scripted(task)
 
 
@@ -148,10 +148,10 @@ def _reach_network() -> Mlp:
 
 
 def reach(task: PolicyTask, seed: int) -> Policy:
-    """Make the policy that was trained with PPO to bring joints to a goal; it knows nothing of what is in its way.
+    """Return a policy that was trained with PPO to move the joints to a goal; it does not know obstacles.
 
     Raises:
-        PolicyError: If the robot has not the seven joints that it was trained with.
+        PolicyError: If the robot does not have the number of joints that the policy was trained with.
     """
     network, limits = _reach_network(), task.scene.limits
     if len(task.start) != network.outputs:
@@ -167,22 +167,22 @@ def reach(task: PolicyTask, seed: int) -> Policy:
 def reach_features(
     q: Float[Array, " nq"], qd: Float[Array, " nq"], goal: Float[Array, " nq"]
 ) -> Float[Array, " feature"]:
-    """Return what the network of `reach` sees: how far the joints are from their goal, and how fast they move."""
+    """Return the input of the `reach` network: joint distances from the goal, and joint velocities."""
     return np.concatenate([goal - q, qd])
 
 
 class LeRobotPolicy:
-    """A policy of LeRobot: `reset()` and `select_action(batch)`. The policy brings its own dependencies.
+    """Adapter of a LeRobot policy with `reset()` and `select_action(batch)`; install its dependencies yourself.
 
-    A batch has "observation.state" (what the joints' sensors read), "observation.environment_state" (all else that
-    `Observation.vector` has) and "observation.images.CAMERA" (channels first, in [0, 1]), each with a leading axis of
-    one, as arrays or whatever `tensor` makes of them.
+    A batch has "observation.state" (joint readings), "observation.environment_state" (the rest of
+    `Observation.vector`) and "observation.images.CAMERA" (channels first, in [0, 1]). Each has a leading axis of one
+    and is converted by `tensor`.
 
     Args:
-        policy: The policy, already made and in evaluation mode. It is reset here, so make one for each episode.
+        policy: The policy, in evaluation mode. It is reset here, so create one for each episode.
         action: Kind of its actions.
-        tensor: Makes a tensor of an array, such as `torch.as_tensor`; None: that one if torch is loaded, else nothing.
-        keys: What keys of the batch are called by the policy, where they are called otherwise.
+        tensor: Converts an array to a tensor. None is `torch.as_tensor` if torch is imported, else no conversion.
+        keys: The policy's own names of batch keys, where they differ.
     """
 
     def __init__(
@@ -204,7 +204,7 @@ class LeRobotPolicy:
         policy.reset()
 
     def __call__(self, observation: Observation, /) -> ArrayLike:
-        """Return the first action of what the policy selects."""
+        """Return the first action that the policy selects."""
         nq = len(observation.q)
         batch = {
             "observation.state": observation.q[None].astype(np.float32),
@@ -219,14 +219,14 @@ class LeRobotPolicy:
 
 
 def _towards(place: Float[Array, " xyz"], target: Float[Array, " xyz"], step: float) -> Float[Array, " xyz"]:
-    """Return a place that is nearer to a target by a step, or the target."""
+    """Return a position moved towards a target by a step [m], at most to the target."""
     missing = target - place
     length = float(np.linalg.norm(missing))
     return target.copy() if length <= step else place + missing * (step / length)
 
 
 def _turned(quat: Float[Array, " 4"], target: Float[Array, " 4"], step: float) -> Float[Array, " 4"]:
-    """Return an orientation that is nearer to a target by an angle [rad], or the target."""
+    """Return an orientation rotated towards a target by an angle [rad], at most to the target."""
     target = target if float(quat @ target) >= 0.0 else -target
     half = float(np.arccos(np.clip(quat @ target, -1.0, 1.0)))
     if 2.0 * half <= step or half < 1e-9:

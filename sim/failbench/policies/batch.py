@@ -1,4 +1,4 @@
-"""Episodes side by side on MuJoCo's native batch: stepped together, each on its own."""
+"""Episodes in parallel on MuJoCo's native batch: stepped together, but independent."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from graceful_plan.exceptions import SettingError
 Array = np.ndarray
 
 _COUNT = 1
-"""Column of a simulation's warnings that says how often each was raised."""
+"""Column of a simulation's warnings that counts them."""
 
 
 class EpisodeBatch:
-    """Simulations of one task, with an episode in each. What happens in one does not depend on the others.
+    """Simulations of one task, with an independent episode in each.
 
     Args:
-        task: What is to be done.
-        count: How many simulations.
-        threads: Of the simulation.
-        camera: Takes pictures for policies, if they see any.
+        task: The task.
+        count: Number of simulations.
+        threads: Number of simulation threads.
+        camera: Takes pictures for policies that use them.
     """
 
     def __init__(self, task: PolicyTask, count: int, *, threads: int = 1, camera: Camera | None = None) -> None:
@@ -48,7 +48,7 @@ class EpisodeBatch:
         self._spec = control_spec(model)
         self._sizes = {"sensordata": model.nsensordata, "qpos": model.nq, "qvel": model.nv}
         most = count * task.settings.steps
-        # Memory that is used again: fresh pages cost more than what is written into them.
+        # Reused memory: page faults of fresh arrays cost more than the writes.
         self._room = {name: np.empty(most * size) for name, size in self._sizes.items()}
         self.episodes: list[Episode | None] = [None] * count
 
@@ -56,19 +56,21 @@ class EpisodeBatch:
         """Begin a new episode in a simulation.
 
         Args:
-            sim: Which.
-            rng: Where its start is drawn from.
-            job: What breaks and when, after the beginning [s]; None for nothing.
+            sim: Index of the simulation.
+            rng: Generator of the episode's start.
+            job: The fault and its onset after the beginning [s]; None for no fault.
 
         Raises:
             UnknownNameError: If the fault strikes a joint that the robot does not have.
-            SettingError: If it is one of the surroundings, or its rates are not those of the robot's joints.
+            SettingError: If it is a fault of the surroundings, or its rates do not match the robot's joints.
         """
         task = self.task
         if job is not None:
             fault = job.fault
             if fault.CATEGORY == SURROUNDINGS:
-                raise SettingError("fault", fault.NAME, "one of the robot: what it happens to follows a motion")
+                raise SettingError(
+                    "fault", fault.NAME, "a fault of the robot; those of the surroundings need a planned motion"
+                )
             task.world.robot.check_targets(fault.targets or fault.TARGETS, fault.rates)
         q, state = task.begin(rng)
         for name, values in self._fields.items():
@@ -82,14 +84,14 @@ class EpisodeBatch:
         return episode
 
     def advance(self, actions: Mapping[int, tuple[str, ArrayLike]]) -> None:
-        """Let a period pass in simulations.
+        """Simulate one period.
 
         Args:
-            actions: Kind and action for each of them.
+            actions: Kind and action for each simulation to advance.
 
         Raises:
             PolicyError: If an action has the wrong shape, or is not finite.
-            SettingError: If an episode has not begun, or its time is over.
+            SettingError: If an episode has not begun, or is over.
         """
         sims = np.array(sorted(actions))
         episodes = [self._running(sim) for sim in sims.tolist()]
@@ -107,7 +109,7 @@ class EpisodeBatch:
             episode.end_period()
 
     def diverged(self, sim: int) -> bool:
-        """Whether a simulation blew up; then what it shows never happened."""
+        """Return whether a simulation has diverged; its state is then meaningless."""
         return bool(self._batch.warning[sim, :, _COUNT].any())
 
     def _step(self, sims: Array, episodes: list[Episode], count: int) -> None:
@@ -133,7 +135,7 @@ class EpisodeBatch:
         return self._field(name)[sim]
 
     def _field(self, name: str) -> Array:
-        """Return a model field that simulations have of their own, from the first time on that one is to change."""
+        """Return a model field that simulations can change separately; expand it at the first use."""
         if name not in self._fields:
             self._fields[name] = self._batch.expand(name)
             self._fields[name][:] = getattr(self.task.world.model, name)

@@ -1,4 +1,4 @@
-"""Pictures that policies see."""
+"""Camera pictures for policies."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ Array = np.ndarray
 
 
 class PolicyCameras:
-    """Takes pictures of a task with the cameras that its settings name. Use it in a `with` statement.
+    """Takes pictures of a task with the cameras named in its settings. Use it in a `with` statement.
 
-    In it stands a function from positions of everything to pictures by camera, or None if no cameras are named.
+    The `with` statement returns a function from positions of the whole model to pictures by camera name, or None if no
+    cameras are named.
 
     Raises:
         UnknownNameError: If the scene has no such camera.
-        NoPicture: If there is no OpenGL that works without a window.
+        NoPicture: If no OpenGL works without a window.
     """
 
     def __init__(self, task: PolicyTask, names: tuple[str, ...] | None = None) -> None:

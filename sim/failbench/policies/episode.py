@@ -1,4 +1,4 @@
-"""One episode: what the policy sees, what becomes of what it sends, and what comes of it."""
+"""One episode: observations, actions, faults, and consequences."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from graceful_plan.scene.placement import Placement
 
 Array = np.ndarray
 Camera = Callable[[Array], Mapping[str, UInt8[Array, "height width 3"]]]
-"""Takes pictures of positions of everything."""
+"""Takes pictures for positions of the whole model."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,10 +34,10 @@ class Live:
     """Live arrays of one simulation.
 
     Args:
-        fields: Fields of its model.
-        qpos: Positions of everything.
-        qvel: Velocities of everything.
-        eq_active: Which constraints hold.
+        fields: Returns a field of its model by name.
+        qpos: Positions of the whole model.
+        qvel: Velocities of the whole model.
+        eq_active: Which constraints are active.
     """
 
     fields: Callable[[str], Array]
@@ -47,9 +47,9 @@ class Live:
 
 
 class Sent:
-    """What a policy has sent so far, in the place of an `Execution`: the last command is held.
+    """Commands that a policy has sent up to now, in place of an `Execution`: the last command is held.
 
-    Nobody knows where it will go, and its robot does not drive.
+    Later commands are not known, and the robot must not be a driving base.
     """
 
     base = None
@@ -61,39 +61,39 @@ class Sent:
         self.dt = task.world.settings.timestep
         self.command = np.tile(task.standing, (task.periods * task.settings.steps, 1))
         self.straight_on: Straightness | None = None
-        """How the joints moved when something broke."""
+        """Motion of the joints at the onset, continued straight on."""
 
     def checkpoint(self, onset: float) -> int:
         """Return the checkpoint nearest to a time [s]."""
         return min(max(round(onset / (CHECKPOINT * self.dt)), 0), (len(self.command) - 1) // CHECKPOINT)
 
     def commands(self, step: int, count: int) -> Array:
-        """Return a view of the commands from a step on: what is sent later stands in it."""
+        """Return a view of the commands from a step on; later commands appear in it."""
         return self.command[step : step + count]
 
     def planned(self, time: Array) -> Array:
-        """Return where the joints are to be at some times; nobody knows."""
+        """Return NaN: the future motion of a policy is not known."""
         return np.full((len(time), self.measured.shape[-1]), np.nan)
 
     def walk(self, step: int, count: int, seed: int) -> Array:
-        """Return where those who move are; there is nobody."""
+        """Return no poses: policies have no moving entities."""
         return np.zeros((count + 1, 0))
 
     def paced(self, time: Array, pace: Array, change: Array) -> Array:
-        """Return commands of the joints if they go on straight from when something broke, at another pace."""
+        """Return joint commands for the straight motion from the onset on, at another pace."""
         assert self.straight_on is not None
         return self.straight_on.commands(time, pace)
 
 
 class Episode:
-    """One episode in one simulation. Whoever steps the simulation asks for `commands` and calls `act` and `after`.
+    """One episode in one simulation. The code that steps the simulation calls `act`, `commands` and `after`.
 
     Args:
-        task: What is to be done.
+        task: The task.
         servoing: The low-level controller, at the episode's beginning.
-        job: What breaks and when; None for nothing.
+        job: The fault and its onset; None for no fault.
         live: The simulation, at the episode's beginning.
-        camera: Takes pictures for the policy, if it sees any.
+        camera: Takes pictures for policies that use them.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Episode:
         self._servoing, self._live, self._camera = servoing, live, camera
         self._sent = Sent(task)
         self.onset = NEVER if job is None else self._sent.checkpoint(job.onset) * CHECKPOINT
-        """The step at which it breaks."""
+        """Step of the onset."""
         self._injection: Injection | None = None
         self._sensing: Sensing | None = None
         self._placement = Placement(task.scene)
@@ -114,36 +114,36 @@ class Episode:
         self._there = 0
         self._brakes: dict[str, Array] = {}
         self.reached: float | None = None
-        """When the tool had been at its goal for long enough [s]."""
+        """Time at which the tool had been at its goal for the dwell time [s]; None before."""
         self.distance = self._distance(qpos[robot.qpos])
-        """Of the tool from its goal [m and rad]."""
+        """Distance of the tool from its goal [m and rad]."""
         self._see()
 
     @property
     def time(self) -> float:
-        """Since the beginning [s]."""
+        """Time since the beginning [s]."""
         return self.step * self._sent.dt
 
     @property
     def qpos(self) -> Float[Array, " qpos"]:
-        """Positions of everything now; a live array."""
+        """Current positions of the whole model; a live array."""
         return self._live.qpos
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing more to be seen: the goal is reached, and what broke has had its time."""
+        """Whether the episode can end: the goal is reached, and the horizon after the onset has passed."""
         horizon = round(self.task.settings.horizon / self._sent.dt)
         broken = self.onset == NEVER or self.step >= self.onset + horizon
         return self.timed_out or (self.reached is not None and broken)
 
     @property
     def timed_out(self) -> bool:
-        """Whether the longest time is over."""
+        """Whether the time limit has passed."""
         return self.step >= len(self._sent.command)
 
     @property
     def observation(self) -> Observation:
-        """What the policy sees now."""
+        """Current observation of the policy."""
         delay = 0.0 if self._sensing is None else self._sensing.delay
         _, (q, qd), qpos = self._seen[-1]
         if delay > 0.0:
@@ -151,7 +151,7 @@ class Episode:
             _, (q, qd), qpos = (known or self._seen)[-1 if known else 0]
         task = self.task
         return Observation(
-            time=self.time,  # its own clock is not delayed
+            time=self.time,  # the policy's clock is not delayed
             q=q,
             qd=qd,
             tool=tool_pose(task.scene, self._placement.place(q)),
@@ -164,21 +164,21 @@ class Episode:
         )
 
     def order(self, kind: str, action: ArrayLike) -> None:
-        """Take in the action of the period that begins.
+        """Apply the action of the period that begins.
 
         Raises:
             PolicyError: If the action has the wrong shape, or is not finite.
         """
         rows = self._servoing.commands(kind, checked_action(action, self.task, kind))
         self._sent.command[self.step : self.step + len(rows)] = rows
-        self._sent.command[self.step + len(rows) :] = rows[-1]  # held, if nothing more comes
+        self._sent.command[self.step + len(rows) :] = rows[-1]  # held unless overwritten later
         if kind == "brake" and not self._brakes:
             self._brake()
         if self._injection is not None and self.step - self.onset != self._injection.next:
             self._injection.renew()
 
     def act(self) -> None:
-        """Let the fault begin, act or end before this step, if it is time."""
+        """Begin, apply or end the fault before this step, if it is due."""
         if self.step == self.onset and self._injection is None and self.job is not None:
             live, steps = self._live, len(self._sent.command) - self.onset
             self._sent.straight_on = self._servoing.straight_on(self.step % self.task.settings.steps)
@@ -200,19 +200,19 @@ class Episode:
 
     @property
     def until_event(self) -> int:
-        """Steps until the fault acts next, or it is looked whether the object may sleep."""
+        """Steps until the fault acts next, or the carried object's sleep is checked."""
         origin = self.onset if self._injection is not None else 0
         to_act = self.onset - self.step if self._injection is None else self.onset + self._injection.next - self.step
         return min(to_act, PERIOD - (self.step - origin) % PERIOD)
 
     @property
     def looks_for_sleep(self) -> bool:
-        """Whether it is time to look whether the object may sleep."""
+        """Whether the carried object's sleep is to be checked now."""
         origin = self.onset if self._injection is not None else 0
         return (self.step - origin) % PERIOD == 0
 
     def commands(self, count: int) -> Float[Array, "step actuator"]:
-        """Return what the drives get in the next steps."""
+        """Return the drives' commands for the next steps."""
         if self._injection is None:
             return self._sent.command[self.step : self.step + count]
         return self._injection.plant.command[self.step - self.onset : self.step - self.onset + count]
@@ -223,12 +223,12 @@ class Episode:
         qpos: Float[Array, "step qpos"],
         qvel: Float[Array, "step qvel"],
     ) -> None:
-        """Take in steps that were simulated."""
+        """Process simulated steps."""
         self._recorder.observe(sensordata[None], qpos[None], qvel[None])
         self.step += len(qpos)
 
     def end_period(self) -> None:
-        """Look where the robot is when a period is over."""
+        """Update observation and distance to the goal at the end of a period."""
         self._see()
         near, turned = self.distance = self._distance(self._live.qpos[self.task.world.robot.qpos])
         settings = self.task.settings
@@ -236,14 +236,14 @@ class Episode:
         if self._there * settings.period >= settings.dwell - 1e-9 and self._there:
             self.reached = self.time if self.reached is None else self.reached
         elif not self._there:
-            self.reached = None  # it has left again
+            self.reached = None  # the tool has left the goal again
 
     def finish(self) -> dict[str, Any]:
-        """Return what became of everything: the fields of a Rollout that are consequences."""
+        """Return the consequences, as fields of a Rollout."""
         return self._recorder.finish(0)
 
     def _brake(self) -> None:
-        """Let the brakes close: those of a healthy robot once and for all, else each time that the fault has acted."""
+        """Close the brakes: once if nothing has failed yet, otherwise after each action of the fault."""
         self._brakes = {name: self._live.fields(name) for name in BRAKES}
         if self._injection is None:
             close_brakes(self._brakes, self.task.world)
@@ -259,13 +259,13 @@ class Episode:
         self._seen.append((self.step, reading, live.qpos.copy()))
 
     def _distance(self, q: Float[Array, " nq"]) -> tuple[float, float]:
-        """Return how far the tool is from its goal [m and rad]."""
+        """Return the distance of the tool from its goal [m and rad]."""
         pose, goal = tool_pose(self.task.scene, self._placement.place(q)), self.task.tool_goal
         turned = 2.0 * np.arccos(min(1.0, abs(float(pose[:4] @ goal[:4]))))
         return float(np.linalg.norm(pose[4:] - goal[4:])), float(turned)
 
     def _objects(self, qpos: Float[Array, " qpos"]) -> Float[Array, "entity xyz"]:
-        """Return where the entities are; those that cannot move freely stay where they were."""
+        """Return the positions of the entities; entities that cannot move freely keep their initial ones."""
         world, places = self.task.world, self.task.places.copy()
         for i, name in enumerate(world.entity_bodies):
             if name in world.movable:
@@ -275,7 +275,7 @@ class Episode:
 
 
 def _allowed(task: PolicyTask, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> frozenset[tuple[str, str]]:
-    """Return components and entities that may touch: those that do at the beginning, and what the scene allows."""
+    """Return the pairs of component and entity that touch at the beginning or that the scene allows to touch."""
     world, scene = task.world, task.scene
     data = mujoco.MjData(world.model)
     mujoco.mj_setState(world.model, data, task.at_start, STATE)

@@ -1,4 +1,4 @@
-"""How well does a policy do, and how much harm, healthy and with each fault?"""
+"""Evaluation of a policy: its success and harm, healthy and with each fault."""
 
 from __future__ import annotations
 
@@ -42,30 +42,30 @@ def evaluate(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> PolicyReport:
-    """Let a policy do a task many times, healthy and with faults.
+    """Run a policy on a task many times, healthy and with faults.
 
-    Every fault meets the same n episodes as the healthy robot, with the same starts. It begins while the healthy robot
-    would be on its way: at fractions of the time that the same episode takes without it.
+    Every fault is applied to the same n episodes as the healthy robot, with the same starts. It begins during the
+    motion: its onset is a fraction of the duration of the same episode without a fault.
 
     Args:
-        task: What is to be done, see `policy_task`.
-        factory: Makes the policy of each episode.
-        scenarios: What fails: patterns of the registry's tags or names such as "drop/*", of which only the faults count
-            here, or faults.
-        n: Episodes without failure, and with each fault.
-        seed: Of everything random. Policies evaluated with the same seed and n share their starts, the quantiles of
-            the onsets, and the seeds of the faults.
-        recovery: What takes over once a fault is noticed.
-        delay: How long after its onset that is [s].
-        rate: Failures per hour, of all those faults together, for the harm per executed task.
-        confidence: Of the intervals.
-        threads: Of the simulation; None for one a core. The result does not depend on it.
-        progress: Called now and then with the number of episodes done and of all.
+        task: The task, see `policy_task`.
+        factory: Creates the policy of each episode.
+        scenarios: Faults to apply: fault objects, or patterns of the registry's tags or names such as "drop/*", of
+            which only the faults are used.
+        n: Number of episodes without a failure, and with each fault.
+        seed: Seed of all random numbers. Evaluations with the same seed and n share starts, quantiles of the onsets,
+            and seeds of the faults.
+        recovery: Controller that takes over after a fault is detected.
+        delay: Detection delay after the onset [s].
+        rate: Failures per hour of all these faults together, for the harm per executed task.
+        confidence: Confidence level of the intervals.
+        threads: Number of simulation threads; None for one per core. It does not affect the result.
+        progress: Called with the numbers of finished and of all episodes.
 
     Raises:
         UnknownNameError: If a pattern matches nothing, or a fault strikes a joint that the robot does not have.
         PolicyError: If an action has the wrong shape, or is not finite.
-        SettingError: If a setting makes no sense.
+        SettingError: If a setting is out of range.
     """
     faults = chosen_faults(scenarios)
     check_whole("n", n, 1, MOST)
@@ -116,7 +116,7 @@ class _Work(NamedTuple):
     delay: float
 
     def episodes(self, seeds: Sequence[int], jobs: Sequence[Job] | None) -> list[PolicyRollout]:
-        """Do episodes; where something breaks, the recovery takes over."""
+        """Run episodes; with faults, the recovery takes over after the detection delay."""
         if jobs is None or self.recovery is None:
             return roll_out(self.task, self.factory, seeds, jobs, threads=self.threads)
         noticed = dict(zip(seeds, (job.onset for job in jobs), strict=True))
@@ -129,12 +129,12 @@ class _Work(NamedTuple):
 
 
 def _job(fault: Fault, draws: Draws, k: int, last: float) -> Job:
-    """Return what breaks in the k-th episode, which would last so long [s]."""
+    """Return the k-th episode's job; `last` is the duration of the episode without a fault [s]."""
     return Job(fault=fault, onset=fault.when.onset(float(draws.quantile[k]), last), seed=int(draws.seed[k]))
 
 
 def _label(fault: Fault, taken: dict[str, list[PolicyRollout]]) -> str:
-    """Name a fault by kind and degree; those that differ otherwise are numbered."""
+    """Return a unique label of a fault: its name and degree, numbered if taken."""
     name = label = f"{fault.NAME}/{fault.degree}"
     number = 1
     while label in taken:
@@ -150,7 +150,7 @@ def _figures(
     confidence: float,
     twins: Float[Array, " n"] | None = None,
 ) -> PolicyFigures:
-    """Return what episodes say; harm that the healthy twin does, too, is not the fault's."""
+    """Return the figures of episodes; `twins` is the harm of the same episodes without a fault, for the added harm."""
     harm = np.array([rollout.harm(scene) for rollout in rollouts])
     valid = np.isfinite(harm) if twins is None else np.isfinite(harm) & np.isfinite(twins)
 

@@ -1,4 +1,4 @@
-"""A small network in NumPy: trained with whatever trains networks, kept as arrays, run without any of it."""
+"""A small network evaluated in NumPy and stored as arrays, independent of the training framework."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Mlp:
-    """A network of layers with tanh between them and nothing after the last.
+    """A multilayer perceptron with tanh between layers and a linear output.
 
     Args:
-        weights: Of each layer, [output, input].
-        biases: Of each layer, [output].
+        weights: Weights of each layer, [output, input].
+        biases: Biases of each layer, [output].
     """
 
     weights: tuple[Array, ...]
@@ -38,16 +38,16 @@ class Mlp:
 
     @property
     def inputs(self) -> int:
-        """How many numbers go in."""
+        """Number of inputs."""
         return self.weights[0].shape[1]
 
     @property
     def outputs(self) -> int:
-        """How many come out."""
+        """Number of outputs."""
         return self.weights[-1].shape[0]
 
     def __call__(self, features: Float[Array, "*batch input"]) -> Float[Array, "*batch output"]:
-        """Return what the network says to features."""
+        """Return the network's output for features."""
         if features.shape[-1] != self.inputs:
             raise ShapeError("features", features.shape, f"(..., {self.inputs})")
         x = features
@@ -56,17 +56,17 @@ class Mlp:
         return x @ self.weights[-1].T + self.biases[-1]
 
     def save(self, file: FilePath) -> None:
-        """Write it into an .npz file, as single-precision arrays w0, b0, w1, ..."""
+        """Write the network to an .npz file, as single-precision arrays w0, b0, w1, ..."""
         arrays: dict[str, Any] = {f"w{i}": W.astype(np.float32) for i, W in enumerate(self.weights)}
         arrays |= {f"b{i}": b.astype(np.float32) for i, b in enumerate(self.biases)}
         np.savez(file, **arrays)
 
     @classmethod
     def load(cls, file: FilePath) -> Mlp:
-        """Read a file of `save`. Nothing in it is run.
+        """Read a file written by `save`, without executing any of it.
 
         Raises:
-            FormatError: If it is no such file.
+            FormatError: If the file has another content.
         """
         arrays = read_arrays(file)
         layers = range(len(arrays) // 2)

@@ -1,4 +1,4 @@
-"""The contract of a policy: a callable from what is seen to what is to be done."""
+"""Interface of a policy: a callable from observations to actions."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ Array = np.ndarray
 
 ACTIONS: Mapping[str, str] = MappingProxyType(
     {
-        "joint_position": "where the joints are to be after the period [rad or m]",
-        "joint_velocity": "how fast they are to move during it [rad/s or m/s]",
-        "tool_pose": "where the tool is to be after it, wxyz_xyz in W",
-        "command": "what every actuator gets, as the simulated drives take it",
-        "brake": "nothing: the brakes of all joints close for good, and their drives lose their power",
+        "joint_position": "joint positions at the end of the period [rad or m]",
+        "joint_velocity": "joint velocities during the period [rad/s or m/s]",
+        "tool_pose": "tool pose at the end of the period, wxyz_xyz in W",
+        "command": "commands of all actuators, as the simulated drives take them",
+        "brake": "empty: the brakes of all joints close permanently, and their drives lose power",
     }
 )
-"""Kinds of actions, and what is in them."""
+"""Kinds of actions, and their content."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observation:
-    """What a policy sees, broken sensors and delays included. Objects and pictures are seen as they are.
+    """Observation of a policy, with the errors of broken sensors and delays. Objects and pictures are not affected.
 
-    What is desired is the robot's own affair: no sensor and no delay has a part in it. Actions of the kind "command"
-    take the place of the low-level controller, and leave it where it began.
+    The desired values are internal to the robot, free of sensor errors and delays. Actions of the kind "command" bypass
+    the low-level controller, whose desired values then stay at their initial ones.
 
     | field       | meaning                                                      | unit           | shape        |
     |-------------|--------------------------------------------------------------|----------------|--------------|
     | time        | since the beginning of the episode, on the policy's clock    | s              |              |
-    | q           | what position sensors read                                   | rad or m       | nq           |
-    | qd          | what speed sensors read                                      | rad/s or m/s   | nq           |
+    | q           | position readings                                            | rad or m       | nq           |
+    | qd          | speed readings                                               | rad/s or m/s   | nq           |
     | tool        | pose of the tool by these readings, wxyz_xyz in W            | m              | 7            |
-    | goal        | where the joints are to end                                  | rad or m       | nq           |
-    | tool_goal   | where the tool is to end, wxyz_xyz in W                      | m              | 7            |
-    | objects     | where the entities are in W, in the order of the scene       | m              | entity xyz   |
-    | q_desired   | where the low-level controller wants the joints to be now    | rad or m       | nq           |
-    | qd_desired  | how fast it wanted them to move in the last period           | rad/s or m/s   | nq           |
-    | images      | pictures by camera                                           |                | height width |
+    | goal        | goal configuration                                           | rad or m       | nq           |
+    | tool_goal   | goal pose of the tool, wxyz_xyz in W                         | m              | 7            |
+    | objects     | positions of the entities in W, in the order of the scene    | m              | entity xyz   |
+    | q_desired   | current target positions of the low-level controller         | rad or m       | nq           |
+    | qd_desired  | target velocities of the low-level controller, last period   | rad/s or m/s   | nq           |
+    | images      | pictures by camera name                                      |                | height width |
     """
 
     time: float
@@ -66,26 +66,26 @@ class Observation:
 
     @property
     def vector(self) -> Float[Array, " n"]:
-        """Everything but time, pictures and what is desired in one row."""
+        """Readings, goals and objects in one row; without time, pictures and desired values."""
         return np.concatenate([self.q, self.qd, self.tool, self.goal, self.tool_goal, self.objects.ravel()])
 
 
 Policy = Callable[[Observation], ArrayLike]
-"""Anything that can be called with an observation and returns an action.
+"""A callable that takes an observation and returns an action.
 
-An attribute `action`, one of `ACTIONS`, says of which kind its actions are; without it, they are joint positions.
+Its attribute `action` names the kind of its actions, see `ACTIONS`; the default is joint positions.
 """
 
 PolicyFactory = Callable[[PolicyTask, int], Policy]
-"""Makes a policy for one episode of a task with a seed: what is remembered from call to call begins anew."""
+"""Creates a policy for one episode of a task with a seed; state kept between calls is reset."""
 
 
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """A function whose actions are of some kind.
+    """A function with a kind of actions.
 
     Args:
-        function: From observation to action.
+        function: Function from observation to action.
         action: One of `ACTIONS`.
     """
 
@@ -101,11 +101,11 @@ class Acting:
 
 
 class PolicyError(GracefulPlanError, RuntimeError):
-    """A policy that cannot be found, or does not do what policies do.
+    """Raised for a policy that cannot be found or that violates the interface.
 
     Args:
-        name: Which.
-        problem: What is wrong with it.
+        name: Name of the policy.
+        problem: The violation.
     """
 
     def __init__(self, name: str, problem: str) -> None:
@@ -114,20 +114,20 @@ class PolicyError(GracefulPlanError, RuntimeError):
 
 
 def check_action(kind: str) -> None:
-    """Raise UnknownNameError unless this is a kind of action."""
+    """Raise UnknownNameError unless `kind` is a kind of action."""
     if kind not in ACTIONS:
         raise UnknownNameError("action", kind, ACTIONS)
 
 
 def action_kind(policy: Policy) -> str:
-    """Return of which kind a policy's actions are."""
+    """Return the kind of a policy's actions."""
     kind = str(getattr(policy, "action", "joint_position"))
     check_action(kind)
     return kind
 
 
 def action_size(task: PolicyTask, kind: str) -> int:
-    """Return how many numbers an action has."""
+    """Return the number of values in an action."""
     return {"tool_pose": 7, "command": task.world.model.nu, "brake": 0}.get(kind, len(task.start))
 
 
@@ -135,12 +135,12 @@ def checked_action(action: ArrayLike, task: PolicyTask, kind: str) -> Float[Arra
     """Return an action as an array.
 
     Raises:
-        PolicyError: If it has the wrong shape, or is not finite.
+        PolicyError: If the action has the wrong shape, or is not finite.
     """
     try:
         found = np.asarray(action, dtype=float)
     except (TypeError, ValueError) as error:
-        raise PolicyError("of the user", f"its action is no array of numbers: {error}") from error
+        raise PolicyError("of the user", f"its action is not an array of numbers: {error}") from error
     size = action_size(task, kind)
     if found.shape != (size,):
         raise PolicyError("of the user", f"its action has shape {found.shape}, a {kind} has ({size},)")
@@ -153,20 +153,20 @@ def imported_policy(name: str) -> PolicyFactory:
     """Import a policy's factory.
 
     Args:
-        name: "package.module:factory", found as Python finds modules, and in the current directory. It is called with a
-            `PolicyTask` and a seed for each episode, and returns a `Policy`.
+        name: "package.module:factory". The module is found like any Python module, or in the current directory. The
+            factory is called with a `PolicyTask` and a seed for each episode, and returns a `Policy`.
 
     Raises:
-        PolicyError: If there is no such module, importing it fails, or the factory cannot be called.
+        PolicyError: If there is no such module, importing it fails, or the factory is not callable.
         UnknownNameError: If the module has no such name.
-        SettingError: If the name is none of that kind.
+        SettingError: If `name` does not have this form.
     """
     module_name, _, attribute = name.partition(":")
     if not module_name or not attribute:
         raise SettingError("policy", name, "package.module:factory")
     here = os.getcwd()
     if here not in sys.path:
-        sys.path.append(here)  # last, so that no file here takes the place of a module that is installed
+        sys.path.append(here)  # last, so that files here do not shadow installed modules
     try:
         module = importlib.import_module(module_name)
     except Exception as error:
@@ -177,5 +177,5 @@ def imported_policy(name: str) -> PolicyFactory:
         raise UnknownNameError(f"policy of {module_name}", attribute, valid)
     found: PolicyFactory = factory
     if not callable(factory):
-        raise PolicyError(name, "is nothing that can be called")
+        raise PolicyError(name, "is not callable")
     return found

@@ -1,7 +1,7 @@
-"""What a controller does after it has noticed a fault: nothing, stop, or plan again from where it is.
+"""Recovery after a detected fault: stop, or stop and replan.
 
-Noticing is perfect but late: `delay` after the onset, whatever the fault. How soon a fault is noticed in reality
-depends on the monitor; ask for several delays.
+Detection is modelled as perfect but delayed by `delay` after the onset, whatever the fault. Real delays depend on the
+monitor, so evaluate several delays.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ from graceful_plan.path import is_real
 Array = np.ndarray
 
 Reaction = Callable[[Observation], Float[Array, " nq"] | None]
-"""Takes over from the policy: returns joint positions from the moment of noticing on, or None: let the brakes close."""
+"""Controller after the detection: returns joint positions, or None to close the brakes."""
 
 _LOOK = 0.2
-"""How long it is looked whether joints stand where they are to stand [s]: long enough for noise to average out."""
+"""Averaging time for the check whether joints stand at their targets [s]; long enough to average out noise."""
 
 
 class Recovery(ABC):
-    """What is done once a fault has been noticed: a contract, and frozen settings."""
+    """A recovery strategy: the interface, with frozen settings."""
 
     @abstractmethod
     def begin(self, task: PolicyTask, seed: int) -> Reaction:
-        """Return what takes over.
+        """Return the controller that takes over.
 
         Args:
-            task: What was to be done.
-            seed: Of what is drawn.
+            task: The task.
+            seed: Seed of random draws.
         """
 
 
 class _Braking:
-    """Joints that brake straight on, together, from where and how fast they were wanted to be.
+    """Joint targets that brake straight on and together, from the desired positions and velocities.
 
-    What sensors read has no part in it: a reading that jumps would be a speed at which nothing ever moved.
+    Sensor readings are not used: the jump of a broken sensor would look like a large velocity.
     """
 
     def __init__(self, task: PolicyTask, deceleration: float, seen: Observation) -> None:
@@ -58,11 +58,11 @@ class _Braking:
         self.duration = float((np.abs(self._speed) / (deceleration * task.scene.limits.acceleration)).max())
 
     def elapsed(self, seen: Observation) -> float:
-        """Return how long ago it began [s]."""
+        """Return the time since the braking began [s]."""
         return seen.time - self._began
 
     def at(self, time: float) -> Float[Array, " nq"]:
-        """Return where the joints are to be a period after a time since then [s]."""
+        """Return the joint targets for a period after `time` since the braking began [s]."""
         braked = min(time + self._period, self.duration)
         left = braked - braked**2 / (2.0 * self.duration) if self.duration > 0.0 else 0.0
         return self._q + self._speed * left
@@ -70,12 +70,12 @@ class _Braking:
 
 @dataclass(frozen=True, kw_only=True)
 class StopOnFailure(Recovery):
-    """A protective stop: all joints brake straight ahead, together; then they are held.
+    """A protective stop: all joints brake straight on and together, then hold.
 
     Args:
-        deceleration: Over the greatest acceleration that motions have.
-        brakes: Whether brakes close once the joints are to stand, as in a stop of category 1 of IEC 60204-1; else the
-            drives hold, as in category 2.
+        deceleration: Deceleration, as a multiple of the motions' acceleration limit.
+        brakes: Whether the brakes close at the end of the stop, as in stop category 1 of IEC 60204-1; else the drives
+            hold, as in category 2.
     """
 
     deceleration: float = 1.0
@@ -88,7 +88,7 @@ class StopOnFailure(Recovery):
             raise SettingError("brakes", self.brakes, "True or False")
 
     def begin(self, task: PolicyTask, seed: int) -> Reaction:
-        """Return the stop."""
+        """Return the controller of the stop."""
         braking: list[_Braking] = []
 
         def stop(seen: Observation) -> Float[Array, " nq"] | None:
@@ -102,20 +102,20 @@ class StopOnFailure(Recovery):
 
 @dataclass(frozen=True, kw_only=True)
 class ReplanOnFailure(Recovery):
-    """Stops, plans from where it stands, and goes on to its goal; the world goes on while it plans.
+    """Stop, plan from the stopped configuration, and continue to the goal; the world moves on during planning.
 
-    A motion that is found sooner is begun no sooner, so that episodes do not depend on how fast the machine is. What is
-    broken is not known to the planner, and it takes the object for held. It plans from where the joints are to stand. A
-    robot of which sensors read that a joint stands elsewhere, or does not follow on the way, lets its brakes close, and
-    so does one for which nothing is found.
+    The motion never begins before `time_limit`, so that episodes do not depend on the speed of the machine. The planner
+    does not know the fault, assumes that the object is held, and plans from the target configuration of the stop. The
+    brakes close if readings deviate from the stop's target or later from the motion, or if no motion is found.
 
     Args:
         w: Safety weight; None for the planner's default.
-        time_limit: What planning takes in the simulated world [s], the stop included, unless that takes longer.
-        iterations: Of the planner; what makes the motion the same every time.
-        deceleration: Of the stop, as of `StopOnFailure`.
-        tolerance: How far from where it is to stand a joint may be read, in the mean over the last 0.2 s [rad or m].
-        following: The same on its way to the goal, over 0.1 s: commands that are late are no reason to stop.
+        time_limit: Simulated duration of stop and planning [s]; a longer stop extends it.
+        iterations: Iterations of the planner; they make the motion reproducible.
+        deceleration: Deceleration of the stop, as for `StopOnFailure`.
+        tolerance: Greatest deviation of a joint's mean reading over the last 0.2 s from the stop's target [rad or m].
+        following: Greatest deviation on the way to the goal, as a mean over 0.1 s; wider, so that delayed commands do
+            not trigger a stop.
     """
 
     w: float | None = None
@@ -134,18 +134,18 @@ class ReplanOnFailure(Recovery):
         StopOnFailure(deceleration=self.deceleration)
 
     def begin(self, task: PolicyTask, seed: int) -> Reaction:
-        """Return the stop, and the motion after it."""
+        """Return the controller of the stop and the motion after it."""
         return _GoingOn(self, task, seed)
 
 
 class _GoingOn:
-    """What `ReplanOnFailure` does in one episode."""
+    """State of `ReplanOnFailure` in one episode."""
 
     def __init__(self, settings: ReplanOnFailure, task: PolicyTask, seed: int) -> None:
         self._settings, self._task, self._seed = settings, task, seed
         self._braking: _Braking | None = None
         self._follower: OpenLoop | None = None
-        # What is read less what is desired; for the mean, noise is nothing.
+        # Readings minus desired positions; their mean is free of noise.
         self._off: deque[Float[Array, " nq"]] = deque(maxlen=max(1, round(_LOOK / task.settings.period)))
 
     def __call__(self, seen: Observation) -> Float[Array, " nq"] | None:
@@ -170,7 +170,7 @@ class _GoingOn:
 
 @lru_cache(maxsize=64)
 def _motion(recovery: ReplanOnFailure, task: PolicyTask, q: tuple[float, ...], seed: int) -> gp.Trajectory | None:
-    """Plan from a configuration to the goal; remembered, for episodes under many faults stop at the same place."""
+    """Plan from a configuration to the goal. Cached, since episodes with different faults stop at the same place."""
     low, high = task.scene.limits.position.T
     try:
         found = gp.plan(
@@ -183,22 +183,22 @@ def _motion(recovery: ReplanOnFailure, task: PolicyTask, q: tuple[float, ...], s
             speed=task.settings.speed,
         )
     except GracefulPlanError:
-        return None  # where it stands is no place to begin
+        return None  # the stopped configuration is not a valid start
     return found.trajectory if found.status is gp.PlanStatus.SOLVED else None
 
 
 class Recovering:
-    """A policy that is relieved once a fault has been noticed.
+    """A policy that a recovery replaces once a fault is detected.
 
     Args:
-        task: What is to be done.
-        policy: Who acts until then.
-        recovery: What is done from then on.
-        noticed: When the fault is noticed, after the beginning [s]; infinite for never.
-        seed: Of what the recovery draws.
+        task: The task.
+        policy: Policy up to the detection.
+        recovery: Recovery strategy from then on.
+        noticed: Time of the detection after the beginning [s]; infinite for never.
+        seed: Seed of the recovery's draws.
 
     Raises:
-        PolicyError: If the policy's actions take the place of the low-level controller, of which a recovery makes use.
+        PolicyError: If the policy sends actuator commands, which bypass the low-level controller that recoveries use.
     """
 
     def __init__(self, task: PolicyTask, policy: Policy, recovery: Recovery, noticed: float, seed: int) -> None:
@@ -206,14 +206,14 @@ class Recovering:
         self._reaction: Reaction | None = None
         self.action = action_kind(policy)
         if self.action == "command":
-            raise PolicyError("of the user", "sends commands to actuators; a recovery can relieve it of other actions")
+            raise PolicyError("of the user", "sends actuator commands; a recovery supports all other kinds of actions")
 
     def __call__(self, observation: Observation, /) -> ArrayLike:
-        """Return what the policy does, or the recovery."""
+        """Return the action of the policy, or of the recovery after the detection."""
         if self._reaction is None and observation.time >= self._noticed - 1e-9:
             self._reaction = self._recovery.begin(self._task, self._seed)
         if self.action == "brake":
-            return np.zeros(0)  # for good
+            return np.zeros(0)  # brakes stay closed
         if self._reaction is None:
             action = self._policy(observation)
             self.action = action_kind(self._policy)
@@ -224,7 +224,7 @@ class Recovering:
 
 
 def recovering(factory: PolicyFactory, recovery: Recovery, onset: float, delay: float) -> PolicyFactory:
-    """Return a policy that is relieved `delay` after the onset of a fault [s], the two counted as one."""
+    """Return a policy that a recovery replaces `delay` after `onset` [s]."""
     if not 0.0 <= delay:
         raise SettingError("delay", delay, "a time >= 0 s")
 

@@ -1,4 +1,4 @@
-"""What an evaluation of a policy says: figures with intervals, a table to read, a JSON document."""
+"""Report of a policy's evaluation: figures with intervals, as a table and a JSON document."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _SCHEMA = {"schema": "failbench.policy", "version": 1}
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyFigures:
-    """What episodes of one kind came to.
+    """Figures of the episodes of one kind.
 
     Args:
-        success: Probability that the tool reaches its goal in time, and still holds what it held.
-        harm: Sum of the severities of what is hit in an episode.
-        added: Harm of the episode minus that of the same one without the fault; None for those without.
+        success: Probability that the tool reaches its goal in time and still holds its object.
+        harm: Sum of the severities of all hits in an episode.
+        added: Harm of an episode minus that of the same episode without the fault; None for healthy episodes.
         dropped: Probability that the carried object leaves the gripper.
-        spilled: Lost part of the contents.
-        diverged: Episodes that blew up, or whose healthy twin did; they are in no estimate.
+        spilled: Lost fraction of the contents.
+        diverged: Number of episodes that blew up, or whose healthy twin did; no estimate includes them.
     """
 
     success: Estimate
@@ -42,17 +42,17 @@ class PolicyReport:
 
     Args:
         task: "SCENE/TASK".
-        healthy: Without failure.
-        by_fault: With each fault, by "FAULT/DEGREE".
-        duration: Mean time in which the healthy policy reaches its goal, or the episode's where it does not [s].
+        healthy: Figures without a failure.
+        by_fault: Figures with each fault, by "FAULT/DEGREE".
+        duration: Mean time to the goal of the healthy policy [s]; episodes that do not reach it count in full.
         rate: Failures per hour, of all faults together.
-        recovery: What takes over once a fault is noticed.
-        n: Episodes of each kind.
-        seed: Of everything random.
-        confidence: Of the intervals.
-        versions: Of the packages.
-        healthy_rollouts: The episodes without failure.
-        rollouts: Those with each fault, in the same order.
+        recovery: Recovery after the detection of a fault.
+        n: Number of episodes of each kind.
+        seed: Seed of all random numbers.
+        confidence: Confidence level of the intervals.
+        versions: Versions of the packages.
+        healthy_rollouts: Episodes without a failure.
+        rollouts: Episodes with each fault, in the same order.
     """
 
     task: str
@@ -70,13 +70,13 @@ class PolicyReport:
 
     @property
     def harm_per_task(self) -> float:
-        """Harm to be expected of an executed task: the healthy robot's, and what failures add, all faults alike."""
+        """Expected harm per executed task: healthy harm plus that of failures, all faults equally likely."""
         added = [figures.added.mean for figures in self.by_fault.values() if figures.added is not None]
         failures = self.rate * self.duration / _SECONDS_PER_HOUR
         return self.healthy.harm.mean + failures * float(np.mean(added))
 
     def to_document(self) -> dict[str, Any]:
-        """Return it as plain values, without the episodes."""
+        """Return the report as plain values, without the episodes."""
         return {
             **_SCHEMA,
             "task": self.task,
@@ -101,7 +101,7 @@ class PolicyReport:
             f"recovery: {self.recovery}",
             f"{'':{wide}}  {'success':22}  {'harm':22}  {'harm added':22}  dropped  spilled",
             *(_row(label, figures, wide) for label, figures in rows),
-            f"healthy robot: {arrived} after {self.duration:.2f} s in the mean; harm per executed task at "
+            f"healthy robot: {arrived} after {self.duration:.2f} s on average; harm per executed task at "
             f"{self.rate:g} failures/h: {self.harm_per_task:.4g}",
         ]
         diverged = sum(figures.diverged for _, figures in rows)

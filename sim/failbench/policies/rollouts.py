@@ -1,4 +1,4 @@
-"""Episodes of a policy, many at once, and what came of them."""
+"""Parallel episodes of a policy, and their outcomes."""
 
 from __future__ import annotations
 
@@ -25,22 +25,21 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyRollout:
-    """What came of one episode.
+    """Outcome of one episode.
 
     Args:
-        seed: Of its start, and of what the policy draws.
-        job: What was to break; None for nothing.
-        onset: When it began, after the beginning [s]; None if nothing broke.
+        seed: Seed of the start, and of the policy's draws.
+        job: The fault and its onset; None for no fault.
+        onset: Onset of the fault, after the beginning [s]; None without a fault.
         status: "completed", or "diverged" if the simulation blew up; then there are no consequences.
-        reached: When the tool had been at its goal for long enough [s], if it was there at the end; None if not.
-        distance: Of the tool from its goal at the end [m and rad].
-        duration: Of the episode [s].
-        events: Contacts with entities in the whole episode. Touches with which it begins are none, nor those that the
-            scene allows.
-        landings: What else the carried object touched.
+        reached: Time at which the tool had been at its goal for the dwell time [s]; None if it is not there at the end.
+        distance: Distance of the tool from its goal at the end [m and rad].
+        duration: Duration of the episode [s].
+        events: Contacts with entities in the whole episode, without initial touches and touches that the scene allows.
+        landings: Other contacts of the carried object, see `Rollout`.
         dropped: Whether the carried object left the gripper.
-        spilled: Lost part of the contents, in [0, 1].
-        fell: Entities that ended more than 5 cm lower than they began.
+        spilled: Lost fraction of the contents, in [0, 1].
+        fell: Entities that ended more than 5 cm below their initial height.
         tipped: Entities that ended more than 30 degrees off their initial axis.
     """
 
@@ -60,11 +59,11 @@ class PolicyRollout:
 
     @property
     def success(self) -> bool:
-        """Whether the tool reached its goal and still holds what it held."""
+        """Whether the tool reached its goal and still holds its object."""
         return self.status == "completed" and self.reached is not None and not self.dropped
 
     def harm(self, scene: Scene) -> float:
-        """Return the sum of the severities of all that was hit; NaN if the simulation blew up."""
+        """Return the sum of the severities of all hits; NaN if the simulation blew up."""
         return observed_impact(self, scene) if self.status == "completed" else float("nan")
 
 
@@ -77,19 +76,19 @@ def roll_out(
     threads: int = 1,
     batch: int = 16,
 ) -> list[PolicyRollout]:
-    """Let a policy act in episodes.
+    """Run a policy in episodes.
 
     Args:
-        task: What is to be done.
-        factory: Makes the policy of each episode.
-        seeds: Of the episodes; the same seed is the same episode, whatever else runs beside it.
-        jobs: What breaks in each and when, after the beginning [s]; nothing, if None.
-        threads: Of the simulation.
-        batch: How many episodes are in memory at once.
+        task: The task.
+        factory: Creates the policy of each episode.
+        seeds: Seeds of the episodes; an episode depends only on its seed and job.
+        jobs: Fault of each episode and its onset after the beginning [s]; None for no faults.
+        threads: Number of simulation threads.
+        batch: Number of episodes in memory at once.
 
     Raises:
         PolicyError: If an action has the wrong shape, or is not finite.
-        SettingError: If there are not as many jobs as seeds.
+        SettingError: If the numbers of jobs and seeds differ.
     """
     wanted: Sequence[Job | None] = [None] * len(seeds) if jobs is None else jobs
     if len(wanted) != len(seeds):
@@ -115,7 +114,7 @@ def roll_out(
 
 
 class _Runner:
-    """Simulations in which episodes run, each with its policy."""
+    """Runs episodes in a batch of simulations, each with its policy."""
 
     def __init__(
         self, task: PolicyTask, factory: PolicyFactory, count: int, threads: int, camera: Camera | None
@@ -134,13 +133,13 @@ class _Runner:
         self.running[sim] = number, seed, self._factory(self._task, seed)
 
     def advance(self) -> list[tuple[int, PolicyRollout]]:
-        """Let a period pass; return what ended."""
+        """Simulate one period and return the episodes that ended."""
         actions: dict[int, Any] = {}
         for sim, (_, _, policy) in self.running.items():
             episode = self._batch.episodes[sim]
             assert episode is not None
             action = policy(episode.observation)
-            actions[sim] = action_kind(policy), action  # in this order: who relieves a policy may act otherwise
+            actions[sim] = action_kind(policy), action  # in this order, since the call may change the kind
         self._batch.advance(actions)
         ended = []
         for sim in list(self.running):
@@ -153,7 +152,7 @@ class _Runner:
 
 
 def outcome(episode: Episode, seed: int, *, diverged: bool) -> PolicyRollout:
-    """Return what came of an episode that is over."""
+    """Return the outcome of an episode that is over."""
     onset = episode.onset * episode.task.world.settings.timestep
     fields = {} if diverged else episode.finish()
     names = ("events", "landings", "dropped", "spilled", "fell", "tipped")

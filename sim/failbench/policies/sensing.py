@@ -1,4 +1,4 @@
-"""What the sensors of a robot say in which something may be broken."""
+"""Sensor readings of a robot with a fault."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Reading = tuple[Float[Array, " nq"], Float[Array, " nq"]]
 
 
 class Sensing:
-    """Reads positions and speeds as the servos do, in one simulation with a fault.
+    """Reads joint positions and speeds as the servos do, in one simulation with a fault.
 
-    Faults of sensors act on the servos' feedback: a known error is told by `Plant.misread`, anything else is a change
-    of "actuator_biasprm". What the feedback is worth to a healthy servo is what the sensor says. A feedback that does
-    not depend on the joint any more is a reading that stands.
+    Sensor faults act on the servos' feedback. Known errors are set by `Plant.misread`; all other faults change
+    "actuator_biasprm", and the reading is the value that would give a healthy servo the same feedback. Feedback that no
+    longer depends on the joint is a frozen reading.
 
     Args:
-        injection: The fault. Call `look` whenever it has acted.
+        injection: The fault. Call `look` after each action of the fault.
     """
 
     def __init__(self, injection: Injection) -> None:
@@ -30,18 +30,18 @@ class Sensing:
         self._stands: Bool[Array, " nq"] = np.zeros(n, dtype=bool)
         self._stood: Reading = np.zeros(n), np.zeros(n)
         fault = injection.job.fault
-        # What is late is told by `delay`: feedback that comes late does not depend on the joint as it is.
+        # Delays are modelled by `delay` instead, since delayed feedback does not depend on the current position.
         late = isinstance(fault, ControlDelay)
         self._feedback = fault.CATEGORY == "sensor" and "actuator_biasprm" in fault.FIELDS and not late
 
     @property
     def delay(self) -> float:
-        """How old what the policy gets is [s]: a line that delays commands delays answers, too."""
+        """Age of the policy's readings [s]; a control delay applies to commands and readings."""
         fault = self._injection.job.fault
         return self._injection.level * fault.amount if isinstance(fault, ControlDelay) else 0.0
 
     def look(self) -> None:
-        """Find out which readings stand, and where, after the fault has acted."""
+        """Find which readings are frozen, and at which values, after the fault has acted."""
         if self._feedback:
             plant = self._injection.plant
             bias = plant["actuator_biasprm"][plant.robot.actuators]
@@ -52,7 +52,7 @@ class Sensing:
             self._stands = stands
 
     def read(self, step: int) -> Reading:
-        """Return what the sensors say at a step after the onset."""
+        """Return the readings at a step after the onset."""
         plant, robot = self._injection.plant, self._injection.plant.robot
         q, qd = plant.q.copy(), plant.qd.copy()
         if plant.misreading is not None:

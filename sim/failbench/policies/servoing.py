@@ -1,4 +1,4 @@
-"""From a policy's actions to what the drives get, for each step of the simulation."""
+"""Conversion of a policy's actions to drive commands for each simulation step."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from graceful_plan.scene.placement import Placement
 Array = np.ndarray
 
 _ITERATIONS = 3
-"""Of inverse kinematics a period; the next one goes on."""
+"""Iterations of inverse kinematics per period; the next period continues."""
 _DAMPING = 1e-3
-"""Of its least squares, as of twists in m and rad."""
+"""Damping of the least squares of inverse kinematics, for twists in m and rad."""
 
 
 class Servoing:
-    """The low-level controller of one episode: moves where the joints are to be, within their limits of speed.
+    """The low-level controller of one episode: it moves the joint targets, within the joints' speed limits.
 
-    Between two actions the joints' targets move evenly; feed-forward of that speed and of gravity keeps the servos on
-    them, as it does for trajectories. It knows nothing of broken sensors: these are in the servos.
+    Joint targets move linearly between actions. Feed-forward of their speed and of gravity keeps the servos on target,
+    as for trajectories. The controller does not know sensor faults, which act in the servos.
 
     Args:
-        task: What is to be done.
+        task: The task.
     """
 
     def __init__(self, task: PolicyTask) -> None:
@@ -38,16 +38,16 @@ class Servoing:
         limits, settings = task.scene.limits, task.settings
         self._low, self._high = limits.position.T
         self._most = settings.speed * limits.velocity * settings.period
-        """How far a joint's target moves in a period at most [rad or m]."""
+        """Greatest motion of a joint target per period [rad or m]."""
         self.q = task.start
-        """Where the joints are to be."""
+        """Joint targets."""
         self.speed = np.zeros(len(task.start))
-        """How fast they are to move now [rad/s or m/s]."""
+        """Velocities of the joint targets [rad/s or m/s]."""
         self._was = self.q, self.speed, np.zeros(len(task.start))
-        """Both when the period began, and gravity's torques then."""
+        """Targets, their velocities and the gravity torques at the beginning of the period."""
 
     def begin(self, q: Float[Array, " nq"]) -> None:
-        """Begin an episode in which the robot stands at `q`."""
+        """Begin an episode with the robot at `q`."""
         self.q, self.speed = q, np.zeros(len(q))
         self._torque = self._gravity(q)
         self._was = self.q, self.speed, self._torque
@@ -70,16 +70,16 @@ class Servoing:
         return self._rows(np.clip(target, self._low, self._high), steps)
 
     def straight_on(self, steps: int) -> Straightness:
-        """Return how the joints would go on from so many steps after the period's beginning, if nothing more came."""
+        """Return the straight continuation of the joint targets from `steps` steps after the period's beginning."""
         q, before, torque = self._was
         speed = self.speed if steps else before
         return Straightness(self._task, q + steps * self._task.world.settings.timestep * speed, speed, torque)
 
     def _rows(self, target: Float[Array, " nq"], steps: int) -> Float[Array, "step actuator"]:
-        """Return commands that take the joints evenly to a target, or as far as their speed allows."""
+        """Return commands that move the joints linearly to a target, or as far as their speed limits allow."""
         robot, task = self._task.world.robot, self._task
         move = target - self.q
-        # All in proportion, so that the direction stays.
+        # Scaled in proportion, to keep the direction.
         move = move * min(1.0, float((self._most / np.maximum(np.abs(move), 1e-12)).min()))
         part = (np.arange(1, steps + 1) / steps)[:, None]
         q, self.speed = self.q + part * move, move / task.settings.period
@@ -92,7 +92,7 @@ class Servoing:
         return command
 
     def _towards(self, pose: Float[Array, " 7"]) -> Float[Array, " nq"]:
-        """Return joints with which the tool is nearer to a pose, by damped least squares from where they are to be."""
+        """Return joint targets that bring the tool nearer to a pose, by damped least squares."""
         model, q = self._placement.model, self.q
         J, wanted = np.zeros((6, model.nv)), pose[:4] / max(float(np.linalg.norm(pose[:4])), 1e-9)
         back, turn, missing = np.empty(4), np.empty(4), np.empty(6)
@@ -112,7 +112,7 @@ class Servoing:
 
 
 class Straightness(NamedTuple):
-    """Joints that go on as they move at a moment."""
+    """Joint targets that continue with constant velocity."""
 
     task: PolicyTask
     q: Float[Array, " nq"]
@@ -120,17 +120,17 @@ class Straightness(NamedTuple):
     torque: Float[Array, " nq"]
 
     def commands(self, time: Float[Array, " n"], pace: Float[Array, " n"]) -> Float[Array, "n nq"]:
-        """Return commands of the joints at times on this motion's clock [s], and paces of that clock."""
+        """Return joint commands at times on this motion's clock [s], for paces of that clock."""
         robot, (low, high) = self.task.world.robot, self.task.scene.limits.position.T
         q = np.clip(self.q + np.outer(time, self.speed), low, high)
         return (robot.kp * q + robot.kd * np.outer(pace, self.speed) + self.torque) / robot.gain
 
 
 class GravityTorque:
-    """Torques that hold the arm with what it carries: `RobotDynamics` at rest, several times sooner.
+    """Torques that hold the arm and the carried object: a faster equivalent of `RobotDynamics` at rest.
 
     Args:
-        task: Whose robot.
+        task: The task with the robot.
     """
 
     def __init__(self, task: PolicyTask) -> None:

@@ -1,4 +1,4 @@
-"""What a policy is to do: bring the tool, with what it holds, from a start to a goal, in a simulated scene."""
+"""Task of a policy: to bring the tool and its object from a start to a goal in a simulated scene."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from graceful_plan.scene.placement import Placement
 Array = np.ndarray
 
 _TRIES = 20
-"""Starts that are drawn before the robot begins where the task says."""
+"""Number of random starts to try; if all collide, the episode begins at the task's start."""
 _REMEMBERED = 64
-"""Starts of which it is remembered how they settle: episodes under many faults begin alike."""
+"""Number of cached settled starts, since episodes with different faults have the same starts."""
 
 
 def _is_pair(value: object) -> bool:
@@ -33,19 +33,19 @@ def _is_pair(value: object) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySettings:
-    """How episodes go.
+    """Settings of episodes.
 
     Args:
-        period: Time from one action to the next [s].
-        limit: Longest episode [s]; None for what the straight path takes three times, and `horizon`.
-        horizon: How long an episode goes on after the onset of a fault at least [s].
-        noise: Standard deviation of the start's joints around the task's start [rad or m], cut off at two of them.
-        speed: Fraction of the limits at which commanded joints may go, and the straight path is timed.
-        reach: How near to its goal the tool has to be [m, rad].
-        dwell: For how long [s].
-        cameras: Names of the cameras whose pictures the policy sees.
-        size: Height and width of these pictures.
-        simulation: How the scene is simulated.
+        period: Time between actions [s].
+        limit: Time limit of an episode [s]; None for three times the duration of the straight path, plus `horizon`.
+        horizon: Least duration of an episode after the onset of a fault [s].
+        noise: Standard deviation of the start around the task's start [rad or m], cut off at two deviations.
+        speed: Fraction of the speed limits for commanded joint motions and for timing the straight path.
+        reach: Distance [m] and angle [rad] within which the tool is at its goal.
+        dwell: Time that the tool must stay at its goal [s].
+        cameras: Names of the cameras whose pictures the policy gets.
+        size: Height and width of these pictures [pixels].
+        simulation: Settings of the simulation.
     """
 
     period: float = 0.02
@@ -82,20 +82,20 @@ class PolicySettings:
 
     @property
     def steps(self) -> int:
-        """Time steps of the simulation in a period."""
+        """Simulation steps per period."""
         return round(self.period / self.simulation.timestep)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyTask:
-    """A task ready for policies. Made by `policy_task`.
+    """A task prepared for policies. Made by `policy_task`.
 
     Args:
         name: "SCENE/TASK".
-        world: Where.
-        start: Where the robot begins [rad or m].
-        goal: Where it is to end; of several goals, the one nearest to the start.
-        settings: How episodes go.
+        world: The simulated world.
+        start: Start configuration [rad or m].
+        goal: Goal configuration [rad or m]; of several goals, the one nearest to the start.
+        settings: Settings of episodes.
     """
 
     name: str
@@ -117,7 +117,7 @@ class PolicyTask:
 
     @cached_property
     def limit(self) -> float:
-        """Longest episode [s]."""
+        """Time limit of an episode [s]."""
         settings = self.settings
         return 3.0 * self.straight.duration + settings.horizon if settings.limit is None else settings.limit
 
@@ -133,18 +133,18 @@ class PolicyTask:
 
     @cached_property
     def standing(self) -> Float[Array, " actuator"]:
-        """Commands of all actuators while the arm has none: the gripper holds."""
+        """Commands of all actuators without an action for the arm; the gripper holds."""
         command = standing(self.world)
         command[self.world.robot.gripper_actuators] = self.world.robot.grip_closed
         return command
 
     @cached_property
     def at_start(self) -> Float[Array, " state"]:
-        """State from which episodes without noise begin."""
+        """Initial state of episodes without noise."""
         return settled(self.start, self.world, self.standing)
 
     def begin(self, rng: np.random.Generator) -> tuple[Float[Array, " nq"], Float[Array, " state"]]:
-        """Draw where an episode begins: configuration and state."""
+        """Draw the start of an episode: configuration and state."""
         noise, (low, high) = self.settings.noise, self.scene.limits.position.T
         for _ in range(_TRIES if noise else 0):
             shift = noise * np.clip(rng.standard_normal(len(self.start)), -2.0, 2.0)
@@ -165,7 +165,7 @@ class PolicyTask:
 
     @cached_property
     def places(self) -> Float[Array, "entity xyz"]:
-        """Where the entities are at the beginning, in W [m]."""
+        """Initial positions of the entities, in W [m]."""
         data = mujoco.MjData(self.world.model)
         mujoco.mj_setState(self.world.model, data, self.at_start, STATE)
         mujoco.mj_kinematics(self.world.model, data)
@@ -182,15 +182,15 @@ def tool_pose(scene: gp.Scene, data: mujoco.MjData) -> Float[Array, " 7"]:
 
 
 def policy_task(name: str, settings: PolicySettings | None = None) -> PolicyTask:
-    """Make a scene's task ready for policies.
+    """Prepare a scene's task for policies.
 
     Args:
-        name: "SCENE/TASK" of a bundled scene, or of a scene file; the task may be left out if there is only one.
-        settings: How episodes go.
+        name: "SCENE/TASK" of a bundled scene or a scene file; the task may be left out if there is only one.
+        settings: Settings of episodes.
 
     Raises:
         UnknownNameError: If there is no such scene, or it has no such task.
-        UnsupportedError: If FailBench cannot simulate it, somebody moves in it, or its robot drives.
+        UnsupportedError: If FailBench cannot simulate it, the scene has moving entities, or its robot drives.
     """
     settings = PolicySettings() if settings is None else settings
     if not isinstance(name, str):
@@ -203,8 +203,8 @@ def policy_task(name: str, settings: PolicySettings | None = None) -> PolicyTask
         raise UnknownNameError(f"task of {scene_name}", task_name, tasks)
     task = tasks[task_name]
     if task.scene.base is not None or task.scene.moving:
-        what = "its robot drives" if task.scene.base is not None else "somebody moves in it"
-        raise UnsupportedError(f"{name}: policies act on arms among what stands still; {what}")
+        what = "its robot drives" if task.scene.base is not None else "it has moving entities"
+        raise UnsupportedError(f"{name}: policies act on fixed arms in scenes without moving entities; {what}")
     far = np.abs(task.goal - task.start).max(axis=1)
     return PolicyTask(
         name=f"{scene_name}/{task_name}",

@@ -1,1 +1,1 @@
-"""What is recorded of a rollout, and its score."""
+"""Records of rollouts, and their scores."""

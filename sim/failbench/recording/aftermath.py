@@ -1,4 +1,4 @@
-"""What is left when the dust has settled: things that fell, tipped, left their support or were dropped."""
+"""Final state of a rollout: objects that fell, tipped over, left their support or were dropped."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from graceful_plan.array_types import Float, Int
 Array = np.ndarray
 
 FALLEN = 0.05
-"""An entity that ended with both its body's origin and its lowest point farther below where they were [m] has fallen;
-one that only fell over has not."""
+"""Descent of both an entity's body origin and its lowest point above which it counts as fallen [m]. An entity that only
+fell over has not fallen."""
 TIPPED = np.deg2rad(30.0)
-"""An entity of which the direction that was up is farther off the vertical [rad] has tipped."""
+"""Angle between the vertical and the initially vertical direction above which an entity counts as tipped [rad]."""
 MOVED = 1e-3
-"""An entity that is nearer to where it was [m], and as nearly upright [rad], stands on what it stood on."""
+"""Displacement [m] and tilt [rad] up to which an entity counts as still on its support."""
 DROPPED = 0.03
-"""A carried object that is farther from where it was in the tool frame [m] and free of the fingers is dropped."""
+"""Displacement in the tool frame above which a carried object that touches no finger counts as dropped [m]."""
 
 
 class Aftermath:
-    """Compares the end of a simulation with its beginning.
+    """Compare the end of a simulation with its beginning.
 
     Args:
-        world: Where.
-        closeup: What to look with.
-        bounds: Boxes around its entities.
+        world: The simulated world.
+        closeup: Contact queries for single states.
+        bounds: Boxes around the entities.
     """
 
     def __init__(self, world: World, closeup: Closeup, bounds: Bounds) -> None:
@@ -70,7 +70,7 @@ class Aftermath:
         }
 
     def _look(self, qpos: Float[Array, " qpos"]) -> tuple[Int[Array, "contact 2"], Float[Array, " xyz"] | None]:
-        """Return the bodies of all contacts, and where the carried object is in the tool frame."""
+        """Return the bodies of all contacts, and the position of the carried object in the tool frame [m]."""
         self._closeup.place(qpos)
         pairs = self._closeup.bodies()
         if self._world.carried_body < 0:
@@ -80,14 +80,14 @@ class Aftermath:
         return pairs, R_WT.T @ (data.xpos[self._world.carried_body] - p_WT)
 
     def _lost(self, name: str, stood: Int[Array, "contact 2"], stands: Int[Array, "later 2"]) -> bool:
-        """Return whether an entity touches nothing any more of what it touched, the robot aside."""
+        """Return whether an entity has lost all contacts it had, except with the robot."""
         own = self._world.entity_bodies[name]
         support = _neighbours(stood, own) - self._strikers
         return bool(support) and not support & _neighbours(stands, own)
 
 
 def _neighbours(pairs: Int[Array, "contact 2"], bodies: tuple[int, ...]) -> set[int]:
-    """Return the bodies that touch some bodies, these aside."""
+    """Return the other bodies that touch any of `bodies`."""
     found: set[int] = set()
     for body in bodies:
         found.update(pairs[pairs[:, 0] == body, 1].tolist(), pairs[pairs[:, 1] == body, 0].tolist())
@@ -97,11 +97,11 @@ def _neighbours(pairs: Int[Array, "contact 2"], bodies: tuple[int, ...]) -> set[
 def _tilt(before: Float[Array, "body 7"], after: Float[Array, "body 7"]) -> Float[Array, " body"]:
     """Return the angle [rad] between the vertical and the direction in the body that was vertical before."""
     a, b = (_up(pose[:, :4]) for pose in (before, after))
-    # Exact near 0, where the arc cosine is not.
+    # Accurate near 0, unlike the arc cosine.
     return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
 
 
 def _up(quat: Float[Array, "body wxyz"]) -> Float[Array, "body xyz"]:
-    """Return the vertical in the bodies' own frames."""
+    """Return the vertical in the body frames."""
     w, x, y, z = quat.T
     return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)

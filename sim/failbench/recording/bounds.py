@@ -1,4 +1,4 @@
-"""Boxes around entities, to tell quickly which of them cannot touch."""
+"""Bounding boxes of entities, to find quickly which of them cannot touch."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from graceful_plan.array_types import Bool, Float, Int
 Array = np.ndarray
 
 _ANYWHERE = 1e6
-"""Half a size [m] that holds everything."""
+"""Half size of a box that contains everything [m]."""
 
 
 class Bounds:
-    """Axis-aligned boxes around the entities of a world. Movable ones are numbered by their order in `world.movable`.
+    """Axis-aligned boxes around a world's entities. Movable entities are numbered by their order in `world.movable`.
 
-    An entity whose parts move against each other, or that something else moves, is taken to be anywhere.
+    The box of an entity with moving parts, or of one moved by something else, contains everything.
     """
 
     def __init__(self, world: World) -> None:
@@ -43,7 +43,7 @@ class Bounds:
         movers: Int[Array, " n"],
         known: Bool[Array, "sim entity entity"],
     ) -> Int[Array, "found 4"]:
-        """Return what entities that move may touch besides those known: simulation, step and both entities."""
+        """Return pairs of entities that may touch and are not `known`, as simulation, step, moving entity, other."""
         places = qpos[sims[:, None, None], steps[:, None, None], self._adr[:, None] + np.arange(3)]
         centre = np.repeat(self._centre[None], len(sims), axis=0)
         centre[:, self._entity] = places
@@ -60,14 +60,14 @@ class Bounds:
         return np.stack([sims[row], steps[row], own, other], axis=1)[close]
 
     def lowest(self, qpos: Float[Array, " qpos"]) -> Float[Array, " mover"]:
-        """Return the height of the lowest point of the box around each movable entity [m]."""
+        """Return the height of the lowest point of each movable entity's box [m]."""
         centre, half = self._boxes(np.repeat(qpos[None], len(self._entity), axis=0), self._entity)
         return centre[:, 2] - half[:, 2]
 
     def _boxes(
         self, qpos: Float[Array, "n qpos"], entity: Int[Array, " n"]
     ) -> tuple[Float[Array, "n xyz"], Float[Array, "n xyz"]]:
-        """Return centres and half sizes in W."""
+        """Return centres and half sizes in W [m]."""
         centre, half = self._centre[entity], self._half[entity]
         moves = np.flatnonzero(self._slot[entity] >= 0)
         adr = self._adr[self._slot[entity[moves]]]
@@ -90,7 +90,7 @@ def rotations(quat: Float[Array, "*batch wxyz"]) -> Float[Array, "*batch 3 3"]:
 
 
 def _box(world: World, data: mujoco.MjData, name: str) -> tuple[Float[Array, " xyz"], Float[Array, " xyz"]]:
-    """Return centre and half sizes of the box around an entity, in the frame of its body if it moves, else in W."""
+    """Return centre and half sizes of an entity's box [m], in its body frame if it is movable, else in W."""
     model = world.model
     geoms = list(world.scene.entities[name].geoms)
     R, p = data.geom_xmat[geoms].reshape(-1, 3, 3), data.geom_xpos[geoms]
@@ -109,7 +109,7 @@ def _box(world: World, data: mujoco.MjData, name: str) -> tuple[Float[Array, " x
 
 
 def _half_sizes(model: mujoco.MjModel, geoms: list[int]) -> Float[Array, "geom xyz"]:
-    """Return half sizes of geoms in their own frames; a plane fills the half-space below it."""
+    """Return half sizes of geoms in their own frames [m]; a plane fills the half-space below it."""
     half = model.geom_aabb[geoms, 3:].copy()
     half[model.geom_type[geoms] == int(mujoco.mjtGeom.mjGEOM_PLANE)] = _ANYWHERE
     return half

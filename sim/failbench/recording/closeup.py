@@ -1,4 +1,4 @@
-"""A second look at single states of a simulation: what touches what, how fast, and with how much mass behind it."""
+"""Contact queries for single states of a simulation: which things touch, how fast, and with what effective mass."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from graceful_plan.array_types import Float, Int
 Array = np.ndarray
 
 NOBODY, ROBOT, CARRIED, OBSTACLE = -1, -2, -3, -4
-"""Owners of geoms besides the entities, which are numbered from 0."""
+"""Owners of geoms other than entities; entities are numbered from 0."""
 
 
 class FirstTouch(NamedTuple):
-    """Two things that touch, seen from the one that strikes."""
+    """First touch of two things, seen from the striker."""
 
     position: Float[Array, " xyz"]
-    """Middle of their contacts, in W [m]."""
+    """Mean contact position, in W [m]."""
     speed: float
-    """How fast they approach along the mean normal [m/s], >= 0."""
+    """Approach speed along the mean normal [m/s], >= 0."""
     energy: float
     """Kinetic energy of the striker along that normal [J]: half its effective mass at the position times speed^2."""
 
 
 class _Contacts(NamedTuple):
-    """The contacts between a body of the striker and one of what it strikes."""
+    """Contacts between a body of the striker and a body of the struck thing."""
 
     striker: int
     struck: int
@@ -39,10 +39,11 @@ class _Contacts(NamedTuple):
 
 
 class Closeup:
-    """One MjData that is set to a state and asked about it. Positions are in W.
+    """An MjData that is set to single states to query their contacts. Positions are in W.
 
     Args:
-        world: Where. Its model is copied, without sleeping: what sleeps there would not be looked at here.
+        world: The simulated world. Its model is copied with sleep disabled, since contacts of sleeping bodies are
+            skipped.
     """
 
     def __init__(self, world: World) -> None:
@@ -59,8 +60,9 @@ class Closeup:
         """Set the state, at rest if no velocities are given, and find all contacts.
 
         Args:
-            qpos: Positions, and behind them where those who move are, if that is known; else they are where they were.
-            qvel: Velocities, and behind them theirs.
+            qpos: Positions, optionally followed by poses of the moving entities; without these, they stay where they
+                were.
+            qvel: Velocities, optionally followed by those of the moving entities.
         """
         nq, nv = self.model.nq, self.model.nv
         self.data.qpos = qpos[:nq]
@@ -85,7 +87,7 @@ class Closeup:
         return None if contacts is None else contacts.normal
 
     def touch(self, striker: int, struck: int) -> FirstTouch | None:
-        """Return how one owner strikes another in a state in which they have just met; None if they do not touch."""
+        """Return the first touch of two owners, for a state in which they just met; None if they do not touch."""
         contacts = self._between(striker, struck)
         if contacts is None:
             return None
@@ -96,7 +98,7 @@ class Closeup:
         own, other = self._jacobians
         mujoco.mj_jac(model, data, own, None, contacts.position, contacts.striker)
         mujoco.mj_jac(model, data, other, None, contacts.position, contacts.struck)
-        # Of things that have just met, MuJoCo's normals may point either way; but they do approach.
+        # MuJoCo's normals of a new contact may point either way; the two things do approach.
         walker = int(model.body_mocapid[contacts.struck])
         own_walk = self._walking[walker] if walker >= 0 else np.zeros(3)
         speed = abs(float(contacts.normal @ ((own - other) @ data.qvel - own_walk)))
@@ -107,7 +109,7 @@ class Closeup:
         return FirstTouch(contacts.position, speed, 0.5 * speed**2 / inverse_mass if inverse_mass > 0.0 else 0.0)
 
     def _between(self, striker: int, struck: int) -> _Contacts | None:
-        """Find the contacts of two owners; of several pairs of bodies, those of the pair that overlaps most."""
+        """Return the contacts of two owners; with several pairs of bodies, those of the deepest pair."""
         found: list[tuple[int, int, int, float]] = []
         for i, (a, b) in enumerate(self.owners().tolist()):
             if (a, b) == (striker, struck):

@@ -1,7 +1,7 @@
-"""What a healthy robot does harm to: with probability 1, before anything fails.
+"""Harm of the healthy robot: it happens with probability 1, before any failure.
 
-Contents that it pours out reach whom they reach, by the same puddles as after a failure. What it touches that the scene
-does not allow counts by the same sum, and so does what an object hits that slips out of the healthy gripper.
+Contents poured out on the way reach entities by the same puddle model as after a failure. Touches that the scene does
+not allow, and hits of an object that slips out of the healthy gripper, are added to the same sum.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HealthyHarm:
-    """What a healthy run does harm to. Made by `execute`.
+    """Harm of a healthy run. Made by `execute`.
 
     Args:
         carried: Name of the carried object; "" if there is none.
         contents: Class of its contents, such as "hot"; "" if there are none.
-        spilled: Part of the contents that is lost on the way, in [0, 1].
-        kept: Volume of the contents that is still there at each checkpoint [m^3]; None if there is no container.
+        spilled: Fraction of the contents that is lost on the way, in [0, 1].
+        kept: Remaining volume of the contents at each checkpoint [m^3]; None if there is no container.
         dropped: Whether the object left the gripper.
-        events: Whom contents, object and robot reach, in the order of time; times are after the start of the motion
-            [s]. Touches with which the motion begins, and those that the scene allows, are none.
-        landings: What else the object touched, as of a `Rollout`; it may damage the object itself.
-        poured: By the entity that contents reach, when so much had left that they would [s].
-        by_entity: Severity of it all, entity by entity, the carried object itself last, as of a failure.
+        events: Touches of entities by contents, object and robot, in the order of time; times are after the start of
+            the motion [s]. Initial touches and touches that the scene allows are left out.
+        landings: Other touches of the object, as in a `Rollout`; they may damage the object itself.
+        poured: For each entity that contents reach, the time when enough had left to reach it [s].
+        by_entity: Severity by entity, the carried object itself last, as for a failure.
     """
 
     carried: str = ""
@@ -58,7 +58,7 @@ class HealthyHarm:
 
     @property
     def harm(self) -> float:
-        """Severities of all that is hit, added up as after a failure."""
+        """Sum of the severities of all hits, as after a failure."""
         return math.fsum(self.by_entity.values())
 
     @property
@@ -67,7 +67,7 @@ class HealthyHarm:
         return not (self.spilled or self.dropped or self.events)
 
     def __str__(self) -> str:
-        """Say what it does, in one sentence; "" if that is nothing."""
+        """Describe the harm in one sentence; "" if there is none."""
         if self.harmless:
             return ""
         touched = dict.fromkeys(e.entity for e in self.events if e.striker != "contents" and not e.secondary)
@@ -84,7 +84,7 @@ class HealthyHarm:
         return f"the healthy robot {done}: harm {self.harm:.3g} with probability 1, before any failure{shares}"
 
     def to_document(self) -> dict[str, Any]:
-        """Return it as plain values."""
+        """Return the harm as plain values."""
         return {
             "harm": self.harm,
             "spilled": self.spilled,
@@ -95,21 +95,21 @@ class HealthyHarm:
 
 
 class ExecutionTouches(NamedTuple):
-    """What one execution does, a healthy beginning and a failure together; each pair of things stands there once."""
+    """Touches of an execution, before and after a failure; each pair of things is listed once."""
 
     events: tuple[ContactEvent, ...]
     landings: tuple[ContactEvent, ...]
 
 
 def whole_execution(rollout: Rollout, healthy: HealthyHarm) -> ExecutionTouches:
-    """Return what an execution hits that ends in a failure, before and after its onset.
+    """Return all touches of an execution that ends in a failure, before and after its onset.
 
-    Contents that had left before the onset have reached whom they reached; what had not left is the failure's. What
-    else the healthy run touches counts whenever the failure begins, for failures leave it out.
+    Contents that left before the onset count as the healthy run's; the rest counts as the failure's. Other touches of
+    the healthy run count whenever the failure begins, since rollouts leave them out.
 
     Args:
-        rollout: From the onset on.
-        healthy: Of the same execution.
+        rollout: The rollout from the onset on.
+        healthy: Harm of the same execution without a failure.
     """
     own = {(event.striker, event.entity) for event in rollout.events if not event.secondary}
     before = [event for event in healthy.events if _had_happened(event, healthy, rollout.onset)]
@@ -124,22 +124,22 @@ def _had_happened(event: ContactEvent, healthy: HealthyHarm, onset: float) -> bo
 
 
 class HealthySteps(NamedTuple):
-    """A healthy run, step by step, as the recorder reads it."""
+    """A healthy run, step by step, in the recorder's format."""
 
     sensordata: Float[Array, "step sensordata"]
-    """Of the state before each step."""
+    """Sensor data of the state before each step."""
     states: Float[Array, "state_and_step state"]
     """MuJoCo's integration state at the beginning and after each step."""
 
 
 def healthy_harm(world: World, run: HealthySteps, *, touched: bool, allowed: frozenset[tuple[str, str]]) -> HealthyHarm:
-    """Find out what a healthy run does harm to.
+    """Compute the harm of a healthy run.
 
     Args:
-        world: Where.
-        run: What happened; if the object is lost, with the time in which it falls.
-        touched: Whether anything is touched that is not allowed, or the object is lost; else nobody looks.
-        allowed: Components and entities whose touches are no harm.
+        world: The simulated world.
+        run: The run; if the object is lost, including its fall.
+        touched: Whether there is a touch that is not allowed, or a lost object; otherwise touches are not evaluated.
+        allowed: Pairs of component and entity whose touches do no harm.
     """
     scene = world.scene
     loss = healthy_loss(world, run.states[::CHECKPOINT])
@@ -163,12 +163,12 @@ def healthy_harm(world: World, run: HealthySteps, *, touched: bool, allowed: fro
 
 
 def _shares(hits: Touches, scene: Scene) -> dict[str, float]:
-    """Return the severities by entity, nothing for an object that touches nothing."""
+    """Return the positive severities by entity."""
     return {name: x for name, x in impact_by_entity(hits, scene).items() if x > 0.0}
 
 
 def _touches(world: World, run: HealthySteps, allowed: frozenset[tuple[str, str]]) -> dict[str, Any]:
-    """Return the fields of a rollout that say what came of it, as if the run were one from its first state on."""
+    """Return the run's consequences, as the fields of a Rollout that begins at its first state."""
     nq, nv = world.model.nq, world.model.nv
     qpos, qvel = run.states[:, 1 : 1 + nq], run.states[:, 1 + nq : 1 + nq + nv]
     if world.model.nmocap:
@@ -183,7 +183,7 @@ def _touches(world: World, run: HealthySteps, allowed: frozenset[tuple[str, str]
 def _reached(
     world: World, run: HealthySteps, loss: HealthyLoss | None
 ) -> tuple[Sequence[ContactEvent], dict[str, float]]:
-    """Return whom contents reach, and by whom when enough had left for that [s]."""
+    """Return the events of entities that contents reach, and the time when enough had left for each entity [s]."""
     if loss is None or not loss.parcels:
         return (), {}
     puddles = Puddles(world, Closeup(world))

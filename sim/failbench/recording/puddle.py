@@ -1,8 +1,8 @@
-"""Where lost contents land, and what the puddle reaches.
+"""Landing places of lost contents, and the entities that their puddles reach.
 
-A parcel flies a parabola and lands on what is below; robot and carried object are taken to let it through. Liquids run
-out to a disc that is as deep as surface tension lets it be, dry contents to a heap. What stands in it on the same
-surface is reached; the part of it that lies beyond an edge goes on from there to what is below.
+A parcel flies along a parabola and lands on the first thing below; it passes through robot and carried object. Liquids
+spread to a disc whose depth is set by surface tension, dry contents to a heap. A puddle reaches every entity that
+stands in it on the same surface. The part of a puddle beyond an edge flows on to the surface below.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ Array = np.ndarray
 DEPTH = 0.002
 """Depth of a puddle [m]: water at a contact angle of 45 degrees stands at 2.1 mm."""
 _DENSITY = 1000.0
-"""Density of what is lost [kg/m^3]."""
+"""Density of lost contents [kg/m^3]."""
 _STEP = 0.03
-"""Time step of the parabola [s]; its chords are within 2 mm of it."""
+"""Time step along the parabola [s]; its chords deviate by less than 2 mm."""
 _LONGEST = 1.5
 """Longest flight [s]."""
 _STANDS = 0.01
-"""How far [m] a thing may end above a surface, and stand on it."""
+"""Greatest gap between an entity's lowest point and the surface it stands on [m]."""
 _FLAT = 1e-3
-"""A thing that ends no higher [m] above a surface is the surface."""
+"""Greatest height above a surface up to which a geom counts as that surface [m]."""
 _EDGE = 0.02
-"""A surface that is this much [m] lower is another one."""
+"""Drop from which a lower surface counts as another one [m]."""
 _POINTS = 24
-"""Points at which the ground under a puddle is probed."""
+"""Number of points at which the ground under a puddle is probed."""
 _LEVELS = 3
-"""How often it may run on to something lower."""
+"""Greatest number of surfaces that a puddle reaches one after another."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Parcel:
-    """A volume [m^3] that leaves the container at some time [s], place [m] and velocity [m/s] in W."""
+    """A volume [m^3] that leaves the container at a time [s], position [m] and velocity [m/s] in W."""
 
     time: float
     volume: float
@@ -62,11 +62,11 @@ class _Landing:
 
 
 class Puddles:
-    """Finds out whom lost contents reach.
+    """Finds the entities that lost contents reach.
 
     Args:
-        world: Where.
-        closeup: What to look with. The groups of its geoms are changed, so that rays meet what can get wet only.
+        world: The simulated world.
+        closeup: Contact queries for single states. Its geom groups are changed, so that rays hit only wettable geoms.
     """
 
     def __init__(self, world: World, closeup: Closeup) -> None:
@@ -77,17 +77,17 @@ class Puddles:
         own = np.isin(model.geom_bodyid, sorted(world.scene.robot_bodies)) | (model.geom_bodyid == world.carried_body)
         wettable = ((model.geom_contype != 0) | (model.geom_conaffinity != 0)) & ~own
         model.geom_group[:] = np.where(wettable, 0, 5)
-        model.geom_rgba[:, 3] = 1.0  # rays do not meet what cannot be seen
+        model.geom_rgba[:, 3] = 1.0  # rays ignore transparent geoms
         self._wettable = np.flatnonzero(wettable & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)))
         self._groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
         self._hit = np.zeros((1, 1), dtype=np.int32)
 
     def events(self, qpos: Float[Array, " qpos"], parcels: Sequence[Parcel]) -> list[ContactEvent]:
-        """Return one event for each entity that is reached, at its first time.
+        """Return one event for each reached entity, at the first time it is reached.
 
         Args:
-            qpos: Where everything is.
-            parcels: What is lost.
+            qpos: Positions of the whole model.
+            parcels: The lost contents.
         """
         self._closeup.place(qpos)
         low, high = self._heights()
@@ -123,7 +123,7 @@ class Puddles:
         )
 
     def _fly(self, parcel: Parcel) -> _Landing | None:
-        """Follow a parabola to the first thing in its way."""
+        """Follow a parcel's parabola to its first hit."""
         p, v, time = parcel.position, parcel.velocity, 0.0
         while time < _LONGEST:
             step = v * _STEP + 0.5 * self._gravity * _STEP**2
@@ -142,7 +142,7 @@ class Puddles:
         return None
 
     def _ray(self, origin: Float[Array, " xyz"], direction: Float[Array, " xyz"]) -> tuple[float, int]:
-        """Return how many times `direction` it is from the origin to the first geom that can get wet, and that geom."""
+        """Return the distance to the first wettable geom, in multiples of `direction`, and the geom's id."""
         model, data = self._closeup.model, self._closeup.data
         distance = mujoco.mj_ray(
             model, data, origin, direction, geomgroup=self._groups, flg_static=True, bodyexclude=-1, geomid=self._hit
@@ -155,7 +155,7 @@ class Puddles:
         return float(np.sqrt(volume / (np.pi * DEPTH)))
 
     def _heights(self) -> tuple[Float[Array, " geom"], Float[Array, " geom"]]:
-        """Return the lowest and the highest point of each geom that can get wet."""
+        """Return the height of the lowest and highest point of each wettable geom [m]."""
         model, data, geoms = self._closeup.model, self._closeup.data, self._wettable
         vertical = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
         middle = data.geom_xpos[geoms, 2] + np.einsum("gx,gx->g", vertical, model.geom_aabb[geoms, :3])
@@ -165,7 +165,7 @@ class Puddles:
     def _standing(
         self, p: Float[Array, " xyz"], radius: float, low: Float[Array, " geom"], high: Float[Array, " geom"]
     ) -> list[int]:
-        """Return the geoms that stand within a puddle: their boxes are near enough and end at its height."""
+        """Return the geoms that stand within a puddle, the nearest first."""
         model, data = self._closeup.model, self._closeup.data
         at = (low < p[2] + _STANDS) & (high > p[2] + _FLAT)
         geoms = self._wettable[at]
@@ -175,7 +175,7 @@ class Puddles:
         return [int(geoms[i]) for i in np.argsort(distance, kind="stable") if distance[i] <= radius]
 
     def _run_off(self, puddle: _Landing, radius: float) -> list[_Landing]:
-        """Return what goes over edges: the ground is probed at points that stand for equal parts of the disc."""
+        """Return the parts that flow over edges; each probed point stands for an equal part of the disc."""
         k = np.arange(_POINTS)
         r, angle = radius * np.sqrt((k + 0.5) / _POINTS), k * np.pi * (3.0 - np.sqrt(5.0))
         down = np.array([0.0, 0.0, -1.0])
@@ -196,7 +196,7 @@ class Puddles:
 
 
 def _merged(parts: Sequence[_Landing]) -> _Landing:
-    """Return what lands on one geom as one."""
+    """Merge landings on one geom into one."""
     volume = np.array([part.volume for part in parts])
     share = volume / volume.sum()
     return _Landing(

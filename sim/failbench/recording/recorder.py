@@ -1,8 +1,8 @@
-"""What a failing robot touches: one event for everything that one component does to one entity.
+"""Recorder of contacts: one event for all touches of one entity by one component.
 
-Contact sensors, recorded natively, say when and how hard; the few states at which something is touched for the first
-time are looked at again for directions, speeds and masses. What the healthy run touches is left out. Sensors of things
-that sleep keep their values, so that what rests on an entity goes on pressing, as it does.
+Contact sensors, recorded natively, give time and force. Direction, speed and mass are computed in a second pass, for
+the few states with a first touch. Touches of the healthy run are left out. Sensors of sleeping bodies keep their
+values, so an object that rests on an entity keeps pressing.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from graceful_plan.array_types import Float, Int
 Array = np.ndarray
 
 BLOCK = 50
-"""Steps that are worked on at once. Blocks begin at the onset whatever the segments are, so these change nothing."""
+"""Steps per processed block. Blocks are counted from the onset, so segment boundaries do not change results."""
 
 _OWNER = {"body": ROBOT, "carried": CARRIED}
 _State = tuple[Array, Array]
@@ -33,18 +33,18 @@ _State = tuple[Array, Array]
 
 @dataclass(eq=False)
 class _Hit:
-    """What one simulation's component has done to one entity so far."""
+    """Effect of one component on one entity in one simulation, up to now."""
 
     step: int
     position: Array
     first: _State
-    """The state at the first touch."""
+    """State at the first touch."""
     peak: float = 0.0
-    """The greatest force so far [N]."""
+    """Greatest force up to now [N]."""
     force: Array = field(default_factory=lambda: np.zeros(3))
-    """That force in W."""
+    """Greatest force up to now, in W [N]."""
     strongest: _State = field(default_factory=lambda: (np.zeros(0), np.zeros(0)))
-    """The state then."""
+    """State at the greatest force."""
     impulse: float = 0.0
 
 
@@ -52,13 +52,13 @@ class Recorder:
     """Collects the consequences of failures from a batch of simulations that runs in segments.
 
     Args:
-        world: Where.
-        baseline: Components and entities that touch in the healthy run; they do not count, but as landings of the
+        world: The simulated world.
+        baseline: Components and entities that touch in the healthy run; these touches only count as landings of the
             carried object.
         qpos: Positions at the onset.
         qvel: Velocities at the onset.
-        kept: Volume that is in the container at each onset, see `spill.HealthyLoss` [m^3]; by default what the tilt at
-            the onset leaves.
+        kept: Volume in the container at each onset, see `spill.HealthyLoss` [m^3]; by default the volume that the tilt
+            at the onset allows.
     """
 
     def __init__(
@@ -94,10 +94,10 @@ class Recorder:
         qpos: Float[Array, "sim step qpos"],
         qvel: Float[Array, "sim step qvel"],
     ) -> None:
-        """Take in the next segment; nothing of it is kept.
+        """Process the next segment; its arrays are not kept.
 
         Args:
-            sensordata: Recorded along each step, so it belongs to the state before the step.
+            sensordata: Recorded along each step, so each row belongs to the state before the step.
             qpos: Positions after each step.
             qvel: Velocities after each step.
         """
@@ -116,7 +116,7 @@ class Recorder:
             taken += count
 
     def finish(self, sim: int) -> dict[str, Any]:
-        """Return what became of one simulation: the fields of a Rollout that are consequences."""
+        """Return the consequences in one simulation, as fields of a Rollout."""
         self._flush()
         touches = {pair: self._event(pair, hit) for pair, hit in self._hits[sim].items()}
         events = [event for pair, event in touches.items() if pair not in self._landings]
@@ -138,7 +138,7 @@ class Recorder:
         qpos: Float[Array, "sim step qpos"],
         qvel: Float[Array, "sim step qvel"],
     ) -> None:
-        """Take in one block."""
+        """Process one block."""
         touched = (sensordata[:, :, self._adr] > 0.0).any(axis=1)
         sims, sensors = np.nonzero(touched)
         if len(sims):
@@ -156,14 +156,14 @@ class Recorder:
         qpos: Float[Array, "sim step qpos"],
         qvel: Float[Array, "sim step qvel"],
     ) -> None:
-        """Add what sensors felt during the block; those between one component and one entity act as one."""
+        """Add the block's sensor contacts; sensors between one component and one entity are summed."""
         order = np.lexsort((self._pair[sensors], sims))
         sims, sensors = sims[order], sensors[order]
         columns = self._adr[sensors][:, None, None] + np.arange(SENSOR_SIZE)
         felt = sensordata[sims[:, None, None], np.arange(qpos.shape[1])[:, None], columns]
         starts = np.flatnonzero(np.diff(sims, prepend=-1) | np.diff(self._pair[sensors], prepend=-1))
         force = np.add.reduceat(felt[..., 1:4], starts)
-        # Written out, since einsum rounds otherwise for other shapes: what is found must not depend on the batch.
+        # Written out, since einsum's rounding depends on the shape and results must not depend on the batch.
         size = np.sqrt(force[..., 0] ** 2 + force[..., 1] ** 2 + force[..., 2] ** 2)
         found = np.add.reduceat(felt[..., 0], starts) > 0.0
         rows = zip(

@@ -1,4 +1,4 @@
-"""What goes into a rollout and what comes out of it: small frozen records."""
+"""Inputs and results of a rollout: small frozen records."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One rollout to be done: a fault at a moment of a trajectory.
+    """Specification of one rollout: a fault at a time of a trajectory.
 
     Args:
-        fault: What breaks.
-        onset: When, after the start of the trajectory [s]; beyond its end, the end.
-        seed: Of everything random in the rollout.
-        weight: Density of the onset that is asked about over the density that it was drawn from.
+        fault: The fault.
+        onset: Time after the start of the trajectory [s], clamped to its end.
+        seed: Seed of all random numbers in the rollout.
+        weight: Importance weight: target density of the onset over its sampling density.
     """
 
     fault: Fault
@@ -43,18 +43,18 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactEvent:
-    """Everything that one thing did to one entity by touching it during a rollout.
+    """All contacts of one thing with one entity during a rollout.
 
     Args:
-        striker: The component that touched it ("body", "carried", "contents"), or the entity that was knocked onto it.
-        entity: What was touched.
+        striker: The component that touches it ("body", "carried", "contents"), or the entity that is knocked onto it.
+        entity: Name of the touched entity.
         time: First touch, after the onset [s].
-        position: Where, in W [m].
+        position: Position of the touch, in W [m].
         peak_force: Greatest normal force [N]. Depends on the softness of MuJoCo's contacts.
-        impulse: Time integral of the contact force's magnitude [N s], with that of what comes to rest there.
-        speed: Relative speed of the two at the first touch, along the normal [m/s], >= 0.
-        energy: Kinetic energy of the striker at the first touch [J]: half its effective mass at the point of touch,
-            along the normal, times `speed` squared.
+        impulse: Time integral of the contact force's magnitude [N s], including that of resting contact.
+        speed: Relative normal speed at the first touch [m/s], >= 0.
+        energy: Kinetic energy of the striker at the first touch [J]: half its effective mass at the contact point along
+            the normal, times `speed` squared.
         secondary: Whether the striker is another entity.
     """
 
@@ -71,22 +71,22 @@ class ContactEvent:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """What one failure did.
+    """Consequences of one failure.
 
     Args:
-        job: What was asked.
-        onset: When the fault began, after the start of the trajectory [s]: the checkpoint nearest to the job's.
+        job: Specification of the rollout.
+        onset: Onset of the fault after the start of the trajectory [s]: the checkpoint nearest to the job's onset.
         status: "completed", or "diverged" if the simulation blew up; then there are no consequences, but a `state`.
         events: Contacts that the healthy run does not have, in the order of their first touch.
-        landings: What else the carried object touched: obstacles that are no entity ("" in their place), and entities
-            that it touches in the healthy run, too. They harm nobody but the object itself.
-        fell: Movable entities that ended more than 5 cm lower than they began.
+        landings: Other contacts of the carried object: with obstacles that are not entities (named ""), and with
+            entities that it also touches in the healthy run. They harm only the object itself.
+        fell: Movable entities that ended more than 5 cm below their initial height.
         tipped: Movable entities that ended more than 30 degrees off their initial axis.
-        left_support: Movable entities that ended without touching what they stood on.
-        spilled: Lost fraction of the contents that were there at the onset, in [0, 1]; 0 if there were none.
+        left_support: Movable entities that ended without contact to their initial support.
+        spilled: Lost fraction of the contents that were there at the onset, in [0, 1]; 0 without contents.
         dropped: Whether the carried object left the gripper.
         poses: Final pose of every movable entity and of the carried object, wxyz_xyz in W.
-        state: If it diverged: MuJoCo's integration state at the last checkpoint before, for replay. Else None.
+        state: MuJoCo's integration state at the last checkpoint before divergence, for replay; None if completed.
     """
 
     job: Job

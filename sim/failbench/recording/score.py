@@ -1,8 +1,8 @@
-"""What a rollout cost, in the planner's unit and by its rule: severities of all that happened, added up.
+"""Impact of a rollout in the planner's unit and by its rule: the sum of the severities of all touches.
 
-Each component counts against each entity that it touched, once. The carried object itself is one of the entities: what
-it falls on damages it with a probability that depends on the energy of the touch, and of several touches the one counts
-that damages it the most, since it either bears that or does not.
+Each component counts once against each entity that it touches. The carried object itself counts as an entity. A
+landing damages it with a probability that depends on the energy of the touch. Of several landings only the most
+damaging one counts, since the object either survives that one or does not.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from graceful_plan.scene.harm.fragility import FragilityTable
 
 @runtime_checkable
 class Touches(Protocol):
-    """What scores are made of: a `Rollout`, or what a healthy run does."""
+    """Contacts that scores are computed from: those of a `Rollout`, or of a healthy run."""
 
     @property
     def events(self) -> tuple[ContactEvent, ...]:
@@ -28,17 +28,17 @@ class Touches(Protocol):
 
     @property
     def landings(self) -> tuple[ContactEvent, ...]:
-        """What else the carried object touched."""
+        """Other contacts of the carried object, see `Rollout`."""
         ...
 
 
 def observed_impact(rollout: Touches, scene: Scene, *, own: bool = True) -> float:
-    """Return the sum of severities over components and the entities that they touched.
+    """Return the sum of severities over components and the entities that they touch.
 
     Args:
-        rollout: What happened.
-        scene: Where.
-        own: Whether the carried object itself is one of the entities, see `own_loss`.
+        rollout: The contacts.
+        scene: Scene with the severities.
+        own: Whether to add the loss of the carried object itself, see `own_loss`.
     """
     return math.fsum(impact_by_entity(rollout, scene, own=own).values())
 
@@ -46,13 +46,13 @@ def observed_impact(rollout: Touches, scene: Scene, *, own: bool = True) -> floa
 def energy_impact(
     rollout: Touches, scene: Scene, fragility: FragilityTable | None = None, *, own: bool = True
 ) -> float:
-    """Return the same, with each severity times the probability of damage at the energy of the first touch.
+    """Return the observed impact with each severity times the damage probability at the energy of the first touch.
 
     Args:
-        rollout: What happened.
-        scene: Where.
-        fragility: How easily things are damaged; the shipped table by default.
-        own: Whether the carried object itself is one of the entities.
+        rollout: The contacts.
+        scene: Scene with the severities.
+        fragility: Fragility of entities and carried object; the shipped table by default.
+        own: Whether to add the loss of the carried object itself.
     """
     table = FragilityTable.shipped() if fragility is None else fragility
 
@@ -63,9 +63,9 @@ def energy_impact(
 
 
 def secondary_impact(rollout: Touches, scene: Scene) -> float:
-    """Return the sum of the severities of the entities that nothing but other entities touched.
+    """Return the sum of the severities of entities that only other entities touch.
 
-    An entity that is knocked over counts as if it were the carried object, or the body if nothing is carried.
+    Each counts with its severity for a touch by the carried object, or by the body if nothing is carried.
     """
     component = "carried" if "carried" in scene.components else "body"
     direct = {event.entity for event in rollout.events if not event.secondary}
@@ -74,18 +74,18 @@ def secondary_impact(rollout: Touches, scene: Scene) -> float:
 
 
 def own_loss(rollout: Touches, scene: Scene, fragility: FragilityTable | None = None) -> float:
-    """Return the severity of the loss of the carried object itself, times the probability that it is damaged.
+    """Return the severity of the loss of the carried object itself, times its damage probability.
 
     Args:
-        rollout: What happened.
-        scene: Where.
-        fragility: How easily; the shipped table by default.
+        rollout: The contacts.
+        scene: Scene with the severities.
+        fragility: Fragility of the object; the shipped table by default.
     """
     return scene.own_severity * own_damage(rollout, scene, fragility)
 
 
 def own_damage(rollout: Touches, scene: Scene, fragility: FragilityTable | None = None) -> float:
-    """Return the probability that what the carried object touched damages it; 0 if nothing is carried."""
+    """Return the probability that a touch of the carried object damages it; 0 if nothing is carried."""
     if scene.carried is None:
         return 0.0
     table = FragilityTable.shipped() if fragility is None else fragility
@@ -106,16 +106,16 @@ def impact_by_entity(
     own: bool = True,
     factor: Callable[[str, ContactEvent], float] | None = None,
 ) -> dict[str, float]:
-    """Return each touched entity's share in the impact, that of the carried object itself last, under its own name.
+    """Return the impact of each touched entity by name, with the carried object's own loss last under its own name.
 
     Args:
-        rollout: What happened.
-        scene: Where.
-        fragility: How easily the carried object is damaged; the shipped table by default.
-        own: Whether it is one of the entities.
-        factor: What each severity is multiplied by, of an entity's class and a contact. Default: 1; of the body of a
-            base that drives min(1, (speed / u)^2), as its coast model has it, u being the speed that severities are
-            for.
+        rollout: The contacts.
+        scene: Scene with the severities.
+        fragility: Fragility of the carried object; the shipped table by default.
+        own: Whether to add the loss of the carried object itself.
+        factor: Multiplier of each severity, a function of the entity's class and the contact. The default is 1. For the
+            body of a driving base it is min(1, (speed / u)^2) as in the base's coast model, where u is the reference
+            speed of the severities.
     """
     found: dict[str, float] = {}
     for event in rollout.events:

@@ -1,8 +1,8 @@
-"""Entities that are knocked onto one another.
+"""Contacts between entities that are knocked onto one another.
 
-No sensor feels that: a sensor for every pair of entities would slow every step. Instead, wherever an entity moves, a
-few states are looked at again. A touch shorter than the time between looks is missed, and neither force nor impulse
-is known: they are 0 in these events.
+There are no sensors for pairs of entities, since they would slow down every step. Instead, the states of moving
+entities are sampled. Touches shorter than the sampling interval are missed, and force and impulse are not known: they
+are 0 in these events.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from graceful_plan.array_types import Float
 Array = np.ndarray
 
 STRIDE = 5
-"""Steps from one look to the next."""
+"""Steps between samples."""
 MOVING = 0.02
-"""An entity that is faster [m/s], or turns ten times as fast [rad/s], may be on its way to another."""
+"""Speed [m/s], and tenth of the angular speed [rad/s], above which an entity is checked for new contacts."""
 _LOOKS = 60
-"""Looks at one simulation, at most: a heap of things that touch all the time must not cost more than its rollout."""
+"""Greatest number of checked states per simulation, so that a heap of touching objects costs less than its rollout."""
 
 
 class Secondary:
-    """Finds the first touch of every two entities that did not touch at the onset.
+    """Finds the first touch of each pair of entities that does not touch at the onset.
 
     Args:
-        world: Where.
-        closeup: What to look with.
-        bounds: Boxes around its entities.
+        world: The simulated world.
+        closeup: Contact queries for single states.
+        bounds: Boxes around the entities.
         onset: Positions and velocities at the onset [sim, ...].
     """
 
@@ -45,13 +45,13 @@ class Secondary:
         self._bounds = bounds
         entities = len(closeup.entities)
         self._known = np.zeros((len(onset[0]), entities, entities), dtype=bool)
-        """Which entities touched at the onset or have touched since."""
+        """Pairs of entities that touched at the onset or have touched since."""
         self._begun = np.zeros(len(onset[0]), dtype=bool)
         self._looks = np.zeros(len(onset[0]), dtype=int)
         self._events: list[list[ContactEvent]] = [[] for _ in onset[0]]
 
     def observe(self, done: int, qpos: Float[Array, "sim step qpos"], qvel: Float[Array, "sim step qvel"]) -> None:
-        """Look at the next steps; `done` is how many were there before."""
+        """Check the next steps for new contacts; `done` is the number of steps before them."""
         steps = np.arange(STRIDE - 1, qpos.shape[1], STRIDE)
         if not len(steps) or not self._movable:
             return
@@ -69,11 +69,11 @@ class Secondary:
                 self._look(sim, step, pairs, done, qpos[sim], qvel[sim])
 
     def events(self, sim: int) -> list[ContactEvent]:
-        """Return what was found in one simulation."""
+        """Return the contacts between entities in one simulation."""
         return self._events[sim]
 
     def _begin(self, sim: int) -> None:
-        """Find out which entities touch at the onset. None is near itself."""
+        """Find the pairs of entities that touch at the onset, and exclude pairs of an entity with itself."""
         self._begun[sim] = True
         self._closeup.place(self._onset[0][sim])
         owners = self._closeup.owners()
@@ -90,7 +90,7 @@ class Secondary:
         qpos: Float[Array, "step qpos"],
         qvel: Float[Array, "step qvel"],
     ) -> None:
-        """Look whether entities that are near each other touch."""
+        """Check whether pairs of near entities touch in a state."""
         self._looks[sim] += 1
         self._closeup.place(qpos[step], qvel[step])
         touching = {(a, b) for a, b in self._closeup.owners().tolist()}
@@ -108,7 +108,7 @@ class Secondary:
         qpos: Float[Array, "step qpos"],
         qvel: Float[Array, "step qvel"],
     ) -> None:
-        """Go back to the first touch and describe it."""
+        """Find the first step of a touch, and record its event."""
         closeup = self._closeup
         first = step
         for earlier in range(step - 1, step - STRIDE, -1):

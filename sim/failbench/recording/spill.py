@@ -1,9 +1,9 @@
-"""What carried contents lose, and whom they reach: a proxy, for there are no liquids in MuJoCo.
+"""Spilled contents and the entities they reach: a proxy model, since MuJoCo does not simulate liquids.
 
-Contents stay in their container as a plane surface would, level with the vertical that is felt in it: gravity less the
-container's acceleration, averaged over the time that slow sloshing needs. What stands above the rim is lost at once. A
-jolt throws a stated part out. What is lost flies on its own from the rim, and what lands runs out to a puddle. Of a
-failure counts what is lost from its onset on; what a healthy run loses is `HealthyLoss`.
+The surface of the contents is a plane normal to the felt vertical: gravity minus the container's acceleration, averaged
+over the time scale of slow sloshing. Contents above the rim are lost at once, and a jolt throws out a fixed fraction.
+Lost parcels fly freely from the rim, and landed contents spread to a puddle. A failure counts the loss from its onset
+on; `HealthyLoss` is the loss of a healthy run.
 """
 
 from __future__ import annotations
@@ -24,64 +24,64 @@ from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 Array = np.ndarray
 
 STRIDE = CHECKPOINT
-"""Steps from one sample of the container's motion to the next; the healthy run is sampled at its checkpoints."""
+"""Steps between samples of the container's motion; the healthy run is sampled at its checkpoints."""
 _SLOSH = 0.03
-"""Time to either side over which the acceleration is averaged [s]."""
+"""Half width of the window over which the acceleration is averaged [s]."""
 _WEIGHTLESS = 0.2
-"""Below this part of gravity no surface forms, and nothing pours out."""
+"""Fraction of gravity below which no surface forms and nothing pours out."""
 _JOLT = 0.03
-"""Time that a jolt takes at most [s]."""
+"""Greatest duration of a jolt [s]."""
 _CALM = 0.1
-"""Time after the beginning of a jolt before the next one can begin [s]."""
+"""Least time from the beginning of a jolt to the next one [s]."""
 _LOSSES = ((1.5, 0.9), (0.7, 0.3))
-"""Change of velocity that is felt in a jolt [m/s] and the part that it throws out: a fall onto something hard from more
-than a hand's breadth; a hard stop. Assumptions: no measurements are known."""
+"""Felt change of velocity in a jolt [m/s], and the fraction it throws out. The first pair is a fall onto a hard surface
+from more than a hand's breadth, the second a hard stop. Both are assumptions: no measurements are known."""
 _PARCELS = 4
-"""Portions in which a loss leaves, at most."""
+"""Greatest number of parcels of a loss."""
 _DROP = 0.02
-"""Part of the contents that is not divided any more."""
+"""Fraction of the contents that is not divided further."""
 _NOTHING = 0.01
-"""Part of the contents of which nobody notices the loss, and which this proxy does not know to any better."""
+"""Fraction of the contents below which a loss is ignored; it is below the accuracy of this proxy."""
 
 
 class VesselMotion(NamedTuple):
-    """Containers' motions in W."""
+    """Motions of containers in W."""
 
     time: Float[Array, " sample"]
     axis: Float[Array, "sim sample xyz"]
     rim: Float[Array, "sim sample xyz"]
     velocity: Float[Array, "sim sample xyz"]
-    """Of the middle of the rim [m/s]."""
+    """Velocity of the middle of the rim [m/s]."""
     felt: Float[Array, "sim sample xyz"]
-    """Gravity's reaction plus acceleration [m/s^2]: upward, where the container stands still."""
+    """Acceleration minus gravity [m/s^2]; it points upward while the container stands still."""
 
 
 class HealthyLoss(NamedTuple):
-    """What leaves the container without any failure."""
+    """Contents that leave the container without a failure."""
 
     there: float
-    """Volume that stands in it at rest in the first state [m^3]."""
+    """Volume in the container at rest in the first state [m^3]."""
     kept: Float[Array, " checkpoint"]
-    """Volume that is still in it at each checkpoint [m^3]."""
+    """Volume in the container at each checkpoint [m^3]."""
     end: float
-    """Volume that is left when it has come to a stop [m^3]."""
+    """Volume in the container after it has stopped [m^3]."""
     parcels: tuple[Parcel, ...]
-    """What is gone, in the order in which it leaves; none if nobody would notice."""
+    """Lost parcels, in the order in which they leave; empty if the loss is negligible."""
 
     @property
     def part(self) -> float:
-        """Lost part of what was there, in [0, 1]; exactly 0 if nobody would notice."""
+        """Lost fraction of the initial contents, in [0, 1]; exactly 0 if it is negligible."""
         return 1.0 - self.end / self.there if self.parcels else 0.0
 
 
 class Spill:
-    """Follows the container through a batch of simulations.
+    """Tracks the contents of the carried container in a batch of simulations.
 
     Args:
-        world: Where.
-        closeup: What to look with.
+        world: The simulated world.
+        closeup: Contact queries for single states.
         onset: Positions and velocities at the onset [sim, ...].
-        kept: Volume [m^3] that is in the container at each onset; by default what the tilt there leaves.
+        kept: Volume in the container at each onset [m^3]; by default the volume that the tilt at the onset allows.
     """
 
     def __init__(
@@ -102,17 +102,17 @@ class Spill:
         self._done: tuple[VesselMotion, Array, Array] | None = None
 
     def observe(self, qpos: Float[Array, "sim step qpos"], qvel: Float[Array, "sim step qvel"]) -> None:
-        """Take in the next steps."""
+        """Process the next steps."""
         if self._vessel is not None:
             steps = slice(STRIDE - 1, None, STRIDE)
             self._samples.append(tuple(x[:, steps, c].copy() for x, c in zip((qpos, qvel), self._columns, strict=True)))
 
     def finish(self, sim: int, qpos: Float[Array, " qpos"]) -> tuple[float, list[ContactEvent]]:
-        """Return the part of the contents that was lost, and whom it reached.
+        """Return the lost fraction of the contents, and the events of the entities that they reach.
 
         Args:
-            sim: Which simulation.
-            qpos: Positions at its end: what stands around is looked for there.
+            sim: Index of the simulation.
+            qpos: Positions at the simulation's end, for the places of the entities.
         """
         vessel = self._vessel
         if vessel is None:
@@ -127,7 +127,7 @@ class Spill:
         return float(gone[-1] / kept[sim]), self._puddles.events(qpos, _parcels(vessel, own, gone))
 
     def _losses(self, vessel: Vessel) -> tuple[VesselMotion, Float[Array, " sim"], Float[Array, "sim sample"]]:
-        """Return all motions, and the volumes that are in the containers first and at each sample [m^3]."""
+        """Return all motions, and the volumes in the containers at the onset and at each sample [m^3]."""
         pose, twist = (np.concatenate([sample[i] for sample in self._samples], axis=1) for i in (0, 1))
         motion = _motion(vessel, pose, twist, self._dt, self._gravity)
         kept = _standing(vessel, motion) if self._kept is None else np.minimum(vessel.volume, self._kept)
@@ -135,22 +135,22 @@ class Spill:
 
 
 def kept_volume(world: World, states: Float[Array, "checkpoint state"]) -> float:
-    """Return the volume [m^3] that a healthy run leaves in the container; 0 if there is none.
+    """Return the volume [m^3] in the container after a healthy run; 0 if there is none.
 
     Args:
-        world: Where.
-        states: MuJoCo's integration state, which begins with time, positions and velocities, at each checkpoint.
+        world: The simulated world.
+        states: MuJoCo's integration state at each checkpoint; it begins with time, positions and velocities.
     """
     loss = healthy_loss(world, states)
     return 0.0 if loss is None else loss.end
 
 
 def healthy_loss(world: World, states: Float[Array, "checkpoint state"]) -> HealthyLoss | None:
-    """Return what a healthy run loses of the contents; None if nothing is carried in a container.
+    """Return the contents that a healthy run loses; None if no container is carried.
 
     Args:
-        world: Where.
-        states: As of `kept_volume`. What does not stand in the container at rest in the first one was never there.
+        world: The simulated world.
+        states: States as for `kept_volume`. The container never holds more than it does at rest in the first state.
     """
     vessel = find_vessel(world.scene)
     if vessel is None:
@@ -159,7 +159,7 @@ def healthy_loss(world: World, states: Float[Array, "checkpoint state"]) -> Heal
     parts = states[:, 1 : 1 + nq], states[:, 1 + nq : 1 + nq + nv]
     pose, twist = (x[:, c] for x, c in zip(parts, _columns(world), strict=True))
     dt = STRIDE * float(world.model.opt.timestep)
-    after = _samples(_CALM, dt)  # then it stands still
+    after = _samples(_CALM, dt)  # the container stands still after the end
     pose = np.vstack([pose, np.repeat(pose[-1:], after, axis=0)])
     twist = np.vstack([twist, np.zeros((after, 6))])
     gravity = -float(world.model.opt.gravity[2])
@@ -174,7 +174,7 @@ def healthy_loss(world: World, states: Float[Array, "checkpoint state"]) -> Heal
 def remaining(
     vessel: Vessel, motion: VesselMotion, kept: Float[Array, " sim"], gravity: float
 ) -> Float[Array, "sim sample"]:
-    """Return the part of `kept` [m^3] that is still in the container at each sample."""
+    """Return the fraction of `kept` [m^3] in the container at each sample."""
     heavy = np.linalg.norm(motion.felt, axis=-1) > _WEIGHTLESS * gravity
     capacity = vessel.capacity(_angle(motion.axis, motion.felt)) / np.maximum(kept, 1e-12)[:, None]
     part = np.minimum(np.where(heavy, capacity, 1.0), _after_jolts(motion, gravity))
@@ -182,13 +182,13 @@ def remaining(
 
 
 def _standing(vessel: Vessel, motion: VesselMotion) -> Float[Array, " sim"]:
-    """Return the volume [m^3] that stands in each container if it rests as it does in the first sample."""
+    """Return the volume [m^3] that each container holds at rest in the pose of its first sample."""
     up = np.broadcast_to([0.0, 0.0, 1.0], motion.axis[:, 0].shape)
     return np.minimum(vessel.volume, vessel.capacity(_angle(motion.axis[:, 0], up)))
 
 
 def _after_jolts(motion: VesselMotion, gravity: float) -> Float[Array, "sim sample"]:
-    """Return the part that jolts have left in at each sample."""
+    """Return the fraction that earlier jolts have left in the container, at each sample."""
     v = motion.velocity + np.outer(motion.time, [0.0, 0.0, gravity])  # constant in free fall
     part = np.ones(v.shape[:2])
     if len(motion.time) < 2:
@@ -211,7 +211,7 @@ def _motion(
     arm, axis, turn = (np.einsum("...ij,...j->...i", R, x) for x in (vessel.p_BR, vessel.axis, twist[..., 3:]))
     velocity = twist[..., :3] + np.cross(turn, arm)
     n = pose.shape[1]
-    # Near the ends that of the nearest sample that has neighbours enough, for shorter means would be less smooth.
+    # Samples near the ends take the value of the nearest full window, since shorter means would be less smooth.
     slosh = _samples(_SLOSH, dt)
     first = np.clip(np.arange(n) - slosh, 0, max(n - 1 - 2 * slosh, 0))
     last = np.minimum(first + 2 * slosh, n - 1)
@@ -221,7 +221,7 @@ def _motion(
 
 
 def _samples(duration: float, dt: float) -> int:
-    """Return how many samples a duration has [s], at least one."""
+    """Return the number of samples in a duration [s], at least one."""
     return max(1, round(duration / dt))
 
 
@@ -230,12 +230,12 @@ def _angle(a: Float[Array, "*batch xyz"], b: Float[Array, "*batch xyz"]) -> Floa
 
 
 def _parcels(vessel: Vessel, motion: VesselMotion, gone: Float[Array, " sample"]) -> list[Parcel]:
-    """Divide what is gone from one container, by sample, into equal portions that leave over the rim's lowest point."""
+    """Divide the loss of one container, given by sample, into equal parcels that leave over the rim's lowest point."""
     count = min(_PARCELS, max(1, int(gone[-1] / (_DROP * vessel.volume))))
     parcels = []
     for k in range(count):
         i = int(np.searchsorted(gone, (k + 0.5) / count * gone[-1]))
-        i = max(i - 1, 0)  # before the loss shows, and before a container that lands has stopped
+        i = max(i - 1, 0)  # the sample before the loss, since a landing container has stopped afterwards
         axis, felt = motion.axis[0, i], motion.felt[0, i]
         down = axis * (axis @ felt) - felt
         length = float(np.linalg.norm(down))
@@ -252,7 +252,7 @@ def _parcels(vessel: Vessel, motion: VesselMotion, gone: Float[Array, " sample"]
 
 
 def _columns(world: World) -> tuple[slice, slice]:
-    """Return where the pose and the velocity of the carried object are in qpos and qvel."""
+    """Return the slices of the carried object's pose in qpos and of its velocity in qvel."""
     joint = int(world.model.body_jntadr[world.carried_body])
     qpos, dof = int(world.model.jnt_qposadr[joint]), int(world.model.jnt_dofadr[joint])
     return slice(qpos, qpos + 7), slice(dof, dof + 6)

@@ -1,1 +1,1 @@
-"""Rollouts: executions in which something breaks."""
+"""Rollouts: executions during which a fault begins."""

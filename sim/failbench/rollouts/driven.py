@@ -1,4 +1,4 @@
-"""The contract of the loop that keeps a base on its motion, which a world without a base does without."""
+"""Interface of the control loop of a driving base; robots without a base do not need it."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ from graceful_plan.scene.mobile.room import mobile_room
 Array = np.ndarray
 
 TICK = 10
-"""Steps from one command of the loop to the next."""
+"""Steps between commands of the loop."""
 
 Misreadings = Callable[[], Float[Array, " wheel"]]
-"""Tells how wrong the readings of the wheels are now: reading minus truth [rad]."""
+"""Returns the current errors of the wheel readings: reading minus true angle [rad]."""
 
 
 @runtime_checkable
 class WheelLoop(Protocol):
-    """One base on its way."""
+    """Control loop of one driving base."""
 
     misread: Misreadings | None
-    """How wrong the readings of the wheels are; None if they are right."""
+    """Source of the errors of the wheel readings; None if they are right."""
 
     @property
     def angles(self) -> Float[Array, " wheel"]:
-        """What its servos are told that the wheels' angles should be [rad]."""
+        """Target angles of the wheel servos [rad]."""
         ...
 
     @property
     def summed(self) -> float:
-        """Integral of commanded minus measured rate of turning [rad]."""
+        """Integral of the commanded minus the measured yaw rate [rad]."""
         ...
 
     def arrived(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> bool:
-        """Whether a path that is not followed in time is done."""
+        """Whether the base has arrived at the end of a path that it follows without a time law."""
         ...
 
     def commands(
         self, step: int, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"], lag: int = 0
     ) -> Float[Array, "tick wheel"]:
-        """Return what the wheels' servos are sent in the steps of this tick.
+        """Return the wheel servos' commands for the steps of this tick.
 
         Args:
             step: Steps since the motion began.
-            qpos: Positions of everything.
-            qvel: Velocities.
-            lag: Steps by which the speeds that the base is told arrive late.
+            qpos: Positions of the whole model.
+            qvel: Velocities of the whole model.
+            lag: Delay of the base's commanded speeds, in steps.
         """
         ...
 
 
 @runtime_checkable
 class WheelPlan(Protocol):
-    """What a base follows: made once for a motion."""
+    """The motion that a base follows, prepared once."""
 
     @property
     def dt(self) -> float:
@@ -73,35 +73,35 @@ class WheelPlan(Protocol):
 
     @property
     def motor(self) -> Array:
-        """Their actuators."""
+        """Actuators of the wheels."""
         ...
 
     @property
     def in_time(self) -> bool:
-        """Whether the motion is followed in time; else its path is, and the controller takes its own time."""
+        """Whether the base follows the motion's time law; otherwise it follows the path at its controller's pace."""
         ...
 
     @property
     def seconds(self) -> float:
-        """For how long it is followed at most [s]."""
+        """Longest time that the base follows the motion [s]."""
         ...
 
     def loop(self, angles: Float[Array, " wheel"], summed: float = 0.0) -> WheelLoop:
-        """Return a loop whose servos stand at these angles of the wheels [rad]."""
+        """Return a control loop that starts at these target angles of the wheels [rad]."""
         ...
 
 
 def wheel_plan(world: World, trajectory: Trajectory, controller: object = None) -> WheelPlan | None:
-    """Return what a world's base follows; None if it does not drive.
+    """Return the motion that a world's base follows; None if it does not drive.
 
     Args:
-        world: Where.
+        world: The simulated world.
         trajectory: The motion.
         controller: See `failbench.mobile.base_loop.BasePlan.of`.
 
     Raises:
-        SettingError: If there is a controller for a robot that does not drive, or one that is none.
-        UnsupportedError: If the robot drives, and the room of what drives is not installed.
+        SettingError: If a controller is given for a robot that does not drive, or is not a controller.
+        UnsupportedError: If the robot drives and the package for mobile bases is not installed.
     """
     if world.rolling is not None:
         plan: WheelPlan = mobile_room("base_loop", of="failbench").BasePlan.of(world, trajectory, controller)

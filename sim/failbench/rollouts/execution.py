@@ -1,4 +1,4 @@
-"""The healthy execution of a trajectory: what every failure of it begins from and is compared with."""
+"""The healthy execution of a trajectory, from which failures start and with which they are compared."""
 
 from __future__ import annotations
 
@@ -25,39 +25,39 @@ from graceful_plan.timing.dynamics import RobotDynamics
 Array = np.ndarray
 
 LONGEST = 200.0
-"""Longest motion and horizon [s]: states and commands of all steps are in memory."""
+"""Longest motion and horizon [s]; states and commands of all steps are kept in memory."""
 _SETTLE = 0.4
-"""Time for the fingers to close and for everything to come to rest before the motion begins [s]."""
+"""Time for the fingers to close and the scene to come to rest before the motion begins [s]."""
 _REST = 0.2
-"""Part of it [s] during which the fingers hold alone."""
+"""Last part of `_SETTLE` during which the fingers hold the object without the weld [s]."""
 _TRACKING = 0.05
-"""A joint farther [rad or m] than this from where it should be does not follow."""
+"""Tracking error above which a joint counts as not following [rad or m]."""
 _STRAYING = (0.2, 0.2, 0.35)
-"""A base farther than this from where it should be along x, y [m] or in its heading [rad] does not follow. In tight
-bends a skid-steer is held at an angle of up to 0.15 rad to its way, so that its origin does not leave it."""
+"""Tracking error of a base along x, y [m] and heading [rad] above which it counts as not following. In tight curves a
+skid-steer is held at an angle of up to 0.15 rad to its path, so that its origin stays on the path."""
 _SLIP = 0.02
-"""An object that moved farther [m] than this in the tool frame is not held."""
+"""Displacement in the tool frame above which an object counts as lost [m]."""
 _FALL = 1.0
-"""For how long a healthy run goes on that lost its object [s]: as long as rollouts do by default."""
+"""Simulated time after a healthy run loses its object [s], equal to the default horizon of rollouts."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Execution:
-    """A trajectory carried out by a healthy robot. Made by `execute`.
+    """A trajectory executed by a healthy robot. Made by `execute`.
 
     | field          | meaning                                                                    | shape            |
     |----------------|----------------------------------------------------------------------------|------------------|
-    | world          | where                                                                      |                  |
-    | trajectory     | what                                                                       |                  |
+    | world          | the simulated world                                                        |                  |
+    | trajectory     | the executed trajectory                                                    |                  |
     | states         | MuJoCo's integration state at each checkpoint                              | checkpoint state |
     | command        | commands of all actuators; the last is held after the end                  | step actuator    |
     | measured       | positions and velocities of the joints before each step and after the last | step 2 driven    |
-    | baseline       | components and entities that touch anyway                                  |                  |
-    | tracking_error | greatest distance of each joint from where it should be [rad or m]         | nq               |
-    | slip           | greatest distance of the carried object from where it was in the tool [m]  |                  |
-    | healthy        | what is spilt and hit without any failure                                  |                  |
-    | base           | what a base that drives follows; None if the robot stands                  |                  |
-    | loop           | what its wheels' servos are told at each tick, and the integral beside it  | tick wheel+1     |
+    | baseline       | components and entities that touch without a failure                       |                  |
+    | tracking_error | greatest tracking error of each joint [rad or m]                           | nq               |
+    | slip           | greatest displacement of the carried object in the tool frame [m]          |                  |
+    | healthy        | spills and hits without a failure                                          |                  |
+    | base           | the motion that a driving base follows; None if the robot does not drive   |                  |
+    | loop           | target angles of the wheel servos at each tick, and the loop's integral    | tick wheel+1     |
     """
 
     world: World
@@ -91,7 +91,7 @@ class Execution:
         """Return the number of time steps in a horizon [s].
 
         Raises:
-            SettingError: If that is none, or more than there is memory for.
+            SettingError: If the horizon is shorter than a time step or longer than `LONGEST`.
         """
         if not self.dt <= horizon <= LONGEST:
             raise SettingError("horizon", horizon, f"between the time step of {self.dt:g} s and {LONGEST:g} s")
@@ -100,29 +100,29 @@ class Execution:
     def paced(
         self, time: Float[Array, " n"], pace: Float[Array, " n"], change: Float[Array, " n"]
     ) -> Float[Array, "n driven"]:
-        """Return what the healthy controller sends to the joints where the trajectory goes on at another pace.
+        """Return the healthy controller's joint commands for the trajectory at another pace.
 
         Args:
-            time: Where on the trajectory, on its clock [s].
-            pace: How fast that clock runs; 1 is as planned.
-            change: How fast the pace changes [1/s].
+            time: Time on the trajectory's clock [s].
+            pace: Rate of that clock; 1 is as planned.
+            change: Rate of change of the pace [1/s].
         """
         trajectory, rate = self.trajectory, pace[:, None]
         q, qd, qdd = trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration))
         return _joint_commands(self.world, q, qd * rate, qdd * rate**2 + qd * change[:, None])
 
     def planned(self, time: Float[Array, " n"]) -> Float[Array, "n nq"]:
-        """Return where the joints are to be at some times after the start of the trajectory [s]."""
+        """Return the planned joint positions at times after the start of the trajectory [s]."""
         trajectory = self.trajectory
         return trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration)).q
 
     def walk(self, step: int, count: int, seed: int) -> Float[Array, "step_and_next mocap"]:
-        """Return where those who move are before each of `count` steps from a step on, and after the last.
+        """Return the poses of moving entities before each of `count` steps from `step` on, and after the last.
 
         Args:
-            step: The first, in which the robot fails.
-            count: How many.
-            seed: Decides by how much they are off what was predicted.
+            step: First step, at which the robot fails.
+            count: Number of steps.
+            seed: Seed of the deviations from the prediction.
         """
         if not self.world.model.nmocap:
             return np.zeros((count + 1, 0))
@@ -132,24 +132,24 @@ class Execution:
         return walk.reacted(rows, self.dt, self.world.settings.people, tool)
 
     def states_tool(self, step: int) -> Float[Array, " 3"]:
-        """Return where the tool is to be before a step, in W [m]."""
+        """Return the planned tool position before a step, in W [m]."""
         q = self.planned(np.array([step * self.dt]))[0]
         scene = self.world.scene
         return scene.data_at(q).site_xpos[int(scene.model.site(scene.tool).id)].copy()
 
     def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
-        """Return a copy of the commands of `count` steps from a step on, the last one held after the end."""
+        """Return a copy of the commands of `count` steps from `step` on; the last command is held after the end."""
         return self.command[np.minimum(np.arange(step, step + count), len(self.command) - 1)]
 
 
 class ObjectLost(ExecutionRefused):
-    """A motion along which the object slips out of the healthy gripper.
+    """Raised for a motion along which the object slips out of the healthy gripper.
 
     Args:
         what: The object.
-        time: When, on the trajectory's clock [s].
-        problem: How far, and what to do about it.
-        healthy: What is hit because of it, with probability 1.
+        time: Time of the loss, on the trajectory's clock [s].
+        problem: Displacement of the object, and the remedy.
+        healthy: Hits that follow from the loss, with probability 1.
     """
 
     def __init__(self, what: str, time: float, problem: str, healthy: HealthyHarm) -> None:
@@ -158,11 +158,11 @@ class ObjectLost(ExecutionRefused):
 
 
 def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: World) -> Trajectory:
-    """Return a motion with time: paths and arrays of configurations are timed within the scene's limits.
+    """Return a motion as a trajectory: paths and arrays of configurations are timed within the scene's limits.
 
     Raises:
-        PlanningFailed: If it is the result of a plan that failed.
-        SettingError: If it is a trajectory of other joints than the scene's, or in another order, or too long.
+        PlanningFailed: If the motion is the result of a failed plan.
+        SettingError: If the trajectory has other joints than the scene or another order of them, or is too long.
     """
     if isinstance(motion, PlanResult):
         motion = motion.unwrap()
@@ -183,20 +183,20 @@ def execute(
     tolerance: float = _TRACKING,
     controller: object = None,
 ) -> Execution:
-    """Carry out a motion with a healthy robot.
+    """Execute a motion with a healthy robot.
 
     Args:
         motion: A trajectory; anything else is timed first.
-        world: Where.
-        tolerance: How far a joint may be from where it should be [rad or m].
-        controller: Of a base that drives; `fitted_tracking` by default. One that is not told times, a `PurePursuit` or
-            a `DynamicWindow`, takes the base along the motion's path as it likes, while the arm moves in time; then
-            the trajectory of the execution is what was driven.
+        world: The simulated world.
+        tolerance: Greatest tracking error of a joint [rad or m].
+        controller: Controller of a driving base; `fitted_tracking` by default. A controller without a time law, a
+            `PurePursuit` or a `DynamicWindow`, follows the motion's path at its own pace while the arm moves in time.
+            The execution's trajectory is then the driven one.
 
     Raises:
-        ExecutionRefused: If a joint does not follow, or has to leave its range, or a base does not arrive.
-        ObjectLost: If the object does not stay in the gripper; it says what that does harm to.
-        SettingError: If there is a controller for a robot that does not drive.
+        ExecutionRefused: If a joint does not follow or would leave its range, or a base does not arrive.
+        ObjectLost: If the object leaves the gripper; the error holds the harm that this does.
+        SettingError: If a controller is given for a robot that does not drive.
     """
     trajectory = as_trajectory(motion, world)
     dt = world.settings.timestep
@@ -264,13 +264,13 @@ class _Run(NamedTuple):
     xpos: Float[Array, "step body xyz"]
     xquat: Float[Array, "step body wxyz"]
     states: Float[Array, "state_and_step state"]
-    """At the beginning and after each step."""
+    """States at the beginning and after each step."""
 
 
 def _simulated(
     world: World, batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]
 ) -> _Run:
-    """Go on with the only simulation of a batch."""
+    """Continue the only simulation of a batch with commands."""
     record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
     if world.model.nmocap:
         time = start[0, 0] + world.settings.timestep * np.arange(len(command))
@@ -287,7 +287,7 @@ def _driven(
     start: Float[Array, "1 state"],
     base: WheelPlan,
 ) -> tuple[_Run, Float[Array, "tick wheel_and_1"]]:
-    """Drive a base: its loop is closed tick by tick, and what it sends is written into the commands."""
+    """Drive a base: its loop is closed at each tick, and the loop's commands are written into `command`."""
     qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
     loop, runs, told = base.loop(qpos[0, base.wheel]), [], []
     steps = len(command) - 1
@@ -297,20 +297,20 @@ def _driven(
         told.append([*loop.angles, loop.summed])
         rows = loop.commands(step, qpos[0], qvel[0])
         until = min(step + TICK, steps)
-        command[step:, base.motor] = rows[-1]  # the last one is held
+        command[step:, base.motor] = rows[-1]  # held unless the next tick overwrites it
         command[step:until, base.motor] = rows[: until - step]
         runs.append(_simulated(world, batch, command[step:until], start if not runs else runs[-1].states[-1:]))
     else:
         if not base.in_time:
             raise ExecutionRefused(
-                "the base", steps * base.dt, "its controller has not brought it to the end of the path"
+                "the base", steps * base.dt, "its controller did not bring it to the end of the path"
             )
     parts = [part if i == 0 else part._replace(states=part.states[1:]) for i, part in enumerate(runs)]
     return _Run._make(map(np.concatenate, zip(*parts, strict=True))), np.array(told)
 
 
 def _as_driven(world: World, planned: Trajectory, run: _Run, dt: float) -> Trajectory:
-    """Return the motion that a base made of it, whose controller took its own time."""
+    """Return the driven motion of a base whose controller followed the path at its own pace."""
     rows = np.unique([*range(0, len(run.qpos), TICK), len(run.qpos) - 1])
     q = run.qpos[rows][:, _planned(world)]
     t = planned.t[0] + (rows + 1) * dt
@@ -320,26 +320,26 @@ def _as_driven(world: World, planned: Trajectory, run: _Run, dt: float) -> Traje
 
 
 def _measured(world: World, states: Float[Array, "n state"]) -> Float[Array, "n 2 driven"]:
-    """Return positions and velocities of the driven joints in some states, which begin with the time."""
+    """Return positions and velocities of the driven joints in MuJoCo states, which begin with the time."""
     robot, nq = world.robot, world.model.nq
     return np.stack([states[:, 1 + robot.qpos], states[:, 1 + nq + robot.dofs]], axis=1)
 
 
 def _joined(first: _Run, second: _Run) -> _Run:
-    """Return a simulation and what came after it as one."""
+    """Return two consecutive simulations as one."""
     return _Run._make(map(np.concatenate, zip(first, second._replace(states=second.states[1:]), strict=True)))
 
 
 def _touched(world: World, sensordata: Float[Array, "step sensordata"]) -> frozenset[tuple[str, str]]:
-    """Return the components and entities that touch at any of some steps."""
+    """Return the pairs of component and entity that touch at any step."""
     felt = np.any(sensordata[:, world.sensor_adr] > 0.0, axis=0)
     return frozenset(pair for pair, touches in zip(world.pairs, felt, strict=True) if touches)
 
 
 def _healthy(world: World, run: _Run, lost: int | None) -> HealthyHarm:
-    """Find out what a run does harm to in which the object slips at some step, if at any.
+    """Compute the harm of a run in which the object is lost at step `lost`, or not at all (None).
 
-    Touches with which it begins are none, nor those that the scene allows, as long as the object is held.
+    Touches at the beginning are left out, and so are touches that the scene allows while the object is held.
     """
     at_first, held = _touched(world, run.sensordata[:1]), _touched(world, run.sensordata[:lost])
     allowed = at_first | {pair for pair in held - at_first if _is_allowed(world, *pair)}
@@ -348,7 +348,7 @@ def _healthy(world: World, run: _Run, lost: int | None) -> HealthyHarm:
 
 
 def _is_allowed(world: World, component: str, entity: str) -> bool:
-    """Whether the scene allows a component to touch an entity, such as an object its support."""
+    """Return whether the scene allows a component to touch an entity, for example an object its support."""
     scene = world.scene
     pairs = scene.allowed_pairs("always") | scene.allowed_pairs("ends")
     own, other = scene.components[component].geoms, scene.entities[entity].geoms
@@ -356,10 +356,10 @@ def _is_allowed(world: World, component: str, entity: str) -> bool:
 
 
 def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:
-    """Return what the healthy controller sends: positions, plus needed torques as offsets of the servos' targets."""
+    """Return the healthy commands: positions, plus feed-forward torques as offsets of the servo targets."""
     times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep
     q, qd, qdd = trajectory.at(np.minimum(times, trajectory.t[-1]))
-    qd[-1] = qdd[-1] = 0.0  # the last row is held for good
+    qd[-1] = qdd[-1] = 0.0  # the last row is held after the end
     command = np.tile(standing(world), (steps + 1, 1))
     command[:, world.robot.actuators] = _joint_commands(world, q, qd, qdd)
     command[:, world.robot.gripper_actuators] = world.robot.grip_closed
@@ -369,10 +369,10 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
 def _joint_commands(
     world: World, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], qdd: Float[Array, "n nq"]
 ) -> Float[Array, "n driven"]:
-    """Return the commands of the joints' servos that hold them to a motion."""
+    """Return the servo commands of the joints for a motion."""
     robot, dynamics = world.robot, RobotDynamics(world.scene)
     if world.settings.control == "servo":
-        qdd = np.zeros_like(qdd)  # a servo knows how fast to go and what gravity does, not the arm's inertia
+        qdd = np.zeros_like(qdd)  # servo feed-forward covers speed and gravity, not the arm's inertia
     at_rest = np.zeros_like(q[0])
     torque = np.array(
         [
@@ -382,7 +382,7 @@ def _joint_commands(
     )
     if world.rolling is None:
         return (robot.kp * q + robot.kd * qd + torque) / robot.gain
-    # Wheels are told by the loop of the base; here they are told to go on as at the rims' speeds.
+    # The base's loop writes the wheels' commands; here they stay zero.
     n = len(world.rolling.base.wheels)
     arm = slice(n, None)
     told = np.zeros((len(q), len(robot.joints)))
@@ -392,7 +392,7 @@ def _joint_commands(
 
 
 def standing(world: World) -> Float[Array, " actuator"]:
-    """Return commands with which every position servo holds its joint where the scene has it."""
+    """Return commands with which every position servo holds its joint at the scene's home position."""
     model = world.model
     data = mujoco.MjData(model)
     data.qpos[:] = lifted(world.scene, model, world.scene.home_qpos)
@@ -407,13 +407,13 @@ def standing(world: World) -> Float[Array, " actuator"]:
 def settled(
     q: Float[Array, " nq"], world: World, command: Float[Array, " actuator"], *, time: float = 0.0
 ) -> Float[Array, " state"]:
-    """Return the state from which a motion from `q` begins: the object in the fingers, everything at rest.
+    """Return the state at the start of a motion from `q`: the object in the fingers, everything at rest.
 
     Args:
-        q: Where the robot stands.
-        world: Where.
-        command: Of all actuators; those of the arm's joints are not looked at.
-        time: When it begins, on the clock of those who move [s].
+        q: Configuration of the robot.
+        world: The simulated world.
+        command: Commands of all actuators; those of the arm's joints are ignored.
+        time: Start time, on the clock of the moving entities [s].
     """
     model, scene = world.model, world.scene
     data = mujoco.MjData(model)
@@ -428,7 +428,7 @@ def settled(
             data.eq_active[world.hold] = 0
         data.ctrl[:] = hold
         mujoco.mj_step(model, data)
-    data.time = time  # the clock of those who move
+    data.time = time  # the clock of the moving entities
     state = np.zeros(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state
@@ -439,7 +439,7 @@ def _check_range(wanted: Float[Array, "step nq"], tolerance: float, world: World
     off = np.argwhere((wanted < low - tolerance) | (wanted > high + tolerance))
     if len(off):
         step, joint = (int(i) for i in off[0])
-        problem = f"it is to be at {wanted[step, joint]:.3g}, its range is {low[joint]:.3g} to {high[joint]:.3g}"
+        problem = f"its target is {wanted[step, joint]:.3g}, its range is {low[joint]:.3g} to {high[joint]:.3g}"
         raise ExecutionRefused(f"joint {world.scene.joints[joint]!r}", (step + 1) * dt, problem)
 
 
@@ -457,7 +457,7 @@ def _check_tracking(error: Float[Array, "step nq"], tolerance: float, world: Wor
 def _slip(
     xpos: Float[Array, "step body xyz"], xquat: Float[Array, "step body wxyz"], world: World
 ) -> Float[Array, " step"]:
-    """Return how far the carried object is, in the tool's frame, from where it was."""
+    """Return the displacement of the carried object from its first position, in the tool's frame [m]."""
     if world.carried_body < 0:
         return np.zeros(len(xpos))
     from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""When a fault acts during a rollout, and how the robot is as before in between."""
+"""Injection of a fault into a rollout: its schedule, and the reset of all it changed."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from failbench.simulated.world import World
 Array = np.ndarray
 
 _RAMP_STEPS = 5
-"""Steps between two levels of a ramp."""
+"""Steps between updates of the level along a ramp."""
 
 
 @runtime_checkable
 class Commanded(Protocol):
-    """What a healthy controller sends: an `Execution`, or a policy of which nobody knows yet what it will send."""
+    """Source of healthy commands: an `Execution`, or a policy whose later commands are not known yet."""
 
     @property
     def world(self) -> World:
-        """Where."""
+        """The simulated world."""
         ...
 
     @property
@@ -41,17 +41,17 @@ class Commanded(Protocol):
 
     @property
     def measured(self) -> Array:
-        """Positions and velocities of the joints at each step so far, [step, 2, nq]; none if nobody keeps them."""
+        """Positions and velocities of the joints at past steps, [step, 2, nq]; empty if they are not kept."""
         ...
 
     @property
     def base(self) -> WheelPlan | None:
-        """What a base follows; None for a robot that does not drive."""
+        """The motion that a base follows; None for a robot that does not drive."""
         ...
 
     @property
     def loop(self) -> Array | None:
-        """What the loop of a base remembered at each tick; None for a robot that does not drive."""
+        """State of a base's loop at each tick; None for a robot that does not drive."""
         ...
 
     def checkpoint(self, onset: float) -> int:
@@ -59,19 +59,19 @@ class Commanded(Protocol):
         ...
 
     def planned(self, time: Array) -> Array:
-        """Return where the joints are to be at some times [s], as far as anybody knows."""
+        """Return the planned joint positions at times [s], or the best known ones."""
         ...
 
     def walk(self, step: int, count: int, seed: int) -> Array:
-        """Return where those who move are before each of `count` steps from a step on, and after the last."""
+        """Return the poses of moving entities before each of `count` steps from `step` on, and after the last."""
         ...
 
     def commands(self, step: int, count: int) -> Array:
-        """Return commands of `count` steps from a step on; if they change later, `Injection.renew` has to be called."""
+        """Return commands of `count` steps from `step` on; call `Injection.renew` if they change later."""
         ...
 
     def paced(self, time: Array, pace: Array, change: Array) -> Array:
-        """Return what is sent to the joints where the motion goes on at another pace."""
+        """Return the joint commands for the motion at another pace."""
         ...
 
 
@@ -79,9 +79,9 @@ class Injection:
     """One fault in one simulation.
 
     Args:
-        execution: What a healthy robot is told.
+        execution: Source of the healthy commands.
         job: The fault and its onset.
-        steps: How many steps are going to be simulated after the onset.
+        steps: Number of simulated steps after the onset.
         fields: Live arrays of this simulation's model fields.
         qpos: Live positions.
         qvel: Live velocities.
@@ -136,22 +136,22 @@ class Injection:
         self._end = steps if fault.duration is None else max(1, round(fault.duration / execution.dt))
         self._level: float | None = None
         self.brakes: Mapping[str, Array] = {}
-        """Live model fields with which brakes hold the joints, see `close_brakes`; none while they are open."""
+        """Live model fields of closed brakes, see `close_brakes`; empty while the brakes are open."""
         self.next = 0
-        """The step before which the fault acts next."""
+        """Step before which `act` is due next."""
 
     @property
     def ticks(self) -> int | None:
-        """Steps from one call of `steer` to the next; None if the robot does not drive."""
+        """Steps between calls of `steer`; None if the robot does not drive."""
         return None if self._wheels is None else TICK
 
     def steer(self, step: int) -> None:
-        """Let the controller of the base send what it sends before a step; call it before `act`."""
+        """Write the base controller's commands from a step on; call before `act`."""
         if self._wheels is not None:
             self._wheels.steer(step, self.job.fault.CATEGORY == "sensor")
 
     def act(self) -> None:
-        """Let the fault act, or end it, before step `next`."""
+        """Apply or end the fault before step `next`."""
         fault, plant = self.job.fault, self.plant
         plant.step = self.next
         self._restore()
@@ -168,22 +168,22 @@ class Injection:
         self.next = min(self.next + min(wait, _RAMP_STEPS if level < 1.0 else NEVER), self._end)
 
     def told(self, step: int, until: int) -> Array:
-        """Return what the simulation is told at some steps: commands, and where those who move are."""
+        """Return the inputs of the simulation for a range of steps: commands, and poses of moving entities."""
         plant = self.plant
         return np.hstack([plant.command[step:until], plant.walk[step:until]])
 
     def seen(self, step: int, until: int) -> Array:
-        """Return where those who move are before some steps, and before the one after these."""
+        """Return the poses of moving entities before each step of a range, and before the step after it."""
         rows = self.plant.walk[step : until + 1]
         return rows if len(rows) == until + 1 - step else np.vstack([rows, rows[-1:]])
 
     def restore(self, step: int) -> None:
-        """Let the fault be over before this step, whatever its duration."""
+        """End the fault before this step, whatever its duration."""
         if self.next != NEVER or self._end > step:
             self.next = self._end = step
 
     def renew(self) -> None:
-        """Let the fault do once more what it did last: the commands that it does it to have changed."""
+        """Apply the fault again at its current level, after the healthy commands have changed."""
         self._restore()
         if self._level is not None:
             self.job.fault.apply(self.plant, self._level)
@@ -191,11 +191,11 @@ class Injection:
 
     @property
     def level(self) -> float:
-        """How much of the fault acts now, from 0 (not begun yet, or over) to 1."""
+        """Current level of the fault, from 0 (not begun yet, or over) to 1."""
         return 0.0 if self._level is None else self._level
 
     def _hold(self) -> None:
-        """Let brakes that have closed go on holding, whatever the fault has just done."""
+        """Keep closed brakes closed, whatever the fault has changed."""
         if self.brakes:
             close_brakes(self.brakes, self._world)
 
@@ -212,7 +212,7 @@ class Injection:
 
 
 class _Wheels:
-    """The loop of a base that may be broken: it goes on from the onset, and faults act on what it sends."""
+    """Control loop of a base that may be faulty: it continues from the onset, and faults change its commands."""
 
     def __init__(self, execution: Commanded, plant: Plant, onset: int, qpos: Array, qvel: Array) -> None:
         assert execution.base is not None and execution.loop is not None
@@ -237,7 +237,7 @@ class _Wheels:
         plant.command[part, motor] += told - before
 
     def _wrong(self, step: int) -> Array:
-        """Reading minus truth of the wheels' angles: what their servos see [rad]."""
+        """Return the readings minus the true wheel angles that the servos see [rad]."""
         plant, motor = self._plant, self._plan.motor
         row = min(max(step - 1, 0), len(plant.command) - 1)
         wrong = plant.healthy[row, motor] - plant.command[row, motor]

@@ -1,7 +1,7 @@
-"""Many failures of one execution at once, natively.
+"""Many rollouts of one execution at once, in MuJoCo's native batch simulation.
 
-All rollouts of a batch begin at their own onsets and are stepped together, so that faults that act again and again do
-so in the same steps. What comes out does not depend on the batch: each simulation is on its own.
+Rollouts of a batch start at their own onsets and are stepped together, so that periodic faults act in the same steps.
+Simulations are independent, so results do not depend on the batch.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from failbench.simulated.world import World
 Array = np.ndarray
 
 _COUNT = 1
-"""Column of a simulation's warnings that says how often each was raised."""
+"""Column of a simulation's warnings that counts them."""
 
 
 def run(
     execution: Execution, jobs: Sequence[Job], *, horizon: float = 1.0, threads: int = 1, batch: int = 32
 ) -> list[Rollout]:
-    """Let a robot fail once for each job.
+    """Simulate one rollout for each job.
 
     Args:
         execution: The healthy run.
-        jobs: What fails, and when.
-        horizon: How long is simulated after the onset [s].
-        threads: Threads of the simulation.
-        batch: How many simulations a thread has in memory at once. The result does not depend on it, nor on `threads`.
+        jobs: Faults and their onsets.
+        horizon: Simulated time after the onset [s].
+        threads: Number of simulation threads.
+        batch: Number of simulations that a thread holds at once. Neither it nor `threads` affects the results.
 
     Returns:
         A rollout for each job, in the order of the jobs.
 
     Raises:
         UnknownNameError: If a fault strikes a joint that the robot does not have.
-        SettingError: If the horizon is too short or too long, or there are no threads or batches to do it, or too many.
+        SettingError: If the horizon is too short or too long, or `threads` or `batch` is out of range.
     """
     steps = execution.steps(horizon)
     check_whole("threads", threads, 1, MOST_THREADS)
@@ -56,7 +56,7 @@ def run(
         execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS, job.fault.rates)
     if not jobs:
         return []
-    # Faults of a kind act in the same steps, so they are kept together; those that act again and again take longest.
+    # Faults of a kind act in the same steps, so they are grouped; periodic faults take longest and come first.
     order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.period is None, jobs[i].fault.NAME, i))
     size = min(batch, -(-len(jobs) // threads))
     groups = [order[first : first + size] for first in range(0, len(jobs), size)]
@@ -69,7 +69,7 @@ def run(
             done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps)
             rollouts.update(zip(group, done, strict=True))
 
-    # Made here, not in the threads, whose separate heaps would grow.
+    # Created here, not in the threads, whose separate heaps would grow.
     batches = [Batch(execution.world.model, size, nthread=1, persistent=True) for _ in groups[:threads]]
     with warnings_counted_only():
         _in_threads(work, batches, iter(groups))
@@ -77,7 +77,7 @@ def run(
 
 
 def _in_threads(work: Callable[[Batch], None], batches: Sequence[Batch], groups: Iterator[list[int]]) -> None:
-    """Let threads take groups until none is left; each has a batch, so that one records while others simulate."""
+    """Let threads process the groups; each has its own batch, so that one records while others simulate."""
     if len(batches) == 1:
         work(batches[0])
         return
@@ -86,7 +86,7 @@ def _in_threads(work: Callable[[Batch], None], batches: Sequence[Batch], groups:
         try:
             wait(parts, return_when=FIRST_EXCEPTION)
         finally:
-            deque(groups, maxlen=0)  # after an error or an interrupt nobody begins another one
+            deque(groups, maxlen=0)  # after an error or interrupt, no thread starts another group
     for part in parts:
         part.result()
 
@@ -130,7 +130,7 @@ def _run_group(
             onset=checkpoint * CHECKPOINT * execution.dt,
             status="diverged" if diverged[i] else "completed",
             state=execution.states[checkpoint].copy() if diverged[i] else None,
-            # MuJoCo resets what blows up: what is recorded from then on never happened.
+            # MuJoCo resets a diverged simulation, so records after that are meaningless.
             **({} if diverged[i] else recorder.finish(i)),
         )
         for i, (job, checkpoint) in enumerate(zip(jobs, checkpoints, strict=True))
@@ -145,7 +145,7 @@ def _simulate(
     sleep_policy: Array,
     steps: int,
 ) -> Array:
-    """Step all simulations to the end; return which of them blew up."""
+    """Step all simulations to the end, and return which of them diverged."""
     model, count, step, spec = world.model, len(injections), 0, control_spec(world.model)
     sims, xpos = np.arange(count), simulations.bind("xpos")
     sizes = {"sensordata": model.nsensordata, "qpos": model.nq, "qvel": model.nv}
@@ -161,7 +161,7 @@ def _simulate(
         if tick is not None:
             until = min(until, step + tick - step % tick)
         commands = np.stack([injection.told(step, until) for injection in injections])
-        # Memory that is used again: fresh pages cost more than what is written into them.
+        # Reused memory: page faults of fresh arrays cost more than the writes.
         shapes = {name: (count, until - step, size) for name, size in sizes.items()}
         out = {name: room[name][: math.prod(shape)].reshape(shape) for name, shape in shapes.items()}
         simulations.rollout(until - step, commands, spec, record=tuple(sizes), ids=sims, out=out)

@@ -1,7 +1,7 @@
-"""When the failures of a trajectory happen, and with what random numbers.
+"""Onsets and random seeds of the rollouts of a trajectory.
 
-The quantile and the seed of rollout i depend on nothing but (seed, n): whatever is compared is compared under the same
-luck. Onsets are stratified; on request they are drawn more often where harm is predicted, and weighted for it.
+The quantile and the seed of rollout i depend only on (seed, n), so comparisons use common random numbers. Onsets are
+stratified. On request they are sampled more densely where the predicted impact is high, with importance weights.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from graceful_plan.exceptions import SettingError
 Array = np.ndarray
 
 Prediction = Callable[[Float[Array, " n"]], Float[Array, " n"]]
-"""Predicted impact of a failure at each of some times after the start of a trajectory [s]; at least 0."""
+"""Returns the predicted impact of a failure at times after the start of a trajectory [s]; >= 0."""
 
 MOST = 10_000_000
-"""Rollouts that may be asked for at once; their random numbers are in memory."""
+"""Greatest number of rollouts per call; their random numbers are kept in memory."""
 MOST_THREADS = 1024
-"""Of a simulation, each with a copy of the scene's state."""
+"""Greatest number of simulation threads, each with a copy of the scene's state."""
 _CELLS = 512
-"""Cells of even probability in which a proposal density is constant."""
+"""Number of equally probable cells in which a proposal density is constant."""
 _UNIFORM = 0.1
-"""Share of the proposal that trusts no prediction; no weight exceeds its inverse."""
+"""Fraction of the proposal that is uniform, whatever the prediction; weights are at most its inverse."""
 _SEEDS = 2**53
-"""Seeds stay below this, so that JSON and floating-point columns hold them exactly."""
+"""Upper bound of seeds: JSON and floating-point columns hold integers below it exactly."""
 
 
 class Draws(NamedTuple):
@@ -52,18 +52,18 @@ def draw(seed: int, n: int) -> Draws:
 def make_jobs(
     faults: Sequence[Fault], duration: float, *, n: int, seed: int = 0, predicted: Prediction | None = None
 ) -> tuple[Job, ...]:
-    """Share rollouts out among faults, evenly at all times of a trajectory.
+    """Distribute rollouts over faults, evenly along a trajectory.
 
-    Consecutive strata of onsets go to the faults in random order, so that each fault has the whole trajectory in as
-    many strata as it has rollouts, and no fault is always the earlier one.
+    Consecutive strata of onsets go to the faults in random order. Each fault therefore covers the whole trajectory, and
+    no fault is systematically earlier than another.
 
     Args:
-        faults: What breaks, one in each rollout.
-        duration: Of the trajectory [s].
+        faults: Faults, one per rollout.
+        duration: Duration of the trajectory [s].
         n: Number of rollouts, rounded up to a multiple of the number of faults.
-        seed: Of everything random.
-        predicted: If given, onsets are drawn with density 0.9 sqrt(predicted) + 0.1, relative to that of the fault's
-            `when`; the jobs carry the weights.
+        seed: Seed of all random numbers.
+        predicted: If given, onsets have the density 0.9 sqrt(predicted) + 0.1 relative to the fault's `when`, and the
+            jobs carry the importance weights.
     """
     if not faults:
         raise SettingError("faults", tuple(faults), "at least one fault")
@@ -82,7 +82,7 @@ def make_jobs(
 
 
 def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
-    """Raise SettingError unless this is a whole number of at least `least`, and at most `most`."""
+    """Raise SettingError unless `value` is a whole number from `least` to `most`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise SettingError(name, value, f"a whole number, at least {least}")
     if most is not None and value > most:
@@ -90,10 +90,10 @@ def check_whole(name: str, value: object, least: int, most: int | None = None) -
 
 
 def thread_count(threads: int | None) -> int:
-    """Return a number of threads, one a core by default.
+    """Return the number of threads, by default that of the cores.
 
     Raises:
-        SettingError: If it is none, or more than `MOST_THREADS`.
+        SettingError: If it is below 1 or above `MOST_THREADS`.
     """
     chosen = (os.cpu_count() or 1) if threads is None else threads
     check_whole("threads", chosen, 1, MOST_THREADS)
@@ -101,18 +101,18 @@ def thread_count(threads: int | None) -> int:
 
 
 def quantile_grid(count: int = _CELLS) -> Float[Array, " cell"]:
-    """Return the middles of even cells of [0, 1]."""
+    """Return the midpoints of equal cells of [0, 1]."""
     return (np.arange(count) + 0.5) / count
 
 
 class _Proposal(NamedTuple):
-    """A density on the quantile of an onset, constant in even cells, and its integral up to each cell's beginning."""
+    """A density over the onset's quantile, constant in equal cells, and its integral up to the start of each cell."""
 
     density: Float[Array, " cell"]
     cumulated: Float[Array, " cell"]
 
     def place(self, u: float) -> tuple[float, float]:
-        """Return where the integral of the density is `u`, and the weight there."""
+        """Return the quantile at which the integral of the density is `u`, and the weight there."""
         cell = int(np.searchsorted(self.cumulated, u, side="right")) - 1
         density = float(self.density[cell])
         v = (cell + (u - self.cumulated[cell]) * len(self.density) / density) / len(self.density)
@@ -123,7 +123,7 @@ def _proposal(when: Onset, duration: float, predicted: Prediction | None) -> _Pr
     if predicted is None:
         return _Proposal(np.ones(1), np.zeros(1))
     times = np.array([when.onset(v, duration) for v in quantile_grid()])
-    # For outcomes of 0 or 1 the best density is proportional to the square root of their probability.
+    # For outcomes of 0 or 1, the optimal density is proportional to the square root of their probability.
     expected = predicted(times)
     if not (np.isfinite(expected).all() and expected.min() >= 0.0):
         raise SettingError("predicted", expected, "finite impacts >= 0")

@@ -1,4 +1,4 @@
-"""One rollout in a plain Python loop, step by step: to look at, and to check the native rollouts against."""
+"""One rollout in a plain Python loop, for inspection and as a reference for the native rollouts."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from failbench.simulated.walkers import put_walkers
 
 
 class Steps:
-    """A rollout that is under way: an iterator of model and data after each step. Made by `steps`.
+    """A rollout in progress: an iterator over model and data after each step. Made by `steps`.
 
-    Both are changed in place by the next step. As always after mj_step, derived quantities such as contacts belong to
-    the state before the step.
+    The next step changes both in place. As always after mj_step, derived quantities such as contacts belong to the
+    state before the step.
     """
 
     def __init__(self, execution: Execution, job: Job, count: int) -> None:
@@ -42,7 +42,7 @@ class Steps:
         return self
 
     def __next__(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """Do a step."""
+        """Simulate a step."""
         if self._step == self._count:
             raise StopIteration
         model, data, injection = self._model, self._data, self._injection
@@ -59,18 +59,18 @@ class Steps:
         return model, data
 
     def state(self) -> mujoco.MjData:
-        """Return a copy of everything as it is now."""
+        """Return a copy of the current data."""
         return copy.copy(self._data)
 
     def restore(self) -> None:
-        """Repair what is broken, from the next step on, as at the end of a fault's duration.
+        """Repair the fault from the next step on, as at the end of its duration.
 
-        Model and commands are as in a healthy robot then, to the last bit. What the robot lost is still lost, and the
-        motion has gone on meanwhile. After the fault's duration this changes nothing.
+        Model and commands become exactly those of a healthy robot. Lost objects stay lost, and the motion has continued
+        in the meantime. After the fault's duration the call has no effect.
         """
         self._injection.restore(self._step)
 
 
 def steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Steps:
-    """Return the rollout that `rollout.run` would do, bit by bit the same, to be done step by step."""
+    """Return the rollout that `rollout.run` would simulate, bit-identical, as an iterator over its steps."""
     return Steps(execution, job, execution.steps(horizon))

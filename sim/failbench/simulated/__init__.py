@@ -1,1 +1,1 @@
-"""The simulated robot and world, and how a trajectory is executed there."""
+"""The simulated robot and world, and the gripper, base and moving entities in it."""

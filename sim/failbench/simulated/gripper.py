@@ -1,4 +1,4 @@
-"""Where the gripper is in a scene's model, and which way it opens."""
+"""Find the gripper in a scene's model, and the direction in which it opens."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ Array = np.ndarray
 
 
 class Gripper(NamedTuple):
-    """The joints behind the tool's body and what drives them."""
+    """Joints and actuators of the gripper, below the tool's body."""
 
     bodies: tuple[int, ...]
-    """The tool's body and everything that hangs on it."""
+    """The tool's body and all its descendants."""
     pads: Int[Array, " geom"]
-    """Geoms of the parts that move, as far as they collide: what holds an object."""
+    """Colliding geoms of the moving parts, which hold an object."""
     joints: Int[Array, " joint"]
     actuators: Int[Array, " actuator"]
     open: Float[Array, " actuator"]
-    """Command of each actuator that opens the gripper as far as it goes."""
+    """Command of each actuator that opens the gripper fully."""
     closed: Float[Array, " actuator"]
-    """The one that closes it."""
+    """Command of each actuator that closes the gripper fully."""
     home: Float[Array, " actuator"]
-    """The one that leaves it as the scene has it."""
+    """Command of each actuator that keeps the gripper at its home position in the scene."""
 
 
 def find_gripper(scene: Scene) -> Gripper:
-    """Find the gripper: all that hangs on the tool's body. Without position servos there are no actuators in it."""
+    """Find the gripper: all descendants of the tool's body. Only position servos count as its actuators."""
     model = scene.model
     tool = int(model.site(scene.tool).bodyid[0])
     bodies = tuple(sorted(subtree(model, tool)))
@@ -57,10 +57,10 @@ def find_gripper(scene: Scene) -> Gripper:
 
 
 def clear_opening(scene: Scene, gripper: Gripper) -> float:
-    """Return how far the gripper has to open until no finger touches the carried object any more.
+    """Return the opening from which on no finger touches the carried object.
 
     Returns:
-        Over the way from closed (0) to open (1), to a thousandth; 0 if there is nothing to hold or to hold with.
+        Opening from closed (0) to open (1), to within 0.001; 0 without a carried object or a gripper.
     """
     if scene.carried is None or not len(gripper.joints):
         return 0.0
@@ -88,11 +88,11 @@ class _Posture(NamedTuple):
     spread: float
     """Sum of the distances between the moving bodies of the gripper [m]."""
     length: Float[Array, " actuator"]
-    """Length of every actuator, which is what its servo follows."""
+    """Length of every actuator, which its servo controls."""
 
 
 def _posture(scene: Scene, joints: list[int], end: int | None) -> _Posture:
-    """Look at the gripper with its joints at the lower (0) or upper (1) ends of their ranges, or at home (None)."""
+    """Measure the gripper with its joints at the lower (0) or upper (1) ends of their ranges, or at home (None)."""
     model = scene.model
     data = mujoco.MjData(model)
     data.qpos[:] = scene.home_qpos

@@ -1,4 +1,4 @@
-"""One simulated robot, as a fault sees it: what it may read, and what it may break."""
+"""One simulated robot as faults see it: the state they read and the arrays they write."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = np.ndarray
 
 @dataclass(kw_only=True, eq=False)
 class Plant:
-    """One simulation from the onset of a fault on. Arrays are live: what is written is what is simulated next.
+    """One simulation from the onset of a fault on. Its arrays are live: writing to them changes the next step.
 
     | field       | meaning                                                                                  |
     |-------------|------------------------------------------------------------------------------------------|
@@ -28,25 +28,25 @@ class Plant:
     | gripper     | whether it strikes the gripper                                                           |
     | dt          | time step [s]                                                                            |
     | rng         | the only source of randomness                                                            |
-    | qpos        | positions of everything, now                                                             |
-    | qvel        | velocities of everything, now                                                            |
-    | eq_active   | which equality constraints hold                                                          |
-    | command     | commands of all actuators, a row a step; row 0 is the first step after the onset         |
-    | healthy     | the same as a healthy robot gets them; read only                                         |
+    | qpos        | current positions of the whole model                                                     |
+    | qvel        | current velocities of the whole model                                                    |
+    | eq_active   | which equality constraints are active                                                    |
+    | command     | commands of all actuators, one row per step; row 0 is the first step after the onset     |
+    | healthy     | commands that a healthy robot gets, in the same layout; read only                        |
     | past        | commands before the onset, the latest last; read only                                    |
-    | paced       | commands of the joints if the motion goes on at another pace: from times on the clock of  |
-    |             | the motion since the onset [s], pace, and how fast that changes [1/s]                    |
-    | fields      | fields of this simulation's model that may be written                                    |
+    | paced       | function that returns joint commands at another pace, for times on the motion's clock    |
+    |             | since the onset [s], pace, and pace rate [1/s]                                           |
+    | fields      | writable fields of this simulation's model                                               |
     | measured    | positions and velocities of the joints in the healthy run up to the onset, the latest     |
     |             | last; read only                                                                          |
-    | world       | where; None for a robot alone                                                            |
-    | walk        | where those who move are before each step and after the last, see `walkers.Walk`         |
-    | xfrc        | force and torque on each body in W, until they are changed                               |
-    | planned     | positions of the joints that the motion has at times since the onset [s]                 |
+    | world       | the simulated world; None for a robot alone                                              |
+    | walk        | poses of moving entities before each step and after the last, see `walkers.Walk`         |
+    | xfrc        | force and torque on each body in W; they act until changed                               |
+    | planned     | function that returns the planned joint positions at times since the onset [s]           |
     | step        | steps since the onset                                                                    |
-    | lag         | steps by which the speeds that a base is told arrive late                                |
-    | memory      | whatever the fault wants to remember                                                     |
-    | misreading  | what `misread` was told last, for whoever reads sensors: step, joints, error; None for none |
+    | lag         | delay of a base's commanded speeds, in steps                                             |
+    | memory      | state that the fault keeps between calls                                                 |
+    | misreading  | arguments of the last `misread`: step, joints, error; None if there was none             |
     """
 
     robot: Robot
@@ -73,10 +73,10 @@ class Plant:
     misreading: tuple[int, Array, Array] | None = None
 
     def __getitem__(self, name: str) -> Array:
-        """Return a field of this simulation's MuJoCo model, to write into.
+        """Return a writable field of this simulation's MuJoCo model.
 
         Raises:
-            UnknownNameError: If the fault has not named it in its `FIELDS`.
+            UnknownNameError: If the field is not in the fault's `FIELDS`.
         """
         if name not in self.fields:
             raise UnknownNameError("model field (the fault's FIELDS name those it may write)", name, self.fields)
@@ -89,40 +89,40 @@ class Plant:
 
     @property
     def q(self) -> Array:
-        """Positions of the planned joints now [rad or m]."""
+        """Current positions of the planned joints [rad or m]."""
         return self.qpos[self.robot.qpos]
 
     @property
     def qd(self) -> Array:
-        """Velocities of the planned joints now [rad/s or m/s]."""
+        """Current velocities of the planned joints [rad/s or m/s]."""
         return self.qvel[self.robot.dofs]
 
     @property
     def wheels(self) -> Array:
-        """Indices of the driven joints that are wheels of a base, whose controller closes its loop on the way."""
+        """Indices of the driven joints that are wheels of a base; the base's controller closes a loop around them."""
         return np.array([wheel for side in self.robot.together for wheel in side], dtype=int)
 
     @property
     def ahead(self) -> Array:
-        """Commands from the next step on, to write into [step, actuator]."""
+        """Commands from the next step on, writable [step, actuator]."""
         return self.command[self.step :]
 
     def misread(self, joints: Array, error: Array) -> None:
-        """Let position sensors read wrong by `error` from the next step on.
+        """Add `error` to the readings of position sensors from the next step on.
 
         A servo computes gain command - kp reading - kd speed, so an error of the reading acts like an opposite error of
         the command, times kp / gain.
 
         Args:
             joints: Indices of planned joints.
-            error: Reading minus truth [rad or m], for each step to come and each of these joints.
+            error: Reading minus true position [rad or m], for each further step and each of these joints.
         """
         robot = self.robot
         self.misreading = self.step, joints, error
         self.ahead[:, robot.actuators[joints]] -= error * (robot.kp[joints] / robot.gain[joints])
 
     def lock(self, joint: int, position: float) -> None:
-        """Hold a planned joint at a position with a constraint that is as stiff as the time step allows.
+        """Hold a planned joint at a position with a constraint as stiff as the time step allows.
 
         Needs the field "eq_data".
         """
@@ -131,11 +131,11 @@ class Plant:
         self.eq_active[constraint] = 1
 
     def release(self) -> None:
-        """Let go of the carried object: open the gripper from the next step on; a weld that holds it is cut."""
+        """Release the carried object: open the gripper from the next step on and cut the weld, if any."""
         self.ahead[:, self.robot.gripper_actuators] = self.robot.grip_open
         self.cut_weld()
 
     def cut_weld(self) -> None:
-        """Cut the weld that stands for the grasp, if there is one; nothing mends it."""
+        """Cut the weld that models the grasp, if there is one. It stays cut."""
         if self.robot.weld >= 0:
             self.eq_active[self.robot.weld] = 0

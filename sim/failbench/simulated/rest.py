@@ -1,6 +1,6 @@
-"""When a carried object may fall asleep: not before it is out of the hand.
+"""Sleep policy of carried objects: they may sleep only after they have left the gripper.
 
-An object that comes to rest in the hand would fall asleep there, and hang in the air when the hand lets go.
+An object that fell asleep in the gripper would stay in the air after its release.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from graceful_plan.array_types import Float, Int
 Array = np.ndarray
 
 PERIOD = 50
-"""Steps from one look at the object to the next."""
+"""Steps between checks of the carried object."""
 _AWAY = 0.03
-"""An object that is this much farther from the hand than it was held [m] is out of it for good."""
+"""Distance beyond the held one at which an object counts as out of the gripper [m]."""
 
 
 def let_sleep(world: World, xpos: Float[Array, "sim body xyz"], policy: Int[Array, "sim tree"]) -> None:
-    """Let carried objects sleep that are out of the hand, from the next step on; the others stay as they are.
+    """Allow carried objects that have left the gripper to sleep, from the next step on.
 
     Args:
-        world: Where.
+        world: The simulated world.
         xpos: Positions of all bodies in W [m].
-        policy: Live sleep policy of each simulation's kinematic trees.
+        policy: Live sleep policies of each simulation's kinematic trees.
     """
     if world.carried_body < 0:
         return

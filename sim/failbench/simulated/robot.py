@@ -1,4 +1,4 @@
-"""The parts of a robot that can break, by their place in MuJoCo's arrays."""
+"""Parts of a robot that can break, by their indices in MuJoCo's arrays."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 Array = np.ndarray
 
 GROUPS = ("any", "all", "gripper", "robot")
-"""What can stand for parts of the robot besides the names of its joints."""
+"""Target names that stand for groups of parts, in addition to joint names."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,25 +22,25 @@ class Robot:
     | field             | meaning                                                                      | shape |
     |-------------------|------------------------------------------------------------------------------|-------|
     | joints            | names of the planned joints, from the base to the tool                       | nq    |
-    | joint_ids         | their ids                                                                    | nq    |
-    | qpos              | their addresses in qpos                                                      | nq    |
-    | reference         | their positions in the model's own pose, which locks count from [rad or m]   | nq    |
-    | dofs              | their addresses in qvel                                                      | nq    |
-    | actuators         | the actuator that drives each                                                | nq    |
-    | locks             | for each an equality constraint, inactive, that holds it where it is told to | nq    |
+    | joint_ids         | ids of the planned joints                                                    | nq    |
+    | qpos              | addresses of the planned joints in qpos                                      | nq    |
+    | reference         | joint positions in the model's reference pose, zero of the locks [rad or m]  | nq    |
+    | dofs              | addresses of the planned joints in qvel                                      | nq    |
+    | actuators         | actuator of each planned joint                                               | nq    |
+    | locks             | inactive equality constraint that can hold each joint at a given position    | nq    |
     | kp                | stiffness of each joint's servo [N m/rad]                                    | nq    |
     | kd                | damping of each joint's servo [N m s/rad]                                    | nq    |
     | gain              | torque of each joint's actuator per unit of its command [N m]                | nq    |
-    | acceleration      | greatest acceleration of each joint that motions have [rad/s^2]              | nq    |
+    | acceleration      | acceleration limit of each joint in motions [rad/s^2]                        | nq    |
     | gripper_joints    | ids of the fingers' joints                                                   |       |
-    | gripper_dofs      | their addresses in qvel                                                      |       |
+    | gripper_dofs      | addresses of the fingers' joints in qvel                                     |       |
     | gripper_actuators | ids of the gripper's actuators                                               |       |
     | grip_open         | command of each gripper actuator that opens the gripper                      |       |
-    | grip_closed       | the one of a healthy robot: closed if the fingers hold something             |       |
-    | grip_clear        | opening at which fingers let go, over the way from closed to open            |       |
+    | grip_closed       | command of each in healthy operation: closed if the fingers hold an object   |       |
+    | grip_clear        | opening at which fingers release the object, from closed (0) to open (1)     |       |
     | pads              | ids of the geoms of the fingers                                              |       |
     | weld              | the equality constraint that holds the carried object; -1 if the fingers do  |       |
-    | together          | groups of joints that one motor drives: what strikes one strikes all         |       |
+    | together          | groups of joints with a common motor: a fault of one strikes all             |       |
     """
 
     joints: tuple[str, ...]
@@ -67,25 +67,25 @@ class Robot:
     def __post_init__(self) -> None:
         for array in vars(self).values():
             if isinstance(array, np.ndarray):
-                array.flags.writeable = False  # one robot for all rollouts: no fault may change it for the others
+                array.flags.writeable = False  # all rollouts share one robot
 
     def struck(
         self, targets: Sequence[str], rng: np.random.Generator, rates: Sequence[float] = ()
     ) -> tuple[Array, bool]:
-        """Return which joints (indices into `joints`) and whether the gripper are meant by `targets`.
+        """Return the joints (indices into `joints`) that `targets` name, and whether they include the gripper.
 
         Args:
             targets: Names of joints, or "any" (one drawn from `rng`), "all", "gripper", "robot".
-            rng: Where the draw comes from.
-            rates: How often each joint is drawn, relative to the others; all alike if empty.
+            rng: Generator of the draw.
+            rates: Relative frequency of each joint in the draw; equal if empty.
 
         Raises:
-            UnknownNameError: If a target is neither a joint nor such a word.
-            SettingError: If there is not one rate for each joint.
+            UnknownNameError: If a target is neither a joint nor a word of `GROUPS`.
+            SettingError: If the number of rates differs from the number of joints.
         """
         self.check_targets(targets, rates)
-        drawn = int(rng.integers(len(self.joints)))  # always, so that what follows does not depend on the targets
-        if len(rates):  # from a stream of its own, for the same reason
+        drawn = int(rng.integers(len(self.joints)))  # always drawn, so that later draws do not depend on the targets
+        if len(rates):  # from a separate stream, for the same reason
             share = np.cumsum(rates) / np.sum(rates)
             drawn = int(np.searchsorted(share, rng.spawn(1)[0].random(), side="right"))
         chosen: set[int] = set()
@@ -102,11 +102,11 @@ class Robot:
         return np.array(sorted(chosen), dtype=int), any(t in ("gripper", "robot") for t in targets)
 
     def check_targets(self, targets: Sequence[str], rates: Sequence[float] = ()) -> None:
-        """Raise UnknownNameError if a target is neither a joint nor one of "any", "all", "gripper", "robot".
+        """Check that each target is a joint or a word of `GROUPS`.
 
         Raises:
-            UnknownNameError: As said.
-            SettingError: If there are rates, but not one for each joint.
+            UnknownNameError: If a target is neither.
+            SettingError: If there are rates and their number differs from the number of joints.
         """
         if len(rates) not in (0, len(self.joints)):
             raise SettingError("rates", tuple(rates), f"{len(self.joints)} of them, one for each of {self.joints}")

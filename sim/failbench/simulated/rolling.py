@@ -1,9 +1,9 @@
-"""A base that drives, in the world of FailBench: it keeps the joints that are planned with, and gets wheels.
+"""A driving base in the simulated world: it keeps its planned joints and gets wheels.
 
-Below the planned joints for x, y and heading the base gets three more, by which it stands on its wheels: up and down,
-and two that tilt it. So it is as free as a body with a free joint, and positions of planned joints are what they always
-were. Wheels turn on hinges and are driven by servos for their angle, which is what a controller of their speed with an
-integral is: faults of drives and encoders act on them as on the joints of an arm.
+Below the planned joints for x, y and heading, the base gets a vertical slide and two tilt hinges, by which it stands on
+its wheels. It is then as free as a body with a free joint, and the planned joints keep their meaning. Wheels turn on
+hinges driven by position servos, which are equivalent to speed controllers with an integral term. Faults of drives and
+encoders therefore act on wheels as on the joints of an arm.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from graceful_plan.scene.mobile.wheels import KEEP_OUT
 Array = np.ndarray
 
 PLANAR = 3
-"""Planned joints of a base."""
+"""Number of planned joints of a base."""
 _STANDS = ("z", "pitch", "roll")
 _INTEGRAL = 5.0
-"""Stiffness of a wheel's servo over its damping [1/s]."""
+"""Ratio of stiffness to damping of a wheel's servo [1/s]."""
 _GAIN = 20.0
-"""Damping of the servos of wheels whose model says nothing [N m s/rad]."""
+"""Damping of wheel servos if the model does not set it [N m s/rad]."""
 _GRIP, _GRAVITY = 0.7, 9.81
 
 
 @dataclass(frozen=True, eq=False)
 class Rolling:
-    """Where the parts of a base that drives are in the simulated model.
+    """Indices of a driving base's parts in the simulated model.
 
     | field   | meaning                                                             | shape |
     |---------|---------------------------------------------------------------------|-------|
-    | base    | how it drives                                                       |       |
+    | base    | the kinematics of the base                                          |       |
     | qpos    | addresses of x, y and heading                                       | 3     |
-    | dofs    | the same in qvel                                                    | 3     |
+    | dofs    | addresses of the same joints in qvel                                | 3     |
     | planned | addresses in qpos of all planned joints                             | nq    |
     | tree    | dofs of everything that moves with the base                         |       |
     """
@@ -53,22 +53,22 @@ class Rolling:
     def drives(
         self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]
     ) -> tuple[float, float, float, float, float]:
-        """Return x, y, heading, speed along it and rate of turning."""
+        """Return x [m], y [m], heading [rad], forward speed [m/s] and yaw rate [rad/s]."""
         (x, y, yaw), (vx, vy, omega) = qpos[self.qpos].tolist(), qvel[self.dofs].tolist()
         return x, y, yaw, vx * float(np.cos(yaw)) + vy * float(np.sin(yaw)), omega
 
 
 def driven_joints(scene: Scene) -> tuple[str, ...]:
-    """Return what faults strike: planned joints; for a base its wheels instead of x, y and heading."""
+    """Return the joints that faults strike: the planned ones, with wheels in place of a base's x, y and heading."""
     if scene.base is None:
         return scene.joints
     if not scene.base.wheels or len(scene.base.wheels) % 2:
-        raise UnsupportedError("a base that drives needs a DiffDrive with `wheels`: left ones, then as many right ones")
+        raise UnsupportedError("a driving base needs a DiffDrive with `wheels`: left ones, then as many right ones")
     return (*scene.base.wheels, *scene.joints[PLANAR:])
 
 
 def put_on_wheels(spec: mujoco.MjSpec, scene: Scene) -> None:
-    """Give a copy of a scene's model what it needs to drive."""
+    """Add the joints and actuators for driving to a copy of a scene's model."""
     base = scene.base
     if base is None:
         return
@@ -84,7 +84,7 @@ def put_on_wheels(spec: mujoco.MjSpec, scene: Scene) -> None:
         hinge.type, hinge.axis = mujoco.mjtJoint.mjJNT_HINGE, [0.0, 1.0, 0.0]
         for geom in spec.body(name).geoms:
             if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
-                # On floors that are boxes, cylinders touch now at one rim, now at the other, and lose hold in between.
+                # A cylinder on a box floor alternates between contacts at its two rims and loses grip in between.
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [geom.size[0], geom.size[0], geom.size[1]]
         if defaults is None:
             hinge.armature = base.rotor
@@ -100,7 +100,7 @@ def put_on_wheels(spec: mujoco.MjSpec, scene: Scene) -> None:
 
 
 def find_rolling(scene: Scene, model: mujoco.MjModel) -> Rolling | None:
-    """Return where the parts of a base are; None if the robot does not drive."""
+    """Return the indices of the base's parts; None if the robot does not drive."""
     if scene.base is None:
         return None
     joints = [model.joint(name) for name in scene.joints]
@@ -116,7 +116,7 @@ def find_rolling(scene: Scene, model: mujoco.MjModel) -> Rolling | None:
 
 
 def lifted(scene: Scene, model: mujoco.MjModel, qpos: Float[Array, " qpos"]) -> Float[Array, " simulated"]:
-    """Return positions of a scene's model as those of the simulated one, wheels and stand at 0."""
+    """Convert positions of a scene's model to those of the simulated model, with wheels and stand at 0."""
     if model.nq == len(qpos):
         return qpos
     out = model.qpos0.copy()
@@ -129,13 +129,13 @@ def lifted(scene: Scene, model: mujoco.MjModel, qpos: Float[Array, " qpos"]) -> 
 
 
 def kept_joints(scene: Scene, model: mujoco.MjModel) -> list[int]:
-    """Return which joint of the simulated model each joint of a scene's model is; their order is the same."""
+    """Return the id in the simulated model of each joint of the scene's model, in the same order."""
     added = {f"failbench/{name}" for name in _STANDS} | set(() if scene.base is None else scene.base.wheels)
     return [j for j in range(model.njnt) if model.joint(j).name not in added]
 
 
 def same_side(base: DiffDrive | None) -> tuple[tuple[int, ...], ...]:
-    """Return which driven joints one motor drives: wheels of one side."""
+    """Return the groups of driven joints with a common motor: the wheels of each side."""
     if base is None:
         return ()
     half = len(base.wheels) // 2

@@ -1,4 +1,4 @@
-"""MuJoCo's states as FailBench keeps them: whole ones, every few steps, to begin simulations from."""
+"""MuJoCo integration states that FailBench stores at checkpoints, to start simulations from."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ Array = np.ndarray
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 CHECKPOINT = 5
-"""Steps from one checkpoint to the next."""
+"""Steps between checkpoints."""
 
 
 def put(batch: Batch, sims: Array, states: Float[Array, "sim state"]) -> None:
-    """Set simulations of a batch to states, with nothing left of what they did before."""
+    """Set simulations of a batch to states and clear everything else they hold."""
     batch.reset(sims, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
     batch.state[sims] = states
 
 
 def control_spec(model: mujoco.MjModel) -> int:
-    """Return what of a state is told to simulations at each step: commands, and where those who move are."""
+    """Return the part of the state that simulations receive at each step: commands, and poses of moving entities."""
     spec = int(mujoco.mjtState.mjSTATE_CTRL)
     walk = int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
     return spec | walk if model.nmocap else spec

@@ -1,7 +1,7 @@
-"""Entities that move, as bodies that go where they are told: they have a shape, are hit, and yield to nothing.
+"""Moving entities as mocap bodies: they follow prescribed poses, can be hit, and do not yield.
 
-They are MuJoCo's mocap bodies. They pass through what never moves as ghosts do, and push what lies in their way. Where
-they are at each step is a row of numbers, all positions and then all orientations, as MuJoCo's states have it.
+Mocap bodies pass through static geometry and push movable objects. Their poses at a step are one row of numbers: all
+positions, then all orientations, in the order of MuJoCo's states.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from graceful_plan.scene.elements import EntityNote
 Array = np.ndarray
 
 REACTIONS = ("walk", "stop", "aside")
-"""What people may do once a robot fails: walk on, stop, or stop and step aside."""
+"""Possible reactions of people to a failure: walk on, stop, or stop and step aside."""
 PEOPLE = frozenset({"adult", "adult_head", "child"})
-"""Classes of those who do."""
+"""Entity classes that react."""
 _REACTION = 0.4
-"""Time until somebody reacts [s]: to what is sudden, seen or heard."""
+"""Reaction time to a sudden event that is seen or heard [s]."""
 _STOPPING = 0.4
-"""Time from walking to standing [s]: about a step."""
+"""Time from walking to standing still [s], about one step."""
 _ASIDE, _HASTE = 0.6, 1.0
-"""How far aside somebody steps [m], and how fast [m/s]."""
+"""Distance [m] and speed [m/s] of a step aside."""
 
 
 def staged(scene: Scene) -> Scene:
-    """Return a scene in which each entity that moves is a body with a geom, and an entity like those that stand still.
+    """Return a scene in which each moving entity is a body with a geom, and an entity like a static one.
 
-    All other ids are as before. The entities are in the order of `scene.hazards`.
+    All other ids are unchanged. The entities are in the order of `scene.hazards`.
     """
     if not scene.moving:
         return scene
@@ -53,18 +53,18 @@ def staged(scene: Scene) -> Scene:
 
 
 def set_free(spec: mujoco.MjSpec, walkers: Sequence[MovingEntity]) -> None:
-    """Let the bodies of those who move be put anywhere while a simulation runs."""
+    """Make the bodies of moving entities mocap bodies, so that their poses can be set during a simulation."""
     for walker in walkers:
         spec.body(walker.name).mocap = True
 
 
 class Walk:
-    """Where those who move are in one simulation: what was predicted, give or take what is not known about it.
+    """Poses of the moving entities in one simulation: the prediction, plus random deviations.
 
     Args:
-        model: The model, with their bodies.
-        walkers: Who moves.
-        luck: Decides by how much they are off, by `spread` and `growth`; None is exactly where they are predicted.
+        model: The model, with the entities' bodies.
+        walkers: The moving entities.
+        luck: Generator of the deviations, scaled by `spread` and `growth`; None for none.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Walk:
         self._off = [draw * [[w.spread], [w.growth]] for draw, w in zip(draws, walkers, strict=True)]
 
     def rows(self, time: Float[Array, " n"]) -> Float[Array, "n mocap"]:
-        """Return where they are at some times on the clock of the motion [s]."""
+        """Return the poses at times on the motion's clock [s]."""
         rows = np.tile(self._still, (len(time), 1))
         for i, walker in enumerate(self._walkers):
             where = walker.at(time)
@@ -91,7 +91,7 @@ class Walk:
     def write(
         self, rows: Float[Array, "n mocap"], walker: int, position: Float[Array, "n 3"], yaw: Float[Array, " n"]
     ) -> None:
-        """Write the places of one who moves into rows."""
+        """Write the poses of one moving entity into rows."""
         slot, half = self._slots[walker], yaw / 2.0
         rows[:, 3 * slot : 3 * slot + 3] = position
         quat = rows[:, 3 * self._count + 4 * slot :][:, :4]
@@ -101,19 +101,19 @@ class Walk:
     def reacted(
         self, rows: Float[Array, "n mocap"], dt: float, people: str, away: Float[Array, " 3"]
     ) -> Float[Array, "n mocap"]:
-        """Return where they are if people react to a failure at the first row.
+        """Return the poses if people react to a failure at the first row.
 
         Args:
-            rows: Where they would be otherwise, at each step.
+            rows: Poses without a reaction, at each step.
             dt: Time step [s].
             people: One of `REACTIONS`.
-            away: What they step away from.
+            away: Position that they step away from, in W [m].
         """
         if people == "walk":
             return rows
         rows, time = rows.copy(), dt * np.arange(len(rows))
         late = np.clip(time - _REACTION, 0.0, _STOPPING)
-        # Their own clock, which stops: its pace falls evenly to nothing.
+        # People's own clock: after the reaction time its pace falls linearly to zero.
         clock = np.minimum(time, _REACTION) + late - late**2 / (2.0 * _STOPPING)
         for i, walker in enumerate(self._walkers):
             if walker.category not in PEOPLE:
@@ -130,7 +130,7 @@ class Walk:
 
 
 def put_walkers(model: mujoco.MjModel, data: mujoco.MjData, row: Float[Array, " mocap"]) -> None:
-    """Put those who move where a row says."""
+    """Set the poses of the moving entities from a row."""
     data.mocap_pos[:] = row[: 3 * model.nmocap].reshape(-1, 3)
     data.mocap_quat[:] = row[3 * model.nmocap : 7 * model.nmocap].reshape(-1, 4)
 
@@ -141,12 +141,12 @@ def with_walkers(
     rows: Float[Array, "*batch_and_next mocap"],
     dt: float,
 ) -> tuple[Float[Array, "*batch positions"], Float[Array, "*batch velocities"]]:
-    """Return positions with where those who move are behind them, and velocities with theirs.
+    """Append the poses of moving entities to positions, and their linear velocities to velocities.
 
     Args:
         qpos: Positions in consecutive states.
-        qvel: Velocities.
-        rows: Where they are in these states, and one step later.
+        qvel: Velocities in the same states.
+        rows: Poses of the moving entities in these states, and one step later.
         dt: Time step [s].
     """
     count = 3 * (rows.shape[-1] // 7)

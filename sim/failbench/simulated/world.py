@@ -1,6 +1,6 @@
-"""A scene as it is simulated: servos that follow, fingers that hold, sensors that feel every touch.
+"""A scene prepared for simulation: with servos, a grasp, and contact sensors.
 
-Ids of bodies, geoms and joints are those of the scene's own model, to which only sensors and constraints are added.
+Ids of bodies, geoms and joints are those of the scene's model; only sensors and constraints are added.
 """
 
 from __future__ import annotations
@@ -33,30 +33,30 @@ from graceful_plan.scene.roles import free_joint
 Array = np.ndarray
 
 SENSOR_SIZE = 7
-"""Numbers of a contact sensor: how many contacts, net force in W [N], where in W [m]."""
+"""Values per contact sensor: number of contacts, net force in W [N], position in W [m]."""
 
 _STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
-"""Impedance of a constraint that yields as little as the solver allows."""
+"""Solver impedance of a constraint, as stiff as the solver allows."""
 _FIRM = [0.95, 0.99, 0.001, 0.5, 2.0]
-"""Impedance of the fingertips' contacts."""
+"""Solver impedance of the fingertips' contacts."""
 _BANDWIDTH = 40.0
 """Natural frequency of the computed-torque controller [rad/s], critically damped."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimSettings:
-    """How a scene is simulated.
+    """Settings of the simulation.
 
     Args:
         timestep: MuJoCo's time step [s].
-        grasp: "fingers" holds the carried object by friction, as the real gripper does, and on a base that has no
-            gripper it stands as it was put there; "weld" by a constraint that a failing gripper releases cleanly, for
-            studies of nothing but the fall.
-        control: "servo" drives the model's own position servos with feed-forward of speed and gravity; "torque"
-            computes the torques of the trajectory and adds a critically damped correction.
-        sleep: Whether things at rest are left out of the computation until something touches them.
-        people: What people who move do once the robot fails: "walk" on as predicted; "stop" within a step, 0.4 s later;
-            or step "aside" besides, away from the tool.
+        grasp: "fingers": friction holds the carried object, as in the real gripper; on a base without a gripper the
+            object just stands. "weld": a constraint holds it, and a failing gripper releases it cleanly, to study the
+            fall alone.
+        control: "servo" drives the model's own position servos with feed-forward of speed and gravity. "torque"
+            applies the torques of the trajectory plus a critically damped correction.
+        sleep: Whether objects at rest are skipped until something touches them.
+        people: Reaction of people to the failure: "walk" on as predicted; "stop" within a step, after 0.4 s;
+            or stop and step "aside", away from the tool.
     """
 
     timestep: float = 0.002
@@ -79,25 +79,25 @@ class SimSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class World:
-    """A scene ready to be simulated. Made by `build_world`.
+    """A scene prepared for simulation. Made by `build_world`.
 
     | field          | meaning                                                                              |
     |----------------|--------------------------------------------------------------------------------------|
-    | scene          | what is simulated; entities that move are among its entities                         |
-    | settings       | how                                                                                  |
+    | scene          | the simulated scene; moving entities are among its entities                          |
+    | settings       | settings of the simulation                                                           |
     | model          | the model with servos, constraints and sensors; read only                            |
     | robot          | the parts that can break                                                             |
-    | rolling        | where a base that drives is; None if the robot stands                                |
+    | rolling        | indices of a driving base's parts; None if the robot does not drive                  |
     | pairs          | component and entity of each contact sensor; one for every body of an entity         |
-    | sensor_adr     | where in sensordata each contact sensor begins: count, force in W, position in W     |
-    | obstacle_adr   | the same of sensors of the carried object against what is no entity                  |
+    | sensor_adr     | start of each contact sensor in sensordata: count, force in W, position in W         |
+    | obstacle_adr   | start of each sensor of the carried object against bodies that are not entities      |
     | entity_bodies  | bodies of each entity                                                                |
-    | obstacles      | bodies that collide and are no entity, nor robot or carried                          |
+    | obstacles      | colliding bodies that are neither entity, robot nor carried object                   |
     | movable        | body of each entity that can move freely                                             |
     | striker_bodies | bodies of the components "body" and "carried"                                        |
     | carried_body   | body of the carried object; -1 if there is none                                      |
-    | hold           | the weld that holds the carried object until the fingers do; -1 if there is no object |
-    | walkers        | entities that move, the last of the scene's entities                                 |
+    | hold           | weld that holds the carried object until the fingers do; -1 if there is no object     |
+    | walkers        | moving entities; they come last among the scene's entities                           |
     """
 
     scene: Scene
@@ -118,10 +118,10 @@ class World:
 
 
 def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
-    """Make a scene ready to be simulated.
+    """Prepare a scene for simulation.
 
     Raises:
-        UnsupportedError: If a planned joint has no position servo, or one with dynamics of its own, or the gripper
+        UnsupportedError: If a planned joint has no position servo, if its actuator has dynamics, or if the gripper
             cannot hold.
     """
     settings = SimSettings() if settings is None else settings
@@ -184,12 +184,12 @@ def _actuator_of(model: mujoco.MjModel, joint: int, name: str) -> int:
     if len(found) != 1:
         raise UnsupportedError(f"the joint {name!r} has {len(found)} actuators; FailBench drives it by exactly one")
     if int(model.actuator_dyntype[found[0]]) != int(mujoco.mjtDyn.mjDYN_NONE):
-        raise UnsupportedError(f"the actuator of {name!r} has dynamics of its own; FailBench drives those without")
+        raise UnsupportedError(f"the actuator of {name!r} has dynamics; FailBench supports actuators without")
     return int(found[0])
 
 
 def _obstacles(scene: Scene, entities: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """Return the bodies with geoms that collide which are neither robot nor carried nor in an entity."""
+    """Return the colliding bodies that belong neither to the robot nor to the carried object nor to an entity."""
     model = scene.model
     known = set(scene.robot_bodies).union(*entities.values())
     if scene.carried is not None:
@@ -200,14 +200,14 @@ def _obstacles(scene: Scene, entities: Mapping[str, tuple[int, ...]]) -> tuple[i
 
 
 def _name_bodies(spec: mujoco.MjSpec) -> None:
-    """Give bodies without a name one, since what is added refers to them by name."""
+    """Name all unnamed bodies, since added sensors and constraints refer to bodies by name."""
     for i, body in enumerate(spec.bodies):
         body.name = body.name or f"failbench/body{i}"
 
 
 def _set_options(spec: mujoco.MjSpec, scene: Scene, settings: SimSettings) -> None:
     spec.option.timestep = settings.timestep
-    # Other integrators chatter at this time step, and pyramidal cones let a held object creep.
+    # Other integrators chatter at this time step, and a held object creeps with pyramidal cones.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = max(spec.option.impratio, 10.0)
@@ -215,12 +215,12 @@ def _set_options(spec: mujoco.MjSpec, scene: Scene, settings: SimSettings) -> No
     if settings.sleep:
         spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     if scene.carried is not None:
-        # It would fall asleep in the gripper, and then hang in the air when let go.
+        # It would fall asleep in the gripper, and then stay in the air after its release.
         spec.body(scene.carried.body).sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
 
 
 def _roots(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the bodies that are not below another one of them."""
+    """Return the bodies that have no ancestor among `bodies`."""
     chosen = set(bodies)
     roots = []
     for body in sorted(chosen):
@@ -248,7 +248,7 @@ def _add_sensors(
                     striking, struck = (spec.bodies[body].name for body in (root, part))
                     name = f"failbench/{striking}/{struck}"
                     sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
-                    # A subtree (XBODY) of what strikes against one body of what is struck.
+                    # The striker's subtree (XBODY) against one body of the entity.
                     sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_XBODY, striking
                     sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, struck
                     sensor.intprm[0], sensor.intprm[1], sensor.intprm[2] = wanted, 3, 1  # 3: the net force of all
@@ -279,7 +279,7 @@ def _add_weld(spec: mujoco.MjSpec, scene: Scene, gripper: Gripper, settings: Sim
         spec.bodies[int(site.bodyid[0])].name,
         scene.carried.body,
     )
-    weld.data = [0.0, 0.0, 0.0, *X_BO[:3, 3], *quat, 1.0, 0.0]  # anchor, pose, how much of the torque
+    weld.data = [0.0, 0.0, 0.0, *X_BO[:3, 3], *quat, 1.0, 0.0]  # anchor, pose, torque scale
     weld.solref, weld.solimp = [2.0 * settings.timestep, 1.0], _STIFF
     if settings.grasp == "weld":
         for body in gripper.bodies:
@@ -289,7 +289,7 @@ def _add_weld(spec: mujoco.MjSpec, scene: Scene, gripper: Gripper, settings: Sim
 
 
 def _is_deck(scene: Scene, gripper: Gripper) -> bool:
-    """Whether what is carried stands on a base that drives, with nothing that could hold it."""
+    """Whether the carried object stands on a driving base without a gripper."""
     return scene.base is not None and not len(gripper.joints)
 
 
@@ -299,7 +299,7 @@ def _movable(model: mujoco.MjModel, entities: Mapping[str, tuple[int, ...]]) -> 
 
 
 def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators: list[int], gripper: Gripper) -> Robot:
-    """Set the servos up in the model that is going to be simulated, and say where the robot's parts are in it."""
+    """Set up the servos in the simulated model, and return the indices of the robot's parts in it."""
     driven = driven_joints(scene)
     joints = [int(model.joint(name).id) for name in driven]
     kept = kept_joints(scene, model)
@@ -307,10 +307,10 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
     dofs = model.jnt_dofadr[joints].astype(int)
     _ungear(model, actuators)
     _limit_forces(model, scene, actuators, gripper)
-    # Feed-forward takes commands out of the joints' range, and a dead arm must not be held up.
+    # Feed-forward moves commands beyond the joints' range, and gravity must act on an arm without power.
     model.actuator_ctrllimited[actuators] = 0
     model.body_gravcomp[sorted(scene.robot_bodies)] = 0.0
-    # The fingertips decide how they hold: whatever the object is made of, it must not creep through a soft contact.
+    # The fingertips' contact parameters take priority: otherwise an object with soft contacts would creep.
     model.geom_priority[gripper.pads] = model.geom_priority.max() + 1
     model.geom_solref[gripper.pads] = [2.0 * settings.timestep, 1.0]
     model.geom_solimp[gripper.pads] = _FIRM
@@ -351,7 +351,7 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
 
 
 def _accelerations(scene: Scene) -> Float[Array, " driven"]:
-    """Return the greatest acceleration that motions have of each driven joint."""
+    """Return the acceleration limits of the driven joints in motions."""
     arm = scene.limits.acceleration
     if scene.base is None:
         return arm.copy()
@@ -360,9 +360,9 @@ def _accelerations(scene: Scene) -> Float[Array, " driven"]:
 
 
 def _ungear(model: mujoco.MjModel, actuators: list[int]) -> None:
-    """Express drives in terms of their joints: the same torques, without a gear and a constant force.
+    """Express actuators in joint coordinates: the same torques, with gear 1 and no constant force.
 
-    The controller makes up for the constant force in any case, so a healthy robot is the same without it.
+    The controller compensates the constant force anyway, so healthy motions are unchanged.
     """
     gear = model.actuator_gear[actuators, 0].copy()
     model.actuator_gear[actuators, 0] = 1.0
@@ -373,12 +373,12 @@ def _ungear(model: mujoco.MjModel, actuators: list[int]) -> None:
 
 
 def _limit_forces(model: mujoco.MjModel, scene: Scene, actuators: list[int], gripper: Gripper) -> None:
-    """Limit drives that have no limit of their own: faults set friction and grip in proportion to it.
+    """Limit actuators that have no force limit: faults scale friction and grip by it.
 
-    Joints get the scene's torque limit, if it is known; fingers what their servos ask for at most.
+    Joints get the scene's torque limit, if it is known; fingers get the servo's force over the full stroke.
     """
     torque = scene.limits.torque
-    if scene.base is not None:  # drives of wheels have limits of their own
+    if scene.base is not None:  # wheel drives have their own limits
         torque = np.concatenate([np.full(len(scene.base.wheels), np.inf), torque[PLANAR:]])
     known = [(a, t) for a, t in zip(actuators, torque, strict=True) if np.isfinite(t)]
     stroke = np.abs(gripper.open - gripper.closed)
@@ -390,7 +390,7 @@ def _limit_forces(model: mujoco.MjModel, scene: Scene, actuators: list[int], gri
 
 
 def _inertia(model: mujoco.MjModel, scene: Scene) -> Float[Array, " nv"]:
-    """Return the diagonal of the inertia matrix at home."""
+    """Return the diagonal of the inertia matrix at the home position."""
     data = mujoco.MjData(model)
     data.qpos[:] = lifted(scene, model, scene.home_qpos)
     mujoco.mj_forward(model, data)

@@ -1,1 +1,1 @@
-"""Faults of the surroundings: what happens around a healthy robot."""
+"""Faults of the surroundings: events around a healthy robot."""

@@ -1,4 +1,4 @@
-"""Who and what comes in: a person, a door. Values and their reasons: docs/surroundings.md."""
+"""Intruders: a person walks in, a door opens. Values and their reasons: docs/surroundings.md."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _HALF_TURN = math.pi / 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class PersonWalksIn(Disturbance):
-    """Somebody nobody expected walks by, on a straight line that passes where the tool is at the onset.
+    """An unpredicted person walks along a straight line past the tool's position at the onset.
 
     Args:
-        category: Class in the severity table.
-        distance: How far away they are at the onset [m].
-        passing: How far beside the tool they pass at most, to either side as the seed has it [m].
-        radius: Of their body, an upright cylinder [m].
-        height: Of their body [m].
+        category: Entity class in the severity table.
+        distance: Distance from the passing point at the onset [m].
+        passing: Greatest lateral distance between the line and the tool, on a random side [m].
+        radius: Radius of the body, an upright cylinder [m].
+        height: Height of the body [m].
     """
 
     category: str = "adult"
@@ -36,7 +36,7 @@ class PersonWalksIn(Disturbance):
     height: float = 1.7
 
     NAME: ClassVar[str] = "person_walks_in"
-    PARAMETER: ClassVar[str] = "speed of walking [m/s]"
+    PARAMETER: ClassVar[str] = "walking speed [m/s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.5, "moderate": 1.0, "severe": 1.5, "critical": 2.5}
 
     def __post_init__(self) -> None:
@@ -49,12 +49,12 @@ class PersonWalksIn(Disturbance):
             raise SettingError("passing", self.passing, "a finite length of at least 0 m")
 
     def visitor(self) -> MovingEntity:
-        """Return the person, still elsewhere."""
+        """Return the person, parked away from the scene."""
         size = [self.radius, self.height / 2.0]
         return MovingEntity(self.NAME, self.category, size=size, t=[0.0], position=[PARKED])
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Let them walk."""
+        """Move the person along the line."""
         if "line" not in plant.memory:
             heading, beside = plant.rng.uniform(-math.pi, math.pi), plant.rng.uniform(-self.passing, self.passing)
             along = np.array([math.cos(heading), math.sin(heading)])
@@ -71,20 +71,20 @@ class PersonWalksIn(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class DoorOpens(Disturbance):
-    """A door swings open through where the tool is at the onset, by 135 degrees, and stands.
+    """A door swings by 135 degrees through the tool's position at the onset, then stops.
 
-    It yields to nothing. To hit it harms nobody, but what is carried may be knocked out of the hand.
+    The door does not yield. Hitting it harms no entity, but may knock the carried object out of the gripper.
 
     Args:
-        width: Of the door [m].
-        reach: How far from the hinge the tool is [m].
+        width: Width of the door [m].
+        reach: Distance of the tool from the hinge [m].
     """
 
     width: float = 0.8
     reach: float = 0.65
 
     NAME: ClassVar[str] = "door_opens"
-    PARAMETER: ClassVar[str] = "how fast it turns [rad/s]"
+    PARAMETER: ClassVar[str] = "rate of turning [rad/s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 1.0, "moderate": 2.0, "severe": 3.0, "critical": 5.0}
 
     def __post_init__(self) -> None:
@@ -93,12 +93,12 @@ class DoorOpens(Disturbance):
             raise SettingError("reach, width", (self.reach, self.width), "0 < reach < width, finite [m]")
 
     def visitor(self) -> MovingEntity:
-        """Return the door, still elsewhere."""
+        """Return the door, parked away from the scene."""
         size = [self.width / 2.0, 0.02, 1.0]
         return MovingEntity(self.NAME, "none", size=size, t=[0.0], position=[PARKED])
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Turn it, from a right angle beside the tool to 45 degrees beyond."""
+        """Turn the door, from 90 degrees before the tool to 45 degrees beyond it."""
         if "hinge" not in plant.memory:
             bearing = plant.rng.uniform(-math.pi, math.pi)
             towards = np.array([math.cos(bearing), math.sin(bearing)])
@@ -114,7 +114,7 @@ class DoorOpens(Disturbance):
 
 
 def _so_far(plant: Plant, rate: float) -> float:
-    """Return how far it has come at the rates so far, and go on at this one."""
+    """Return the distance or angle covered at earlier rates, and store the current rate."""
     done, since, before = plant.memory.get("so_far", (0.0, plant.step, 0.0))
     done += before * plant.dt * (plant.step - since)
     plant.memory["so_far"] = done, plant.step, rate

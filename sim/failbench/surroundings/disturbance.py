@@ -1,4 +1,4 @@
-"""The contract of a fault of the surroundings: the robot is sound, and what is around it changes."""
+"""Base class of faults of the surroundings: the robot is healthy, and the scene around it changes."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from graceful_plan.exceptions import SettingError, UnknownNameError, Unsupported
 Array = np.ndarray
 
 PARKED = (60.0, 60.0, -30.0)
-"""Where somebody or something waits that has not come yet: far away and below the floor [m]."""
+"""Parking position of visitors that have not appeared yet: far away and below the floor, in W [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbance(Fault):
-    """Something that happens around a robot. Onset, degree, ramp and duration are those of any fault.
+    """An event around a robot. Onset, degree, ramp and duration are those of any fault.
 
-    One of your own is a frozen dataclass like that of any `Fault`, which acts on `plant.walk`, `plant.xfrc` or model
-    fields; `visitor` says whom it needs in the scene. `targets` mean nothing here.
+    To add one, write a frozen dataclass as for any `Fault` that changes `plant.walk`, `plant.xfrc` or model fields.
+    Its `visitor` returns the entity it needs in the scene. `targets` must be empty.
     """
 
     CATEGORY: ClassVar[str] = SURROUNDINGS
@@ -34,32 +34,32 @@ class Disturbance(Fault):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.targets:
-            raise SettingError("targets", self.targets, f"none: a {self.NAME} strikes no part of the robot")
+            raise SettingError("targets", self.targets, f"none: {self.NAME} strikes no part of the robot")
 
     def visitor(self) -> MovingEntity | None:
-        """Return who or what has to be in the scene, out of the way, until this happens; None if nobody."""
+        """Return the entity that must be in the scene, parked, before the event; None if there is none."""
         return None
 
 
 def staged_for(fault: Fault, scene: Scene) -> Scene:
-    """Return a scene in which a fault can happen: with whom it needs, who is still out of the way."""
+    """Return a scene in which a fault can happen: with its visitor, if any, parked away from the robot."""
     visitor = fault.visitor() if isinstance(fault, Disturbance) else None
     return scene if visitor is None or visitor.name in scene.moving else scene.with_moving(visitor)
 
 
 def world_of(plant: Plant) -> World:
-    """Return where a plant is."""
+    """Return the world of a plant."""
     if plant.world is None:
-        raise UnsupportedError("surroundings fail where there are some; this robot is alone")
+        raise UnsupportedError("faults of the surroundings need a world; this plant has none")
     return plant.world
 
 
 def movable(plant: Plant, entity: str) -> int:
-    """Return the body of an entity that can move, or of one drawn at random.
+    """Return the body of a movable entity, or a random one for "any".
 
     Raises:
-        UnknownNameError: If there is no such entity.
-        UnsupportedError: If nothing can move.
+        UnknownNameError: If there is no movable entity of this name.
+        UnsupportedError: If the scene has no movable entity.
     """
     bodies = world_of(plant).movable
     if not bodies:
@@ -71,14 +71,14 @@ def movable(plant: Plant, entity: str) -> int:
 
 
 def tool_at(plant: Plant, time: Array) -> Array:
-    """Return where the tool is to be at times since the onset [s], in W [m]."""
+    """Return the planned tool positions at times since the onset [s], in W [m]."""
     scene = world_of(plant).scene
     site = int(scene.model.site(scene.tool).id)
     return np.array([scene.data_at(q).site_xpos[site].copy() for q in plant.planned(time)])
 
 
 def go(plant: Plant, name: str, position: Array, yaw: Array) -> None:
-    """Let one who moves be at these places and turned so before each step from now on and after the last."""
+    """Set position and yaw of a moving entity before each further step and after the last."""
     world = world_of(plant)
     names = [walker.name for walker in world.walkers]
     if name not in names:

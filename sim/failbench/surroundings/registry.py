@@ -1,4 +1,4 @@
-"""The faults of the surroundings by name. They are no faults of the robot, and are not in `failbench.faults()`."""
+"""Registry of the faults of the surroundings. They are not in `failbench.faults()`, which holds faults of the robot."""
 
 from __future__ import annotations
 

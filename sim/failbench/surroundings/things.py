@@ -1,4 +1,4 @@
-"""Faults of things: pushed, added, bumped, slippery, heavy. Values and their reasons: docs/surroundings.md."""
+"""Faults of objects: pushed, added, bumped, slippery, heavy. Values and their reasons: docs/surroundings.md."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from graceful_plan import MovingEntity
 from graceful_plan.exceptions import SettingError, UnsupportedError
 
 PUSH = 0.05
-"""How long a push takes, and half of a bump [s]."""
+"""Duration of a push, and of half a bump [s]."""
 _CLEAR = 0.1
-"""What is put in the way is at least so far from the tool then [m], besides its own size."""
+"""Least distance of an added object from the tool at the onset, plus half its diagonal [m]."""
 _FIRST = AtFraction(0.0)
 _AHEAD, _LOOK = 5.0, 0.05
-"""How far ahead of the motion it is looked for a place, and how often [s]."""
+"""Length of the planned motion searched for the place of an added object, and sampling interval [s]."""
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0")
-"""What MuJoCo derives from masses, and constraints are scaled with."""
+"""Fields that MuJoCo derives from masses and scales constraints with."""
 
 
 def _direction(plant: Plant) -> np.ndarray:
-    """Return a horizontal direction, drawn once."""
+    """Return a random horizontal direction, drawn once per rollout."""
     if "heading" not in plant.memory:
         plant.memory["heading"] = plant.rng.uniform(-math.pi, math.pi)
     heading = plant.memory["heading"]
@@ -37,21 +37,21 @@ def _direction(plant: Plant) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class PushedObject(Disturbance):
-    """Somebody pushes a thing, horizontally in a direction that the seed has.
+    """An object is pushed horizontally in a random direction.
 
     Args:
-        entity: Name of what is pushed, or "any" for one drawn at random.
+        entity: Name of the pushed entity, or "any" for a random one.
     """
 
     entity: str = "any"
 
     NAME: ClassVar[str] = "pushed_object"
-    PARAMETER: ClassVar[str] = "speed that the push would give it without friction [m/s]"
+    PARAMETER: ClassVar[str] = "speed of the object after the push without friction [m/s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.5, "moderate": 1.0, "severe": 2.0, "critical": 4.0}
     PERIOD: ClassVar[float | None] = PUSH
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Push it through its centre of mass, for a moment."""
+        """Push the object through its centre of mass for the time `PUSH`."""
         body = plant.memory.get("body")
         if body is None:
             body = plant.memory["body"] = movable(plant, self.entity)
@@ -63,10 +63,10 @@ class PushedObject(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class BumpedTable(Disturbance):
-    """Somebody runs into the table: it jumps aside and stops.
+    """The table is bumped: it jumps aside and stops.
 
-    Seen from the table, all that can move on it, or stands elsewhere, is pushed the other way, then back. The robot
-    stands on its own feet.
+    In the table's frame, all movable entities are pushed the opposite way, then back, including those that stand
+    elsewhere. The robot is not affected.
     """
 
     NAME: ClassVar[str] = "bumped_table"
@@ -75,7 +75,7 @@ class BumpedTable(Disturbance):
     PERIOD: ClassVar[float | None] = PUSH
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Let things feel how the table sets off, and how it stops."""
+        """Apply the inertial forces of the table's acceleration, then of its deceleration."""
         world, direction = world_of(plant), _direction(plant)
         if not world.movable:
             raise UnsupportedError("no entity of the scene can move")
@@ -88,15 +88,15 @@ class BumpedTable(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class WetFloor(Disturbance):
-    """Everything but the robot gets slippery, the carried object too where it touches anything but the fingers."""
+    """Everything but the robot gets slippery, and the carried object in contacts other than with the fingers."""
 
     NAME: ClassVar[str] = "wet_floor"
-    PARAMETER: ClassVar[str] = "friction that is left, as a share of the dry one"
+    PARAMETER: ClassVar[str] = "remaining friction, as a fraction of the dry one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.6, "moderate": 0.4, "severe": 0.2, "critical": 0.05}
     FIELDS: ClassVar[tuple[str, ...]] = ("geom_friction",)
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Scale the friction of whatever is no part of the robot; fingers have their own say."""
+        """Scale the friction of all geoms outside the robot. Contacts of the fingers keep theirs by priority."""
         world = world_of(plant)
         robot = np.isin(world.model.geom_bodyid, sorted(world.scene.robot_bodies))
         plant["geom_friction"][~robot] *= 1.0 + level * (self.amount - 1.0)
@@ -104,23 +104,23 @@ class WetFloor(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class HeavierObject(Disturbance):
-    """The carried object is heavier than thought: the controller makes up for the weight that it was told.
+    """The carried object is heavier than assumed; the controller compensates the assumed weight.
 
-    It is from the beginning unless `when` says otherwise.
+    By default it is heavier from the beginning of the motion.
     """
 
     when: Onset = _FIRST
 
     NAME: ClassVar[str] = "heavier_object"
-    PARAMETER: ClassVar[str] = "mass, as a multiple of what was thought"
+    PARAMETER: ClassVar[str] = "mass, as a multiple of the assumed one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 1.5, "moderate": 2.0, "severe": 4.0, "critical": 8.0}
     FIELDS: ClassVar[tuple[str, ...]] = ("body_inertia", *_DERIVED, "actuator_forcerange", *GRIP)
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Scale mass and inertia; a weld breaks where fingers would not hold the weight."""
+        """Scale mass and inertia, and cut the weld if fingers could not hold the weight."""
         carried = world_of(plant).carried_body
         if carried < 0:
-            raise UnsupportedError("nothing is carried that could be heavy")
+            raise UnsupportedError("the scene has no carried object to make heavier")
         factor = 1.0 + level * (self.amount - 1.0)
         dofs = world_of(plant).model.dof_bodyid == carried
         for name in ("body_mass", "body_inertia", "body_subtreemass"):
@@ -132,10 +132,10 @@ class HeavierObject(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class AddedObject(Disturbance):
-    """Somebody puts a thing where the tool is going to be. It stands fast, whatever runs into it.
+    """An object is put into the tool's future path. It does not move when hit.
 
     Args:
-        category: Its class in the severity table.
+        category: Entity class in the severity table.
         size: Half of each side [m].
     """
 
@@ -143,7 +143,7 @@ class AddedObject(Disturbance):
     size: float = 0.04
 
     NAME: ClassVar[str] = "added_object"
-    PARAMETER: ClassVar[str] = "part of the motion that is left until it is met"
+    PARAMETER: ClassVar[str] = "fraction of the remaining path at which the object stands"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.8, "moderate": 0.6, "severe": 0.4, "critical": 0.2}
 
     def __post_init__(self) -> None:
@@ -152,12 +152,12 @@ class AddedObject(Disturbance):
             raise SettingError("size", self.size, "a finite length above 0 m")
 
     def visitor(self) -> MovingEntity:
-        """Return it, still elsewhere."""
+        """Return the object, parked away from the scene."""
         return MovingEntity(self.NAME, self.category, size=[self.size] * 3, t=[0.0], position=[PARKED])
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Put it there; if the tool does not come far any more, in no place."""
-        del level  # it is there or it is not
+        """Put the object into the path; leave it parked if the tool does not move far enough any more."""
+        del level  # the object is there or not
         if "place" not in plant.memory:
             plant.memory["place"] = self._place(plant)
         rows = len(plant.walk) - plant.step

@@ -1,1 +1,1 @@
-"""Datasets of many rollouts, made so that nothing is lost."""
+"""Sweeps: datasets of many rollouts, robust against interruptions."""

@@ -1,4 +1,4 @@
-"""The card of a dataset: `README.md`, which people read and Hugging Face's `datasets` finds the tables by."""
+"""The card of a dataset: a `README.md` for readers, and for Hugging Face's `datasets` to find the tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from failbench.sweeps.work import Sweep
 CARD = "README.md"
 _MARK = "<!-- made by failbench generate -->"
 _SHOWN = 40
-"""Names in a list, at most."""
+"""Greatest number of names in a list."""
 
 _TEXT = """\
 ---
@@ -26,13 +26,13 @@ configs:
 
 # Failures of a robot
 
-{rollouts} rollouts in which a simulated robot fails, or its surroundings do, with {contacts} contact events, made with
+{rollouts} rollouts in which a simulated robot or its surroundings fail, with {contacts} contact events, made with
 FailBench {graceful_plan} and MuJoCo {mujoco}. Each is simulated for {horizon:g} s from the onset on; every fault
-strikes every motion {each} times, at moments spread evenly over the motion (seed {seed}).
+strikes every motion {each} times, at onsets spread evenly over the motion (seed {seed}).
 
-Nothing in it is measured on a real robot: severities, and how strong and how likely faults are, are stated assumptions;
-what is spilled comes from a model, not from a fluid. Diverged rollouts are rows, too: leave them out of means by
-their `status`, and count them. Not for: rating people's safety, or real robots' rates of failure.
+No value is measured on a real robot: severities, and the strength and probability of faults, are stated assumptions;
+spills come from a model, not from a fluid simulation. Diverged rollouts are rows, too: exclude them from means by
+their `status`, and report their number. Not for: rating people's safety, or real robots' rates of failure.
 
 ```python
 rollouts = pandas.read_parquet("FOLDER/rollouts")
@@ -40,8 +40,8 @@ rollouts = polars.read_parquet("FOLDER/rollouts/*.parquet")
 rollouts = datasets.load_dataset("FOLDER", "rollouts", split="train")  # Hugging Face
 ```
 
-`manifest.json` has the SHA-256 of every file, and the sweep that makes the same rows again; `failbench.read_dataset`
-checks them.
+`manifest.json` holds the SHA-256 of every file, and the sweep that reproduces the rows; `failbench.read_dataset`
+checks the files.
 
 Motions: {motions}. Faults: {faults}.
 
@@ -49,7 +49,7 @@ Motions: {motions}. Faults: {faults}.
 
 
 def write_card(folder: Path, sweep: Sweep, manifest: Mapping[str, Any]) -> None:
-    """Write the card of a dataset, but not over a README.md of somebody else."""
+    """Write the card of a dataset, unless there is a README.md from another source."""
     text = _TEXT.format(
         # Hugging Face refuses files without rows.
         configs="\n".join(f"- config_name: {t}\n  data_files: {t}/*.parquet" for t in TABLES if manifest["rows"][t]),
@@ -69,7 +69,7 @@ def write_card(folder: Path, sweep: Sweep, manifest: Mapping[str, Any]) -> None:
 
 
 def write_own(file: Path, text: str, mark: str) -> None:
-    """Write a text with a mark in it, but not over a file without that mark: it is somebody else's."""
+    """Write a text that contains a mark, unless the file exists without that mark."""
     if file.exists() and not (file.is_file() and mark in file.read_text(encoding="utf-8", errors="replace")):
         return
     file.write_text(text, encoding="utf-8")

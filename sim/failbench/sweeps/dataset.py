@@ -1,7 +1,7 @@
-"""Datasets: Parquet parts that other programs read in one line, and a manifest that knows their checksums.
+"""Datasets: Parquet parts that other programs can read, and a manifest with their checksums.
 
-A part gets its name when it is complete and on disk; the manifest is written last. So a dataset without a manifest is
-unfinished, and one whose parts differ from the manifest is damaged; `read_dataset` refuses both by name.
+A part gets its name when it is complete and on disk, and the manifest is written last. A dataset without a manifest is
+therefore unfinished, and one whose parts differ from it is damaged. `read_dataset` rejects both and names the file.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ if TYPE_CHECKING:
 
 MANIFEST = "manifest.json"
 PART_ROWS = 5_000
-"""Rows of a part, at most; as many are in memory until it is written, some 30 kB each."""
+"""Greatest number of rows in a written part; they are kept in memory until it is written, some 30 kB each."""
 _MOST_ROWS = 100_000
-"""Of a part that is read: equal rows take next to nothing in a file."""
+"""Greatest number of rows in a part that is read, since many equal rows fit into a tiny file."""
 
 _SCHEMA = "failbench.dataset"
 _TEMPORARY = ".unfinished-"
 _PART = re.compile(rf"({'|'.join(TABLES)})/part-[0-9]{{5,9}}\.parquet")
-"""Names of parts: nothing outside of the dataset's own folder is read."""
+"""Valid names of parts; they exclude paths outside the dataset's folder."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dataset:
-    """A dataset that was found to be whole.
+    """A dataset that passed all checks.
 
     Args:
         rollouts: One row for each rollout.
-        contacts: One row for each contact event; `rollout` says of which rollout.
-        manifest: What it was made from and with, and the checksums.
+        contacts: One row for each contact event; its column `rollout` refers to the rollout.
+        manifest: Sweep, versions, and checksums.
     """
 
     rollouts: pa.Table
@@ -55,28 +55,28 @@ class Dataset:
 
     @property
     def sweep(self) -> Sweep:
-        """What it was made from."""
+        """The sweep that made the dataset."""
         from failbench.sweeps.work import Sweep
 
         return Sweep.from_document(self.manifest["sweep"])
 
 
 def check_arrow() -> None:
-    """Raise MissingExtra if no dataset can be written or read here."""
+    """Raise MissingExtra if pyarrow is not installed."""
     if importlib.util.find_spec("pyarrow") is None:
         raise MissingExtra("pyarrow", "data")
 
 
 def write_dataset(folder: Path, rows: Iterable[Rows], about: Mapping[str, Any]) -> dict[str, Any]:
-    """Write rows as a dataset, in their order, and return its manifest. What was there before is replaced.
+    """Write rows as a dataset, in their order, and return its manifest; replace an earlier dataset.
 
     Args:
-        folder: Where.
+        folder: Folder of the dataset.
         rows: Rows of both tables.
-        about: Sweep and versions, kept in the manifest and in every part.
+        about: Sweep and versions, for the manifest and every part.
 
     Raises:
-        FormatError: If there are files of somebody else where the parts go.
+        FormatError: If the folders of the parts hold other files.
         MissingExtra: If pyarrow is not installed.
     """
     check_arrow()
@@ -102,7 +102,7 @@ def write_dataset(folder: Path, rows: Iterable[Rows], about: Mapping[str, Any]) 
 
 
 def read_dataset(folder: str | Path) -> Dataset:
-    """Read a dataset and check all of it: every part is there, none is too many, and each is what was written.
+    """Read a dataset and check that its parts are complete, that there are no others, and that each is unchanged.
 
     Columns that an earlier version did not have are null.
 
@@ -129,44 +129,44 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """Read and check the manifest of a dataset, without its parts.
 
     Raises:
-        FormatError: If there is none, or it is damaged, or of another version.
+        FormatError: If there is none, or it is damaged or of another version.
     """
     file = folder / MANIFEST
     try:
         manifest = json.loads(read_content(file))
     except FileNotFoundError:
-        raise FormatError(str(file), "missing: no dataset, or one that was never finished") from None
+        raise FormatError(str(file), "missing: not a dataset, or an unfinished one") from None
     except OSError as error:
         raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise FormatError(str(file), f"damaged: {error}") from None
     if not isinstance(manifest, dict) or manifest.get("schema") != _SCHEMA:
-        raise FormatError(str(file), "no manifest of a dataset")
+        raise FormatError(str(file), "not a manifest of a dataset")
     if manifest.get("version") not in range(1, VERSION + 1):
         raise FormatError(str(file), f"version {manifest.get('version')!r}; this version reads 1 to {VERSION}")
     if manifest.get("sha256") != _self_checksum(manifest):
-        raise FormatError(str(file), "damaged: its checksum does not fit")
+        raise FormatError(str(file), "damaged: its checksum does not match")
     _check_fields(manifest, str(file))
     return manifest
 
 
 def _check_fields(manifest: Mapping[str, Any], file: str) -> None:
-    """Refuse a manifest whose checksum fits and which is none all the same: anybody can work out a checksum."""
+    """Reject a malformed manifest with a valid checksum, which anyone can compute."""
     rows, versions, parts = (manifest.get(name) for name in ("rows", "versions", "parts"))
     if not (isinstance(rows, dict) and all(_is_count(rows.get(table)) for table in TABLES)):
         raise FormatError(file, "no numbers of rows of each table")
     named = isinstance(versions, dict) and all(isinstance(versions.get(x), str) for x in ("graceful_plan", "mujoco"))
     if not named:
-        raise FormatError(file, "no versions of what it was made with")
+        raise FormatError(file, "no versions of graceful_plan and mujoco")
     if not isinstance(manifest.get("sweep"), dict):
-        raise FormatError(file, "no sweep that it was made from")
+        raise FormatError(file, "no sweep")
     for k, part in enumerate(parts if isinstance(parts, list) else [None]):
         said = part if isinstance(part, dict) else {}
         texts, counts = ([said.get(name) for name in names] for names in (("file", "sha256"), ("rows", "bytes")))
         if not (all(isinstance(text, str) for text in texts) and all(map(_is_count, counts))):
             raise FormatError(file, f"parts[{k}] does not say file, rows, bytes and checksum")
         if not _PART.fullmatch(said["file"]):
-            raise FormatError(file, f"parts[{k}]: {said['file'][:80]!r} is no name of a part")
+            raise FormatError(file, f"parts[{k}]: {said['file'][:80]!r} is not a valid part name")
 
 
 def _is_count(value: object) -> bool:
@@ -174,7 +174,7 @@ def _is_count(value: object) -> bool:
 
 
 class _Writer:
-    """Collects rows of a table and writes a part whenever there are enough."""
+    """Collects rows of a table, and writes a part when it is full."""
 
     def __init__(self, folder: Path, table: str, about: Mapping[str, Any]) -> None:
         self.folder, self.table = folder, table
@@ -185,7 +185,7 @@ class _Writer:
         self.rows: list[dict[str, Any]] = []
         self.parts: list[dict[str, Any]] = []
         self.content = hashlib.sha256()
-        """Checksum of all the rows as JSON lines: the same whatever wrote the Parquet file."""
+        """Checksum of all rows as JSON lines, independent of the Parquet encoding."""
         (folder / table).mkdir(parents=True, exist_ok=True)
 
     def add(self, rows: Iterable[dict[str, Any]]) -> None:
@@ -215,7 +215,7 @@ class _Writer:
 
 
 def _write(file: Path, content: bytes) -> None:
-    """Write a file such that its name never stands for less than all of it, not even after a power cut."""
+    """Write a file atomically: its name never refers to incomplete content, not even after a power failure."""
     temporary = file.with_name(_TEMPORARY + file.name)
     with temporary.open("wb") as out:
         out.write(content)
@@ -230,18 +230,18 @@ def _write(file: Path, content: bytes) -> None:
 
 
 def _clear(folder: Path) -> None:
-    """Remove what an earlier export left behind, the manifest first."""
+    """Remove an earlier export, the manifest first."""
     ours = [file for file in _files(folder) if file.name.startswith(("part-", _TEMPORARY))]
     for file in _files(folder):
         if file not in ours:
-            raise FormatError(str(file), "not a part of a dataset; parts are to be written here")
+            raise FormatError(str(file), "not a part of a dataset, in a folder reserved for parts")
     (folder / MANIFEST).unlink(missing_ok=True)
     for file in ours:
         file.unlink()
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield everything that lies where parts belong."""
+    """Yield all files in the folders of the parts."""
     for table in TABLES:
         if (folder / table).is_dir():
             yield from sorted((folder / table).iterdir())
@@ -258,15 +258,15 @@ def _read_part(file: Path, part: Mapping[str, Any], version: int) -> pa.Table:
     if len(content) != part["bytes"]:
         raise FormatError(str(file), f"damaged: {len(content)} bytes, {part['bytes']} were written")
     if hashlib.sha256(content).hexdigest() != part["sha256"]:
-        raise FormatError(str(file), "damaged: its checksum does not fit")
-    # The very bytes that were checked are the ones that are read.
+        raise FormatError(str(file), "damaged: its checksum does not match")
+    # Parse exactly the bytes that were checked.
     try:
         rows = pq.read_metadata(pa.BufferReader(content)).num_rows
         read = pq.read_table(pa.BufferReader(content)) if rows == part["rows"] <= _MOST_ROWS else None
     except (pa.ArrowException, OSError) as error:
         raise FormatError(str(file), f"not Parquet: {error}") from None
     if read is None or not read.schema.equals(arrow_schema(file.parent.name, version)):
-        raise FormatError(str(file), f"not the columns or rows of {file.parent.name}")
+        raise FormatError(str(file), f"wrong columns or number of rows for {file.parent.name}")
     schema = arrow_schema(file.parent.name)
     for place, name in enumerate(schema.names):
         if name not in read.schema.names:
@@ -275,6 +275,6 @@ def _read_part(file: Path, part: Mapping[str, Any], version: int) -> pa.Table:
 
 
 def _self_checksum(manifest: Mapping[str, Any]) -> str:
-    """Return the checksum of a manifest without the one in it."""
+    """Return the checksum of a manifest without its own checksum."""
     content = {key: value for key, value in manifest.items() if key != "sha256"}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Who does the chunks of a sweep: a protocol, and a pool of local processes that outlives the death of its workers."""
+"""Executors of chunks: a protocol, and a pool of local processes that survives the death of its workers."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from failbench.basics.errors import WorkerError
 from graceful_plan.exceptions import SettingError
 
 MAX_KILLS = 3
-"""How many workers a chunk may take down with it before it counts as failed."""
+"""Number of worker deaths after which a chunk counts as failed."""
 _MAX_STILLBORN = 5
-"""How many workers in a row may die before they can work, until it is clear that none ever will."""
+"""Number of consecutive workers that may die before their first chunk; then the pool gives up."""
 
 
 @runtime_checkable
 class Executor(Protocol):
-    """Does chunks somewhere, in any order."""
+    """Computes chunks somewhere, in any order."""
 
     def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[ChunkOutcome]:
-        """Do every chunk once and yield how each ended, as they come; closing the iterator stops everything.
+        """Compute every chunk once, and yield outcomes as they arrive; closing the iterator stops all work.
 
-        An exception in a chunk, and a chunk that keeps killing its worker, are outcomes with an error.
+        Exceptions in a chunk, and chunks that repeatedly kill their worker, become outcomes with an error.
         """
         ...
 
 
 def checked_workers(workers: int) -> int:
-    """Return how many workers to use: one for each core if `workers` is 0."""
+    """Return the number of workers; 0 means one per core."""
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
         raise SettingError("workers", workers, "a whole number, at least 0 (0: one for each core)")
     return workers or len(os.sched_getaffinity(0))
 
 
 def died(chunk: Chunk, kills: int, how: str) -> ChunkOutcome:
-    """Return the outcome of a chunk that took too many workers with it."""
+    """Return the outcome of a chunk that killed too many workers."""
     return ChunkOutcome(chunk=chunk, error=f"{chunk.name}: its worker died {kills} times, the last time with {how}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocalExecutor:
-    """Processes on this machine. A worker that dies is replaced, and its chunk is done again.
+    """Processes on this machine. A dead worker is replaced, and its chunk is computed again.
 
     Args:
-        workers: How many processes; 0 is one for each core.
+        workers: Number of processes; 0 means one per core.
     """
 
     workers: int = 0
@@ -61,10 +61,10 @@ class LocalExecutor:
         checked_workers(self.workers)
 
     def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[ChunkOutcome]:
-        """Do every chunk once and yield how each ended, as they come.
+        """Compute every chunk once, and yield outcomes as they arrive.
 
         Raises:
-            WorkerError: If one worker after another dies before it can do anything.
+            WorkerError: If several workers in a row die before they compute anything.
         """
         todo = deque(chunks)
         pool = _Pool(work, todo)
@@ -80,7 +80,7 @@ class LocalExecutor:
 
 
 class _Pool:
-    """The workers of one call of `map`, and what is known about deaths among them."""
+    """Workers of one call of `map`, and counts of their deaths."""
 
     def __init__(self, work: Work, todo: deque[Chunk]) -> None:
         self.work, self.todo = work, todo
@@ -101,12 +101,12 @@ class _Pool:
         self.workers.clear()
 
     def those_with_news(self) -> list[_LocalWorker]:
-        """Wait until workers have something to say, or have died, and return them."""
+        """Wait until workers have sent a message or died, and return them."""
         loud = wait([worker.connection for worker in self.workers])
         return [worker for worker in self.workers if worker.connection in loud]
 
     def hear(self, worker: _LocalWorker) -> ChunkOutcome | None:
-        """Take what a worker has to say and give it the next chunk; or replace it, if it is dead."""
+        """Receive a worker's outcome and give it the next chunk; replace the worker if it is dead."""
         try:
             outcome = worker.receive()
         except (EOFError, OSError):
@@ -117,7 +117,7 @@ class _Pool:
         return outcome
 
     def _bury(self, worker: _LocalWorker) -> ChunkOutcome | None:
-        """Replace a dead worker; its chunk is done again, unless it is known for that."""
+        """Replace a dead worker; its chunk is computed again, unless it has killed too many workers."""
         how = worker.kill()
         self.workers.remove(worker)
         self.stillborn += not worker.ready
@@ -135,7 +135,7 @@ class _Pool:
 
 
 class _LocalWorker:
-    """A process that does one chunk after the other, and the driver's end of the line to it."""
+    """A process that computes chunks one after another, and the driver's end of its connection."""
 
     def __init__(self, work: Work) -> None:
         # Spawned, not forked: the driver may have threads, and MuJoCo and BLAS may hold locks in them.
@@ -144,29 +144,29 @@ class _LocalWorker:
         self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
         with _interrupts_blocked():
             self.process.start()
-        theirs.close()  # so that its death is an end of file here, and the driver's one there
+        theirs.close()  # so that each side gets an end of file when the other dies
         self.ready = False
         self.chunk: Chunk | None = None
 
     def give(self, chunk: Chunk) -> None:
         self.chunk = chunk
-        with contextlib.suppress(OSError):  # dead: what it would have answered with is an end of file
+        with contextlib.suppress(OSError):  # a dead worker's answer is an end of file
             self.connection.send(chunk)
 
     def receive(self) -> ChunkOutcome | None:
-        """Return its outcome; None is its first word, that it is ready.
+        """Return the worker's outcome; its first message is None when it is ready.
 
         Raises:
-            EOFError, OSError: If it died, perhaps in the middle of a word.
+            EOFError, OSError: If the worker died, perhaps in the middle of a message.
         """
         outcome = cast(ChunkOutcome | None, self.connection.recv())
         self.ready, self.chunk = True, None
         return outcome
 
     def kill(self) -> str:
-        """End it at once and say how it ended."""
+        """Kill the worker and describe how it ended."""
         self.connection.close()
-        # A dead one keeps its own exit code.
+        # A worker that is already dead keeps its exit code.
         self.process.kill()
         self.process.join()
         code = self.process.exitcode or 0
@@ -176,7 +176,7 @@ class _LocalWorker:
 
 @contextlib.contextmanager
 def _interrupts_blocked() -> Generator[None]:
-    """Start processes that never see Ctrl-C: it reaches the whole group, but is for the driver to act on."""
+    """Start processes that ignore Ctrl-C, which the terminal sends to the whole group; only the driver reacts to it."""
     resource_tracker.ensure_running()  # the first process starts it, and that unblocks interrupts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -186,7 +186,7 @@ def _interrupts_blocked() -> Generator[None]:
 
 
 def _serve(connection: Connection, work: Work) -> None:
-    """Do the chunks that come in, until the driver hangs up or dies."""
+    """Compute received chunks until the driver closes the connection or dies."""
     with contextlib.suppress(EOFError, OSError):
         connection.send(None)
         while True:

@@ -1,8 +1,8 @@
-"""The journal of a sweep: which chunks are done, and their rows. One SQLite file that survives a kill at any moment.
+"""The journal of a sweep: finished chunks and their rows, in one SQLite file that survives a kill at any time.
 
-A chunk and its rows are written in one transaction, so a chunk is either there with all of its rows or not at all.
-Only the driver writes. With a write-ahead log a commit is an append; it is synced to disk at every commit (FULL): a
-chunk costs a hundred times as much as that, and then even a power cut loses nothing that was reported as done.
+A chunk and its rows are written in one transaction, so a chunk is stored completely or not at all. Only the driver
+writes. With a write-ahead log a commit is an append, synced to disk (FULL). A chunk takes a hundred times as long as
+the sync, and even a power failure loses no chunk that was reported as done.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def _checksum(about: Any) -> str:
 
 
 class SweepJournal:
-    """An open journal, which no other process can open meanwhile. Use it in a `with` statement.
+    """An open journal, locked against other processes. Use it in a `with` statement.
 
     Args:
-        file: Where it is or will be.
+        file: File of the journal; created if missing.
 
     Raises:
         FormatError: If the file is something else, of another version, or damaged.
@@ -69,14 +69,14 @@ class SweepJournal:
             raise FormatError(str(self.file), f"damaged: {problems[0]}")
         tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
         self.begun = bool(tables)
-        """Whether there is a sweep in it."""
+        """Whether the journal contains a sweep."""
         if self.begun and tables != {"about", "chunks"}:
-            raise FormatError(str(self.file), "a database, but no journal of a sweep")
+            raise FormatError(str(self.file), "a database, but not a journal of a sweep")
         if self.begun and (self._about("schema"), self._about("version")) != (_SCHEMA, _VERSION):
             found = f"{self._about('schema')} version {self._about('version')}"
             raise FormatError(str(self.file), f"{found}; this version reads {_SCHEMA} version {_VERSION}")
         if self.begun and self._about("sha256") != _checksum(self._about("about")):
-            raise FormatError(str(self.file), "damaged: what the sweep is about does not fit its checksum")
+            raise FormatError(str(self.file), "damaged: the sweep's description does not match its checksum")
 
     def __enter__(self) -> SweepJournal:
         return self
@@ -85,7 +85,7 @@ class SweepJournal:
         self._database.close()
 
     def begin(self, about: Mapping[str, Any]) -> None:
-        """Begin a sweep: what it is about can be asked for ever after, and never changes."""
+        """Begin a sweep; its description `about` never changes afterwards."""
         with self._errors(), self._transaction():
             for table in _TABLES:
                 self._database.execute(table)
@@ -97,15 +97,15 @@ class SweepJournal:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What the sweep is about, as it was begun."""
+        """Description of the sweep, as given to `begin`."""
         with self._errors():
             return self._about("about")
 
     def record(self, outcome: ChunkOutcome) -> None:
-        """Write down how a chunk ended. A chunk that is done cannot be done again; one that failed can.
+        """Store the outcome of a chunk. A failed chunk can be recorded again, a finished one cannot.
 
         Raises:
-            ValueError: If the chunk is done already.
+            ValueError: If the chunk is already done.
         """
         chunk, rows = outcome.chunk, None
         if outcome.rows is not None:
@@ -116,24 +116,24 @@ class SweepJournal:
                 values = (chunk.index, chunk.name, rows, outcome.error)
                 self._database.execute("INSERT INTO chunks VALUES (?, ?, ?, ?)", values)
             except sqlite3.IntegrityError:
-                raise ValueError(f"{chunk.name} is done already") from None
+                raise ValueError(f"{chunk.name} is already done") from None
 
     def done(self) -> set[int]:
-        """Return the indices of the chunks that are done."""
+        """Return the indices of the finished chunks."""
         with self._errors():
             return {index for (index,) in self._database.execute("SELECT id FROM chunks WHERE rows IS NOT NULL")}
 
     def errors(self) -> dict[int, str]:
-        """Return what went wrong in the chunks that failed, by index."""
+        """Return the error messages of the failed chunks, by index."""
         with self._errors():
             found = self._database.execute("SELECT id, error FROM chunks WHERE rows IS NULL ORDER BY id")
             return dict(found.fetchall())
 
     def rows(self, chunk: Chunk) -> Rows:
-        """Return the rows of a chunk that is done.
+        """Return the rows of a finished chunk.
 
         Raises:
-            KeyError: If it is not.
+            KeyError: If the chunk is not finished.
         """
         with self._errors():
             found = self._database.execute("SELECT rows FROM chunks WHERE id = ?", (chunk.index,)).fetchone()
@@ -157,15 +157,15 @@ class SweepJournal:
 
     @contextmanager
     def _errors(self) -> Generator[None]:
-        """Turn what SQLite and the decoders say about a bad file into a FormatError that names it."""
+        """Convert errors of SQLite and the decoders about a bad file to a FormatError that names it."""
         try:
             yield
         except sqlite3.OperationalError as error:
-            # What Python itself finds wrong has no code.
+            # Errors raised by Python's module itself have no code.
             if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
                 raise SweepBusy(self.file) from None
             raise FormatError(str(self.file), f"cannot be used: {error}") from None
         except OSError as error:
             raise FormatError(str(self.file), why_not_read(error)) from None
         except (sqlite3.DatabaseError, zlib.error, json.JSONDecodeError, UnicodeDecodeError) as error:
-            raise FormatError(str(self.file), f"damaged, or no journal of a sweep: {error}") from None
+            raise FormatError(str(self.file), f"damaged, or not a journal of a sweep: {error}") from None

@@ -1,7 +1,7 @@
-"""Chunks of a sweep on a Ray cluster, or on a Ray of our own on this machine. Needs the extra `ray`.
+"""Executor on a Ray cluster, or on a local Ray instance. Needs the extra `ray`.
 
-Workers and nodes may die and others may join: what is lost is done again, and the journal takes each chunk once. The
-driver, and the node that it runs on, may die, too: then `resume` goes on.
+Workers and nodes may die and others may join: lost chunks are computed again, and the journal stores each chunk once.
+If the driver or its node dies, `resume` continues the sweep.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from failbench.basics.versions import versions
 from failbench.sweeps.executors import MAX_KILLS, checked_workers, died
 
 _AHEAD = 2
-"""Chunks handed out for each worker, so that none waits for the driver."""
+"""Chunks submitted per worker, so that none waits for the driver."""
 _WORKER_LOST = ("WorkerCrashedError", "OutOfMemoryError")
 _NODE_LOST = ("NodeDiedError", "LocalRayletDiedError", "ObjectLostError")
-"""What Ray says if a worker or its node died, before a result was sent or after."""
+"""Ray's errors if a worker or its node died, before or after it sent a result."""
 MAX_NODES = 20
-"""How many nodes may die under a chunk before it counts as failed: they die for other reasons than what it does."""
+"""Number of node deaths after which a chunk counts as failed; nodes mostly die for other reasons than the chunk."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RayExecutor:
-    """Ray tasks. If Ray runs already, or an address is given, it is used as it is; else one is started and ended.
+    """Ray tasks. Uses a running Ray or the cluster at `address`; otherwise starts a local Ray and stops it at the end.
 
     Args:
-        workers: How many processes a Ray of our own has; 0 is one for each core.
-        address: Of a cluster to connect to, or "auto".
+        workers: Number of processes of a local Ray; 0 means one per core.
+        address: Address of a cluster, or "auto".
     """
 
     workers: int = 0
@@ -44,11 +44,11 @@ class RayExecutor:
         checked_workers(self.workers)
 
     def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[ChunkOutcome]:
-        """Do every chunk once and yield how each ended, as they come.
+        """Compute every chunk once, and yield outcomes as they arrive.
 
         Raises:
             MissingExtra: If Ray is not installed.
-            WorkerError: If a node has other versions than this one, or not what it takes.
+            WorkerError: If a node has other package versions, or cannot run the work.
         """
         ray = _ray()
         with _running(ray, self):
@@ -66,7 +66,7 @@ class RayExecutor:
 
 
 class _Tasks:
-    """The tasks of one call of `map`, and what is known about deaths among their workers."""
+    """Tasks of one call of `map`, and counts of their workers' deaths."""
 
     def __init__(self, ray: Any, work: Work, todo: deque[Chunk]) -> None:
         self.ray, self.todo = ray, todo
@@ -76,20 +76,20 @@ class _Tasks:
         self._worker_lost, self._node_lost = (
             tuple(getattr(ray.exceptions, name) for name in names) for names in (_WORKER_LOST, _NODE_LOST)
         )
-        # Who dies is counted here, so that a chunk that kills its workers is given up by name.
+        # Deaths are counted here, so that a chunk that kills its workers fails by name.
         self._task = ray.remote(num_cpus=1, max_retries=0)(_attempt)
         self._shared = ray.put(work)
         self._versions = versions()
 
     def hand_out(self) -> None:
-        """Give the workers that there are now enough to do."""
+        """Submit enough chunks for the current workers."""
         cpus = max(1, int(self.ray.cluster_resources().get("CPU", 1)))
         while self.todo and len(self.running) < _AHEAD * cpus:
             chunk = self.todo.popleft()
             self.running[self._task.remote(self._shared, chunk, self._versions)] = chunk
 
     def hear(self, done: Any) -> ChunkOutcome | None:
-        """Take the result of a task; if it is lost, its chunk is done again, unless it is known for that."""
+        """Return the result of a task; submit a lost chunk again, unless it was lost too often."""
         chunk = self.running.pop(done)
         try:
             outcome = self.ray.get(done)
@@ -101,7 +101,7 @@ class _Tasks:
                 return died(chunk, most, type(error).__name__)
             self.todo.appendleft(chunk)
             return None
-        except self.ray.exceptions.RayTaskError as error:  # not of the chunk: the outcome has those
+        except self.ray.exceptions.RayTaskError as error:  # not raised by the chunk: its errors are in the outcome
             raise WorkerError(f"one could not begin: {type(error.cause).__name__}: {error.cause}") from None
         if isinstance(outcome, str):
             raise WorkerError(outcome)
@@ -109,7 +109,7 @@ class _Tasks:
 
 
 def _attempt(work: Work, chunk: Chunk, expected: Mapping[str, str]) -> ChunkOutcome | str:
-    """Do a chunk in a task; or say how this node differs from the driver, whose rows would not be the same."""
+    """Compute a chunk in a task; return a text if this node's versions differ, since its rows could differ as well."""
     found = versions()
     differing = [f"{name} {found[name]}, not {expected[name]}" for name in found if found[name] != expected[name]]
     if differing:
@@ -126,10 +126,10 @@ def _ray() -> Any:
 
 @contextmanager
 def _running(ray: Any, executor: RayExecutor) -> Generator[None]:
-    """Have Ray run; end it afterwards if it is our own."""
+    """Provide a running Ray; stop it afterwards if it was started here."""
     ours = not ray.is_initialized()
     if ours:
-        # Ray reports its use to its makers unless told otherwise.
+        # Disable Ray's usage reports unless the user has set otherwise.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         own = {"num_cpus": checked_workers(executor.workers), "include_dashboard": False}
         ray.init(address=executor.address, log_to_driver=False, **({} if executor.address else own))

@@ -1,4 +1,4 @@
-"""Rollouts as rows of a dataset: plain JSON values. `tables.py` says what each column means."""
+"""Rollouts as rows of a dataset, in plain JSON values. For the meaning of each column see `tables.py`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _AVERAGED = ("observed_impact", "whole_impact", "own_loss", "energy_impact", "se
 
 
 def _consequences(rollout: Rollout, healthy: HealthyHarm, scene: Scene) -> dict[str, Any]:
-    """Return what can be averaged; null where nothing is known, so that nobody takes it for harmless."""
+    """Return the consequences, which can be averaged; all are null for a diverged rollout, whose harm is unknown."""
     if rollout.status == "diverged":
         return dict.fromkeys(_AVERAGED)
     return {
@@ -60,7 +60,7 @@ def _consequences(rollout: Rollout, healthy: HealthyHarm, scene: Scene) -> dict[
 
 
 def contact_rows(number: int, rollout: Rollout) -> list[dict[str, Any]]:
-    """Return a row for each contact event of the rollout of this number."""
+    """Return a row for each contact event of a rollout with this number."""
     return [
         {
             "rollout": number,
@@ -79,6 +79,6 @@ def contact_rows(number: int, rollout: Rollout) -> list[dict[str, Any]]:
 
 
 def _number(value: Any) -> float | None:
-    """Return a finite number; a simulation that blew up may have others, which become null."""
+    """Return a number, or null if it is not finite, as after divergence."""
     number = float(value)
     return number if math.isfinite(number) else None

@@ -1,4 +1,4 @@
-"""What the command line prints about scenarios and rollouts."""
+"""Summaries of scenarios and rollouts for the command line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from graceful_plan import Scene, documents
 
 
 def families(scenarios: Iterable[Scenario]) -> str:
-    """Return a table of scenes and families: the patterns that are worth knowing."""
+    """Return a table of useful patterns: scenes, tasks and families of faults, with numbers of scenarios."""
     counts: Counter[str] = Counter()
     for scenario in scenarios:
         labels = {f"{tag.split('/')[0]}/*" for tag in scenario.tags}
@@ -21,7 +21,7 @@ def families(scenarios: Iterable[Scenario]) -> str:
 
 
 def rollouts(rows: Rows, scene: Scene) -> str:
-    """Return what rollouts did, all in all and to each entity, with intervals of 95 %."""
+    """Return a table of the rollouts' mean outcomes, overall and per entity, with 95 % intervals."""
     valid = [row for row in rows["rollouts"] if row["status"] == "completed"]
     touches = [s for entity in scene.entities.values() for s in entity.severity.values()]
     worst = max([*touches, scene.own_severity])

@@ -1,7 +1,7 @@
-"""Sweeps: hand the chunks to an executor, write down what comes back, and make a dataset of it when all is there.
+"""Sweeps: execute chunks, record their outcomes in a journal, and write the dataset when all are done.
 
-A sweep lives in a folder: `journal.sqlite` from its beginning on, the dataset once it is complete. It may be killed at
-any moment; `resume` goes on, and what comes out is the same as if nothing had happened.
+A sweep has a folder with `journal.sqlite` from the beginning, and the dataset once it is complete. It may be killed at
+any time; `resume` continues it, with the same result as without the interruption.
 """
 
 from __future__ import annotations
@@ -36,25 +36,24 @@ JOURNAL = "journal.sqlite"
 
 
 class SweepProgress(NamedTuple):
-    """How far a sweep has come."""
+    """Progress of a sweep."""
 
     chunks: int
     chunks_done: int
     rollouts: int
     rollouts_done: int
     failed: int
-    """Chunks that failed."""
+    """Number of failed chunks."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Generated:
-    """A sweep that is complete.
+    """A complete sweep.
 
     Args:
-        folder: Where it is.
-        manifest: Of its dataset.
-        healthy: Motions that do harm without any failure, by name: the harm, and the part of the contents that they
-            lose.
+        folder: Folder of the sweep.
+        manifest: Manifest of its dataset.
+        healthy: Motions that do harm without a failure, by name: the harm, and the lost fraction of the contents.
     """
 
     folder: Path
@@ -68,41 +67,41 @@ Callback = Callable[[SweepProgress], None]
 def generate(
     sweep: Sweep, folder: str | Path, *, executor: Executor | None = None, callback: Callback | None = None
 ) -> Generated:
-    """Do a sweep and write its dataset. If the folder holds the same sweep, begun or complete, go on with that.
+    """Run a sweep and write its dataset. If the folder holds the same sweep, unfinished or complete, continue it.
 
     Args:
-        sweep: What to do; motions without a trajectory are planned first.
-        folder: Where journal and dataset go. An empty journal there is warned of, and begun anew.
-        executor: Who does it; by default processes on this machine, one for each core.
+        sweep: The sweep; motions without a trajectory are planned first.
+        folder: Folder of journal and dataset. An empty journal there causes a warning, and the sweep starts again.
+        executor: Executor of the chunks; by default processes on this machine, one per core.
         callback: Called after each chunk.
 
     Raises:
         FormatError: If the folder holds another sweep, or a damaged one.
-        SweepBusy: If another process is working on it.
-        ExecutionRefused: If the healthy robot cannot carry a motion out.
-        SweepFailed: If chunks failed; the others are done, and `resume` tries these again.
+        SweepBusy: If another process is working on the sweep.
+        ExecutionRefused: If the healthy robot cannot execute a motion.
+        SweepFailed: If chunks failed; the others are done, and `resume` retries the failed ones.
         MissingExtra: If pyarrow is not installed.
     """
     check_arrow()  # before hours of work, not after
     folder = path_of(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    # Planned before there is a journal, so that one that is there was begun but for a kill within milliseconds.
+    # Plan before creating the journal, so that an existing journal is empty only after a kill within milliseconds.
     is_there = (folder / JOURNAL).exists()
     about = None if is_there else _prepared(sweep)
     with SweepJournal(folder / JOURNAL) as journal:
         if not journal.begun:
             if is_there:
-                warnings.warn(f"{journal.file} is empty: the sweep begins anew", stacklevel=2)
+                warnings.warn(f"{journal.file} is empty: the sweep starts from the beginning", stacklevel=2)
             journal.begin(about or _prepared(sweep))
         _check_same(journal, sweep)
         return _finish(journal, folder, executor, callback)
 
 
 def resume(folder: str | Path, *, executor: Executor | None = None, callback: Callback | None = None) -> Generated:
-    """Go on with the sweep in a folder. See `generate`.
+    """Continue the sweep in a folder. See `generate`.
 
     Raises:
-        FormatError: If no sweep was begun there, or it was begun with other versions, files or settings.
+        FormatError: If the folder holds no sweep, or one begun with other versions, files or settings.
     """
     check_arrow()
     with _begun(path_of(folder)) as journal:
@@ -111,7 +110,7 @@ def resume(folder: str | Path, *, executor: Executor | None = None, callback: Ca
 
 @contextmanager
 def _begun(folder: Path) -> Generator[SweepJournal]:
-    """Open the journal of a sweep that was begun."""
+    """Open the journal of an existing sweep."""
     if not (folder / JOURNAL).exists():
         raise FormatError(str(folder), f"no sweep was begun here: there is no {JOURNAL}")
     with SweepJournal(folder / JOURNAL) as journal:
@@ -121,11 +120,11 @@ def _begun(folder: Path) -> Generator[SweepJournal]:
 
 
 def read_sweep(folder: str | Path) -> Sweep:
-    """Return the sweep that was begun in a folder.
+    """Return the sweep in a folder.
 
     Raises:
-        FormatError: If none was, or its journal is damaged.
-        SweepBusy: If another process is working on it.
+        FormatError: If there is none, or its journal is damaged.
+        SweepBusy: If another process is working on the sweep.
     """
     with _begun(path_of(folder)) as journal:
         return Sweep.from_document(journal.about["sweep"], str(journal.file))
@@ -140,25 +139,27 @@ def sweep_of(
     seed: int = 0,
     settings: SimSettings | None = None,
 ) -> Sweep:
-    """Return a sweep over scenarios of the registry: each fault on a planned motion of each task.
+    """Return a sweep over registered scenarios: each fault on planned motions of each task.
 
     Args:
-        patterns: Patterns of scenarios, such as "drop/*"; together they have to be every fault on every task.
-        rollouts: How often each fault strikes on each motion.
-        plans: How the motions are planned; each task has one motion for each of these.
-        horizon: How long is simulated after the onset [s].
-        seed: Of everything random but the planner.
-        settings: How the scenes are simulated.
+        patterns: Patterns of scenarios, such as "drop/*"; all tasks must have the same faults.
+        rollouts: Number of rollouts of each fault on each motion.
+        plans: Planning settings; each task gets one motion for each of them.
+        horizon: Simulated time after the onset [s].
+        seed: Seed of all random numbers except the planner's.
+        settings: Settings of the simulation.
 
     Raises:
         UnknownNameError: If a pattern matches nothing.
-        SettingError: If some task has a fault that another one does not have.
+        SettingError: If the tasks have different faults.
     """
     found = {scenario.name: scenario for pattern in patterns for scenario in scenarios(pattern)}
     tasks = dict.fromkeys((scenario.scene, scenario.task) for scenario in found.values())
     faults = dict.fromkeys(scenario.fault for scenario in found.values())
     if len(found) != len(tasks) * len(faults):
-        raise SettingError("scenarios", " ".join(patterns), "the same faults on every task; do the others separately")
+        raise SettingError(
+            "scenarios", " ".join(patterns), "the same faults on every task; run others as separate sweeps"
+        )
     motions = tuple(
         SweepMotion(
             name=f"{scene}/{task}" + f"/{i}" * (len(plans) > 1),
@@ -180,13 +181,13 @@ def sweep_of(
 
 
 def _prepared(sweep: Sweep) -> dict[str, Any]:
-    """Plan what is still to be planned, and return what the sweep is about, with all that decides about results."""
+    """Plan missing motions, and return the sweep's description with everything that determines its results."""
     planned = sweep.planned()
     return {"sweep": planned.to_document(), "versions": versions(), "inputs": _inputs(planned)}
 
 
 def _finish(journal: SweepJournal, folder: Path, executor: Executor | None, callback: Callback | None) -> Generated:
-    """Do what is left of a sweep that was begun, and write the dataset."""
+    """Run the remaining chunks of a sweep, and write the dataset."""
     about = journal.about
     sweep = Sweep.from_document(about["sweep"], str(journal.file))
     done = journal.done()
@@ -204,7 +205,7 @@ def _finish(journal: SweepJournal, folder: Path, executor: Executor | None, call
 
 
 def _healthy(journal: SweepJournal, sweep: Sweep) -> dict[str, tuple[float, float]]:
-    """Return harm and spilled part of each motion that does harm without any failure, as one of its rows says."""
+    """Return harm and lost fraction of each motion that does harm without a failure, from its first row."""
     found = {}
     for chunk in sweep.chunks:
         name = sweep.motions[chunk.motion].name
@@ -232,28 +233,28 @@ def _do(
 
 
 def _check_same(journal: SweepJournal, sweep: Sweep) -> None:
-    """Raise FormatError if the journal's sweep asks something else."""
+    """Raise FormatError if the journal holds another sweep."""
     theirs, ours = Sweep.from_document(journal.about["sweep"], str(journal.file)).question, sweep.question
     different = ", ".join(sorted(key for key in ours if ours[key] != theirs[key]))
     if different:
-        raise FormatError(str(journal.file), f"it is of another sweep, with other {different}; use another folder")
+        raise FormatError(str(journal.file), f"it holds another sweep, with other {different}; use another folder")
 
 
 def _check_circumstances(journal: SweepJournal, sweep: Sweep) -> None:
-    """Raise FormatError if chunks that are still to be done would be done differently from those that are."""
+    """Raise FormatError if versions or inputs have changed since the sweep began."""
     about = journal.about
     for key, found in (("versions", versions()), ("inputs", _inputs(sweep))):
         changed = ", ".join(sorted(name for name in found if about[key].get(name) != found[name]))
         if changed:
-            raise FormatError(str(journal.file), f"begun with other {key} ({changed}); begin again in another folder")
+            raise FormatError(str(journal.file), f"begun with other {key} ({changed}); start again in another folder")
 
 
 def _inputs(sweep: Sweep) -> dict[str, str]:
-    """Return checksums of what is simulated: the model of each motion, and the files with faults of one's own.
+    """Return checksums of the inputs: the model of each motion, and the files with user-defined faults.
 
     Raises:
-        ExecutionRefused: If the healthy robot cannot carry a motion out.
-        GracefulPlanError: If a fault makes no sense for this robot.
+        ExecutionRefused: If the healthy robot cannot execute a motion.
+        GracefulPlanError: If a fault is not valid for this robot.
     """
     found = {}
     for i, motion in enumerate(sweep.motions):

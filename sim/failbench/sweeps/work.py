@@ -1,4 +1,4 @@
-"""A sweep: which faults strike which motions, how often; its JSON form, its chunks, and doing one of them."""
+"""A sweep: its motions, faults and number of rollouts; its JSON form, its chunks, and their execution."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _SCHEMA = "failbench.sweep"
 _VERSION = 1
 
 CHUNK = 32
-"""Rollouts of a chunk, at most: one batch of simulations, a second of work or less."""
+"""Greatest number of rollouts in a chunk: one batch of simulations, at most a second of work."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSettings:
-    """How a motion is planned; the same settings give the same motion.
+    """Settings of a planned motion; the same settings give the same motion.
 
     Args:
         w: Safety weight.
         planner: Name of a planner.
         iterations: Planner iterations.
-        seed: Of the planner.
+        seed: Seed of the planner.
         speed: Fraction of the velocity limits to use.
     """
 
@@ -51,15 +51,15 @@ class PlanSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SweepMotion:
-    """A motion on which faults strike: a trajectory, or how to plan one.
+    """A motion during which faults occur: a trajectory, or the settings to plan one.
 
     Args:
-        name: What it is called in the dataset.
+        name: Name in the dataset.
         scene: Bundled scene, or scene file.
         task: Task of the scene whose object is carried; None carries nothing.
-        plan: How the trajectory is planned; None if it is given.
-        trajectory: The trajectory; None if it is still to be planned.
-        grasp: What holds the object; None for what the sweep's settings say.
+        plan: Planning settings; None if the trajectory is given.
+        trajectory: The trajectory; None if it is not planned yet.
+        grasp: How the object is held; None for the sweep's settings.
     """
 
     name: str
@@ -71,17 +71,17 @@ class SweepMotion:
 
     def __post_init__(self) -> None:
         if self.grasp is not None:
-            SimSettings(grasp=self.grasp)  # says what is valid
+            SimSettings(grasp=self.grasp)  # raises unless valid
         if self.plan is None and self.trajectory is None:
             raise SettingError(f"trajectory of motion {self.name!r}", None, "a trajectory, or plan settings")
         if self.plan is not None and self.task is None:
             raise SettingError(f"task of motion {self.name!r}", None, "a task, whose start and goal are planned for")
 
     def planned(self) -> SweepMotion:
-        """Return the motion with its trajectory, planned if need be.
+        """Return the motion with its trajectory, planned if necessary.
 
         Raises:
-            PlanningFailed: If it cannot be planned.
+            PlanningFailed: If planning fails.
         """
         if self.plan is None or self.trajectory is not None or self.task is None:
             return self
@@ -91,16 +91,17 @@ class SweepMotion:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sweep:
-    """Every fault on every motion, a number of times, each from its own moment on.
+    """Every fault on every motion, a number of times with different onsets.
 
     Args:
-        motions: What the robot is doing when it fails.
-        faults: What breaks, as documents (`failbench.fault.registry.to_document`); a fault of one's own is called
+        motions: Motions during which the faults occur.
+        faults: Faults as documents (`failbench.fault.registry.to_document`); a user-defined fault has the name
             "path/to/file.py:ClassName" there.
-        rollouts: How often each fault strikes on each motion.
-        horizon: How long is simulated after the onset [s].
-        seed: Of everything random but the planner. Rollout i of every fault on every motion has the same luck.
-        settings: How the scene is simulated.
+        rollouts: Number of rollouts of each fault on each motion.
+        horizon: Simulated time after the onset [s].
+        seed: Seed of all random numbers except the planner's. Rollout i has the same random numbers for all faults and
+            motions.
+        settings: Settings of the simulation.
     """
 
     motions: tuple[SweepMotion, ...]
@@ -123,7 +124,7 @@ class Sweep:
 
     @cached_property
     def chunks(self) -> tuple[Chunk, ...]:
-        """The pieces it is done in; they depend on nothing but the sweep."""
+        """Chunks of the sweep; they depend on the sweep alone."""
         pieces = [
             (m, f, first, min(first + CHUNK, self.rollouts))
             for m in range(len(self.motions))
@@ -145,7 +146,7 @@ class Sweep:
         return (chunk.motion * len(self.faults) + chunk.fault) * self.rollouts + chunk.first
 
     def place(self, rollout: int) -> tuple[int, int, int]:
-        """Return motion, fault, and place among the rollouts of both, of the rollout of this number.
+        """Return the indices of motion, fault and repetition of the rollout with this number.
 
         Raises:
             SettingError: If there is no such rollout.
@@ -181,7 +182,7 @@ class Sweep:
 
     @classmethod
     def from_document(cls, document: Any, source: str = "sweep") -> Sweep:
-        """Read what `to_document` returned.
+        """Read a document made by `to_document`.
 
         Raises:
             FormatError: If it is not such a document, or of another version.
@@ -223,24 +224,24 @@ class Sweep:
 
     @property
     def question(self) -> dict[str, Any]:
-        """What is asked for, as JSON values: the document without the trajectories that were planned for it."""
+        """Definition of the sweep as JSON values: its document without planned trajectories."""
         unplanned = (motion if motion.plan is None else replace(motion, trajectory=None) for motion in self.motions)
         return replace(self, motions=tuple(unplanned)).to_document()
 
     def planned(self) -> Sweep:
-        """Return the sweep with the trajectories that were still to be planned.
+        """Return the sweep with all trajectories planned.
 
         Raises:
-            PlanningFailed: If one cannot be planned.
+            PlanningFailed: If planning fails.
         """
         return replace(self, motions=tuple(motion.planned() for motion in self.motions))
 
 
 def run_chunk(sweep: Sweep, chunk: Chunk) -> Rows:
-    """Do a chunk of a planned sweep and return its rows. What is built for it is kept for the next one.
+    """Run a chunk of a planned sweep and return its rows. World and execution are cached for the next chunk.
 
     Raises:
-        ExecutionRefused: If the healthy robot cannot carry the motion out.
+        ExecutionRefused: If the healthy robot cannot execute the motion.
     """
     execution = execution_of(sweep, chunk.motion)
     jobs = jobs_of(sweep, chunk.motion, chunk.fault)[chunk.first : chunk.last]
@@ -264,17 +265,17 @@ def execution_of(sweep: Sweep, motion: int) -> Execution:
 
 
 def jobs_of(sweep: Sweep, motion: int, fault: int) -> tuple[Job, ...]:
-    """Return all the rollouts of a fault on a motion."""
+    """Return the jobs of all rollouts of a fault on a motion."""
     document = json.dumps(dict(sweep.faults[fault]), sort_keys=True)
     return _jobs(document, execution_of(sweep, motion).duration, sweep.rollouts, sweep.seed)
 
 
 def fault_of(document: Mapping[str, Any]) -> Fault:
-    """Return the fault that a document of a sweep describes.
+    """Return the fault that a sweep's document describes.
 
     Raises:
-        UnknownNameError: If it names a fault or a setting that does not exist.
-        FormatError: If it names a file that has no such fault.
+        UnknownNameError: If there is no such fault or setting.
+        FormatError: If the named file has no such fault.
     """
     name = str(document.get("fault"))
     if not own_file(document):
@@ -284,22 +285,22 @@ def fault_of(document: Mapping[str, Any]) -> Fault:
 
 
 def own_file(document: Mapping[str, Any]) -> str:
-    """Return the file that a document's fault of one's own is in; empty if it is one of ours."""
+    """Return the file of a document's user-defined fault; "" for a fault of FailBench."""
     file, colon, _ = str(document.get("fault")).rpartition(":")
     return file if colon else ""
 
 
-_own_class = lru_cache(maxsize=None)(load_class)  # a class is one object, however many chunks name it
+_own_class = lru_cache(maxsize=None)(load_class)  # all chunks must share one class object
 
 
-# All rollouts of a fault on a motion, of which a chunk is a few: of a million, making them takes longer than the chunk.
+# Cached for all rollouts of a fault on a motion: with a million of them, making the jobs takes longer than a chunk.
 @lru_cache(maxsize=1)
 def _jobs(fault: str, duration: float, rollouts: int, seed: int) -> tuple[Job, ...]:
     return make_jobs([fault_of(json.loads(fault))], duration, n=rollouts, seed=seed)
 
 
-# By value, not by identity: a worker may get a new copy of the sweep with every chunk. Consecutive chunks are of one
-# motion, so few are needed.
+# Cached by value, since a worker may get a new copy of the sweep with every chunk. Consecutive chunks share a motion,
+# so a small cache suffices.
 @lru_cache(maxsize=2)
 def _execution(
     scene: str, task: str | None, settings: SimSettings, trajectory: str, comers: tuple[Fault, ...]
@@ -339,7 +340,7 @@ def _motion(document: Any, source: str) -> SweepMotion:
             raise FormatError(source, f"{key} has to be text, not {document[key]!r}")
     if plan is not None:
         _check_keys(f"{source}: plan", plan, {field.name for field in fields(PlanSettings)})
-    if trajectory is not None and not isinstance(trajectory, dict):  # as text it would be the name of a file
+    if trajectory is not None and not isinstance(trajectory, dict):  # a text would be read as a file name
         raise FormatError(source, f"trajectory has to be an object, not {trajectory!r}")
     return SweepMotion(
         name=document["name"],

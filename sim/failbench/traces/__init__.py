@@ -1,1 +1,1 @@
-"""Rollouts step by step, as tables for those who learn from them."""
+"""Step-by-step traces of rollouts, as tables for machine learning."""

@@ -1,4 +1,4 @@
-"""Traces of a sweep as a folder of Parquet files, with a card that Hugging Face and people read."""
+"""Traces of a sweep as a folder of Parquet files, with a card for readers and Hugging Face."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 TABLES: tuple[str, ...] = ("steps", "points", "images")
 _BATCH = 20_000
-"""Rows that are in memory, at most but for one rollout's."""
+"""Greatest number of rows in memory, plus those of one rollout."""
 
 _TYPES = {
     "steps": {
@@ -67,19 +67,19 @@ configs:
 
 # Failures of a robot, step by step
 
-{rollouts} rollouts in which a simulated robot fails, or its surroundings do, made with FailBench {version} and
-MuJoCo {mujoco}. Nothing in it is measured on a real robot: values of the faults are stated assumptions, and contents of
+{rollouts} rollouts in which a simulated robot or its surroundings fail, made with FailBench {version} and
+MuJoCo {mujoco}. No value is measured on a real robot: values of the faults are stated assumptions, and contents of
 containers are not simulated.
 
-- `steps`: {steps} rows, one each {every} steps of {dt:g} s from the onset on. `q`, `qd`: planned joints
-  [rad, rad/s]; `command`: of all actuators; `qpos`, `qvel`: MuJoCo's whole state; `potential`, `kinetic`: energies of
-  everything [J].
-- `points`: {points} rows, one for each contact that presses in such a step: `x y z` [m], force `fx fy fz` on
+- `steps`: {steps} rows, one for every {every} steps of {dt:g} s from the onset on. `q`, `qd`: planned joints
+  [rad, rad/s]; `command`: all actuators; `qpos`, `qvel`: MuJoCo's whole state; `potential`, `kinetic`: energies of
+  the whole model [J].
+- `points`: {points} rows, one for each contact with a force in such a step: `x y z` [m], force `fx fy fz` on
   `second` in the world [N], `depth` [m]. `first` and `second` are `body` (the robot), `carried`, entities, or names of
-  other bodies. Things at rest that sleep have no rows.
+  other bodies. Sleeping objects have no rows.
 - `images`: {images} rows: PNG.
 
-What failed, and what came of it, is in the table `rollouts` of the dataset that this was made from, by the same number
+The table `rollouts` of the source dataset has the fault and the consequences of each rollout, by the same number
 `rollout`.
 
 Motions: {motions}. Faults: {faults}.
@@ -91,23 +91,23 @@ Not for: rating people's safety, or real robots' rates of failure.
 def write_traces(
     dataset: str | Path, output: str | Path, *, rollouts: Sequence[int] | None = None, sampling: Sampling | None = None
 ) -> dict[str, int]:
-    """Simulate rollouts of a dataset again and write what happened in them, step by step.
+    """Simulate rollouts of a dataset again, and write their steps.
 
     Args:
         dataset: Folder of a dataset that `generate` completed.
-        output: Folder for `steps/`, `points/` and `images/` with one Parquet file each, and `README.md`, the card,
-            unless there is one of somebody else.
-        rollouts: Their numbers; all by default.
-        sampling: What is kept of each.
+        output: Folder for `steps/`, `points/` and `images/` with one Parquet file each, and for the card `README.md`,
+            unless there is one from another source.
+        rollouts: Numbers of the rollouts; all by default.
+        sampling: Sampled steps and pictures.
 
     Returns:
-        Rows of each table.
+        Number of rows in each table.
 
     Raises:
         FormatError: If there is no complete dataset, or the folder cannot be made.
         SettingError: If there is no such rollout.
         MissingExtra: If pyarrow is not installed.
-        NoPicture: If there is no OpenGL and pictures are asked for.
+        NoPicture: If pictures are requested and no OpenGL works.
     """
     check_arrow()
     kept = Sampling() if sampling is None else sampling
@@ -137,7 +137,7 @@ def traced(sweep: Sweep, number: int, sampling: Sampling) -> Iterator[dict[str, 
 
 
 def chosen(sweep: Sweep, rollouts: Sequence[int] | None) -> list[int]:
-    """Return the numbers of rollouts that are meant, all if none are named."""
+    """Return the numbers of the chosen rollouts; all if None."""
     if rollouts is not None and not isinstance(rollouts, Sequence):
         raise SettingError("rollouts", rollouts, "numbers of rollouts")
     for number in rollouts or ():
@@ -153,7 +153,7 @@ def chosen(sweep: Sweep, rollouts: Sequence[int] | None) -> list[int]:
 
 
 def make_folder(output: Path) -> None:
-    """Make a folder to write into, with those above it.
+    """Create a folder for output, with its parents.
 
     Raises:
         FormatError: If that is not possible.
@@ -176,7 +176,7 @@ def arrow_type(name: str) -> pa.DataType:
 
 
 class _TableWriter:
-    """Writes rows of a table as they come."""
+    """Writes rows of a table in batches."""
 
     def __init__(self, folder: Path, table: str) -> None:
         import pyarrow as pa

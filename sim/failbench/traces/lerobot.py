@@ -1,7 +1,7 @@
-"""Rollouts of a sweep in the form of LeRobot's datasets, version 3.0: an episode a rollout, a frame a sampled step.
+"""Rollouts of a sweep as a LeRobot dataset of version 3.0: an episode per rollout, a frame per sampled step.
 
-State is what the joints do (positions, velocities), action what they are told (all actuators' commands). Whether it
-failed well is in the episodes: harm, and what broke. There are no videos; pictures are in `failbench.traces.folder`.
+The state is joint positions and velocities, the action all actuators' commands. Episodes also have the fault and the
+observed impact. There are no videos; `failbench.traces.folder` writes pictures.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _COUNTS = {
     "index": "int64",
     "task_index": "int64",
 }
-"""Columns of frames besides state and action, of one number each."""
+"""Scalar columns of frames, in addition to state and action."""
 
 
 def write_lerobot(
@@ -44,16 +44,16 @@ def write_lerobot(
 
     Args:
         dataset: Folder of a dataset that `generate` completed.
-        output: Folder for `meta/` and `data/`; it must not be there yet.
-        rollouts: Their numbers; all by default. They must be of robots with as many joints and actuators.
-        every: Simulation steps of a frame: frames a second are 1 / (every dt).
+        output: Folder for `meta/` and `data/`; it must not exist yet.
+        rollouts: Numbers of the rollouts; all by default. Their robots must have equal numbers of joints and actuators.
+        every: Simulation steps per frame; the frame rate is 1 / (every dt).
 
     Returns:
         The number of frames.
 
     Raises:
-        SettingError: If there is no such rollout, frames a second are no whole number, robots differ, or the folder is
-            there.
+        SettingError: If there is no such rollout, the frame rate is not a whole number, robots differ, or the folder
+            exists.
         FormatError: If there is no complete dataset, or the folder cannot be made.
         MissingExtra: If pyarrow is not installed.
     """
@@ -62,7 +62,7 @@ def write_lerobot(
     sweep = whole.sweep
     fps = _frames_a_second(sweep, every)
     if os.path.lexists(output):
-        raise SettingError("output", str(output), "a folder that is not there yet")
+        raise SettingError("output", str(output), "a folder that does not exist yet")
     numbers = chosen(sweep, rollouts)
     make_folder(output)
     told = whole.rollouts.select(["fault", "degree", "motion", "observed_impact"]).to_pylist()
@@ -76,7 +76,7 @@ def write_lerobot(
         episodes.append(_episode(frames[-1], episode, told[number]))
     shapes = {tuple(frame[name].shape[1] for name in ("observation.state", "action")) for frame in frames}
     if len(shapes) != 1:
-        raise SettingError("rollouts", numbers, "those of robots with as many joints and actuators")
+        raise SettingError("rollouts", numbers, "rollouts of robots with equal numbers of joints and actuators")
     data = {name: np.concatenate([frame[name] for frame in frames]) for name in frames[0]}
     _write_parquet(output / "data" / _FILE, {name: _column(values) for name, values in data.items()})
     _write_parquet(output / "meta" / "episodes" / _FILE, _columns(episodes))
@@ -175,7 +175,7 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, pa.Array]:
 
 
 def _write_tasks(file: Path, tasks: list[str]) -> None:
-    """Write the tasks as pandas would a frame that is indexed by them, which is how LeRobot reads them."""
+    """Write the tasks like a pandas frame indexed by them, as LeRobot reads it."""
     import pyarrow as pa
 
     kinds = (("task_index", "int64"), ("task", "unicode"))

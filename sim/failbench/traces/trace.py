@@ -1,7 +1,7 @@
-"""One rollout, step by step: where everything is, every contact as a point with its force, energies, pictures.
+"""One rollout, step by step: state, contact points with their forces, energies, and pictures.
 
-The rollout is simulated again from its job, bit by bit the same as in a batch. All of a row belongs to one state: the
-forces are those that act in it.
+The rollout is simulated again from its job, bit-identical to its batch simulation. All values of a row belong to one
+state: its forces are those that act in it.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ Rows = dict[str, list[dict[str, Any]]]
 
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """What of a rollout is kept.
+    """Sampled steps and pictures of a rollout.
 
     Args:
-        every: Steps from one row to the next.
-        images: Steps from one picture to the next, a multiple of `every`; 0 is none.
+        every: Steps per row.
+        images: Steps per picture, a multiple of `every`; 0 for no pictures.
         size: Width and height of pictures [pixels].
-        camera: Name of a camera of the scene; None is "overview", or one that sees everything.
+        camera: Name of a camera of the scene; None is "overview" or, without it, a view of the whole scene.
     """
 
     every: int = 5
@@ -58,16 +58,16 @@ class Sampling:
 
 
 def trace(execution: Execution, job: Job, *, horizon: float = 1.0, sampling: Sampling | None = None) -> Iterator[Rows]:
-    """Simulate a rollout and yield the rows of each sampled step; `rollout` is not among their columns.
+    """Simulate a rollout and yield the rows of each sampled step, without the column `rollout`.
 
     Args:
         execution: The healthy run.
-        job: What fails, and when.
-        horizon: How long is simulated after the onset [s].
-        sampling: What is kept.
+        job: The fault and its onset.
+        horizon: Simulated time after the onset [s].
+        sampling: Sampled steps and pictures.
 
     Raises:
-        NoPicture: If there is no OpenGL and pictures are asked for.
+        NoPicture: If pictures are requested and no OpenGL works.
     """
     kept = Sampling() if sampling is None else sampling
     look, names = _Look(execution), _owner_names(execution)
@@ -93,7 +93,7 @@ def trace(execution: Execution, job: Job, *, horizon: float = 1.0, sampling: Sam
 
 
 class _Look:
-    """Energies of states, and a MjData that holds the last one that was looked at."""
+    """Computes energies of states; its MjData holds the last evaluated state."""
 
     def __init__(self, execution: Execution) -> None:
         self._robot = execution.world.robot
@@ -119,11 +119,11 @@ class _Look:
 
 
 def _points(model: mujoco.MjModel, data: mujoco.MjData, names: list[str]) -> Iterator[dict[str, Any]]:
-    """Yield the contacts that press in the state before a step."""
+    """Yield the contacts with a force in the state before a step."""
     wrench = np.zeros(6)
     for i, contact in enumerate(data.contact):
         if contact.efc_address < 0:
-            continue  # near, but it does not press
+            continue  # within the margin, without a force
         mujoco.mj_contactForce(model, data, i, wrench)
         force = wrench[:3] @ contact.frame.reshape(3, 3)
         first, second = (names[geom] for geom in contact.geom)
@@ -137,7 +137,7 @@ def _points(model: mujoco.MjModel, data: mujoco.MjData, names: list[str]) -> Ite
 
 
 def _owner_names(execution: Execution) -> list[str]:
-    """Say whose each geom is: "body", "carried", an entity's, or that of some other body, by its name."""
+    """Return the owner's name of each geom: "body", "carried", an entity, or the name of another body."""
     closeup, model = Closeup(execution.world), execution.world.model
     known = {ROBOT: "body", CARRIED: "carried", **dict(enumerate(closeup.entities))}
     bodies = [model.body(int(body)).name or "" for body in model.geom_bodyid]

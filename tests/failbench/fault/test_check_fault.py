@@ -73,7 +73,7 @@ def test_what_is_no_fault():
         ({"AMOUNTS": {"minor": 1.0}}, "AMOUNTS has the degrees minor, expected minor, moderate, severe, critical"),
         (
             {"AMOUNTS": EVERY_DEGREE | {"severe": 0.1}},
-            "AMOUNTS are [0.25, 0.5, 0.1, 1.0] from minor to critical, expected that they only rise or only fall",
+            "AMOUNTS are [0.25, 0.5, 0.1, 1.0] from minor to critical, expected strictly rising or falling values",
         ),
         (
             {"AMOUNTS": EVERY_DEGREE | {"critical": float("nan")}},
@@ -136,7 +136,9 @@ def test_what_is_not_undone():
         Sound.apply(self, plant, level)
         plant.eq_active[0] = 1 - plant.eq_active[0]
 
-    assert findings(variant(apply=apply)()) == ("is not undone when its duration is over: changed for good: eq_active",)
+    assert findings(variant(apply=apply)()) == (
+        "is not undone at the end of its duration: changed permanently: eq_active",
+    )
 
 
 def test_what_writes_where_it_may_only_read():
@@ -148,7 +150,7 @@ def test_what_writes_where_it_may_only_read():
         Sound.apply(self, plant, level)
         plant.robot.kp[0] += 1.0
 
-    assert findings(variant(apply=push)()) == ("apply() wrote into plant.qvel, which is to be read only",)
+    assert findings(variant(apply=push)()) == ("apply() wrote into plant.qvel, which is read only",)
     assert findings(variant(apply=improve)()) == ("raised ValueError: assignment destination is read-only",)
 
 

@@ -134,7 +134,7 @@ def test_targets_that_cannot_have_the_fault_are_refused(name):
         if part in able:
             assert cls(targets=(target,)).targets == (target,)
         else:
-            with pytest.raises(SettingError, match=f"targets = .*among them: nothing else can have a {name}"):
+            with pytest.raises(SettingError, match=f"targets = .*to include .*: no other part can have a {name}"):
                 cls(targets=(target,))
     assert cls(targets=("robot",)).targets == ("robot",)
 

@@ -118,5 +118,5 @@ def test_one_plans_anew_only_where_joints_obey_and_alike_stops_share_their_plan(
 
 
 def test_who_replaces_the_low_level_controller_cannot_be_relieved(easy):
-    with pytest.raises(PolicyError, match="sends commands to actuators"):
+    with pytest.raises(PolicyError, match="sends actuator commands"):
         recovering(lambda task, seed: Acting(following, "command"), StopOnFailure(), 0.3, 0.1)(easy, 0)

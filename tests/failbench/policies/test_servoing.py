@@ -56,7 +56,7 @@ def test_joints_follow_velocities(easy):
         ("joint_position", [0.0] * 6, "has shape"),
         ("joint_velocity", [float("nan")] * 7, "not finite"),
         ("tool_pose", [[0.0] * 7], "has shape"),
-        ("command", "up", "no array of numbers"),
+        ("command", "up", "not an array of numbers"),
     ],
 )
 def test_actions_that_are_none_are_refused(easy, kind, action, problem):

@@ -131,7 +131,7 @@ def test_gears_and_constant_forces_of_drives_are_made_up_for(servo, control):
 
 
 def test_a_drive_with_dynamics_of_its_own_is_refused():
-    with pytest.raises(UnsupportedError, match="the actuator of 'shoulder' has dynamics of its own"):
+    with pytest.raises(UnsupportedError, match="the actuator of 'shoulder' has dynamics"):
         build_world(arm(actuators='<position joint="shoulder" kp="500" kv="50" timeconst="0.05"/>'))
 
 

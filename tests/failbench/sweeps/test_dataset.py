@@ -106,7 +106,7 @@ def test_a_part_with_any_byte_changed_is_refused(folder, part):
     whole = file.read_bytes()
     for place in [0, 4, len(whole) // 2, len(whole) - 9, len(whole) - 1]:
         file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        with pytest.raises(FormatError, match=rf"{part}: damaged: its checksum does not fit"):
+        with pytest.raises(FormatError, match=rf"{part}: damaged: its checksum does not match"):
             read_dataset(folder)
     file.write_bytes(whole)
     assert read_dataset(folder).rollouts.num_rows == COUNT
@@ -132,7 +132,7 @@ def test_an_extra_file_is_refused(folder, name):
 
 def test_a_dataset_without_manifest_is_unfinished(folder):
     (folder / MANIFEST).unlink()
-    with pytest.raises(FormatError, match=r"manifest\.json: missing: no dataset, or one that was never finished"):
+    with pytest.raises(FormatError, match=r"manifest\.json: missing: not a dataset, or an unfinished one"):
         read_dataset(folder)
 
 
@@ -140,10 +140,10 @@ def test_a_manifest_that_was_touched_is_refused(folder):
     file = folder / MANIFEST
     whole = file.read_text()
     for change, message in (
-        (whole.replace('"seed": 7', '"seed": 8'), "its checksum does not fit"),
+        (whole.replace('"seed": 7', '"seed": 8'), "its checksum does not match"),
         (whole[:-20], "damaged: "),
-        ("[]", "no manifest of a dataset"),
-        (whole.replace("failbench.dataset", "failbench.cake"), "no manifest of a dataset"),
+        ("[]", "not a manifest of a dataset"),
+        (whole.replace("failbench.dataset", "failbench.cake"), "not a manifest of a dataset"),
         (whole.replace(f'"version": {VERSION}', '"version": 99'), f"version 99; this version reads 1 to {VERSION}"),
     ):
         assert change != whole
@@ -158,15 +158,15 @@ def test_a_manifest_that_was_touched_is_refused(folder):
         (("rows",), 7, "no numbers of rows of each table"),
         (("rows", "contacts"), -1, "no numbers of rows of each table"),
         (("rows", "rollouts"), True, "no numbers of rows of each table"),
-        (("versions",), {"graceful_plan": "0.1.0"}, "no versions of what it was made with"),
-        (("sweep",), None, "no sweep that it was made from"),
+        (("versions",), {"graceful_plan": "0.1.0"}, "no versions of graceful_plan and mujoco"),
+        (("sweep",), None, "no sweep"),
         (("parts",), {}, r"parts\[0\] does not say file"),
         (("parts", 1), [], r"parts\[1\] does not say file"),
         (("parts", 1, "file"), 0, r"parts\[1\] does not say file"),
         (("parts", 1, "sha256"), None, r"parts\[1\] does not say file"),
         (("parts", 1, "bytes"), 1.5, r"parts\[1\] does not say file"),
-        (("parts", 0, "file"), "rollouts/../../secret.parquet", "is no name of a part"),
-        (("parts", 0, "file"), "/rollouts/part-00000.parquet", "is no name of a part"),
+        (("parts", 0, "file"), "rollouts/../../secret.parquet", "is not a valid part name"),
+        (("parts", 0, "file"), "/rollouts/part-00000.parquet", "is not a valid part name"),
     ],
 )
 def test_a_manifest_whose_checksum_fits_may_be_none_all_the_same(folder, place, value, message):
@@ -188,7 +188,7 @@ def test_a_part_with_other_columns_is_refused_even_if_its_checksum_fits(folder):
     manifest["parts"][1] |= {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
     manifest["sha256"] = dataset._self_checksum(manifest)
     (folder / MANIFEST).write_text(json.dumps(manifest))
-    with pytest.raises(FormatError, match="not the columns or rows of contacts"):
+    with pytest.raises(FormatError, match="wrong columns or number of rows for contacts"):
         read_dataset(folder)
 
 
@@ -243,7 +243,7 @@ def test_whatever_is_written_before_a_crash_is_no_dataset(folder, monkeypatch, w
     monkeypatch.setattr(dataset, "_write", crash)
     with pytest.raises(KeyboardInterrupt):
         write_dataset(folder, chunks(), ABOUT)
-    with pytest.raises(FormatError, match="never finished"):
+    with pytest.raises(FormatError, match="an unfinished one"):
         read_dataset(folder)
     monkeypatch.undo()
     write_dataset(folder, chunks(), ABOUT)

@@ -156,7 +156,7 @@ def test_failed_chunks_are_tried_again_by_resume(sweep, reference, tmp_path, mon
     ):
         generate(sweep, tmp_path, executor=InProcess(), callback=progress.append)
     assert progress[-1].failed == 2
-    with pytest.raises(FormatError, match="never finished"):
+    with pytest.raises(FormatError, match="an unfinished one"):
         read_dataset(tmp_path)
     monkeypatch.undo()
     again = InProcess()
@@ -169,7 +169,7 @@ def test_another_sweep_in_the_folder_is_refused_by_what_differs(sweep, tmp_path)
     with pytest.raises(KeyboardInterrupt):
         generate(sweep, tmp_path, executor=InProcess(stop_after=0))
     other = dataclasses.replace(sweep, seed=1, horizon=0.06)
-    with pytest.raises(FormatError, match=r"journal\.sqlite: it is of another sweep, with other horizon, seed;"):
+    with pytest.raises(FormatError, match=r"journal\.sqlite: it holds another sweep, with other horizon, seed;"):
         generate(other, tmp_path, executor=InProcess())
 
 
@@ -202,7 +202,7 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path):
 def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, reference, tmp_path):
     with SweepJournal(tmp_path / JOURNAL):
         pass
-    with pytest.warns(UserWarning, match="is empty: the sweep begins anew"):
+    with pytest.warns(UserWarning, match="is empty: the sweep starts from the beginning"):
         generate(sweep, tmp_path, executor=InProcess())
     assert files(tmp_path) == reference
 

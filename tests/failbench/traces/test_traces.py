@@ -157,7 +157,7 @@ def test_lerobots_form_has_what_version_3_says(dataset, tmp_path):
     assert tasks.iloc[0].name == "m, and then: gripper_failure (critical)" and tasks["task_index"].tolist() == [0]
     stats = json.loads((tmp_path / "l" / "meta" / "stats.json").read_text())
     assert stats["action"]["mean"] == pytest.approx(np.stack(data["action"]).mean(axis=0), rel=1e-5)
-    with pytest.raises(SettingError, match="a folder that is not there yet"):
+    with pytest.raises(SettingError, match="a folder that does not exist yet"):
         write_lerobot(dataset, tmp_path / "l")
     with pytest.raises(SettingError, match="every = 3, expected steps of"):
         write_lerobot(dataset, tmp_path / "k", every=3)

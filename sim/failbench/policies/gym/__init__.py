@@ -1,1 +1,1 @@
-"""Environments of Gymnasium, which comes with the extra `policies`; imported on demand."""
+"""Gymnasium environments; they need the extra `policies` and are imported on demand."""

@@ -1,8 +1,8 @@
-"""FailBench's tasks as environments of Gymnasium, which comes with the extra `policies`.
+"""FailBench's tasks as Gymnasium environments; they need the extra `policies`.
 
-Actions are in [-1, 1]: joint positions over the joints' ranges, joint velocities over what the joints are allowed, and
-for tool poses what the tool is to move [m, rad] in a period from where it is to be. Observations are what
-`policy.Observation` has, in one row; with cameras, a dictionary of that row and their pictures.
+Actions are in [-1, 1]. Joint positions are scaled to the joints' ranges, joint velocities to their limits. Tool poses
+are increments per period [m, rad] from the current target pose. Observations are `policy.Observation.vector`; with
+cameras, a dictionary of that vector and the pictures.
 """
 
 from __future__ import annotations
@@ -38,31 +38,31 @@ Array = np.ndarray
 
 REWARDS = ("joint_distance", "success")
 _SHARED = ("action", "reward", "harm_weight", "settings")
-"""Settings of environments that vector environments have, too."""
+"""Settings of environments that vector environments share."""
 _MOST_ENVIRONMENTS = 10_000
-"""Each takes some hundred kilobytes."""
+"""Greatest number of environments; each takes some hundred kilobytes."""
 _BONUS = 1.0
 """Reward for reaching the goal."""
 
 
 class FailBenchEnv(gymnasium.Env[Any, Array]):
-    """One task, broken by one fault or by none.
+    """One task, with one fault or without.
 
-    Rewards: how much nearer the joints come to their goal, relative to the whole way ("joint_distance"), and 1 when the
-    tool has been at its goal for long enough; `harm_weight` times the harm of the episode is taken away at its end,
-    which `info["rollout"]` tells with everything else.
+    The reward "joint_distance" is the decrease of the joints' distance from the goal, relative to the start-goal
+    distance. A bonus of 1 is added once the tool has been at its goal for the dwell time. At the episode's end,
+    `harm_weight` times its harm is subtracted, and `info["rollout"]` holds the outcome.
 
     Args:
         task: "SCENE/TASK", or a `PolicyTask`.
-        fault: What breaks in each episode; None for nothing. See also `faulting.WithFaults`.
+        fault: Fault of each episode; None for no fault. See also `wrappers.WithFaults`.
         action: "joint_position", "joint_velocity" or "tool_pose".
-        reward: "joint_distance", or "success" for the last 1 alone.
-        harm_weight: Of harm in the reward.
-        settings: How episodes go, if the task is a name.
+        reward: "joint_distance", or "success" for the bonus alone.
+        harm_weight: Weight of harm in the reward.
+        settings: Settings of the episodes, if `task` is a name.
         render_mode: "rgb_array", or None.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 - Gymnasium's way
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 - as in Gymnasium
 
     def __init__(
         self,
@@ -84,28 +84,28 @@ class FailBenchEnv(gymnasium.Env[Any, Array]):
 
     @property
     def task(self) -> PolicyTask:
-        """What is to be done."""
+        """The task."""
         return self.core.task
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode.
 
         Args:
-            seed: Of this episode and of those that follow without one.
-            options: "fault": a `Fault` that breaks in this episode, or None for nothing; "onset": when [s].
+            seed: Seed of this episode and of later episodes without a seed.
+            options: "fault": the `Fault` of this episode, or None for none. "onset": its onset [s].
         """
         super().reset(seed=seed)
         self.core.begin(0, self.np_random, options or {})
         return self.core.spaces.observed(self.core.seen(0)), {}
 
     def step(self, action: Array) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Let a period pass."""
+        """Simulate one period."""
         self.core.advance({0: action})
         reward, terminated, truncated, info = self.core.judged(0)
         return self.core.spaces.observed(self.core.seen(0)), reward, terminated, truncated, info
 
     def render(self) -> UInt8[Array, "height width 3"] | None:  # type: ignore[override]
-        """Return a picture of the whole scene, if asked for when it was made."""
+        """Return a picture of the whole scene; None without a `render_mode`."""
         if self.render_mode is None:
             return None
         if self._shown is None:
@@ -115,7 +115,7 @@ class FailBenchEnv(gymnasium.Env[Any, Array]):
         return self._shown(self.core.qpos(0))[""]
 
     def close(self) -> None:
-        """Give pictures' memory back."""
+        """Free the renderers."""
         if self._shown is not None:
             self._pictures.__exit__(None, None, None)
             self._shown = None
@@ -123,17 +123,17 @@ class FailBenchEnv(gymnasium.Env[Any, Array]):
 
 
 class FailBenchVectorEnv(VectorEnv[Any, Array, Array]):
-    """The same, many at once on MuJoCo's native batch: simulation i with seed s is the environment with seed s + i.
+    """Many `FailBenchEnv` on MuJoCo's native batch; simulation i with seed s equals the one with seed s + i.
 
     Args:
-        num_envs: How many.
+        num_envs: Number of environments.
         task: "SCENE/TASK", or a `PolicyTask`.
-        fault: What breaks in each episode.
-        threads: Of the simulation.
-        **settings: As of `FailBenchEnv`.
+        fault: Fault of each episode; None for no fault.
+        threads: Number of simulation threads.
+        **settings: Settings as for `FailBenchEnv`.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's way
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as in Gymnasium
         "autoreset_mode": AutoresetMode.NEXT_STEP,
         "render_modes": [],
     }
@@ -154,7 +154,7 @@ class FailBenchVectorEnv(VectorEnv[Any, Array, Array]):
         self._over = np.zeros(num_envs, dtype=bool)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode everywhere."""
+        """Begin an episode in every environment."""
         if seed is not None or not self._rngs:
             rngs = (np_random(None if seed is None else seed + i) for i in range(self.num_envs))
             self._rngs = [rng for rng, _ in rngs]
@@ -166,7 +166,7 @@ class FailBenchVectorEnv(VectorEnv[Any, Array, Array]):
     def step(
         self, actions: Array
     ) -> tuple[Any, Float[Array, " env"], Bool[Array, " env"], Bool[Array, " env"], dict[str, Any]]:
-        """Let a period pass; where an episode had ended, the next one begins instead."""
+        """Simulate one period; where the episode had ended, begin the next one instead."""
         again: Int[Array, " env"] = np.flatnonzero(self._over)
         running = np.flatnonzero(~self._over)
         for i in again.tolist():
@@ -184,7 +184,7 @@ class FailBenchVectorEnv(VectorEnv[Any, Array, Array]):
         return self._observed(), rewards, ended, cut, infos
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Give pictures' memory back."""
+        """Free the renderers."""
         self.core.close()
 
     def _observed(self) -> Any:
@@ -194,7 +194,7 @@ class FailBenchVectorEnv(VectorEnv[Any, Array, Array]):
 
 
 class _Core:
-    """What both kinds of environments share: episodes, spaces, and what an end is worth."""
+    """Common part of both kinds of environments: episodes, spaces and rewards."""
 
     def __init__(
         self,
@@ -248,7 +248,7 @@ class _Core:
         return episode
 
     def judged(self, sim: int) -> tuple[float, bool, bool, dict[str, Any]]:
-        """Return reward, whether the episode ended, whether its time was over, and what came of it."""
+        """Return reward, whether the episode terminated, whether it timed out, and the outcome at its end."""
         episode, diverged = self.episode(sim), self._batch.diverged(sim)
         left = self._distance(sim)
         reward = (self._left[sim] - left) / self._whole if self._reward == "joint_distance" else 0.0

@@ -1,4 +1,4 @@
-"""What breaks in the episodes of environments."""
+"""Faults in the episodes of environments."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _OPTIONS = ("fault", "onset")
 
 
 class Faulting:
-    """Draws when a fault begins, and its seed.
+    """Draws onset and seed of a fault.
 
     Args:
-        fault: What breaks unless an episode's options say otherwise; None for nothing.
+        fault: Default fault; None for no fault. An episode's options override it.
     """
 
     def __init__(self, fault: Fault | None) -> None:
         self.fault = _checked(fault)
 
     def job(self, task: PolicyTask, rng: np.random.Generator, options: Mapping[str, Any]) -> Job | None:
-        """Return what breaks in an episode that begins, and when: while the straight motion would last, by default.
+        """Return the fault of a new episode and its onset, by default within the duration of the straight motion.
 
         Args:
-            task: What is to be done.
-            rng: Where the draws come from; there are as many whatever breaks.
+            task: The task.
+            rng: Generator of the draws; their number does not depend on the fault.
             options: "fault" and "onset" of this episode.
         """
         if not isinstance(options, Mapping):
@@ -57,5 +57,5 @@ def _checked(fault: object) -> Fault | None:
 
 
 def drawn_fault(faults: Sequence[Fault | None], shares: Sequence[float], rng: np.random.Generator) -> Fault | None:
-    """Draw one of some faults by their shares."""
+    """Draw a fault by the relative frequencies `shares`."""
     return faults[int(rng.choice(len(faults), p=np.asarray(shares) / np.sum(shares)))]

@@ -1,6 +1,6 @@
-"""All scenarios are registered by importing this: `gymnasium.make("failbench.policies.gym.registered:FailBench/...")`.
+"""Register all scenarios on import: `gymnasium.make("failbench.policies.gym.registered:FailBench/...")`.
 
-Gymnasium imports what stands before the colon; whoever does not want that calls `registration.register` instead.
+Gymnasium imports the module before the colon. To register without this import, call `registration.register`.
 """
 
 from failbench.policies.gym.registration import register

@@ -1,6 +1,6 @@
-"""Makes scenarios known to Gymnasium: `gymnasium.make("FailBench/SCENE.TASK.FAULT.DEGREE")`.
+"""Register scenarios with Gymnasium: `gymnasium.make("FailBench/SCENE.TASK.FAULT.DEGREE")`.
 
-Gymnasium allows one slash in a name, so dots stand for the others. "FailBench/SCENE.TASK" is the task without failure.
+Gymnasium allows one slash in a name, so dots replace the others. "FailBench/SCENE.TASK" is the task without a failure.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ _ENVIRONMENT = "failbench.policies.gym.environment"
 
 
 def register(pattern: str = "*") -> tuple[str, ...]:
-    """Register scenarios, and their tasks without failure; those that are registered already stay as they are.
+    """Register scenarios and their tasks without a failure; existing registrations stay unchanged.
 
     Args:
-        pattern: Of their names or tags, such as "tabletop/*" or "drop/*/severe".
+        pattern: Pattern of names or tags, such as "tabletop/*" or "drop/*/severe".
 
     Returns:
-        The names of all that match.
+        The names of all matches.
 
     Raises:
         UnknownNameError: If nothing matches.
         MissingExtra: If Gymnasium is not installed.
-        UnsupportedError: If only robots that drive match.
+        UnsupportedError: If only scenarios of driving robots match.
     """
     try:
         import gymnasium
@@ -35,7 +35,7 @@ def register(pattern: str = "*") -> tuple[str, ...]:
     found = [scenario for scenario in scenarios(pattern) if scenario.scene not in gp.mobile_scenes()]
     if not found:
         raise UnsupportedError(
-            f"{pattern}: policies act on arms that stand; controllers of bases go to `failbench.drive`"
+            f"{pattern}: policies act on fixed arms; pass controllers of driving bases to `failbench.drive`"
         )
     for scenario in found:
         task = f"{scenario.scene}/{scenario.task}"

@@ -1,4 +1,4 @@
-"""Spaces of Gymnasium for what policies see and do."""
+"""Gymnasium spaces of observations and actions."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from graceful_plan.path import real_array
 Array = np.ndarray
 
 KINDS = ("joint_position", "joint_velocity", "tool_pose")
-"""Actions that environments have."""
+"""Kinds of actions that environments support."""
 _TOOL_SPEED = (0.5, 1.5)
-"""How fast the tool may be told to go [m/s] and turn [rad/s]."""
+"""Greatest commanded tool speed [m/s] and angular speed [rad/s]."""
 _WIDE = 10.0
-"""Bound of places [m]; a reading beyond its bound is shown as the bound."""
+"""Bound of positions [m]. Readings beyond a bound are clamped."""
 _FAST = 10.0
-"""Bound of speeds, over the joints' greatest ones."""
+"""Bound of joint speeds, as a multiple of the joints' limits."""
 STATE = "state"
-"""Where the row of numbers is, beside pictures."""
+"""Key of the observation vector, beside the pictures."""
 
 
 class Spaces:
-    """The spaces of a task, and what is meant by what is in them.
+    """Action and observation space of a task, and the conversion from and to physical units.
 
     Args:
-        task: What is to be done.
+        task: The task.
         kind: Kind of the actions.
     """
 
@@ -57,19 +57,19 @@ class Spaces:
         self.observation: Any = spaces.Dict({STATE: state, **pictures}) if pictures else state
 
     def observed(self, seen: Observation) -> Any:
-        """Return an observation as it stands in the space."""
+        """Return an observation as an element of the observation space."""
         row = np.clip(seen.vector, self._state.low, self._state.high).astype(np.float32)
         return {STATE: row, **seen.images} if self._task.settings.cameras else row
 
     def begin(self, sim: int, seen: Observation) -> None:
-        """Note where the tool is to be when an episode begins."""
+        """Store the initial tool pose of an episode as the target for tool actions."""
         self._targets[sim] = seen.tool
 
     def meant(self, sim: int, action: Array) -> tuple[str, Float[Array, " n"]]:
-        """Return the kind of an action, and the action in units.
+        """Return an action's kind and its value in physical units.
 
         Raises:
-            PolicyError: If it has the wrong shape, or is not finite.
+            PolicyError: If the action has the wrong shape, or is not finite.
         """
         given = real_array("action", action)
         if given.shape != self.action.shape or not np.isfinite(given).all():

@@ -1,4 +1,4 @@
-"""Wrappers for Gymnasium that break environments of FailBench."""
+"""Gymnasium wrappers that add faults to FailBench environments."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Array = np.ndarray
 
 
 class WithFaults(gymnasium.Wrapper[Any, Array, Any, Array], gymnasium.utils.RecordConstructorArgs):
-    """Draws anew in each episode what breaks, such as to train a policy that bears it.
+    """Draw a new fault in each episode, for example to train a robust policy.
 
     Args:
-        env: An environment of FailBench, wrapped or not.
-        faults: What may break.
-        healthy: Share of episodes in which nothing does, in [0, 1].
-        shares: How often each fault is drawn, relative to the others; all alike if None.
+        env: A FailBench environment, wrapped or not.
+        faults: Possible faults.
+        healthy: Fraction of episodes without a fault, in [0, 1].
+        shares: Relative frequency of each fault; equal if None.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class WithFaults(gymnasium.Wrapper[Any, Array, Any, Array], gymnasium.utils.Reco
         self._shares = np.concatenate([[healthy], (1.0 - healthy) * weights / weights.sum()])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode with another fault, or without."""
+        """Begin an episode with a newly drawn fault, or without one."""
         if seed is not None:
             self._draws = np.random.default_rng(seed)
         fault = drawn_fault(self._faults, self._shares.tolist(), self._draws)
