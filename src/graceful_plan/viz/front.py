@@ -57,9 +57,9 @@ def _draw(axes: Any, front: ParetoFront, choice: Choice | None) -> None:
     motion, impact = front.costs.T
     axes.step(motion, impact, where="post", color=_LINE, linewidth=1.0, alpha=0.5)
     by_weight = np.array([point.weights is not None for point in front.points])
-    axes.plot(motion[by_weight], impact[by_weight], "o", color=_LINE, markersize=5, label="optimal for a weight")
+    axes.plot(motion[by_weight], impact[by_weight], "o", color=_LINE, markersize=5, label="best for a weight")
     axes.plot(
-        *front.costs[~by_weight].T, "o", color=_LINE, markerfacecolor="white", markersize=5, label="optimal for no weight"
+        *front.costs[~by_weight].T, "o", color=_LINE, markerfacecolor="white", markersize=5, label="best for none"
     )
     marks: list[tuple[str, ParetoPoint | None, str, str]] = [("knee", front.knee, "D", _KNEE)]
     if choice is not None and choice.point is not None:
