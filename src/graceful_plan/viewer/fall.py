@@ -90,7 +90,7 @@ def fall_at(trajectory: Trajectory, scene: Scene, t: float) -> Fall | None:
 
 
 def going_on_at(trajectory: Trajectory, scene: Scene, t: float) -> GoingOn | None:
-    """Return the coasting of a base that fails at a time after the start [s]; None if it stands or is missing."""
+    """Return the coasting of a base that fails at a time after the start [s]; None if it stands or there is none."""
     if scene.base is None:
         return None
     state = trajectory.at(trajectory.t[0] + t)
