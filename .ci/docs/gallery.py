@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import hallway_figure
 import numpy as np
 
 import graceful_plan as gp
@@ -72,7 +73,7 @@ def _matters(first: gp.PlanResult, second: gp.PlanResult) -> bool:
 def drive() -> None:
     """Draw the drive of a base through an apartment, with and without regard for failures."""
     task = gp.load_scene("apartment").tasks["bring_parcel"]
-    floor = gp.FloorMap.from_scene(task.scene, heights=(0.05, 1.0), resolution=0.05)
+    floor = gp.OccupancyGrid.from_scene(task.scene, heights=(0.05, 1.0), resolution=0.05)
     with _figure(IMAGES / "drive.png", 1, (7.0, 4.6)) as (axes,):
         _draw_map(axes, floor, distances=False)
         draw_entities(axes, task.scene)
@@ -178,7 +179,7 @@ def _figure(file: Path, count: int, size: tuple[float, float]) -> Iterator[Any]:
     plt.close(figure)
 
 
-def _draw_map(axes: Any, floor: gp.FloorMap, *, distances: bool) -> None:
+def _draw_map(axes: Any, floor: gp.OccupancyGrid, *, distances: bool) -> None:
     """Draw walls, and how far they are."""
     x, y = floor.origin[:2]
     rows, columns = floor.shape
@@ -199,7 +200,15 @@ def _length(xy: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum())
 
 
+def hallway() -> None:
+    """Draw and film a bottle carried past people, planned with w = 0 and with the default weight."""
+    scene, results = hallway_figure.planned()
+    hallway_figure.draw(scene, results, IMAGES / "hallway.png")
+    hallway_figure.record(scene, results, IMAGES / "hallway.webp")
+
+
 PICTURES: dict[str, Callable[[], None]] = {
+    "hallway": hallway,
     "rooms": rooms,
     "drive": drive,
     "commands": commands,

@@ -17,7 +17,7 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 
-def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
+def clearance(q: ArrayLike, scene: Scene) -> Float[Array, "*batch"]:
     """Compute the signed clearance of the fast checker [m], to the surroundings and to the robot itself.
 
     Positive is free; infinite where there is nothing to hit. Spheres cover the robot and the carried object, so a
@@ -34,15 +34,15 @@ def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
 
 
 def interaction_probability(
-    scene: Scene, q: ArrayLike, model: str | InteractionModel = "aabb", qd: ArrayLike | None = None
+    q: ArrayLike, scene: Scene, model: str | InteractionModel = "box_overlap", qd: ArrayLike | None = None
 ) -> Float[Array, "*batch component entity"]:
     """Compute the probability that each component hits each entity, given that the robot fails at q.
 
     Args:
-        scene: The scene; components and entities are in its order.
         q: Configurations [rad or m].
-        model: An interaction model or its name; by default "aabb", Algorithm 1 of the paper. That of `ImpactCost` is
-            another one, "footprint".
+        scene: The scene; components and entities are in its order.
+        model: An interaction model or its name; by default "box_overlap", Algorithm 1 of the paper, while the default
+            of `ImpactCost` is "mixture".
         qd: Joint velocities [rad/s or m/s], for models that use them; at rest if None.
 
     Raises:

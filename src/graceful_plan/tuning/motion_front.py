@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import count, islice, pairwise
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -59,6 +59,13 @@ _MOST_TIMED = 4
 _FINELY = DescentSettings(screens=False, fine=1, refinements=0)
 
 
+class Resources(NamedTuple):
+    """Time and random numbers for one part of the work."""
+
+    budget: Budget
+    rng: np.random.Generator
+
+
 @final
 class MotionFront:
     """Fills an archive with smooth motions.
@@ -88,7 +95,7 @@ class MotionFront:
             rng: Random numbers of the moves.
             gaps: Whether to fill gaps between motions.
         """
-        for _ in self._from_paths(paths, (budget, rng)):
+        for _ in self._from_paths(paths, Resources(budget, rng)):
             yield "descend"
         timed = budget.timed
         for step in count():
@@ -97,17 +104,17 @@ class MotionFront:
             rough = self._rough()
             weighs = gaps and self.archive.candidates[0].cost[1] > 0.0 and (timed or step < self.points)
             if weighs and not (rough and step % 2):
-                self._into_widest_gap((budget, rng))
+                self._into_widest_gap(Resources(budget, rng))
                 yield "gaps"
             elif rough:
-                self._descend_finely(rough[:_THREADS], (budget, rng))
+                self._descend_finely(rough[:_THREADS], Resources(budget, rng))
                 yield "polish"
             else:
                 return
 
-    def _from_paths(self, paths: Archive[Candidate], means: tuple[Budget, np.random.Generator]) -> Iterator[None]:
+    def _from_paths(self, paths: Archive[Candidate], resources: Resources) -> Iterator[None]:
         """Descend from a representative subset of the paths."""
-        budget, rng = means
+        budget, rng = resources
         if not len(paths):
             return
         chosen = paths.chosen(self.points)
@@ -118,14 +125,14 @@ class MotionFront:
             if len(self.archive) and budget.elapsed >= end:
                 return
             with budget.share((end - budget.elapsed) / (len(chosen) - done)) as part:
-                self._from_path(chosen, k, weights[k], (part, rng))
+                self._from_path(chosen, k, weights[k], Resources(part, rng))
             yield
 
-    def _from_path(
-        self, chosen: Sequence[Candidate], k: int, w: float, means: tuple[Budget, np.random.Generator]
-    ) -> None:
+    def _from_path(self, chosen: Sequence[Candidate], k: int, w: float, resources: Resources) -> None:
         beside = [self.query.ends.joined(Path(candidate.q)) for candidate in chosen[max(0, k - 1) : k + 2]]
-        found = self._descended([*beside, *self._near(w)], w, DescentSettings(bends=0, fine=0, refinements=0), means)
+        found = self._descended(
+            [*beside, *self._near(w)], w, DescentSettings(bends=0, fine=0, refinements=0), resources
+        )
         if not found:
             cut = self._along(Path(chosen[k].q))
             made_by, made_with = chosen[k].made_by, chosen[k].made_with
@@ -147,15 +154,15 @@ class MotionFront:
         best = dict.fromkeys(self.archive.best_for(w * factor) for factor in (1.0, _ASIDE, 1.0 / _ASIDE))
         return [one.whole for one in best]
 
-    def _into_widest_gap(self, means: tuple[Budget, np.random.Generator]) -> None:
+    def _into_widest_gap(self, resources: Resources) -> None:
         a, b = rims = self._widest()
         self._tried[rims] = tried = self._tried.get(rims, 0) + 1
         if a is b:
             settings = DescentSettings(bends=0, fine=1, refinements=_END_HOPS * tried)
-            found = self._descended(self._near(self._greatest), self._greatest, settings, means)
+            found = self._descended(self._near(self._greatest), self._greatest, settings, resources)
         else:
             settings = DescentSettings(bends=0, fine=0, refinements=_HOPS * tried)
-            found = self._descended([a.whole, b.whole], _slope(a.cost, b.cost), settings, means)
+            found = self._descended([a.whole, b.whole], _slope(a.cost, b.cost), settings, resources)
         for one in found:
             self.archive.offer(one)
 
@@ -173,11 +180,9 @@ class MotionFront:
         weights = optimal_weights(np.array([one.cost for one in chosen]), self._greatest)
         return [(chosen[k], weights[k]) for k in coarse_to_fine(len(chosen)) if chosen[k] not in self._fine]
 
-    def _descend_finely(
-        self, some: Sequence[tuple[FrontMotion, float]], means: tuple[Budget, np.random.Generator]
-    ) -> None:
+    def _descend_finely(self, some: Sequence[tuple[FrontMotion, float]], resources: Resources) -> None:
         with ThreadPoolExecutor(_THREADS) as pool:
-            every = pool.map(lambda one: self._descended([one[0].whole], one[1], _FINELY, means), some)
+            every = pool.map(lambda one: self._descended([one[0].whole], one[1], _FINELY, resources), some)
             found = [new for news in every for new in news]
         self._fine.update(found, (one for one, _ in some))
         for one in found:
@@ -188,10 +193,10 @@ class MotionFront:
         starts: Sequence[tuple[Path, int]],
         w: float,
         settings: DescentSettings,
-        means: tuple[Budget, np.random.Generator],
+        resources: Resources,
     ) -> list[FrontMotion]:
         request, ends = replace(self.query.request, objective=self.query.at(w)), self.query.ends
-        descents, (budget, rng) = motion_descents(request, self.problem, settings), means
+        descents, (budget, rng) = motion_descents(request, self.problem, settings), resources
         begun = [start_along(path, arrival, ends) for path, arrival in starts if path.length > 0.0]
         results = sorted(descend_from(begun, descents, budget, rng), key=lambda one: one.value) if descents else []
         motions = (timed_curve(one, request) for one in results[:_MOST_TIMED])
