@@ -74,7 +74,7 @@ def main() -> int:
 
         step("a fresh environment", lambda: run(sys.executable, "-m", "venv", "env"))
         step(
-            "pip install 'graceful-plan[viz]'",
+            "pip install '.[viz]'",
             lambda: run(str(python), "-m", "pip", "install", "-q", f"{package}[viz]"),
         )
         step("pip check", lambda: run(str(python), "-m", "pip", "check"))
