@@ -71,7 +71,7 @@ def _matters(first: gp.PlanResult, second: gp.PlanResult) -> bool:
 def drive() -> None:
     """Draw the drive of a base through an apartment, for w = 0 and w = 1."""
     task = gp.load_scene("apartment").tasks["bring_parcel"]
-    floor = gp.FloorMap.from_scene(task.scene, heights=(0.05, 1.0), resolution=0.05)
+    floor = gp.OccupancyGrid.from_scene(task.scene, heights=(0.05, 1.0), resolution=0.05)
     with _figure(IMAGES / "drive.png", 1, (7.0, 4.6)) as (axes,):
         _draw_map(axes, floor, distances=False)
         draw_entities(axes, task.scene)
@@ -177,7 +177,7 @@ def _figure(file: Path, count: int, size: tuple[float, float]) -> Iterator[Any]:
     plt.close(figure)
 
 
-def _draw_map(axes: Any, floor: gp.FloorMap, *, distances: bool) -> None:
+def _draw_map(axes: Any, floor: gp.OccupancyGrid, *, distances: bool) -> None:
     """Draw walls, and optionally the distance to them."""
     x, y = floor.origin[:2]
     rows, columns = floor.shape

@@ -51,7 +51,7 @@ class Exposure:
             raise SettingError("exposure", objective.exposure, "'length' or 'time' for a roadmap")
         self.objective, self.scene, self.step, self.paces = objective, scene, step, paces
         impact = objective.impact
-        self.by_hazard = isinstance(impact, ImpactCost)
+        self.by_entity = isinstance(impact, ImpactCost)
         self.hazards: tuple[str, ...] = ()
         self.columns: tuple[tuple[str, str], ...] = (("", ""),)
         if isinstance(impact, ImpactCost):
@@ -62,10 +62,10 @@ class Exposure:
     def severity(self, scene: Scene) -> Float[Array, " column"]:
         """Return the severity of each column in a scene, 0 if it has none; 1 for an impact without severities."""
         impact = self.objective.impact
-        if not (self.by_hazard and isinstance(impact, ImpactCost)):
+        if not (self.by_entity and isinstance(impact, ImpactCost)):
             return np.ones(1)
         pairs = product(scene.components, impact.hazards(scene))
-        known = dict(zip(pairs, impact.hazard_severity(scene).flat, strict=True))
+        known = dict(zip(pairs, impact.severity_table(scene).flat, strict=True))
         return np.array([known.get(column, 0.0) for column in self.columns], dtype=np.float64)
 
     def reported(self) -> Exposure:
@@ -88,7 +88,7 @@ class Exposure:
         """Return the total cost of edges, with the impact by entity and component."""
         parts = np.bincount(prices.column, prices.exposure, len(severity)) * severity
         motion, impact = float(prices.motion.sum()), float(parts.sum())
-        if not self.by_hazard:
+        if not self.by_entity:
             return CostBreakdown(motion=motion, impact=impact, w=w)
         components, hazards = dict.fromkeys(self.scene.components, 0.0), dict.fromkeys(self.hazards, 0.0)
         for (component, hazard), part in zip(self.columns, parts.tolist(), strict=True):
@@ -100,7 +100,7 @@ class Exposure:
 
     def _density(self, batch: StateBatch) -> Float[Array, "n column"]:
         impact = self.objective.impact
-        if not (self.by_hazard and isinstance(impact, ImpactCost)):
+        if not (self.by_entity and isinstance(impact, ImpactCost)):
             return checked_state(impact, batch)[:, None]
         counted = {component for component, _ in self.columns}
         rows = [row for row, name in enumerate(self.scene.components) if name in counted]

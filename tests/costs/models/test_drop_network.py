@@ -150,7 +150,7 @@ def test_single_precision_is_close(task: gp.Task) -> None:
 
 
 def test_planners_are_given_the_same(task: gp.Task) -> None:
-    model = gp.Footprint(network=random_network())
+    model = gp.FailureMixture(network=random_network())
     cost = gp.ImpactCost(model=model)
     q, qd = states(task, 16)
     kernel = cost.kernel(task.scene, (0.5, 0.8))
@@ -245,7 +245,7 @@ def test_the_shipped_one_says_where_it_comes_from(task: gp.Task) -> None:
     network = DropNetwork.shipped()
     assert network.about["drops"] > 1000 and network is DropNetwork.shipped()
     q, qd = states(task, 8)
-    plain, own = (gp.Footprint(network=x).probability(moving_batch(task.scene, q, qd)) for x in (None, network))
+    plain, own = (gp.FailureMixture(network=x).probability(moving_batch(task.scene, q, qd)) for x in (None, network))
     assert np.abs(plain - own).max() > 1e-3
 
 

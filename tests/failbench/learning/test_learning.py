@@ -20,7 +20,7 @@ from failbench.learning.generated import generated_scene, scene_names
 from failbench.learning.learn import learn
 from failbench.learning.rollouts import DropData, Pairs, bundled_jobs, drop_jobs, pairs_of, scene_of
 from failbench.learning.training import Training, logits, probability, train
-from graceful_plan import Footprint
+from graceful_plan import FailureMixture
 from graceful_plan.costs.models.drop.network import LOOKS, TOLD, DropNetwork, fade
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.exceptions import SettingError, UnknownNameError
@@ -101,7 +101,7 @@ def test_pairs_are_those_of_the_drop_model(drops: list[Failures]) -> None:
     found, i = probability(None, pairs), 0
     for part in drops:
         scene = scene_of(part.scene).tasks[part.task].scene
-        P = Footprint().probability(part.states(scene))[:, list(scene.components).index("carried")]
+        P = FailureMixture().probability(part.states(scene))[:, list(scene.components).index("carried")]
         hit, counted = part.events(["carried"])
         chosen = (P > 1e-4) & counted
         n = int(chosen.sum())
