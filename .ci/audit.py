@@ -1,9 +1,9 @@
-"""Ask whether a weakness is known of any pinned dependency, and say which could not be asked about.
+"""Check pinned dependencies for known vulnerabilities, and report the number that could not be checked.
 
 python .ci/audit.py [FILE ...]
 
-pip-audit needs the network, and passes what it was not told of. Here that is said: the exit status is 1 if a weakness
-is known, else 0, and the last line says how many of the pins were looked at.
+pip-audit needs the network, and passes packages that it could not check. Here they are reported: the exit status is 1
+if a vulnerability is known, else 0, and the last line has the number of checked pins.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ FILES = ("build", "runtime", "dev", "docs", "viewer", "robots", "checks")
 
 
 def asked(file: Path) -> list[dict[str, object]] | str:
-    """Return what pip-audit says of each pin in a file, or why it says nothing."""
+    """Return the findings of pip-audit for each pin in a file, or its error message."""
     command = [sys.executable, "-m", "pip_audit", "--disable-pip", "--no-deps", "--format", "json", "-r", str(file)]
     run = subprocess.run([*command, "--progress-spinner", "off"], capture_output=True, text=True, check=False)
     try:
@@ -27,7 +27,7 @@ def asked(file: Path) -> list[dict[str, object]] | str:
 
 
 def main() -> int:
-    """Return whether a weakness is known."""
+    """Return 1 if a vulnerability is known, else 0."""
     root = Path(__file__).parents[1] / "requirements"
     files = [Path(name) for name in sys.argv[1:]] or [root / f"{name}.txt" for name in FILES]
     looked_at, total, known = 0, 0, 0
@@ -41,10 +41,10 @@ def main() -> int:
         for pin in found:
             for weakness in pin.get("vulns", []):  # type: ignore[attr-defined]
                 known += 1
-                print(f"{pin['name']} {pin.get('version')}: {weakness['id']}, mended in {weakness['fix_versions']}")
-    print(f"{looked_at} of {total} pins were looked at, {known} weaknesses are known")
+                print(f"{pin['name']} {pin.get('version')}: {weakness['id']}, fixed in {weakness['fix_versions']}")
+    print(f"{looked_at} of {total} pins checked, {known} known vulnerabilities")
     if looked_at < total or not total:
-        print("the rest could not be audited here: the service that knows weaknesses is not reached")
+        print("the others could not be checked: the vulnerability service is not reachable")
     return min(known, 1)
 
 

@@ -1,8 +1,8 @@
-"""From `pip install` to a plan of one's own robot that was validated and seen, in a fresh environment, step by step.
+"""Time each step from `pip install` to a validated and displayed plan of a custom robot, in a new environment.
 
-    python .ci/five_minutes.py dist/graceful_plan-*.whl     # or . for the source tree, which is compiled then
+    python .ci/five_minutes.py dist/graceful_plan-*.whl     # or . to compile the source tree
 
-Packages come from wherever pip is set to look. Without a browser on the machine, "seen" is the page as it is served.
+Packages come from the index that pip is configured for. Without a browser, the last step fetches the viewer's page.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 WITHIN = 300.0
-"""Seconds for all steps."""
+"""Time limit for all steps together [s]."""
 ROBOT = Path(__file__).parents[1] / "examples" / "own_robot.py"
 LOAD = """
 import sys; sys.path.insert(0, "."); import own_robot, graceful_plan as gp
@@ -49,7 +49,7 @@ PICTURE = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enabl
 
 
 def main() -> int:
-    """Do the steps and print what each took; 1 if they took longer than they may."""
+    """Run the steps and print the duration of each; return 1 if the total exceeds `WITHIN`."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("package", type=Path, help="a wheel, or the source tree")
     parser.add_argument("--picture", type=Path, help="where the screenshot goes, if there is a browser")
@@ -74,7 +74,7 @@ def main() -> int:
 
         step("a fresh environment", lambda: run(sys.executable, "-m", "venv", "env"))
         step(
-            "pip install 'graceful-plan[viz]'",
+            "pip install '.[viz]'",
             lambda: run(str(python), "-m", "pip", "install", "-q", f"{package}[viz]"),
         )
         step("pip check", lambda: run(str(python), "-m", "pip", "check"))
@@ -87,7 +87,7 @@ def main() -> int:
 
 
 def _seen(python: Path, place: Path, picture: Path | None) -> str:
-    """Open the viewer; take a picture of it in a browser, or fetch the page where there is none."""
+    """Open the viewer and take a screenshot in a browser, or fetch the page if there is no browser."""
     with subprocess.Popen([str(python), "-c", VIEW], cwd=place, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

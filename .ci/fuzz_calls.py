@@ -1,11 +1,11 @@
-"""Call every public function with values that make no sense: an error of ours says so, or it does not matter.
+"""Call every public function with invalid arguments; each call must succeed or raise a GracefulPlanError.
 
 python .ci/fuzz_calls.py [--name NAME ...]
 
-Each parameter of everything in `__all__` of both packages, constructors and readers of classes included, is given
-numbers, arrays, texts or names of files that its type allows while the others are as they should be. What fails is any
-error but a GracefulPlanError, and what takes longer than 20 s. Objects of a wrong type (a number for a scene) and what
-is in sequences are not tried.
+Covers `__all__` of both packages, with constructors and class methods. One parameter at a time gets numbers, arrays,
+texts or file names that its type allows; the others are valid. A call fails if it raises any error other than a
+GracefulPlanError or takes more than 20 s. Not covered: objects of a wrong type (a number for a scene) and items of
+sequences.
 """
 
 from __future__ import annotations
@@ -53,26 +53,26 @@ TEXTS: dict[str, Any] = {
     "a long one": "x" * 10_000,
 }
 OTHERS: dict[str, Any] = {"None": None, "bytes": b"abc", "an object": object(), "a list": ["a"]}
-"""For what takes the name of a file."""
+"""Values for parameters that accept a file name."""
 COMPOSED = ("Callable", "dict", "Mapping", "Sequence", "tuple", "Iterable", "Restraint", "Reaches")
-"""Words of the types of parameters that are not tried."""
+"""Words in the types of parameters that are not tested."""
 KINDS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     (("float", "int", "ArrayLike", "Float", "Configuration", "Goal"), NUMBERS),
     (("ArrayLike", "Float", "Configuration", "Goal"), ARRAYS),
     (("str", "Configuration", "Goal"), TEXTS),
     (("str | Path", "str | FilePath"), OTHERS),
 )
-"""Words of a parameter's annotation, and what it is given."""
+"""Words in a parameter's annotation, and the values to pass."""
 LEFT_OUT = frozenset({"view", "annotate", "compare", "film", "sweep_of", "generate", "resume", "StateBatch"})
-"""What serves, asks a network or works for minutes by what it is given; and states as costs get them, unchecked."""
+"""Functions that start a server, use a network or run for minutes, and `StateBatch`, which checks nothing."""
 CHEAP = ("iterations", "n", "rollouts", "nodes", "points")
-"""Numbers that are given also where there is a default, which would take long."""
+"""Parameters that get a small value even if they have a default, to save time."""
 MADE_OTHERWISE = frozenset({"Roadmap"})
-"""Classes whose constructors take what their own methods make."""
+"""Classes whose constructors are not for users."""
 
 
 def valid(folder: Path) -> dict[str, Any]:
-    """Return values by the names of parameters."""
+    """Return valid values by parameter name."""
     task = gp.load_scene("tabletop").tasks["right_to_left"]
     start, goal = np.asarray(task.start), np.atleast_2d(task.goal)[0]
     path = gp.Path(np.array([start, goal]))
@@ -86,7 +86,7 @@ def valid(folder: Path) -> dict[str, Any]:
 
 
 def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Yield everything public that can be called."""
+    """Yield all public callables with their names."""
     for package in (gp, failbench):
         for name in sorted(package.__all__):
             found = getattr(package, name)
@@ -100,7 +100,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
 
 
 def wrong_values(annotation: str) -> dict[str, Any]:
-    """Return values that a parameter's type allows, or does not tell from others, and that make no sense."""
+    """Return invalid values that pass a type check of the parameter."""
     chosen: dict[str, Any] = {}
     if any(word in annotation for word in COMPOSED):
         return chosen
@@ -111,7 +111,7 @@ def wrong_values(annotation: str) -> dict[str, Any]:
 
 
 def cases(call: Callable[..., Any], known: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield arguments of which one is wrong, and which."""
+    """Yield the name of the invalid argument and all arguments of the call."""
     try:
         parameters = inspect.signature(call).parameters.values()
     except (TypeError, ValueError):
@@ -135,7 +135,7 @@ def _alarm(number: int, frame: FrameType | None) -> None:
 
 
 def trouble(call: Callable[..., Any], given: dict[str, Any]) -> str | None:
-    """Return what is wrong with how a call takes its arguments."""
+    """Return a description of a wrong reaction to the arguments, or None."""
     signal.alarm(SLOW)
     try:
         call(**given)
@@ -152,7 +152,7 @@ def trouble(call: Callable[..., Any], given: dict[str, Any]) -> str | None:
 
 
 def main() -> int:
-    """Return how many calls went wrong."""
+    """Return the number of failed calls."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--name", nargs="*", help="only these, such as graceful_plan.plan")
     args = parser.parse_args()

@@ -1,10 +1,10 @@
-"""Call the native core with broken arguments: it refuses them with a ValueError, or does as it is told in short time.
+"""Call the native core with broken arguments; it must refuse them with an error or return in a short time.
 
 python .ci/fuzz_native.py [--calls N] [--seed S] [--isa NAME ...]
 
-What the core is called with while the library plans is recorded; then one or two arguments of a call at a time are
-broken. Where a broken constructor goes through, the methods of what it built are called as well. A crash ends the
-process, which the caller sees; run it with sanitizers (see .ci/run) to see reads past an end.
+Records the calls of the core while the library plans, then repeats each with one or two broken arguments. If a
+constructor accepts them, the methods of the object are called as well. A crash ends the process; run this with
+sanitizers (see .ci/run) to detect out-of-bounds reads.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from graceful_plan.timing.topp import travelled
 MODULES = (_native, _pendulum)
 REFUSALS = (ValueError, TypeError, RuntimeError, MemoryError, OverflowError, IndexError)
 SLOW = 10.0
-"""Seconds after which a call counts as hanging."""
+"""Time after which a call counts as hanging [s]."""
 MAY_BE_INFINITE = {
     ("Core", "room"),
     ("PoseCost", "distance"),
@@ -61,12 +61,12 @@ MAY_BE_INFINITE = {
     ("travelled", "velocity"),
     ("excess", "velocity"),
 }
-"""Where infinity is a word with a meaning; "not a number" never is."""
+"""Arguments that may be infinite; none may be NaN."""
 
 
 @dataclass
 class Call:
-    """One call that the core took: of a class, of a method (with its object) or of a function."""
+    """A recorded call of a class, a bound method or a function."""
 
     name: str
     function: Callable[..., Any]
@@ -74,7 +74,7 @@ class Call:
 
 
 def recorder(name: str, behind: Any, calls: list[Call], isa: str) -> Any:
-    """Return what stands in front of a native class or function and keeps what that was called with."""
+    """Wrap a native class or function so that its calls are recorded."""
     parameters = parameters_of(behind)
 
     def named(args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def recorder(name: str, behind: Any, calls: list[Call], isa: str) -> Any:
 
 
 def parameters_of(behind: Any) -> list[str]:
-    """Return the names of a native function's parameters, without self."""
+    """Return the parameter names of a native function, without self."""
     target = behind.__init__ if isinstance(behind, type) else behind
     signature = target.__nb_signature__[0][0]
     inside = signature[signature.index("(") + 1 : signature.rindex(") ->")]
@@ -114,7 +114,7 @@ def parameters_of(behind: Any) -> list[str]:
 
 
 def methods_of(name: str, made: Any, arguments: dict[str, Any]) -> Iterator[Call]:
-    """Calls of all methods, with arguments that fit what was built."""
+    """Yield calls of all methods of an object, with suitable arguments."""
     for method in dir(type(made)):
         if method.startswith("_") or isinstance(getattr(type(made), method), property):
             continue
@@ -124,7 +124,7 @@ def methods_of(name: str, made: Any, arguments: dict[str, Any]) -> Iterator[Call
 
 
 def fitting(parameter: str, method: str, made: Any, arguments: dict[str, Any]) -> Any:
-    """An argument of a method by its name; None if it is better left out."""
+    """Return an argument of a method by name; None to omit it."""
     nq = width(made, arguments)
     rng = np.random.default_rng(len(method))
     goals, controls = arguments.get("goals"), arguments.get("controls", 8)
@@ -180,7 +180,7 @@ def fitting(parameter: str, method: str, made: Any, arguments: dict[str, Any]) -
 
 
 def width(made: Any, arguments: dict[str, Any]) -> int:
-    """How many joints there are."""
+    """Return the number of joints of an object."""
     known = arguments.get("n_joint") or WIDTHS.get(id(made)) or WIDTHS.get(id(arguments.get("core")))
     if isinstance(known, int) and 0 < known < 1000:
         return known
@@ -191,13 +191,13 @@ def width(made: Any, arguments: dict[str, Any]) -> int:
 
 
 WIDTHS: dict[int, int] = {}
-"""Joints of what was built, by id; all of that stays in `KEPT`."""
+"""Number of joints of each object, by id; `KEPT` keeps the objects alive."""
 KEPT: list[Any] = []
 ABSTRACT = ("Space", "Impact", "Measure", "TimedCurve", "MovingSource")
 
 
 def record(isa: str) -> list[Call]:
-    """Plan all kinds of things and keep what the core was called with."""
+    """Plan in many situations and record the calls of the core."""
     calls: list[Call] = []
     behind = list(offered())
     for module, name, thing in behind:
@@ -212,13 +212,13 @@ def record(isa: str) -> list[Call]:
 
 
 def offered() -> Iterator[tuple[ModuleType, str, Any]]:
-    """What the native modules offer: module, name and thing."""
+    """Yield the exports of the native modules: module, name and object."""
     for module in MODULES:
         yield from ((module, name, thing) for name, thing in vars(module).items() if not name.startswith("_"))
 
 
 def exported() -> Iterator[str]:
-    """Names of all that the core offers, as calls are named."""
+    """Yield the names of all exports, in the form of call names."""
     for _, name, thing in offered():
         if name in (*ABSTRACT, "lever", "instruction_sets", "capacity"):
             continue
@@ -247,11 +247,11 @@ CELLS = {
     "method": "a_star",
     "time_limit": 0.2,
 }
-"""Arguments of methods about floors, by name."""
+"""Arguments of methods of floor grids, by name."""
 
 
 def situations() -> None:
-    """Plan with every model, planner and kind of bound that has a kernel."""
+    """Plan with every model, planner and kind of bound that has a native kernel."""
     for name, faults in (("dining_table", "drop_only"), ("tabletop", "service_robot")):
         task = next(iter(gp.load_scene(name).tasks.values()))
         impact = gp.ImpactCost(gp.FailureMixture(faults=faults))
@@ -299,15 +299,15 @@ def situations() -> None:
 
 
 class Low(gp.Cost):
-    """A user's own cost: Python is asked for it."""
+    """A custom cost in Python."""
 
     def state(self, batch: gp.StateBatch) -> np.ndarray:
-        """Charge for what the joints are bent."""
+        """Return the squared norm of each configuration."""
         return np.sum(batch.q**2, axis=-1)
 
 
 def time_outside_of_plans(task: gp.Task) -> None:
-    """Travel a curve at given speeds, as where torques are limited."""
+    """Time a curve with given speeds, as with torque limits."""
     limits, grid = task.scene.limits, Spline(np.asarray(task.start) + np.linspace(0.0, 0.3, 8)[:, None]).grid(1)
     speeds = np.sin(np.linspace(0.0, np.pi, len(grid.s)))
     found = travelled(grid, speeds, limits.velocity, limits.acceleration)
@@ -315,7 +315,7 @@ def time_outside_of_plans(task: gp.Task) -> None:
 
 
 def plan_outside_of_scenes(task: gp.Task) -> None:
-    """Descend along a path, and search where Python answers all questions."""
+    """Run a descent, and create a search space with Python callbacks."""
     objective = gp.Objective().bind(task.scene)
     path = np.stack([np.asarray(task.start), np.asarray(task.start) + 0.1])
     problem = SceneProblem(kernels=objective.kernels, start=path[0], goals=path[1:])
@@ -332,7 +332,7 @@ def plan_outside_of_scenes(task: gp.Task) -> None:
 
 
 def broken(value: Any, rng: random.Random, others: list[Any]) -> Any:
-    """Return something near a valid argument that is not one."""
+    """Return an invalid variant of a valid argument."""
     if isinstance(value, np.ndarray):
         return broken_array(value, rng)
     if isinstance(value, bool):
@@ -349,7 +349,7 @@ def broken(value: Any, rng: random.Random, others: list[Any]) -> Any:
 
 
 def broken_array(value: np.ndarray, rng: random.Random) -> Any:
-    """The same for arrays: other widths, other numbers, other types."""
+    """Return an array with another shape, other values or another type."""
     kind = rng.randrange(9)
     out = value.copy()
     if kind <= 3 and out.size:
@@ -376,7 +376,7 @@ def broken_array(value: np.ndarray, rng: random.Random) -> Any:
 
 
 def poisoned(value: Any, infinite: bool) -> bool:
-    """Whether there is something that is no number in it, or infinity where that has no meaning."""
+    """Return whether a value contains NaN, or infinity where that is invalid."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -387,7 +387,7 @@ def poisoned(value: Any, infinite: bool) -> bool:
 def attack(
     call: Call, rng: random.Random, pool: dict[str, list[Any]], seen: Counter[str], *, trace: bool
 ) -> str | None:
-    """Break one call; return what is wrong with how it was taken."""
+    """Repeat a call with broken arguments; return a description of a wrong reaction, or None."""
     arguments = dict(call.arguments)
     names = [n for n, x in arguments.items() if not callable(x) or id(x) in WIDTHS]
     for name in rng.sample(names, min(len(names), rng.choice([1, 1, 2]))):
@@ -423,12 +423,12 @@ def attack(
 
 
 def brief(arguments: dict[str, Any]) -> str:
-    """Arguments in a line."""
+    """Format arguments on one line."""
     return ", ".join(f"{n}={np.array2string(np.asarray(x), threshold=8)}"[:200] for n, x in arguments.items())
 
 
 def main() -> int:
-    """Return how many calls went wrong."""
+    """Return the number of failed calls."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--calls", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
@@ -466,4 +466,4 @@ def main() -> int:
 if __name__ == "__main__":
     status = min(main(), 100)
     sys.stdout.flush()
-    os._exit(status)  # recorded calls and what they built hold each other, of which the core would complain
+    os._exit(status)  # skips cleanup: calls and objects form cycles, which nanobind would report as leaks

@@ -1,11 +1,10 @@
-"""Give every reader broken files: it reads them, or says what is wrong with an error of ours, in short time.
+"""Pass broken files to every reader; each must read them or raise a GracefulPlanError, in a short time.
 
 python .ci/fuzz_readers.py [--files N] [--seed S] [--reader NAME ...]
 
-Files that the library wrote are broken in one or several places, as texts and as bytes. A reader fails if it raises an
-error that does not name the file's trouble (anything but a GracefulPlanError), returns a number that is not finite,
-takes longer than 10 s, or makes the process grow by a gigabyte. A crash ends the process, which the caller sees; the
-file that was being read then lies in the folder that is printed first.
+Files written by the library are broken in one or more places, as text and as bytes. A reader fails if it raises any
+error other than a GracefulPlanError, returns a number that is not finite, takes more than 10 s, or makes the process
+grow by a gigabyte. A crash ends the process; the file that was being read is in the folder that is printed first.
 """
 
 from __future__ import annotations
@@ -68,9 +67,9 @@ from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viz.front_page import write_front_page
 
 SLOW = 10
-"""Seconds after which a reader counts as hanging."""
+"""Time after which a reader counts as hanging [s]."""
 GREEDY = 1e6
-"""Growth of the process that is too much [KiB]."""
+"""Growth of the process that counts as a failure [KiB]."""
 PACKAGE = Path(gp.__file__).parent
 URDF = """<robot name="arm">
   <link name="base"><collision><geometry><box size=".1 .1 .1"/></geometry></collision></link>
@@ -149,12 +148,12 @@ effects:
 
 @dataclass(frozen=True)
 class Reader:
-    """Something that reads a file or folder.
+    """A function that reads a file or folder.
 
-    | field | meaning                                                          |
-    |-------|------------------------------------------------------------------|
-    | files | what is broken, below the folder of valid files                  |
-    | read  | reads from a folder that holds all of them                        |
+    | field | meaning                                      |
+    |-------|----------------------------------------------|
+    | files | files to break, relative to the valid folder |
+    | read  | function that reads from a folder            |
     """
 
     files: tuple[str, ...]
@@ -162,18 +161,18 @@ class Reader:
 
 
 def text(file: Path, first: str) -> str:
-    """Return a file's text with a beginning that makes it no name of a file, whatever is in it."""
+    """Return the text of a file, with a first character that prevents its use as a file name."""
     content = file.read_bytes() if file.is_file() else b""
     return first + content.decode("utf-8", errors="surrogateescape").lstrip()[1:]
 
 
 def urdf(file: Path) -> gp.Scene:
-    """Make a scene of a robot alone."""
+    """Load a scene that contains only a robot."""
     return gp.Scene.from_urdf(file, tool="lower", acceleration=8.0, srdf=file.with_name("arm.srdf"))
 
 
 def kept_array(folder: Path) -> Any:
-    """Read from the cache; a broken file is one that is not there."""
+    """Read from the cache, which treats a broken file as a missing one."""
     before, kept.folder = kept.folder, lambda: folder
     try:
         return kept.read("0" * 64)
@@ -182,25 +181,25 @@ def kept_array(folder: Path) -> Any:
 
 
 def scene_of(scene: gp.Scene) -> dict[str, Any]:
-    """Numbers of a scene."""
+    """Return the numbers of a scene."""
     model: mujoco.MjModel = scene.model
     names = ("body_pos", "body_quat", "body_mass", "body_inertia", "geom_pos", "geom_size", "qpos0", "jnt_axis")
     return {name: getattr(model, name) for name in names} | {"tasks": dict(scene.tasks)}
 
 
 def floor_of(file: Path) -> Any:
-    """What a map of map_server says."""
+    """Return the numbers of a map of map_server."""
     floor = gp.OccupancyGrid.from_map_server(file)
     return floor.occupancy, floor.resolution, floor.origin, floor.distance
 
 
 def front_of(front: gp.ParetoFront) -> list[Any]:
-    """Numbers of a front; the weights that its points are the best for go to infinity."""
+    """Return the numbers of a front, without the weights, which may be infinite."""
     return [(point.path, point.trajectory, point.cost) for point in front.points]
 
 
 def sealed(folder: Path) -> Path:
-    """Give a manifest the checksum that it should have, as somebody would who wants it to be believed."""
+    """Give a manifest a valid checksum, as an attacker would."""
     file = folder / "manifest.json"
     try:
         manifest = json.loads(file.read_bytes())
@@ -211,7 +210,7 @@ def sealed(folder: Path) -> Path:
 
 
 def card_of(folder: Path) -> str:
-    """Write a dataset's card where there may be something of somebody else, which stays as it is."""
+    """Write the card of a dataset, and check that a README.md of another origin is kept."""
     manifest, file = read_manifest(sealed(folder)), folder / "README.md"
     before = file.read_bytes() if file.is_file() else b""
     write_card(folder, Sweep.from_document(manifest["sweep"]), manifest)
@@ -221,7 +220,7 @@ def card_of(folder: Path) -> str:
 
 
 def page_of_front(file: Path) -> str:
-    """Write the page of a front; nothing in the front ends the script in it or brings another."""
+    """Write the page of a front, and check that no text of the front ends or adds a script."""
     front, out = gp.ParetoFront.load(file), file.with_suffix(".html")
     write_front_page(front, gp.load_scene("tabletop").tasks["right_to_left"].scene, out, title=front.scene)
     written = out.read_text(encoding="utf-8")
@@ -231,7 +230,7 @@ def page_of_front(file: Path) -> str:
 
 
 def report_of(folder: Path) -> str:
-    """Return the page of a comparison."""
+    """Return the report page of a comparison."""
     return page(summarise(load_comparison(folder)))
 
 
@@ -315,7 +314,7 @@ READERS: Mapping[str, Reader] = {
     "kept array": Reader((f"{'0' * 64}.npz",), kept_array),
 }
 ANY_NUMBER = frozenset({"kept array", "failures", "comparison"})
-"""Readers of numbers among which NaN has a meaning."""
+"""Readers whose numbers may be NaN."""
 
 
 # --- valid files -----------------------------------------------------------------------------------------------------
@@ -377,7 +376,7 @@ def write_valid(folder: Path) -> None:
 
 
 def write_maps(folder: Path) -> None:
-    """Write a floor as map_server's files with a PGM, a plain one and a PNG, and as MovingAI's."""
+    """Write a floor in the formats of map_server (binary PGM, plain PGM, PNG) and MovingAI."""
     occupancy = np.where(np.random.default_rng(0).random((9, 12)) < 0.3, 100, 0)
     floor = gp.OccupancyGrid(occupancy=occupancy, resolution=0.1, origin=(1.0, -1.0, 0.3))
     floor.save(folder / "floor.yaml")
@@ -437,7 +436,7 @@ def write_problems(folder: Path) -> None:
 
 
 def write_some_failures(file: Path) -> None:
-    """Write failures along a motion of two joints among one entity."""
+    """Write failures along a motion of two joints with one entity."""
     rng = np.random.default_rng(0)
     write_failures(
         file,
@@ -470,7 +469,7 @@ NESTED = (b"[" * 480 + b"]" * 480, b"[" * 100_000, b'{"a":' * 480 + b"1" + b"}" 
 
 
 def broken(content: bytes, rng: random.Random) -> bytes:
-    """Return a file that is wrong in one to three places."""
+    """Break a file in one to three places."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         content = rng.choice(BREAKS)(content, rng)
     return content
@@ -495,7 +494,7 @@ def _bytes(content: bytes, rng: random.Random) -> bytes:
 
 
 def _line(content: bytes, rng: random.Random) -> bytes:
-    """Drop, double, move or indent a line; of a file of one line, drop or double a part between commas."""
+    """Drop, double, move or indent a line, or in a file of one line a part between commas."""
     end = b"\n" if content.count(b"\n") > 2 else b","
     lines = content.split(end)
     i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
@@ -527,7 +526,7 @@ BREAKS: tuple[Callable[[bytes, random.Random], bytes], ...] = (
 
 
 def place(valid: Path, names: tuple[str, ...], folder: Path, rng: random.Random) -> None:
-    """Copy the valid files and break one of a reader's; seldom it is missing, empty or a folder."""
+    """Copy the valid files and break one file of a reader; sometimes delete it, empty it or make it a folder."""
     shutil.copytree(valid, folder)
     victim = folder / rng.choice(names)
     kind = rng.randrange(60)
@@ -545,7 +544,7 @@ def place(valid: Path, names: tuple[str, ...], folder: Path, rng: random.Random)
 
 
 SAID: dict[str, Counter[str]] = {name: Counter() for name in READERS}
-"""What readers said, without numbers."""
+"""Messages of each reader, without numbers."""
 
 
 class TooSlow(BaseException):
@@ -557,7 +556,7 @@ def _alarm(number: int, frame: FrameType | None) -> None:
 
 
 def not_finite(value: Any, name: str = "") -> Iterator[str]:
-    """Name the numbers in something that was read that are not finite."""
+    """Yield the names of values that are not finite."""
     if isinstance(value, float):
         if not np.isfinite(value):
             yield name
@@ -576,7 +575,7 @@ def not_finite(value: Any, name: str = "") -> Iterator[str]:
 
 
 def judge(name: str, reader: Reader, folder: Path, seen: Counter[str]) -> str | None:
-    """Let a reader read, and return what is wrong with how it took that."""
+    """Run a reader and return a description of a wrong reaction, or None."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     signal.alarm(SLOW)
     try:
@@ -602,12 +601,12 @@ def judge(name: str, reader: Reader, folder: Path, seen: Counter[str]) -> str | 
 
 
 def main() -> int:
-    """Return how many files went wrong."""
+    """Return the number of failures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--files", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--reader", nargs="*", default=list(READERS), choices=list(READERS), metavar="NAME")
-    parser.add_argument("--verbose", action="store_true", help="print what readers said most often")
+    parser.add_argument("--verbose", action="store_true", help="print the most frequent messages")
     args = parser.parse_args()
     faulthandler.enable()
     logging.disable()

@@ -1,10 +1,10 @@
-"""Break the code in one place at a time and see whether tests notice.
+"""Mutate the Python code in one place at a time and check whether tests fail.
 
 python .ci/mutants.py [--each N] [--seed S] [--module NAME ...] [--processes N] [--minutes M] [--journal FILE]
 
-Of every module below, N mutants that cosmic-ray knows are drawn; each is tried in a copy of the tree, by the tests that
-are named for the module. What was tried is kept in a journal of JSON lines, so that a run goes on where it was stopped;
-delete it once the code has changed. Mutants of annotations are left out: nothing reads those at run time.
+Draws N mutants of cosmic-ray for each module below and runs the module's tests on each, in a copy of the tree. Results
+are appended to a journal of JSON lines, so an interrupted run resumes; delete the journal after a change of the code.
+Annotations are not mutated, because they have no effect at run time.
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ MODULES = {
     ),
     "scene/screening.py": ("tests/scene/test_screening.py",),
 }
-"""Modules that a wrong verdict would come from, and the tests that are there for them."""
+"""Modules on which verdicts depend, and their tests."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change: an operator of cosmic-ray at one of the places where it applies."""
+    """One change: an operator of cosmic-ray and the index of the place to which it applies."""
 
     module: str
     operator: str
@@ -92,10 +92,10 @@ def mutants_of(module: str) -> Iterator[Mutant]:
 
 
 class Places(set[tuple[int, int]]):
-    """Places in a text, as line and column."""
+    """Positions in a text, as line and column."""
 
     def add_all(self, node: ast.expr | None) -> None:
-        """Add every place of an expression."""
+        """Add every position of an expression."""
         if node is not None and node.end_lineno is not None and node.end_col_offset is not None:
             for line in range(node.lineno, node.end_lineno + 1):
                 first = node.col_offset if line == node.lineno else 0
@@ -104,7 +104,7 @@ class Places(set[tuple[int, int]]):
 
 
 def annotated_lines(tree: ast.Module) -> Places:
-    """Return where annotations are."""
+    """Return the positions of annotations."""
     found = Places()
     for node in ast.walk(tree):
         if isinstance(node, ast.arg | ast.AnnAssign):
@@ -114,11 +114,11 @@ def annotated_lines(tree: ast.Module) -> Places:
     return found
 
 
-# --- trying ----------------------------------------------------------------------------------------------------------
+# --- testing ---------------------------------------------------------------------------------------------------------
 
 
 def tried(mutant: Mutant, place: Path) -> dict[str, object]:
-    """Try a mutant in a copy of the tree, and put back what it changed."""
+    """Test a mutant in a copy of the tree, then restore the file."""
     file = place / LIBRARY / mutant.module
     original = file.read_text(encoding="utf-8")
     try:
@@ -133,7 +133,7 @@ def tried(mutant: Mutant, place: Path) -> dict[str, object]:
 
 
 def drawn(modules: Sequence[str], each: int, seed: int) -> Iterator[Mutant]:
-    """Draw mutants, by turns of one module and the next, so that a run that is stopped has seen all of them."""
+    """Draw mutants from the modules in turn, so an interrupted run has covered all modules."""
     samples = []
     for module in modules:
         every = list(mutants_of(module))
@@ -143,12 +143,12 @@ def drawn(modules: Sequence[str], each: int, seed: int) -> Iterator[Mutant]:
 
 
 def key_of(result: Mapping[str, object]) -> tuple[object, ...]:
-    """Return what tells mutants apart."""
+    """Return the key that identifies a mutant."""
     return result["module"], result["operator"], result["occurrence"]
 
 
 def main() -> int:
-    """Try mutants and print the share that was noticed, and those that were not."""
+    """Test mutants and print the detected share and the survivors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--each", type=int, default=20, help="mutants of each module")
     parser.add_argument("--seed", type=int, default=0)

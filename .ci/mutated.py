@@ -1,4 +1,4 @@
-"""A copy of the tree in which something is broken: whether its tests notice, and what to say of it."""
+"""Copies of the tree for mutants: make one, run its tests, report survivors."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMIT = 120
-"""Processor seconds for the tests of one mutant; what takes longer hangs, which is noticed, too."""
+"""Processor time for the tests of one mutant [s]; a longer run counts as detected."""
 PATIENCE = 1800
-"""Seconds for those that wait for ever and compute nothing."""
+"""Wall-clock time for the tests of one mutant [s], for runs that only wait."""
 
 
 def copied(place: Path) -> Path:
-    """Copy what git tracks, and beside it the native modules that are installed."""
+    """Copy the files that git tracks and the installed native modules."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
     for name in filter(None, listed.split("\0")):
         if (ROOT / name).is_file():
@@ -33,8 +33,8 @@ def copied(place: Path) -> Path:
 
 
 def tests_pass(place: Path, tests: Sequence[str], **variables: str) -> tuple[bool, str]:
-    """Run tests in a copy, with more in the environment; return whether they pass, and the last line that was said."""
-    # Without site, since the editable install's own importer would come before the copy.
+    """Run tests in a copy with additional environment variables; return whether they pass, and the first failure."""
+    # Without site: the importer of the editable install would take precedence over the copy.
     paths = (place / "src", place / "sim", sysconfig.get_path("platlib"))
     environment = {
         **os.environ,

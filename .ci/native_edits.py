@@ -1,7 +1,7 @@
-"""Edits of the native core that tests should notice: signs, comparisons, ends of loops, terms, minima for maxima.
+"""Edits of the native core that tests should detect: signs, comparisons, loop bounds, terms, minima for maxima.
 
-Of each pattern the part between the marks is an expression, and what stands beside it takes its place. Patterns occur
-once in their file, so that a change of the core that moves them is noticed.
+In each pattern, the part between the marks is the expression that the second string replaces. Each pattern must occur
+exactly once in its file, so patterns that a change of the core makes stale are reported.
 """
 
 from __future__ import annotations
@@ -279,4 +279,4 @@ EDITS = {
         ),
     ),
 }
-"""File -> tests that are there for it, and its edits."""
+"""File -> its tests and its edits."""

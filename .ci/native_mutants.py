@@ -1,9 +1,9 @@
-"""Break the native core in one place at a time and see whether tests notice: the edits of `native_edits.py`.
+"""Apply the edits of `native_edits.py` to the native core, one at a time, and check whether tests fail.
 
 python .ci/native_mutants.py [--journal FILE] [--minutes M] [--only TEXT] [--place FOLDER]
 
-All of them are compiled at once, for the baseline alone: each edited expression becomes a choice between the original
-and its edit, by a number in the environment. So the core is compiled once, not a hundred times.
+All edits are compiled together, for the baseline instruction set only: an environment variable selects between each
+original expression and its edit. So the core is compiled once instead of a hundred times.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ inline const int gp_mutant = [] {{
 
 @dataclass(frozen=True)
 class Edit:
-    """An expression of a file in another one's place."""
+    """Replacement of an expression in a file."""
 
     number: int
     file: str
@@ -44,9 +44,9 @@ class Edit:
     tests: tuple[str, ...]
 
     def entered(self, text: str) -> str:
-        """Return the file's text with a choice in place of the expression.
+        """Return the text of the file with a run-time choice in place of the expression.
 
-        Operators that stand before the expression belong to it, so that `a - b` may become `a + b`.
+        A sign before the expression is part of it, so `a - b` can become `a + b`.
         """
         begin, rest = self.before.split("«")
         old, end = rest.split("»")
@@ -58,7 +58,7 @@ class Edit:
 
 
 def edits() -> Iterator[Edit]:
-    """Number the edits."""
+    """Yield all edits with their numbers."""
     number = 0
     for file, (tests, some) in EDITS.items():
         for before, after in some:
@@ -67,7 +67,7 @@ def edits() -> Iterator[Edit]:
 
 
 def built(place: Path) -> None:
-    """Enter all edits into a copy of the tree, compile it, and put the result where the copy's tests find it."""
+    """Apply all edits to a copy of the tree, compile it, and install the module in the copy."""
     for edit in edits():
         file = place / NATIVE / edit.file
         file.write_text(edit.entered(file.read_text(encoding="utf-8")), encoding="utf-8")
@@ -84,11 +84,11 @@ def built(place: Path) -> None:
 
 
 def main() -> int:
-    """Try edits and print the share that was noticed, and those that were not."""
+    """Test edits and print the detected share and the survivors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no further edit after this time")
-    parser.add_argument("--only", default="", help="edits of files whose names have this in them")
-    parser.add_argument("--place", type=Path, help="keep what is compiled there, and go on with what is there")
+    parser.add_argument("--only", default="", help="only edits of files whose names contain this")
+    parser.add_argument("--place", type=Path, help="folder for the compiled copy, which is reused")
     parser.add_argument("--journal", type=Path, default=ROOT / "build" / "native_mutants.jsonl")
     args = parser.parse_args()
     end = time.monotonic() + 60.0 * args.minutes

@@ -1,4 +1,4 @@
-"""Drive every native kernel and search loop on every bundled scene once; the sanitizers watch."""
+"""Run every native kernel and search loop once on every bundled scene, under the sanitizers."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 
-COUNTS = (1, 7, 65)  # less than a block of lanes, a ragged block, several
+COUNTS = (1, 7, 65)  # batch sizes: below one SIMD block, a partial block, several blocks
 
 
 def drive(scene: gp.Scene, isa: str) -> None:
@@ -35,7 +35,7 @@ def drive(scene: gp.Scene, isa: str) -> None:
 
 
 def descend(task: gp.Task) -> None:
-    """From the start straight to somewhere else, with few pieces and with many, and with gradients of edges."""
+    """Run descents from a straight line, with few and with many pieces, and the gradients of edges."""
     objective = gp.Objective().bind(task.scene)
     low, high = task.scene.limits.position.T
     path = np.stack([np.asarray(task.start), np.random.default_rng(0).uniform(low, high)])
@@ -50,7 +50,7 @@ def descend(task: gp.Task) -> None:
 
 
 def roll(task: gp.Task) -> None:
-    """Where a base drives, whom it meets when it fails, and the slopes of that."""
+    """Run the impact of a failing base, its derivatives, and a plan."""
     impact = gp.ImpactCost(Coast())
     kernel = gp.Objective(impact=impact).bind(task.scene).kernel
     rng = np.random.default_rng(0)
@@ -58,16 +58,16 @@ def roll(task: gp.Task) -> None:
         q = np.tile(np.asarray(task.start), (count, 1)) + rng.normal(size=(count, len(task.scene.joints)))
         qd = rng.normal(size=q.shape)
         gp.interaction_probability(task.scene, q, Coast(), qd)
-        if kernel is not None:  # among those who move, the objective asks the model itself
+        if kernel is not None:  # with moving entities, the objective calls the model in Python
             kernel.state_slopes(q, qd)
             kernel.edges(q, q + 0.3 * qd)
-    # One scene is enough of those who move: NumPy, which nobody watches, takes most of the time among them.
+    # Only one scene keeps its moving entities: NumPy, which has no sanitizers, takes most of that time.
     scene = task.scene.without_moving() if "truck" in task.scene.moving else task.scene
     gp.plan(task.start, task.goal, scene, iterations=300)
 
 
 def main() -> None:
-    assert "libasan" in Path("/proc/self/maps").read_text(), "the sanitizers are not there to watch"
+    assert "libasan" in Path("/proc/self/maps").read_text(), "the sanitizers are not loaded"
     for module in (_native, _pendulum):
         print(module.__file__)
         assert b"__asan_report" in Path(module.__file__).read_bytes(), "a native module was built without sanitizers"

@@ -391,12 +391,6 @@ def test_guides_run(guide, tmp_path, monkeypatch):
     exec(compile("\n".join(snippets), guide, "exec"), known)
 
 
-@pytest.mark.parametrize("guide", sorted(file.name for file in (ROOT / "docs").glob("*.md")))
-def test_guides_name_existing_files(guide):
-    for link in re.findall(r"\]\(([^)#:]+)\)", (ROOT / "docs" / guide).read_text()):
-        assert (ROOT / "docs" / link).exists(), link
-
-
 def dotted_names() -> list[tuple[str, str]]:
     """List what documents call graceful_plan.x or failbench.x.y, each with its document; names of files are none."""
     found = set()
@@ -426,9 +420,3 @@ def test_names_in_documents_can_be_imported():
             if name not in words:
                 unknown.append(f"{document}: {name}")
     assert unknown == []
-
-
-def test_readme_names_existing_files():
-    text = (ROOT / "README.md").read_text()
-    for link in re.findall(r"\]\(([^)#:]+)\)", text):
-        assert (ROOT / link).exists(), link

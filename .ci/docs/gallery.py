@@ -1,6 +1,6 @@
-"""The pictures of docs/gallery.md that no command of the library makes by itself: `make gallery`.
+"""Make the pictures of docs/gallery.md that no single command of the library makes: `make gallery`.
 
-Pages are taken in chromium, with its driver, which the system's packages have; without them they are left as they are.
+Screenshots of pages need chromium and its driver from the system's packages; without them, the old ones are kept.
 """
 
 from __future__ import annotations
@@ -30,14 +30,13 @@ IMAGES = ROOT / "docs" / "images"
 _COMMAND = (sys.executable, "-m", "graceful_plan.tools.cli")
 _COLOURS = ("#0b62c4", "#a3408f", "#00805a")
 _FLOORS, _HARM, _ELSEWHERE = 40, 1.0, 0.4
-"""Of so many floors the first one is taken where the ordinary drive has more than this impact, and w = 1 gets farther
-than this from it [m]."""
+"""Number of floors to try, least impact of the drive at w = 0, and least distance of the drive at w = 1 from it [m]."""
 _WAIT = 12.0
-"""How long a page may take until everything on it is drawn [s]; there is no graphics card."""
+"""Time to wait until a page is drawn without a graphics card [s]."""
 
 
 def rooms() -> None:
-    """Draw the first floor by chance on which failures do harm and regard for them changes the drive."""
+    """Draw the first random floor on which failures do harm and the weight changes the drive."""
     seed, made, drives = next(found for found in map(_driven, range(_FLOORS)) if _matters(*found[2]))
     floor, grid = made.floor, FloorGrid(floor=made.floor, radius=0.3)
     with _figure(IMAGES / "rooms.png", 2, (10.0, 4.4)) as (cells, among):
@@ -63,7 +62,7 @@ def _driven(seed: int) -> tuple[int, GeneratedFloor, tuple[gp.PlanResult, gp.Pla
 
 
 def _matters(first: gp.PlanResult, second: gp.PlanResult) -> bool:
-    """Whether the second drive is elsewhere than the first one, which does harm."""
+    """Return whether the first drive does harm and the second one takes another path."""
     if first.trajectory is None or second.trajectory is None or first.cost is None:
         return False
     one, other = first.trajectory.q[:, None, :2], second.trajectory.q[None, :, :2]
@@ -71,7 +70,7 @@ def _matters(first: gp.PlanResult, second: gp.PlanResult) -> bool:
 
 
 def drive() -> None:
-    """Draw the drive of a base through an apartment, with and without regard for failures."""
+    """Draw the drive of a base through an apartment, for w = 0 and w = 1."""
     task = gp.load_scene("apartment").tasks["bring_parcel"]
     floor = gp.OccupancyGrid.from_scene(task.scene, heights=(0.05, 1.0), resolution=0.05)
     with _figure(IMAGES / "drive.png", 1, (7.0, 4.6)) as (axes,):
@@ -84,7 +83,7 @@ def drive() -> None:
 
 
 def commands() -> None:
-    """Run the commands of the guides whose pictures they show."""
+    """Run the commands that make pictures of the guides."""
     with tempfile.TemporaryDirectory() as folder:
         coffee, place = f"{folder}/coffee.json", ("--scene", "desk", "--task", "bring_coffee")
         _run("plan", *place, "--w", "0", "--iterations", "100", "--output", coffee)
@@ -93,9 +92,9 @@ def commands() -> None:
 
 
 def pages() -> None:
-    """Take the viewer, and the pages of `tune` and `bench`, as they are in a browser."""
+    """Take screenshots of the viewer and of the pages of `tune` and `bench`."""
     if shutil.which("chromium") is None or shutil.which("chromedriver") is None:
-        print("there is no chromium with its driver here: pages are left out", file=sys.stderr)
+        print("chromium or its driver is missing: screenshots are skipped", file=sys.stderr)
         return
     for dark in (False, True):
         _take_viewer(IMAGES / f"viewer{'_dark' if dark else ''}.png", dark=dark)
@@ -136,7 +135,7 @@ def _take(url: str, file: Path, *, dark: bool, height: int) -> None:
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [paper]})
         browser.get(url)
         time.sleep(_WAIT)
-        # That there is no graphics card here is of no interest in a picture.
+        # Close the notice about the missing graphics card.
         _dismiss(browser)
         taken = browser.execute_cdp_cmd("Page.captureScreenshot", {})
         file.write_bytes(base64.b64decode(taken["data"]))
@@ -180,7 +179,7 @@ def _figure(file: Path, count: int, size: tuple[float, float]) -> Iterator[Any]:
 
 
 def _draw_map(axes: Any, floor: gp.OccupancyGrid, *, distances: bool) -> None:
-    """Draw walls, and how far they are."""
+    """Draw walls, and optionally the distance to them."""
     x, y = floor.origin[:2]
     rows, columns = floor.shape
     extent = (x, x + columns * floor.resolution, y, y + rows * floor.resolution)
@@ -217,7 +216,7 @@ PICTURES: dict[str, Callable[[], None]] = {
 
 
 def main() -> None:
-    """Make the pictures that are named, or all of them."""
+    """Make the named pictures, or all of them."""
     parser = argparse.ArgumentParser(prog="gallery", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PICTURES)}; all by default")
     names = parser.parse_args().names

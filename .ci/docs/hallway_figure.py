@@ -1,7 +1,7 @@
-"""Figure 1 of the method, as our planner draws it: a bottle carried past people, for w = 0 and the default weight.
+"""Reproduce Figure 1 of the method: a bottle carried past people, for w = 0 and the default weight.
 
-A picture from above shows the impact of a failure along the way; a film shows FailBench's healthy robot that executes
-both motions at once.
+A picture from above shows the impact of a failure along each motion; a film shows FailBench's healthy robot executing
+both motions side by side.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _NAMES = {0.0: "w = 0", None: "default weight"}
 _COLOURS = {0.0: "#111111", None: "#0b62c4"}
 _SAMPLES = 400
 _SIZE, _FPS, _SPEEDUP = (720, 216), 10.0, 2.0
-"""Of one of the two views [pixels], frames per second, and times faster than in reality."""
+"""Size of one of the two views [pixels], frames per second, and speed-up of the film."""
 
 
 def planned() -> tuple[gp.Scene, dict[float | None, gp.PlanResult]]:

@@ -1,4 +1,4 @@
-"""What the site needs besides mkdocs: pages made from files outside of docs/, their links, and formulas as MathML."""
+"""Hooks of mkdocs: pages from files outside docs/, their links, and formulas as MathML."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ PAGES = {
     "benchmarks/README.md": "benchmarks.md",
     "benchmarks/RESULTS.md": "results.md",
 }
-"""Files of the repository that are pages of the site."""
+"""Pages of the site that are made from other files of the repository."""
 EXAMPLES = "examples.md"
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)(#[^)\s]*)?(?=\))")
 _LIST = re.compile(r"^(\w.*)\n(?=- )", flags=re.MULTILINE)
 _CODE = re.compile(r"^( *)(```|~~~).*?^\1\2 *$|`[^`\n]+`", flags=re.MULTILINE | re.DOTALL)
 _BLOCKS = r'<div class="arithmatex">\\\[(.*?)\\\]</div>', r"<p>\.\. math:: (.*?)</p>"
 _INLINE = r'<span class="arithmatex">\\\((.*?)\\\)</span>', r":math:<code>(.*?)</code>"
-"""Formulas of guides, and of docstrings."""
+"""Formulas in guides and in docstrings."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are made."""
+    """Add the generated pages."""
     texts = {file: spaced((ROOT / file).read_text(encoding="utf-8")) for file in PAGES}
     made = {page: linked(texts[file], Path(file).parent) for file, page in PAGES.items()}
     made[EXAMPLES] = examples()
@@ -40,14 +40,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turn links out of docs/ into links to the pages that are made."""
+    """Turn links that leave docs/ into links to generated pages."""
     if page.file.generated_by is not None:
         return markdown
     return linked(markdown, Path("docs") / Path(page.file.src_uri).parent)
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turn formulas into MathML, which browsers draw by themselves."""
+    """Turn formulas into MathML, which browsers render without a script."""
     for display, patterns in (("block", _BLOCKS), ("inline", _INLINE)):
         for pattern in patterns:
             html = re.sub(pattern, lambda found, kind=display: formula(found[1], kind), html, flags=re.DOTALL)
@@ -55,12 +55,12 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
 
 
 def formula(text: str, display: str) -> str:
-    """Return a formula, escaped as HTML, as MathML."""
+    """Convert a formula, escaped as HTML, to MathML."""
     return convert(html.unescape(text).strip(), display=display)
 
 
 def linked(text: str, folder: Path) -> str:
-    """Return a text whose links to files of the repository are links to pages, whose code stays as it is."""
+    """Replace links to files of the repository by links to pages, except in code."""
     pieces, last = [], 0
     for code in _CODE.finditer(text):
         pieces += [_LINK.sub(lambda link: target(link, folder), text[last : code.start()]), code[0]]
@@ -69,12 +69,12 @@ def linked(text: str, folder: Path) -> str:
 
 
 def spaced(text: str) -> str:
-    """Return a text with a blank line before each list that follows a paragraph; readers on the web need none."""
+    """Insert a blank line before each list that follows a paragraph; mkdocs needs it, code hosts do not."""
     return _LIST.sub(r"\1\n\n", text)
 
 
 def target(link: re.Match[str], folder: Path) -> str:
-    """Return where a link of a page in a folder of the repository leads on the site."""
+    """Return the target on the site of a link on a page in a folder of the repository."""
     name, anchor = link[1], link[2] or ""
     if ":" in name:
         return link[0]
@@ -90,12 +90,12 @@ def target(link: re.Match[str], folder: Path) -> str:
 
 
 def upwards(folder: Path) -> str:
-    """Return the way from a page to the top of the site."""
+    """Return the relative path from a page to the root of the site."""
     return "../" * (len(folder.parts) - 1) if folder.parts[:1] == ("docs",) else ""
 
 
 def examples() -> str:
-    """Return the page of all examples."""
+    """Return the page with all examples."""
     parts = ["# Examples", "Complete programs, run by the tests."]
     for file in sorted((ROOT / "examples").rglob("*.py")):
         name = file.relative_to(ROOT / "examples").as_posix()

@@ -280,7 +280,7 @@ def test_without_pyarrow_the_message_helps(trajectory, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *_: None)
     for call in (trajectory.to_parquet, gp.Trajectory.from_parquet):
-        with pytest.raises(MissingArrow, match=r"pip install 'graceful-plan\[data\]'"):
+        with pytest.raises(MissingArrow, match=r"pip install '\.\[data\]'"):
             call(tmp_path / "t.parquet")
 
 

@@ -41,4 +41,4 @@ def test_scenes_that_are_too_large_are_left_out(motion, monkeypatch):
 def test_without_viser_the_extra_is_named(motion, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     document, why = report_view(motion[1], motion[0].scene)
-    assert document == "" and "graceful-plan[viz]" in why
+    assert document == "" and ".[viz]" in why

@@ -75,4 +75,4 @@ class MissingExtra(GracefulPlanError, ImportError):
 
     def __init__(self, package: str, extra: str) -> None:
         self.package, self.extra = package, extra
-        super().__init__(f"{package} is not installed; pip install 'graceful-plan[{extra}]'")
+        super().__init__(f"{package} is not installed; pip install '.[{extra}]'")

@@ -80,9 +80,7 @@ def _ffmpeg() -> Any:
     try:
         return importlib.import_module("imageio_ffmpeg")
     except ImportError as error:
-        raise NoPicture(
-            "MP4 needs imageio-ffmpeg", "pip install 'graceful-plan[viz]', or write a .gif, .webp or .apng"
-        ) from error
+        raise NoPicture("MP4 needs imageio-ffmpeg", "pip install '.[viz]', or write a .gif, .webp or .apng") from error
 
 
 def captioned(pixels: UInt8[Array, "height width 3"], heading: str, text: str, colour: str) -> Image:

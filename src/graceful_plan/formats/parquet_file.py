@@ -20,7 +20,7 @@ class MissingArrow(GracefulPlanError, ImportError):
     """Raised if pyarrow is not installed."""
 
     def __init__(self) -> None:
-        super().__init__("Parquet needs pyarrow: pip install 'graceful-plan[data]'; or write CSV instead")
+        super().__init__("Parquet needs pyarrow: pip install '.[data]'; or write CSV instead")
 
 
 def check_arrow() -> None:

@@ -39,7 +39,7 @@ class ViewerMissing(GracefulPlanError, ImportError):
     """viser is not installed."""
 
     def __init__(self) -> None:
-        super().__init__("the viewer needs viser, which the extra 'viz' installs: pip install 'graceful-plan[viz]'")
+        super().__init__("the viewer needs viser, which the extra 'viz' installs: pip install '.[viz]'")
 
 
 @final

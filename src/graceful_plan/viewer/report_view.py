@@ -27,7 +27,7 @@ def report_view(
         label: Label of the ghost.
     """
     if importlib.util.find_spec("viser") is None:
-        return "", "the extra 'viz' shows it in 3-D: pip install 'graceful-plan[viz]'"
+        return "", "the extra 'viz' shows it in 3-D: pip install '.[viz]'"
     from graceful_plan.viewer.browser.embedded import embedded
 
     question = Question(scene=scene, start=motion.q[0].copy(), goal=motion.q[-1].copy())

@@ -63,7 +63,7 @@ def test_without_pyarrow_the_message_helps(tmp_path, monkeypatch):
         "__import__",
         lambda name, *a, **k: pytest.fail(name) if "pyarrow" in name else imported(name, *a, **k),
     )
-    with pytest.raises(MissingArrow, match=r"pip install 'graceful-plan\[data\]'"):
+    with pytest.raises(MissingArrow, match=r"pip install '\.\[data\]'"):
         write_parquet(rich(), tmp_path)
     with pytest.raises(MissingArrow):
         bench.check_exports(["csv", "parquet"])

@@ -328,7 +328,7 @@ class TestWithoutDisplay:
 
 def test_video_without_its_encoder_names_the_extra(done, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(NoPicture, match=r"pip install 'graceful-plan\[viz\]'"):
+    with pytest.raises(NoPicture, match=r"pip install '\.\[viz\]'"):
         replay(done, LATE, output=tmp_path / "film.mp4")
 
 

@@ -254,7 +254,7 @@ def test_whatever_is_written_before_a_crash_is_no_dataset(folder, monkeypatch, w
 
 def test_without_pyarrow_the_extra_is_named(folder, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtra, match=r"pyarrow is not installed; pip install 'graceful-plan\[data\]'"):
+    with pytest.raises(MissingExtra, match=r"pyarrow is not installed; pip install '\.\[data\]'"):
         read_dataset(folder)
 
 

@@ -209,7 +209,7 @@ def test_collada_needs_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     file = tmp_path / "a.dae"
     file.write_text("<COLLADA/>")
     monkeypatch.setitem(__import__("sys").modules, "collada", None)
-    with pytest.raises(UnsupportedError, match=r"graceful-plan\[urdf\]"):
+    with pytest.raises(UnsupportedError, match=r"\.\[urdf\]"):
         mesh_content(file)
     with pytest.raises(UnsupportedError, match=r"\.stl, \.obj or \.dae"):
         (tmp_path / "a.fbx").write_text("")

@@ -45,7 +45,7 @@ _AT_A_TIME = 1_000_000
 """Number of point-to-face distances computed at a time; 8 MB."""
 _THICKNESS = 1e-4
 """Thickness given to flat parts [m]."""
-HINT = "pip install 'graceful-plan[urdf]'"
+HINT = "pip install '.[urdf]'"
 
 
 def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: bool) -> list[Float[Array, "_ 3"]]:

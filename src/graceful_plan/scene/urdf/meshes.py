@@ -172,7 +172,7 @@ def _converted(file: Path, content: bytes) -> bytes:
         trimesh = importlib.import_module("trimesh")
         importlib.import_module("collada")
     except ImportError:
-        told = "COLLADA is read by trimesh and pycollada: pip install 'graceful-plan[urdf]'"
+        told = "COLLADA is read by trimesh and pycollada: pip install '.[urdf]'"
         raise UnsupportedError(f"{file}: {told}") from None
     try:
         mesh = trimesh.load(io.BytesIO(content), file_type="dae", force="mesh")
