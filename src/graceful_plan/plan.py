@@ -11,7 +11,7 @@ import numpy as np
 
 from graceful_plan.analysis.risk_measures import RiskMeasure
 from graceful_plan.constraints.constraint import Constraint
-from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints, not_held
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints, grasp_warnings
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.judge.verification import VerificationSettings
@@ -150,7 +150,7 @@ def plan(
         )
         return plan_through((start, passed, goal), leg, request, budget, seed)
     ends = find_endpoints(start, goal, asked, rng, seed=seed, cancelled=budget.cancelled, late=budget.is_late)
-    notes = [*_compiled(compiled, limit), *(not_held(scene) if constraints is None else ())]
+    notes = [*_compiled(compiled, limit), *(grasp_warnings(scene) if constraints is None else ())]
     if (driving := base_planning(scene)) is not None and not isinstance(ends, PlanResult):
         ends = driving.ends(ends)
     if isinstance(ends, PlanResult):

@@ -274,7 +274,7 @@ def _cells(bounds: Sequence[float], resolution: float) -> tuple[Float[Array, " n
 
 def _blocked(gantry: Scene, places: Float[Array, "cell 3"]) -> Bool[Array, " cell"]:
     """Tell at which positions the object penetrates something; MuJoCo decides where the fast checker cannot."""
-    doubtful = np.flatnonzero(~(clearance(gantry, places) > 0.0))
+    doubtful = np.flatnonzero(~(clearance(places, gantry) > 0.0))
     blocked = np.zeros(len(places), dtype=bool)
     for touch in Judge(gantry).touches(places[doubtful]):
         if touch.distance < -_OVERLAP:

@@ -2,5 +2,5 @@
 
 Lower-level packages use this one only through contracts: `costs.models.failing_base`, `constraints.base_limits`,
 `query.endpoints.base_goals` and `query.driving`. They import it on demand, when a scene has a base
-(`scene.mobile.room`).
+(`scene.mobile.optional`).
 """

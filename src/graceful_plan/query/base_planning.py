@@ -14,7 +14,7 @@ from graceful_plan.query.candidates.maker import MotionMaker
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import PlanResult
-from graceful_plan.scene.mobile.room import import_mobile
+from graceful_plan.scene.mobile.optional import import_mobile
 from graceful_plan.scene.scene import Scene
 
 

@@ -13,7 +13,7 @@ from graceful_plan.costs.edge_samples import EdgeSamples
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import AT_LIMITS, Objective, search_paces
 from graceful_plan.exceptions import SettingError
-from graceful_plan.planners.roadmaps.edge_prices import EdgePrices
+from graceful_plan.planners.roadmaps.edge_prices import EdgeCosts
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
 
@@ -72,19 +72,19 @@ class Exposure:
         """Return a copy with the samples and paces of reported costs, which are those of `evaluate`."""
         return Exposure(self.objective, self.scene, COST_STEP, AT_LIMITS)
 
-    def price(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> EdgePrices:
+    def price(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> EdgeCosts:
         """Return motion cost and exposure of straight edges, travelled from `q0` to `q1`."""
         if len(q0) == 0:
-            return EdgePrices.of(np.zeros(0), np.zeros((0, len(self.columns))))
+            return EdgeCosts.of(np.zeros(0), np.zeros((0, len(self.columns))))
         samples = EdgeSamples(q0, q1, self.scene.limits.velocity, self.paces, self.step)
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length)
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         P = self._density(batch)
         P[P < _NOTHING] = 0.0
-        return EdgePrices.of(motion, np.add.reduceat(P * samples.weights(measure)[:, None], samples.first))
+        return EdgeCosts.of(motion, np.add.reduceat(P * samples.weights(measure)[:, None], samples.first))
 
-    def breakdown(self, prices: EdgePrices, severity: Float[Array, " column"], w: float) -> CostBreakdown:
+    def breakdown(self, prices: EdgeCosts, severity: Float[Array, " column"], w: float) -> CostBreakdown:
         """Return the total cost of edges, with the impact by entity and component."""
         parts = np.bincount(prices.column, prices.exposure, len(severity)) * severity
         motion, impact = float(prices.motion.sum()), float(parts.sum())

@@ -114,7 +114,7 @@ class Question:
 
     def _free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         low, high = self.scene.limits.position.T
-        return (np.asarray(clearance(self.scene, q)) > 0.0) & ((q >= low) & (q <= high)).all(axis=1)
+        return (np.asarray(clearance(q, self.scene)) > 0.0) & ((q >= low) & (q <= high)).all(axis=1)
 
     # --- handles ------------------------------------------------------------------------------------------------------
 

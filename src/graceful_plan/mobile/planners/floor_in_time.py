@@ -20,7 +20,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int, UInt8
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.costs.static_objective import as_if_nobody_moved
+from graceful_plan.costs.static_objective import without_moving
 from graceful_plan.mobile.coast.moving_entities import planar_shapes
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.mobile.floor.timed_paths import (
@@ -237,7 +237,7 @@ class _Beside:
     @cached_property
     def _still(self) -> SceneObjective:
         of = self.objective
-        return SceneObjective(of.objective, as_if_nobody_moved(of.scene), of.paces)
+        return SceneObjective(of.objective, without_moving(of.scene), of.paces)
 
     def standing(self, xy: Float[Array, "row column 2"]) -> Float[Array, "heading row column"] | None:
         """Return the price of a second of driving in each cell and heading for static entities; None if w is 0."""
@@ -286,7 +286,7 @@ class _Beside:
         table = np.zeros((HEADINGS, n, n))
         if self.objective.w == 0.0 or not isinstance(impact, ImpactCost):
             return table
-        alone = as_if_nobody_moved(self.objective.scene).with_moving(entity)
+        alone = without_moving(self.objective.scene).with_moving(entity)
         rough = impact.moving_impact(alone, rough=True)
         xy = entity.at(t).position[:2] + np.stack(np.meshgrid(places, places, indexing="ij"), axis=-1).reshape(-1, 2)
         for h in range(HEADINGS):

@@ -22,7 +22,7 @@ import yaml
 
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
 from graceful_plan.planners import PLANNERS, Planner
-from graceful_plan.planners.external import adapted
+from graceful_plan.planners.external import planner_from_function
 
 REFINED = "+refine"
 """Suffix of a planner whose paths `plan` refines."""
@@ -197,7 +197,7 @@ def imported_planner(name: str) -> type[Planner]:
         ) from error
     planner = getattr(module, cls_name, None)
     if inspect.isfunction(planner):
-        planner = adapted(planner)
+        planner = planner_from_function(planner)
     if planner is None:
         valid = [
             key
