@@ -117,7 +117,7 @@ def film(execution: Execution, job: Job, *, horizon: float, lead: float) -> Iter
     for step, (model, data) in enumerate(healthy(execution, first, before)):
         yield Moment(time=(step - before) * execution.dt, model=model, data=data)
     last = None
-    for step, (model, data) in enumerate(single.steps(execution, job, horizon=horizon)):
+    for step, (model, data) in enumerate(single.rollout_steps(execution, job, horizon=horizon)):
         diverged = bool(data.warning.number.any())
         if diverged and last is not None:
             # MuJoCo has reset itself to its initial state; the last valid state is shown instead.
