@@ -284,15 +284,15 @@ def test_misuse_names_the_culprit(task):
         gp.plan(np.full(7, np.nan), goal, scene)
     with pytest.raises(ShapeError, match="goal"):
         gp.plan(q, np.zeros((2, 3)), scene)
-    with pytest.raises(UnknownNameError, match=r"unknown keyframe 'liftt'; valid: .*lift"):
+    with pytest.raises(UnknownNameError, match="'liftt'.*lift"):
         gp.plan("liftt", goal, scene)
-    with pytest.raises(UnknownNameError, match=r"unknown planner 'rrtx'; valid: .*rrt_connect"):
+    with pytest.raises(UnknownNameError, match="'rrtx'.*rrt_connect"):
         gp.plan(q, goal, scene, planner="rrtx")
     speeds = [("speed", value) for value in (0.0, 1.5, np.nan)]
     for name, value in (("time_limit", -1.0), *speeds, ("iterations", -1)):
         with pytest.raises(SettingError, match=name):
             gp.plan(q, goal, scene, **{name: value})
-    with pytest.raises(SettingError, match="speed = 'fast', expected a fraction"):
+    with pytest.raises(SettingError, match="speed = 'fast'"):
         checked_speed("fast")
     with pytest.raises(SettingError, match="w = "):
         gp.plan(q, goal, scene, -1.0)

@@ -66,7 +66,7 @@ def test_the_unit_of_harm_does_not_matter(offers, extent, factor):
 
 
 def test_no_harm_has_no_logarithm():
-    with pytest.raises(ValueError, match="harm has to be > 0"):
+    with pytest.raises(ValueError, match="harm.*> 0"):
         harm_at([Offer(1.0, 0.0)], 1.0)
     assert floored(0.0, 200, 0.5) == pytest.approx(0.0025)
     assert floored(1.0, 200, 0.5) == 1.0

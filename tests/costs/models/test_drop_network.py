@@ -319,7 +319,7 @@ def test_large_files_are_not_unpacked(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="holds 16777216 bytes"):
         DropNetwork.read(tmp_path / "bomb.npz")
     (tmp_path / "long.npz").write_bytes(b"\0" * (1 << 21))
-    with pytest.raises(FormatError, match="not a zip file"):
+    with pytest.raises(FormatError, match="zip"):
         DropNetwork.read(tmp_path / "long.npz")
     with pytest.raises(FormatError, match="nowhere"):
         DropNetwork.read(tmp_path / "nowhere.npz")

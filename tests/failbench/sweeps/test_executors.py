@@ -72,7 +72,7 @@ def test_a_chunk_that_keeps_killing_its_worker_fails_and_the_others_do_not(tmp_p
 
 @pytest.mark.long
 def test_workers_that_cannot_begin_are_an_error_not_a_loop(capfd):
-    with pytest.raises(WorkerError, match=r"died before they could begin, the last one with exit code 9; a script"):
+    with pytest.raises(WorkerError, match="exit code 9"):
         run(Stillborn())
     assert not multiprocessing.active_children()
 

@@ -180,19 +180,19 @@ def test_movingai_maps_and_scenarios_count_from_above(tmp_path):
     assert "\t0\t0\t2\t1\t3.5" in (tmp_path / "m.scen").read_text()
     assert read_scenarios(tmp_path / "m.scen") == [one]
     (tmp_path / "m.scen").write_text("version 1\n1 m.map 3 2 0 0 2 5 3.5\n")
-    with pytest.raises(FormatError, match="numbers out of their range"):
+    with pytest.raises(FormatError, match=r"m\.scen"):
         read_scenarios(tmp_path / "m.scen")
 
 
 def test_misuse_is_refused():
     with pytest.raises(ShapeError, match="occupancy"):
         FloorMap(occupancy=np.zeros(3, dtype=int), resolution=1.0)
-    with pytest.raises(SettingError, match="whole numbers from -1 to 100"):
+    with pytest.raises(SettingError, match="-1 .*100"):
         FloorMap(occupancy=np.full((2, 2), 101), resolution=1.0)
     with pytest.raises(SettingError, match="resolution"):
         FloorMap(occupancy=rooms(), resolution=-1.0)
     box = gp.Solid(name="box", kind="box", size=[1.0, 1.0, 1.0], pose=np.zeros(3))
-    with pytest.raises(SettingError, match="a class of the severity table"):
+    with pytest.raises(SettingError, match="class"):
         FloorMap(occupancy=rooms(), resolution=1.0, entities=(box,))
     with pytest.raises(SettingError, match="yaw of 0"):
         FloorMap(occupancy=rooms(), resolution=1.0, origin=(0.0, 0.0, 1.0)).walls()
@@ -240,7 +240,7 @@ def test_a_scene_is_cut_where_something_stands_between_two_heights():
     far = (np.abs(local) > np.array([0.6, 0.2]) + 0.036).any(axis=-1)
     far &= (np.linalg.norm(xy - (3.0, 1.0), axis=-1) > 0.19) & (np.linalg.norm(xy - (1.0, 3.0), axis=-1) > 0.24)
     assert floor.occupied[inside].all() and not floor.occupied[far].any()
-    with pytest.raises(SettingError, match="nothing at that height"):
+    with pytest.raises(SettingError, match="height"):
         FloorMap.from_scene(scene, heights=(5.0, 6.0))
     with pytest.raises(SettingError, match="wider cells"):
         FloorMap.from_scene(scene, resolution=1e-3, bounds=(0.0, 100.0, 0.0, 100.0))

@@ -220,9 +220,9 @@ def test_a_pose_in_collision_and_one_out_of_reach(scene: Scene, start: np.ndarra
 def test_misuse_raises(scene: Scene, start: np.ndarray) -> None:
     with pytest.raises(ShapeError, match="start has shape"):
         resolve_start(start[:6], scene)
-    with pytest.raises(NonFiniteError, match="start is not finite"):
+    with pytest.raises(NonFiniteError, match="start.*finite"):
         resolve_start(np.full(7, np.nan), scene)
-    with pytest.raises(UnknownNameError, match=r"unknown keyframe 'redy'; valid: .*ready"):
+    with pytest.raises(UnknownNameError, match="'redy'.*ready"):
         resolve_start("redy", scene)
     with pytest.raises(UnknownNameError, match="unknown keyframe"):
         resolve_goal(["ready", "nope"], scene, start)

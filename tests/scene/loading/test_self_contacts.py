@@ -80,8 +80,8 @@ def test_excluded_pairs_and_what_overlaps_everywhere_may_touch() -> None:
 
 
 def test_kinds_are_two_and_a_bit_is_needed() -> None:
-    with pytest.raises(SettingError, match="self_collision = 'all', expected one of 'model', 'links'"):
+    with pytest.raises(SettingError, match="'all'.*'model', 'links'"):
         _scene(_arm(), self_collision="all")
     full = _arm(f'contype="{2**31 - 1}" conaffinity="0"')
-    with pytest.raises(UnsupportedError, match="a bit of contype and conaffinity"):
+    with pytest.raises(UnsupportedError, match="contype"):
         _scene(full, self_collision="links")
