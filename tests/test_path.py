@@ -68,7 +68,7 @@ def test_refused(q: ArrayLike, error: type[Exception], message: str) -> None:
 def test_a_path_needs_a_vertex_and_finite_numbers() -> None:
     with pytest.raises(ShapeError, match="n >= 1"):
         Path(np.zeros((0, 3)))
-    with pytest.raises(NonFiniteError, match="path.*finite"):
+    with pytest.raises(NonFiniteError, match=r"path.*finite"):
         Path(np.full((2, 2), np.nan))
 
 
@@ -88,6 +88,6 @@ def test_what_is_masked_is_not_a_number() -> None:
 
 @pytest.mark.parametrize("step", [0.0, -1.0, np.nan, 1e-12, 1e-320])
 def test_a_step_gives_a_number_of_vertices_that_can_be_held(step: float) -> None:
-    with pytest.raises(SettingError, match="step = .*10000000"):
+    with pytest.raises(SettingError, match=r"step = .*10000000"):
         Path(np.array([[0.0], [1.0]])).resampled(step)
     assert len(Path(np.array([[0.0], [0.0]])).resampled(1.0)) == 2

@@ -100,7 +100,7 @@ def test_files(tmp_path: Path) -> None:
         read_yaml(file)
     with file.open("wb") as stream:
         stream.truncate(2_000_000)
-    with pytest.raises(SceneError, match="2000000.*1000000"):
+    with pytest.raises(SceneError, match=r"2000000.*1000000"):
         read_yaml(file)
 
 

@@ -74,7 +74,7 @@ def test_a_bad_answer_gets_one_complaint_and_may_be_mended(room, server):
     assert set(ask(room, server).rows) == set(room.entities)
     again = server.asked[1]["messages"]
     assert [message["role"] for message in again] == ["system", "user", "assistant", "user"]
-    assert "entity 'vase' is missing" in again[-1]["content"]
+    assert "'vase'" in again[-1]["content"]
 
 
 def test_a_second_bad_answer_is_an_error_with_names(room, server):
@@ -82,7 +82,7 @@ def test_a_second_bad_answer_is_an_error_with_names(room, server):
     with pytest.raises(AnnotationError, match="'vase'") as caught:
         ask(room, server)
     assert len(server.asked) == 2
-    assert "entity 'ghost' was not asked about" in caught.value.problems
+    assert any("'ghost'" in problem for problem in caught.value.problems)
 
 
 def test_a_scene_without_entities_is_refused_before_anything_is_sent(room, server):

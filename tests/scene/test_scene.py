@@ -391,9 +391,7 @@ def test_the_class_of_an_object_goes_by_its_mass(mass: str, word: str) -> None:
 
 def test_the_class_of_an_object_can_be_given() -> None:
     assert _workshop().attach("jar", object_class="sharp").components["carried"].component_class == "sharp"
-    with pytest.raises(
-        UnknownNameError, match="'blunt'.*glass, heavy, light, medium, sharp"
-    ):
+    with pytest.raises(UnknownNameError, match=r"'blunt'.*glass, heavy, light, medium, sharp"):
         _workshop().attach("jar", object_class="blunt")
 
 
@@ -573,7 +571,7 @@ def test_impossible_things_cannot_be_added(add: object, error: type[Exception], 
 def test_a_configuration_has_the_right_shape(scene: Scene) -> None:
     with pytest.raises(ShapeError, match="q has shape"):
         scene.data_at([0.0] * 6)
-    with pytest.raises(NonFiniteError, match="q .*finite"):
+    with pytest.raises(NonFiniteError, match=r"q .*finite"):
         scene.data_at([np.nan] * 7)
 
 

@@ -132,8 +132,7 @@ def test_every_fault_is_named(fault: str, finding: str) -> None:
 
 def test_lateness_is_named_and_forgiven_by_a_wider_margin() -> None:
     findings = _findings("late", PlannerTrial(iterations=40, time_limit=0.02, overrun=0.01))
-    assert "ms after the time limit" in findings
-    assert "ms after it was cancelled" in findings
+    assert "time limit" in findings and "cancelled" in findings
 
 
 def test_a_planner_that_finds_nothing_is_told_so() -> None:

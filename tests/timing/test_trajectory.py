@@ -180,7 +180,7 @@ def test_from_json_refuses_broken_text(text: str) -> None:
 def test_from_json_refuses_numbers_that_are_not() -> None:
     document = json.loads(_random(4).to_json())
     document["q"][0][0] = float("nan")
-    with pytest.raises(NonFiniteError, match="q .*finite"):
+    with pytest.raises(NonFiniteError, match=r"q .*finite"):
         Trajectory.from_json(json.dumps(document))
 
 

@@ -49,7 +49,7 @@ def test_rollouts_are_found_by_harm_motion_and_fault(rollouts):
     assert all(rollouts[int(i)].dropped for i in dropped)
     with pytest.raises(UnknownNameError, match="'juggling'"):
         rollouts.worst_first(faults=["juggling"])
-    with pytest.raises(SettingError, match="rollout = 4.*3"):
+    with pytest.raises(SettingError, match=r"rollout = 4.*3"):
         rollouts[4]
 
 

@@ -70,7 +70,7 @@ def test_without_pyarrow_the_message_helps(tmp_path, monkeypatch):
 
 
 def test_exports_have_names():
-    with pytest.raises(UnknownNameError, match="'excel'.*arena, csv, parquet"):
+    with pytest.raises(UnknownNameError, match=r"'excel'.*arena, csv, parquet"):
         bench.check_exports(["excel"])
 
 
@@ -179,7 +179,7 @@ def test_other_files_are_not_best_known(tmp_path):
     with pytest.raises(SceneError, match="unknown key 'costs'"):
         read_known(file)
     file.write_text("version: 3\nw: 1\nbest_known: {}\n")
-    with pytest.raises(SceneError, match="version 3.*1"):
+    with pytest.raises(SceneError, match=r"version 3.*1"):
         read_known(file)
 
 

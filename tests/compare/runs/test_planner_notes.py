@@ -111,7 +111,7 @@ def test_a_module_that_is_not_there_and_a_class_that_is_not_in_it(here):
     own_planner(here)
     with pytest.raises(PlannerImportError, match=r"'straight\.deeper'"):
         read_planners(["straight.deeper:Mine"])
-    with pytest.raises(UnknownNameError, match="straight 'Bent'.*Straight"):
+    with pytest.raises(UnknownNameError, match=r"straight 'Bent'.*Straight"):
         read_planners(["straight:Bent"])
 
 

@@ -225,9 +225,7 @@ def test_settings_are_checked(make: Callable[[], gp.Cost], message: str) -> None
 
 
 def test_what_does_not_fit_a_scene_is_named(scene: gp.Scene) -> None:
-    with pytest.raises(
-        UnknownNameError, match="'lamp'.*laptop.*self, stapler, surround"
-    ):
+    with pytest.raises(UnknownNameError, match=r"'lamp'.*laptop.*self, stapler, surround"):
         values(gp.ClearanceCost(to="lamp"), scene, states(scene, 1))
     with pytest.raises(ShapeError, match=r"EnergyCost\.torque.*\(2,\)"):
         values(gp.costs.EnergyCost((1.0, 1.0)), scene, states(scene, 1))

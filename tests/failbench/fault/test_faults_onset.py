@@ -198,9 +198,9 @@ def test_measured_is_what_the_joints_did():
 
 
 def test_a_lines_name_is_checked():
-    with pytest.raises(SettingError, match="line = 'radio'.*command, measurement, both"):
+    with pytest.raises(SettingError, match=r"line = 'radio'.*command, measurement, both"):
         ControlDelay(line="radio")
-    with pytest.raises(SettingError, match="zone = 'twilight'.*range, play"):
+    with pytest.raises(SettingError, match=r"zone = 'twilight'.*range, play"):
         DeadZone(zone="twilight")
 
 

@@ -286,7 +286,7 @@ def test_more_frames_than_steps_are_refused(done, tmp_path):
 
 
 def test_unknown_cameras_and_targets_are_refused(done, tmp_path):
-    with pytest.raises(UnknownNameError, match="'above'.*overview"):
+    with pytest.raises(UnknownNameError, match=r"'above'.*overview"):
         replay(done, LATE, output=tmp_path / "x", camera="above")
     with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
         replay(done, replace(LATE, fault=Drop(targets=("elbow",))), output=tmp_path / "x")

@@ -141,7 +141,7 @@ def test_other_joints_and_failed_plans_are_refused(task):
         execute(np.zeros((3, 5)), made)
     q = np.stack([task.start, task.start])
     turned = gp.Trajectory(np.array([0.0, 1.0]), q, 0.0 * q, 0.0 * q, tuple(reversed(task.scene.joints)))
-    with pytest.raises(SettingError, match="joints.*joint7"):
+    with pytest.raises(SettingError, match=r"joints.*joint7"):
         execute(turned, made)
     with pytest.raises(NonFiniteError):
         execute(np.full((3, 7), np.nan), made)

@@ -95,7 +95,6 @@ def test_only_one_process_at_a_time(begun):
     with SweepJournal(begun):
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
         assert "SweepBusy" in done.stderr
-        assert "another process is working on this sweep" in done.stderr
         with pytest.raises(SweepBusy, match=r"journal\.sqlite"):
             SweepJournal(begun)
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -119,7 +118,7 @@ def test_another_version_is_refused(begun):
     with sqlite3.connect(begun) as database:
         database.execute("UPDATE about SET value = '2' WHERE key = 'version'")
     database.close()
-    with pytest.raises(FormatError, match="version 2.*version 1"):
+    with pytest.raises(FormatError, match=r"version 2.*version 1"):
         SweepJournal(begun)
 
 

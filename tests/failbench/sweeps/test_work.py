@@ -147,7 +147,7 @@ def test_execution_of_an_unplanned_motion_is_refused():
 
 
 def test_unknown_task_names_the_tasks():
-    with pytest.raises(UnknownNameError, match="'dance'.*lift_to_goal"):
+    with pytest.raises(UnknownNameError, match=r"'dance'.*lift_to_goal"):
         dataclasses.replace(PLANNED, task="dance").planned()
 
 
@@ -171,9 +171,9 @@ def test_senseless_sweeps_are_refused(change, message):
 
 
 def test_motion_needs_a_trajectory_or_a_way_to_plan_one():
-    with pytest.raises(SettingError, match="trajectory.*'a'"):
+    with pytest.raises(SettingError, match=r"trajectory.*'a'"):
         SweepMotion(name="a", scene="tabletop")
-    with pytest.raises(SettingError, match="task.*'a'"):
+    with pytest.raises(SettingError, match=r"task.*'a'"):
         SweepMotion(name="a", scene="tabletop", plan=PlanSettings())
 
 

@@ -85,7 +85,7 @@ def test_the_gripper_carries_what_it_holds():
 def test_what_is_sampled_is_checked():
     with pytest.raises(SettingError, match="every = 0"):
         Sampling(every=0)
-    with pytest.raises(SettingError, match="images = 7.*every = 5"):
+    with pytest.raises(SettingError, match=r"images = 7.*every = 5"):
         Sampling(images=7)
 
 
@@ -172,7 +172,7 @@ def test_the_command_writes_both(dataset, tmp_path, capsys):
 
 
 def test_numbers_that_there_are_not_are_refused(dataset, tmp_path):
-    with pytest.raises(SettingError, match="rollout = 3.*2"):
+    with pytest.raises(SettingError, match=r"rollout = 3.*2"):
         write_traces(dataset, tmp_path / "x", rollouts=[3])
     with pytest.raises(SettingError, match="once"):
         write_traces(dataset, tmp_path / "x", rollouts=[1, 1])

@@ -187,7 +187,7 @@ def test_movingai_maps_and_scenarios_count_from_above(tmp_path):
 def test_misuse_is_refused():
     with pytest.raises(ShapeError, match="occupancy"):
         FloorMap(occupancy=np.zeros(3, dtype=int), resolution=1.0)
-    with pytest.raises(SettingError, match="-1 .*100"):
+    with pytest.raises(SettingError, match=r"-1 .*100"):
         FloorMap(occupancy=np.full((2, 2), 101), resolution=1.0)
     with pytest.raises(SettingError, match="resolution"):
         FloorMap(occupancy=rooms(), resolution=-1.0)

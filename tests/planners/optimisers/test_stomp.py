@@ -254,7 +254,7 @@ def test_an_initial_path_is_joined_to_the_start_and_the_nearest_goal() -> None:
 @pytest.mark.parametrize("value", [np.nan, -1.0])
 def test_an_objective_that_breaks_its_contract_is_named(value: float) -> None:
     objective = DensityObjective(density=lambda q: np.full(len(q), value))
-    with pytest.raises(CostError, match="DensityObjective: .*>= 0"):
+    with pytest.raises(CostError, match=r"DensityObjective: .*>= 0"):
         _improve(Path(np.array(_DETOURS["disc"])), disc().problem, objective)
 
 

@@ -156,7 +156,7 @@ def test_a_start_at_the_goal_needs_no_motion(task: gp.Task) -> None:
 
 
 def test_misuse_is_refused(task: gp.Task) -> None:
-    with pytest.raises(UnknownNameError, match="'evar'.*cvar, expectation, worst"):
+    with pytest.raises(UnknownNameError, match=r"'evar'.*cvar, expectation, worst"):
         gp.plan(task.start, task.goal, task.scene, risk="evar")
     with pytest.raises(SettingError, match="an ImpactCost"):
         gp.plan(task.start, task.goal, task.scene, risk="cvar", objective=gp.Objective(impact=gp.JointLength()))

@@ -53,14 +53,14 @@ def test_humans_suffer_more_from_worse() -> None:
 
 
 def test_an_undefined_pair_says_what_is_defined() -> None:
-    with pytest.raises(SceneError, match="'base_coast'.*'table'.*arm_braked.*dry"):
+    with pytest.raises(SceneError, match=r"'base_coast'.*'table'.*arm_braked.*dry"):
         _TABLE.severity("table", "base_coast")
 
 
 def test_unknown_names_list_the_valid_ones() -> None:
-    with pytest.raises(UnknownNameError, match="'unicorn'.*adult, .*textile"):
+    with pytest.raises(UnknownNameError, match=r"'unicorn'.*adult, .*textile"):
         _TABLE.severity("unicorn", "medium")
-    with pytest.raises(UnknownNameError, match="'huge'.*arm_braked"):
+    with pytest.raises(UnknownNameError, match=r"'huge'.*arm_braked"):
         _TABLE.severity("glass", "huge")
     with pytest.raises(UnknownNameError, match="'huge'"):
         _TABLE.with_overrides({"glass": {"huge": 1.0}})
@@ -100,7 +100,7 @@ def test_a_table_of_ones_own(tmp_path: Path) -> None:
     table = SeverityTable.load(_write(tmp_path, _HEAD + "  vase: [1, 20]\n  rug: [null, 1e0]\n"))
     assert table.severity("vase", "heavy") == 20.0
     assert table.severity("rug", "heavy") == 1.0
-    with pytest.raises(SceneError, match="'light'.*'rug'"):
+    with pytest.raises(SceneError, match=r"'light'.*'rug'"):
         table.severity("rug", "light")
 
 
