@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from places import LIBRARY
 
 from graceful_plan.exceptions import (
     NonFiniteError,
@@ -21,6 +22,7 @@ from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene
+from graceful_plan.scene.loading.file import read_scene
 from graceful_plan.scene.scene import Scene
 
 _ARM = """<mujoco model="workshop">
@@ -581,7 +583,7 @@ def test_the_table_of_fields_is_true() -> None:
 
 
 def test_scenes_are_equal_only_to_themselves(scene: Scene) -> None:
-    other = load_scene("tabletop")
+    other = read_scene(LIBRARY / "scene" / "scenes" / "tabletop.yaml")
     assert scene == scene.tasks["lift_to_goal"].world
     assert scene != other
     assert len({scene, other}) == 2
@@ -600,7 +602,7 @@ def test_a_summary_names_everything() -> None:
 def test_scenes_are_freed() -> None:
     import weakref
 
-    scene = load_scene("tabletop")
+    scene = read_scene(LIBRARY / "scene" / "scenes" / "tabletop.yaml")  # fresh: load_scene keeps its own for all tests
     watched = [weakref.ref(scene), weakref.ref(scene.tasks["lift_to_goal"].scene)]
     del scene
     gc.collect()

@@ -102,7 +102,7 @@ def test_instruction_sets_agree(scene, isa):
 
 @pytest.mark.parametrize("scene", CROWDED)
 def test_the_core_says_the_same_where_many_are_near(scene):
-    q, qd = states_in(scene, 2)
+    q, qd = states_in(scene, 1)
     batch = moving_batch(scene, q, qd)
     P = hits(batch, coast_tables(scene), SHIPPED, SHIPPED.straightens if scene.base.slip > SKIDS else 1e6)
     assert ((P > 1e-4).sum(axis=1) > 1).any()

@@ -137,7 +137,7 @@ def test_plans_by_a_measure_are_the_same_again(task: gp.Task, objective: gp.Obje
 
 def test_expectation_is_the_default(task: gp.Task) -> None:
     first, second = (
-        gp.plan(task.start, task.goal, task.scene, iterations=500, **given)
+        gp.plan(task.start, task.goal, task.scene, iterations=100, **given)
         for given in ({}, {"risk": gp.RiskMeasure("expectation")})
     )
     np.testing.assert_array_equal(first.path.q, second.path.q)
