@@ -205,7 +205,7 @@ def test_misuse_names_the_culprit():
 
 def test_a_custom_cost_plugs_in(task):
     objective = gp.Objective(impact=Height(), w=1.0, exposure="length")
-    low = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=600)
+    low = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=200)
     assert low.status is gp.PlanStatus.SOLVED
     straight = gp.evaluate(gp.Path(np.stack([task.start, low.path.q[-1]])), task.scene, objective)
     assert low.cost.total <= straight.total + 1e-9
