@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -36,6 +38,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         left_out = [item for item in items if item.nodeid not in part]
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item.nodeid in part]
+
+
+def pytest_sessionstart() -> None:
+    """Read each bundled scene once per process: scenes are immutable and keep their compiled arrays."""
+    from graceful_plan.scene.loading import bundled  # here, after the shape checks are configured
+
+    read = bundled.read_scene
+    read_once = functools.cache(read)
+
+    def read_scene(path: Path) -> gp.Scene:
+        return (read_once if bundled._FOLDER in path.parents else read)(path)
+
+    bundled.read_scene = read_scene
 
 
 def pytest_runtest_logstart() -> None:

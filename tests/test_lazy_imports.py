@@ -56,7 +56,7 @@ def test_every_name_is_what_its_module_calls_so(package):
 def test_it_lists_its_names_and_knows_no_others(package):
     assert set(package.__all__) <= set(dir(package))
     assert not hasattr(package, "plam")
-    with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'plam'") as caught:
+    with pytest.raises(AttributeError, match=f"'{package.__name__}'.*'plam'") as caught:
         _ = package.plam
     assert (caught.value.name, caught.value.obj) == ("plam", package)
 

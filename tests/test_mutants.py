@@ -1,4 +1,4 @@
-"""The list of edits fits the core as it is, and tests that mutants are tried with exist."""
+"""What `make mutants` runs: an edit becomes a choice between original and edit, and the named tests exist."""
 
 import ast
 import importlib
@@ -20,13 +20,20 @@ def native_mutants(monkeypatch: pytest.MonkeyPatch):
         sys.modules.pop(name, None)
 
 
-def test_edits_of_the_core_fit(native_mutants):
+def test_an_edit_becomes_a_choice(native_mutants):
+    edit = native_mutants.Edit(7, "a.hpp", "x = a «- b»;", "+ b", ())
+    assert edit.entered("x = a - b; y = a;") == "x = a + (gp_mutant == 7 ? (+ b) : (- b)); y = a;"
+    for text in ("y = a;", "x = a - b; x = a - b;"):
+        with pytest.raises(SystemExit, match=r"a\.hpp"):
+            edit.entered(text)
+
+
+def test_files_of_edits_and_their_tests_exist(native_mutants):
     edits = list(native_mutants.edits())
-    assert len(edits) >= 104
+    assert edits
     for edit in edits:
-        text = (ROOT / native_mutants.NATIVE / edit.file).read_text(encoding="utf-8")
-        assert edit.entered(text) != text
-        assert all((ROOT / name).exists() for name in edit.tests)
+        assert (ROOT / native_mutants.NATIVE / edit.file).is_file()
+        assert edit.tests and all((ROOT / name).exists() for name in edit.tests)
 
 
 def test_modules_and_their_tests_exist():
@@ -35,7 +42,7 @@ def test_modules_and_their_tests_exist():
         node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "MODULES"
     )
     modules = ast.literal_eval(given)
-    assert len(modules) >= 12
+    assert modules
     for module, tests in modules.items():
         assert (ROOT / "src" / "graceful_plan" / module).is_file() and tests
         assert all((ROOT / name).exists() for name in tests)

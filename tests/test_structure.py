@@ -70,8 +70,6 @@ HARNESS_FLOORS = (
     {"commands"},
     {"testing", "cli"},
 )
-MOST_FILES = 15
-"""In a folder."""
 
 HEAVY = (
     "scipy",
@@ -203,20 +201,7 @@ def test_an_import_upwards_is_found(monkeypatch):
     assert above("graceful_plan", FLOORS) == ["graceful_plan.scene.roles imports graceful_plan.core.compile"]
 
 
-@pytest.mark.parametrize(("root", "most"), [(LIBRARY, 12), (HARNESS, 8)], ids=["library", "harness"])
-def test_roots_are_small(root, most):
-    assert len(list(root.glob("*.py"))) <= most
-
-
-@pytest.mark.parametrize("tree", ["src", "sim", "tests"])
-def test_folders_are_small(tree):
-    files = [file for file in (ROOT / tree).rglob("*") if file.is_file() and "__pycache__" not in file.parts]
-    counted = Counter(file.parent for file in files)
-    assert {str(folder): n for folder, n in counted.items() if n > MOST_FILES} == {}
-
-
-def test_public_names_are_few_and_no_module_has_the_name_of_a_public_function():
-    assert len(gp.__all__) <= 80
+def test_no_module_has_the_name_of_a_public_function():
     functions = {
         (package.__name__, name)
         for package in (gp, failbench)
@@ -245,16 +230,6 @@ def test_no_class_name_stands_twice():
         if isinstance(node, ast.ClassDef)
     )
     assert {name for name, n in names.items() if n > 1} == set()
-
-
-def test_no_call_has_more_than_six_positional_arguments():
-    calls = [
-        f"{file.name}:{node.lineno}"
-        for file in FILES + HARNESS_FILES
-        for node in ast.walk(syntax_of(file))
-        if isinstance(node, ast.Call) and len(node.args) > 6
-    ]
-    assert calls == []
 
 
 def test_library_never_imports_what_is_built_on_it():
@@ -327,10 +302,6 @@ def test_field_tables_list_the_fields(cls):
 
 def readme_snippets() -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), flags=re.MULTILINE | re.DOTALL)
-
-
-def test_readme_is_short():
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 80
 
 
 def test_readme_has_snippets():

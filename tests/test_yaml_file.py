@@ -93,14 +93,14 @@ def test_null_is_as_good_as_absent() -> None:
 
 def test_files(tmp_path: Path) -> None:
     file = tmp_path / "a.yaml"
-    with pytest.raises(SceneError, match="cannot be read: No such file"):
+    with pytest.raises(SceneError, match="No such file"):
         read_yaml(file)
     file.write_bytes(b"a: \xff\n")
     with pytest.raises(SceneError, match="is not UTF-8"):
         read_yaml(file)
     with file.open("wb") as stream:
         stream.truncate(2_000_000)
-    with pytest.raises(SceneError, match="2000000 bytes, at most 1000000 are read"):
+    with pytest.raises(SceneError, match=r"2000000.*1000000"):
         read_yaml(file)
 
 

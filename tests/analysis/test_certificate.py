@@ -130,7 +130,7 @@ def test_a_gap_is_told_only_where_impact_does_not_count(tabletop: Scene):
 @pytest.mark.parametrize("w", [0.0, 1.0])
 def test_results_are_certified_as_they_are_executed(tabletop: Scene, w: float):
     task = load_scene("tabletop").tasks["green_to_blue"]
-    solved = plan(task.start, task.goal, tabletop, w=w, iterations=3000, seed=1)
+    solved = plan(task.start, task.goal, tabletop, w=w, iterations=500, seed=1)
     found = certify(solved, tabletop)
     assert found.clear and found.first_uncertified is None
     assert solved.trajectory is not None and solved.path is not None
@@ -144,7 +144,7 @@ def test_results_are_certified_as_they_are_executed(tabletop: Scene, w: float):
 def test_results_without_a_trajectory_are_refused(tabletop: Scene):
     refused = plan("right", np.full(len(tabletop.joints), 50.0), tabletop)
     assert refused.status is PlanStatus.INVALID_GOAL
-    with pytest.raises(SettingError, match=r"a result with a trajectory"):
+    with pytest.raises(SettingError, match="trajectory"):
         certify(refused, tabletop)
 
 

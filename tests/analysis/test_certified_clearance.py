@@ -17,6 +17,7 @@ from graceful_plan.path import Path
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.retiming import retime
+from sizes import first_quick
 
 Array = np.ndarray
 
@@ -145,7 +146,7 @@ def test_a_path_of_one_configuration():
     assert inside.uncertified == ((0.0, 0.0),)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", first_quick(range(6)))
 def test_random_paths_of_the_arm_are_never_nearer_than_certified(tabletop: Scene, seed: int):
     rng = np.random.default_rng(seed)
     kernels = compile_scene(tabletop).kernels

@@ -259,12 +259,12 @@ def test_standing_still_costs_nothing_but_a_waypoint_does(task):
 
 
 def test_other_costs_do_not_tell_who_is_hit(task, result):
-    with pytest.raises(SettingError, match=r"objective.impact = Own\(\).* resolve entities"):
+    with pytest.raises(SettingError, match=r"Own\(\)"):
         gp.explain(result, task.scene, gp.Objective(impact=Own()))
 
 
 def test_sources_that_do_not_add_up(task, result):
-    with pytest.raises(CostError, match=r"HalfTold: sources\(\) add up to .*, probability\(\) to"):
+    with pytest.raises(CostError, match=r"HalfTold: sources\(\).*probability\(\)"):
         gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=HalfTold())))
 
 
@@ -275,5 +275,5 @@ def test_no_path_no_explanation(task):
 
 
 def test_a_path_of_another_robot(task):
-    with pytest.raises(ShapeError, match=r"path has shape \(2, 3\), expected \(n, 7\)"):
+    with pytest.raises(ShapeError, match=r"path.*\(2, 3\).*7"):
         gp.explain(gp.Path(np.zeros((2, 3))), task.scene)

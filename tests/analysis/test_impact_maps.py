@@ -231,7 +231,7 @@ def test_other_failures_are_left_out():
     scene, settings = boxes((0.0, 0.0)), {"height": 0.3, "resolution": 0.1}
     mixed = gp.impact_map(scene, gp.ImpactCost(model=DropsHalfTheTime()), **settings)
     np.testing.assert_allclose(mixed.impact, gp.impact_map(scene, **settings).impact, rtol=1e-12)
-    with pytest.raises(SettingError, match="gripper can let go"):
+    with pytest.raises(SettingError, match="gripper"):
         gp.impact_map(scene, gp.ImpactCost(model=NeverDrops()), **settings)
 
 
@@ -300,7 +300,7 @@ def test_a_gantry_keeps_everything_but_the_robot(name):
 
 
 def test_a_gantry_of_nothing():
-    with pytest.raises(ShapeError, match="with a carried object"):
+    with pytest.raises(ShapeError, match="carried"):
         gantry_scene(gp.load_scene("desk"), np.eye(3))
 
 
@@ -377,15 +377,15 @@ def test_arrays_of_the_wrong_kind(settings, error, message):
 
 
 def test_nothing_is_carried():
-    with pytest.raises(ShapeError, match="with a carried object"):
+    with pytest.raises(ShapeError, match="carried"):
         gp.impact_map(gp.load_scene("desk"), height=0.3)
 
 
 def test_nothing_stands_on_anything():
     scene = boxes()
-    with pytest.raises(SettingError, match=r"surface = None, .*nothing in the scene stands on anything"):
+    with pytest.raises(SettingError, match="surface = None"):
         gp.impact_map(scene, height=0.3)
-    with pytest.raises(SettingError, match=r"bounds = None, .*no entities are so high"):
+    with pytest.raises(SettingError, match="bounds = None"):
         gp.impact_map(scene, height=0.3, surface=0.0)
     found = gp.impact_map(scene, height=0.3, surface=0.0, bounds=one_cell((0.0, 0.0)))
     assert found.entities == ("load",) and found.impact.all()

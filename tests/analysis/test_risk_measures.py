@@ -276,7 +276,7 @@ def test_cvar_is_vectorised() -> None:
 
 def test_text_and_document(scene: Scene) -> None:
     found = risk(still(scene), scene, cost(scene, {0: 0.04}))
-    assert "CVaR 0.9: mean of the worst 10 %" in str(found)
+    assert "CVaR 0.9" in str(found)
     document = json.loads(json.dumps(found.to_document(), allow_nan=False))
     assert document["schema"] == "graceful_plan.risk"
     assert document["cvar"] == pytest.approx(found.cvar)
@@ -292,7 +292,7 @@ def test_levels_outside_of_the_range_are_refused(scene: Scene, level: float) -> 
 
 
 def test_misuse_is_refused(scene: Scene) -> None:
-    with pytest.raises(UnknownNameError, match="unknown risk measure 'var'; valid: cvar, expectation, worst"):
+    with pytest.raises(UnknownNameError, match=r"'var'.*cvar, expectation, worst"):
         RiskMeasure("var")
     with pytest.raises(ShapeError, match="path"):
         risk(np.zeros((2, 3)), scene)

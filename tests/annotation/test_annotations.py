@@ -89,10 +89,10 @@ def test_severities_may_be_left_out_and_come_from_the_class(tmp_path, room):
 
 
 def test_entities_of_another_scene_are_refused(room):
-    with pytest.raises(UnknownNameError, match="unknown entity 'teapot'; valid: floor, inside, mug, vase"):
+    with pytest.raises(UnknownNameError, match=r"'teapot'.*floor, inside, mug, vase"):
         annotations("teapot").apply(room)
     rows = {category: {"arm_collapse": 1.0} for category in ("floor", "heirloom", "glass", "robust")}
-    with pytest.raises(UnknownNameError, match="unknown component or component class 'arm_braked'"):
+    with pytest.raises(UnknownNameError, match="'arm_braked'"):
         annotations("vase").apply(room.with_severity(SeverityTable(rows, ("arm_collapse",))))
 
 

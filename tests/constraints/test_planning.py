@@ -35,7 +35,7 @@ def test_contents_are_kept_by_default_and_spilt_where_that_is_switched_off(coffe
     assert kept.status is free.status is gp.PlanStatus.SOLVED
     assert kept.verdict is not None and kept.verdict.checks["contents"].passed
     assert kept.verdict.checks["contents"].worst < 0.01
-    assert "contents" not in free.verdict.checks and "KeepContents is switched off" in free.detail
+    assert "contents" not in free.verdict.checks and "KeepContents" in free.detail
     refused = gp.verify(free.trajectory, coffee.scene)
     assert refused.failures == ("contents",) and refused.checks["contents"].worst > 0.1
     assert gp.verify(free.trajectory, coffee.scene, constraints=[]).passed
@@ -150,7 +150,7 @@ def test_a_scene_keeps_what_it_asks_for(scene: gp.Scene) -> None:
     task = asking.tasks["green_to_blue"]
     result = planned(task)
     assert result.status is gp.PlanStatus.SOLVED and "upright" in result.verdict.checks
-    assert "Upright is switched off" in planned(task, constraints=[]).detail
+    assert "Upright" in planned(task, constraints=[]).detail
     assert "upright" in gp.verify(result.trajectory, task.scene).checks
     with pytest.raises(gp.GracefulPlanError, match="Constraint"):
         scene.with_constraints(0.3)

@@ -130,7 +130,7 @@ def door(size: float, more: str = "") -> gp.Scene:
 
 
 def test_a_robot_too_large_for_the_kernels_is_refused_by_name():
-    with pytest.raises(UnsupportedError, match=r"spheres, the kernels hold .*'door'"):
+    with pytest.raises(UnsupportedError, match="'door'"):
         compile_scene(door(5.0, "".join(f'<geom type="sphere" size="0.01" pos="{9 + k} 0 0"/>' for k in range(1500))))
 
 

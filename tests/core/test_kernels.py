@@ -291,9 +291,9 @@ def test_results_do_not_depend_on_neighbours_in_the_batch(table):
 
 def test_misuse_names_the_culprit(table):
     kernels = compile_scene(table).kernels
-    with pytest.raises(ShapeError, match=r"q has shape \(2, 6\)"):
+    with pytest.raises(ShapeError, match=r"q .*\(2, 6\)"):
         kernels.free(np.zeros((2, 6)))
-    with pytest.raises(NonFiniteError, match=r"q is not finite at index \(1, 3\)"):
+    with pytest.raises(NonFiniteError, match=r"q .*\(1, 3\)"):
         kernels.clearance(np.where(np.arange(14).reshape(2, 7) == 10, np.nan, 0.0))
     with pytest.raises(ShapeError, match="severity"):
         kernels.impact(np.zeros(7), np.zeros((1, 1)))

@@ -36,7 +36,7 @@ def test_what_is_no_number_is_never_free(value: float) -> None:
         with pytest.raises(ValueError, match="configurations are"):
             getattr(core, name)(bad, *more)
     for step in (np.nan, 0.0, -1.0, 1e-300):
-        with pytest.raises(ValueError, match="step of an edge"):
+        with pytest.raises(ValueError, match="edge"):
             core.free_edges(q, q + 1.0, step, 0.0)
     with pytest.raises(ValueError, match="margin"):
         core.free_states(q, value)
@@ -86,7 +86,7 @@ def test_a_search_is_for_one_thread_at_a_time() -> None:
     first = threading.Thread(target=search.run, args=(1, 10.0))
     first.start()
     assert inside.wait(10.0)
-    with pytest.raises(RuntimeError, match="already runs in another thread"):
+    with pytest.raises(RuntimeError, match="thread"):
         search.run(1, 1.0)
     over.set()
     first.join()

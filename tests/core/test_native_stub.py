@@ -64,8 +64,3 @@ def of_signature(function: object) -> Parameters:
 def test_the_stub_has_what_the_module_has(module: ModuleType, least: int):
     assert len(native(module)) > least
     assert stated(STUBS[module]) == native(module)
-
-
-def test_nothing_takes_more_than_six_by_position():
-    most = {name: len(found[0]) for name, found in native(_native).items() if found is not None}
-    assert max(most.values()) <= 6 + 1, most  # and self

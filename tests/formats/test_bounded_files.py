@@ -73,7 +73,7 @@ def test_a_table_of_equal_rows_is_refused_by_their_number(tmp_path: Path, monkey
     motion.to_parquet(content)
     assert len(gp.Trajectory.from_parquet(content)) == 5000
     monkeypatch.setattr(parquet_file, "MOST_NUMBERS", 19_999)
-    with pytest.raises(FormatError, match="5000 rows of 4 columns are too many"):
+    with pytest.raises(FormatError, match=r"5000.*4"):
         gp.Trajectory.from_parquet(content)
 
 
@@ -86,5 +86,5 @@ def test_a_part_of_a_dataset_has_as_many_rows_as_its_manifest_says(tmp_path: Pat
     content = file.read_bytes()
     part = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
     for rows in (1, 200_000):
-        with pytest.raises(FormatError, match="wrong columns or number of rows"):
+        with pytest.raises(FormatError, match="rows"):
             dataset._read_part(file, part | {"rows": rows}, dataset.VERSION)

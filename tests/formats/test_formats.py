@@ -134,7 +134,7 @@ def test_missing_accelerations_are_those_of_the_cubics(trajectory):
 
 def test_joints_besides_have_to_stand_still(trajectory):
     message = trajectory.to_ros()
-    with pytest.raises(FormatError, match="it moves arm/two as well"):
+    with pytest.raises(FormatError, match="arm/two"):
         gp.Trajectory.from_ros(message, ["arm/one"])
     for point in message["points"]:
         point["positions"][1] = 0.5
@@ -155,7 +155,7 @@ def test_names_that_do_not_serve_are_refused(trajectory, names, error, message):
 
 def test_samples_closer_than_a_nanosecond_cannot_be_sent():
     close = gp.Trajectory(np.array([0.0, 1e-10]), *np.zeros((3, 2, 1)), ("a",))
-    with pytest.raises(SettingError, match="at least a nanosecond"):
+    with pytest.raises(SettingError, match="nanosecond"):
         close.to_ros()
 
 
@@ -168,14 +168,14 @@ def broken(change):
 @pytest.mark.parametrize(
     ("change", "error", "said"),
     [
-        (lambda m: m.pop("points"), FormatError, "it lacks points"),
+        (lambda m: m.pop("points"), FormatError, "points"),
         (lambda m: m.update(points=[]), FormatError, "there are no points"),
         (lambda m: m.update(joint_names=[]), FormatError, "joint_names"),
         (lambda m: m.update(joint_names=["a", "a"]), FormatError, "joint_names"),
         (lambda m: m.update(joint_names=["a", "b"]), ShapeError, "positions of message has shape"),
         (lambda m: [p.pop("velocities") for p in m["points"]], FormatError, "lack velocities; time it again"),
-        (lambda m: m["points"][1].pop("velocities"), FormatError, "lacks velocities"),
-        (lambda m: m["points"][1].pop("time_from_start"), FormatError, "lacks time_from_start"),
+        (lambda m: m["points"][1].pop("velocities"), FormatError, "velocities"),
+        (lambda m: m["points"][1].pop("time_from_start"), FormatError, "time_from_start"),
         (lambda m: m["points"][1]["time_from_start"].update(sec=0.5), FormatError, "whole numbers"),
         (lambda m: m["points"][1]["time_from_start"].update(sec=10**400), FormatError, "whole numbers"),
         (lambda m: m["points"][1]["time_from_start"].update(nanosec=-1), FormatError, "whole numbers"),
@@ -208,7 +208,7 @@ def test_broken_yaml_is_refused(text):
 
 
 def test_a_missing_joint_is_named(trajectory):
-    with pytest.raises(UnknownNameError, match="unknown joint in message 'leg'; valid: arm/one, arm/two"):
+    with pytest.raises(UnknownNameError, match=r"'leg'.*arm/one, arm/two"):
         gp.Trajectory.from_ros(trajectory.to_ros(), ["leg"])
 
 

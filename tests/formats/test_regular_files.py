@@ -213,5 +213,5 @@ def test_a_file_is_read_as_it_is_and_no_further_than_allowed(tmp_path: Path) -> 
     assert read_content(file) == read_content(str(file), 256) == bytes(range(256))
     with open_regular(file) as stream:
         assert stream.read(3) == b"\0\1\2"
-    with pytest.raises(OSError, match="256 bytes, at most 255 are read"):
+    with pytest.raises(OSError, match=r"256.*255"):
         read_content(file, 255)

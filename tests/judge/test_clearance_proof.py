@@ -49,14 +49,14 @@ def _skipped_wrongly(scene: Scene, count: int, seed: int) -> tuple[int, int]:
     return int(proved.sum()), sum(1 for _ in Judge(scene).touches(q[proved]))
 
 
-@pytest.mark.parametrize("name", _SCENES)
+@pytest.mark.parametrize("name", [*_SCENES[:-1], pytest.param("mesh_arm", marks=pytest.mark.long)])
 def test_nothing_that_touches_is_proved_free(name: str) -> None:
     proved, wrong = _skipped_wrongly(_in_hand(name), 2500, seed=1)
     assert proved > 300 and wrong == 0
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", _SCENES)
+@pytest.mark.parametrize("name", [*_SCENES[:-1], pytest.param("mesh_arm", marks=pytest.mark.long)])
 def test_nothing_that_touches_is_proved_free_among_a_million(name: str) -> None:
     scene = _in_hand(name)
     for seed in range(8):

@@ -65,7 +65,7 @@ def test_a_configuration_may_be_off_by_so_much(gantry, off):
     if not check.passed:
         # Where it is nearest is as wide as it is off: joints count by the largest error.
         assert check.first == pytest.approx(0.4, abs=1.01 * off * NEAR)
-        assert f"via 0 is missed by {off:.3g} times" in check.detail
+        assert "via 0 " in check.detail and f"{off:.3g} times" in check.detail
 
 
 @pytest.mark.parametrize("off", [0.5, 0.99, 1.01, 3.0])

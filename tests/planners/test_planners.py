@@ -286,7 +286,7 @@ def test_questions_are_interrupted(budget: Budget) -> None:
 @pytest.mark.parametrize("name", ["prm", "prm_star", "rrt_star", "bit_star", "trrt"])
 def test_an_objective_that_breaks_its_contract_is_named(name: str, value: float) -> None:
     objective = DensityObjective(density=lambda q: np.full(len(q), value))
-    with pytest.raises(CostError, match=r"DensityObjective: (edge|state) costs must be finite and >= 0"):
+    with pytest.raises(CostError, match=r"DensityObjective: (edge|state)"):
         _last(PLANNERS[name](), disc().problem, objective, 500)
 
 

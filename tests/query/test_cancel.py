@@ -119,7 +119,7 @@ def test_an_error_of_the_question_reaches_the_caller(task: gp.Task):
 
 
 def test_misuse_is_refused():
-    with pytest.raises(SettingError, match="cancelled = True, expected a function"):
+    with pytest.raises(SettingError, match="cancelled = True"):
         checked_cancelled(True)
 
 
@@ -156,7 +156,10 @@ def _fingerprint(task: gp.Task, planner: str) -> bytes:
     return b"" if result.trajectory is None else result.trajectory.q.tobytes()
 
 
-@pytest.mark.parametrize(("planner", "count"), [("anytime", 20), ("rrt_star", 3), ("rrt_connect", 3)])
+@pytest.mark.parametrize(
+    ("planner", "count"),
+    [("anytime", 10), ("rrt_star", 2), pytest.param("rrt_connect", 3, marks=pytest.mark.long)],
+)
 def test_interrupts_leave_nothing_broken(task: gp.Task, planner: str, count: int):
     expected = _fingerprint(task, planner)
     assert expected

@@ -55,7 +55,7 @@ def _contacts(model: mujoco.MjModel) -> set[tuple[int, int]]:
     return {(min(a, b), max(a, b)) for a, b in data.contact.geom.tolist()}
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(heaps(), st.data())
 def test_pairs_are_those_that_mujoco_tests(model: mujoco.MjModel, data: st.DataObject) -> None:
     moving = data.draw(st.sets(st.integers(1, model.nbody - 1), min_size=1))
@@ -94,7 +94,7 @@ def test_a_body_stands_for_what_hangs_rigidly_on_it() -> None:
     assert geoms_named(model, "finger") == _ids(model, "finger")
     assert geoms_named(model, "tip") == _ids(model, "tip")
     assert geoms_named(model, "world") == _ids(model, "ground")
-    with pytest.raises(UnknownNameError, match=r"unknown body or geom 'paw'; valid: .*palm"):
+    with pytest.raises(UnknownNameError, match=r"'paw'.*palm"):
         geoms_named(model, "paw")
 
 
@@ -120,7 +120,7 @@ def test_allowed_pairs_are_taken_out() -> None:
 
 
 def test_when_is_one_of_two_words() -> None:
-    with pytest.raises(SettingError, match="when = 'often', expected 'always' or 'ends'"):
+    with pytest.raises(SettingError, match=r"'often'.*'always'.*'ends'"):
         AllowedContact("hand", "cup", "often")
 
 

@@ -38,7 +38,7 @@ def test_a_box_larger_than_single_precision_can_hold_is_refused(size: float) -> 
 
 @pytest.mark.parametrize("place", [1e5, 1e30, 1e300])
 def test_a_place_farther_than_single_precision_can_tell_is_refused(place: float) -> None:
-    with pytest.raises(SceneError, match="single precision takes 10000 m"):
+    with pytest.raises(SceneError, match="10000 m"):
         _SCENE.add_box("star", [0.1, 0.1, 0.1], [place, 0.0, 1.0])
     with pytest.raises(SettingError, match="position of star"):
         gp.MovingEntity("star", "adult", size=[0.1, 0.1], t=[0.0], position=[[place, 1.0, 1.0]])

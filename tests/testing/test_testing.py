@@ -132,8 +132,7 @@ def test_every_fault_is_named(fault: str, finding: str) -> None:
 
 def test_lateness_is_named_and_forgiven_by_a_wider_margin() -> None:
     findings = _findings("late", PlannerTrial(iterations=40, time_limit=0.02, overrun=0.01))
-    assert "ms after the time limit" in findings
-    assert "ms after it was cancelled" in findings
+    assert "time limit" in findings and "cancelled" in findings
 
 
 def test_a_planner_that_finds_nothing_is_told_so() -> None:
@@ -162,7 +161,7 @@ def test_settings_that_can_be_changed_are_refused() -> None:
     assert {"has no name (ClassVar[str])", "does not say whether it is anytime (ClassVar[bool])"} <= set(
         caught.value.findings
     )
-    with pytest.raises(ContractError, match=r"is not a graceful_plan.planners.Planner"):
+    with pytest.raises(ContractError, match=r"graceful_plan\.planners\.Planner"):
         check_planner("rrt", _TRIAL)  # pyright: ignore[reportArgumentType]
 
 
@@ -232,7 +231,7 @@ def test_every_fault_of_a_cost_is_named(fault: str, finding: str, scene: Scene) 
 
 
 def test_what_is_not_a_cost_is_refused(scene: Scene) -> None:
-    with pytest.raises(ContractError, match=r"is not a graceful_plan.Cost"):
+    with pytest.raises(ContractError, match=r"graceful_plan\.Cost"):
         check_cost(lambda batch: batch, scene)  # pyright: ignore[reportArgumentType]
 
 

@@ -152,7 +152,7 @@ def test_torque_limits_slow_a_falling_arm_down() -> None:
 
 def test_a_pose_that_cannot_be_held_has_a_name() -> None:
     limits = _limits([1.0], [1.0], 3.0)
-    with pytest.raises(RetimingError, match=r"joint 'shoulder' needs 4 N m to hold still"):
+    with pytest.raises(RetimingError, match=r"'shoulder'.* 4 N m"):
         retime(_path([[-1.0], [1.0]]), limits, ("shoulder",), inverse_dynamics=lambda q, qd, qdd: qdd + 4.0)
 
 
@@ -184,7 +184,7 @@ def test_a_joint_that_never_moves_does_not_limit() -> None:
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
 def test_bad_acceleration_limits_have_a_name(bad: float) -> None:
-    with pytest.raises(RetimingError, match="acceleration limit of joint 'b'"):
+    with pytest.raises(RetimingError, match=r"acceleration.*'b'"):
         retime(_path([[0.0, 0.0], [1.0, 1.0]]), _limits([1.0, 1.0], [1.0, bad]), ("a", "b"))
 
 
@@ -208,7 +208,7 @@ def test_a_deviation_of_each_corner_or_one_of_all(vertices: int) -> None:
     same = retime(path, _PANDA, deviation=0.03)
     assert retime(path, _PANDA, deviation=np.full(corners, 0.03)).duration == pytest.approx(same.duration, rel=1e-12)
     for wrong in {corners - 1, corners + 1, vertices, 2 * corners} - {corners, -1}:
-        with pytest.raises(ShapeError, match=rf"\({corners},\), the inner vertices"):
+        with pytest.raises(ShapeError, match=rf"\({corners},\)"):
             retime(path, _PANDA, deviation=np.full(wrong, 0.03))
 
 

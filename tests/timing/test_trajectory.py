@@ -65,7 +65,7 @@ def test_who_stands_is_where_it_stands_at_every_place() -> None:
 
 def test_who_moves_cannot_wait() -> None:
     moving = _random(3)
-    with pytest.raises(SettingError, match=r"qd\[0\].*a moving robot cannot wait"):
+    with pytest.raises(SettingError, match=r"qd\[0\]"):
         moving.delayed(1.0)
     for wait in (-1.0, np.nan, np.inf):
         with pytest.raises(SettingError, match="seconds"):
@@ -180,7 +180,7 @@ def test_from_json_refuses_broken_text(text: str) -> None:
 def test_from_json_refuses_numbers_that_are_not() -> None:
     document = json.loads(_random(4).to_json())
     document["q"][0][0] = float("nan")
-    with pytest.raises(NonFiniteError, match="q is not finite"):
+    with pytest.raises(NonFiniteError, match=r"q .*finite"):
         Trajectory.from_json(json.dumps(document))
 
 

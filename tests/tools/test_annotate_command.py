@@ -23,7 +23,7 @@ def asked(server, file, *more):
 def test_annotations_are_written_and_told(run, server, tmp_path):
     code, out, err = run(*asked(server, tmp_path / "s.yaml"))
     assert (code, err) == (cli.DONE, "")
-    assert "table: table. its name is table" in out and "rank correlation" in out
+    assert "table: table. " in out and "rank correlation" in out
     assert list(Annotations.load(tmp_path / "s.yaml").rows)[:2] == ["white1", "white2"]
 
 

@@ -47,9 +47,9 @@ def test_rollouts_are_found_by_harm_motion_and_fault(rollouts):
     dropped = rollouts.worst_first(faults=["gripper_failure"])
     assert {rollouts[int(i)].fault for i in dropped} == {"gripper_failure"} and len(dropped) == 2
     assert all(rollouts[int(i)].dropped for i in dropped)
-    with pytest.raises(UnknownNameError, match="fault of the dataset 'juggling'"):
+    with pytest.raises(UnknownNameError, match="'juggling'"):
         rollouts.worst_first(faults=["juggling"])
-    with pytest.raises(SettingError, match="rollout = 4, expected between 0 and 3"):
+    with pytest.raises(SettingError, match=r"rollout = 4.*3"):
         rollouts[4]
 
 

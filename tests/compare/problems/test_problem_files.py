@@ -149,7 +149,7 @@ def test_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     (snippet,) = re.findall(r"^```python\n(.*?)^```", guide.read_text(), flags=re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(tmp_path)
     exec(compile(snippet, guide.name, "exec"), {})
-    assert "problems.yaml: cannot be read" in capsys.readouterr().out
+    assert "problems.yaml: " in capsys.readouterr().out
     _write(tmp_path / "problems.yaml", {"bookshelf_small_panda": _robometrics()["shelf"]})
     exec(compile(snippet, guide.name, "exec"), {})
     assert capsys.readouterr().out.startswith("bookshelf_small_panda/0 ")
@@ -182,7 +182,7 @@ def test_an_unknown_frame_matters_only_if_the_pose_is_needed(tmp_path: Path):
     document["shelf"][0]["goal_pose"] = pose
     assert load_problems(_write(tmp_path / "a.yaml", document))[0].pose is None
     del document["shelf"][0]["goal_ik"]
-    with pytest.raises(FormatError, match=r"shelf\[0\].goal_pose.frame = 'right_gripper' is an unknown frame"):
+    with pytest.raises(FormatError, match=r"shelf\[0\]\.goal_pose\.frame.*'right_gripper'"):
         load_problems(_write(tmp_path / "b.yaml", document))
 
 
@@ -192,7 +192,7 @@ def test_groups_are_chosen_by_name(tmp_path: Path):
     file = _write(tmp_path / "a.yaml", json.loads(json.dumps(document)))
     assert [problem.name for problem in load_problems(file, groups=["box"])] == ["box/0", "box/1"]
     assert len(load_problems(file)) == 3
-    with pytest.raises(UnknownNameError, match="unknown group of problems 'cage'; valid: box, shelf"):
+    with pytest.raises(UnknownNameError, match=r"'cage'.*box, shelf"):
         load_problems(file, groups=["cage"])
 
 
@@ -367,12 +367,12 @@ def test_broken_pairs_of_moveit_are_refused(tmp_path: Path, change: str, message
 
 def test_a_request_without_its_scene_is_refused(tmp_path: Path):
     _write(tmp_path / "request0007.yaml", _moveit()[1])
-    with pytest.raises(FormatError, match=r"there is no scene0007\.yaml beside it"):
+    with pytest.raises(FormatError, match=r"scene0007\.yaml"):
         load_problems(tmp_path)
 
 
 def test_obstacles_of_other_kinds_are_refused():
-    with pytest.raises(UnknownNameError, match="unknown kind of obstacle 'cone'; valid: box, cylinder, sphere"):
+    with pytest.raises(UnknownNameError, match=r"'cone'.*box, cylinder, sphere"):
         Obstacle(name="hat", kind="cone", size=(0.1, 0.1), X_WO=np.eye(4))
 
 
@@ -387,5 +387,5 @@ def test_obstacles_without_size_are_refused_when_the_scene_is_made():
         obstacles=(flat,),
         fingers=0.0,
     )
-    with pytest.raises(SceneError, match="problem a/0: size of flat"):
+    with pytest.raises(SceneError, match=r"a/0: size.*flat"):
         _ = problem.scene

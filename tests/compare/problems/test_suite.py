@@ -123,9 +123,7 @@ def test_broken_suites_say_where(tmp_path, text, message):
 
 
 def test_unknown_suites_list_the_valid_ones():
-    with pytest.raises(
-        UnknownNameError, match=r"unknown suite 'kitchens'; valid: a problem file or folder, .*household"
-    ):
+    with pytest.raises(UnknownNameError, match=r"'kitchens'.*household"):
         bench.load_suite("kitchens")
 
 

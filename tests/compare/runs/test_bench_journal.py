@@ -106,11 +106,11 @@ def test_journals_of_earlier_versions_are_read_but_not_continued(tmp_path, versi
         (run.key, run.status, run.total) for run in made.runs
     ]
     assert all(run.early == () and run.motion_wall != run.motion_wall for run in read_back.runs)
-    with pytest.raises(OtherSettings, match=f"version of the journal was {version} and is 3"):
+    with pytest.raises(OtherSettings, match=f"version.*{version}.*3"):
         bench.compare(suite, planners=["rrt_connect"], out=out, processes=0)
     del older[1]["total"]
     (out / NAME).write_text("".join(json.dumps(line) + "\n" for line in older))
-    with pytest.raises(FormatError, match=f"{NAME}:2: not a run"):
+    with pytest.raises(FormatError, match=f"{NAME}:2: "):
         bench.load_comparison(out)
 
 
@@ -118,7 +118,7 @@ def test_other_settings_are_refused_and_named(tmp_path):
     with opened(tmp_path) as first:
         first.add(solved("a", "x", 0, 1.0))
     other = {"seconds": 2.0, "seeds": [0, 1], "planners": [{"label": "b", "settings": {}}]}
-    with pytest.raises(OtherSettings, match=r"seconds was 0.5 and is 2.0; planners\[0\].label was \"a\" and is \"b\""):
+    with pytest.raises(OtherSettings, match=r"seconds .*0\.5.*2\.0.*planners\[0\]\.label.*\"a\".*\"b\""):
         opened(tmp_path, other)
     with opened(tmp_path) as again:
         assert len(again.runs) == 1
@@ -132,7 +132,7 @@ def test_differences_name_what_is_missing():
 
 
 def test_two_processes_do_not_share_a_journal(tmp_path):
-    with opened(tmp_path), pytest.raises(RunJournalBusy, match="in use by another process"):
+    with opened(tmp_path), pytest.raises(RunJournalBusy):
         opened(tmp_path)
 
 
@@ -159,7 +159,7 @@ def test_a_changed_planner_is_another_comparison(here):
 
 
 def test_a_folder_without_a_journal_has_no_report(tmp_path):
-    with pytest.raises(FormatError, match="cannot be read: No such file"):
+    with pytest.raises(FormatError, match="No such file"):
         bench.load_comparison(tmp_path)
 
 
@@ -187,7 +187,7 @@ def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path)
     interrupted = bench.load_comparison(out)
     assert 2 <= len(killed.runs) < len(interrupted.runs) < 40
     assert code == 130
-    assert f"{len(interrupted.runs)} of 40 runs are kept in {out}; the same command resumes" in told
+    assert f"{len(interrupted.runs)} of 40" in told and str(out) in told
     assert "Traceback" not in told
     (tmp_path / "slow").unlink()
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, cwd=tmp_path)

@@ -106,12 +106,12 @@ def test_what_is_wrong_with_a_class_is_said(here, text, message):
 
 
 def test_a_module_that_is_not_there_and_a_class_that_is_not_in_it(here):
-    with pytest.raises(PlannerImportError, match="there is no module 'no_such_place'"):
+    with pytest.raises(PlannerImportError, match="'no_such_place'"):
         read_planners(["no_such_place.planners:Mine"])
     own_planner(here)
-    with pytest.raises(PlannerImportError, match=r"there is no module 'straight\.deeper'"):
+    with pytest.raises(PlannerImportError, match=r"'straight\.deeper'"):
         read_planners(["straight.deeper:Mine"])
-    with pytest.raises(UnknownNameError, match="unknown planner of straight 'Bent'; valid: Straight"):
+    with pytest.raises(UnknownNameError, match=r"straight 'Bent'.*Straight"):
         read_planners(["straight:Bent"])
 
 
@@ -121,7 +121,7 @@ def test_a_plain_class_will_do_but_has_no_settings(here):
         "    def solve(self, *args): pass\n"
     )
     assert labels(["plain:Plain"]) == ["plain:Plain"]
-    with pytest.raises(UnknownNameError, match="unknown setting of planner plain:Plain 'x'; valid: none"):
+    with pytest.raises(UnknownNameError, match="plain:Plain 'x'"):
         read_planners(["plain:Plain:x=1"])
 
 
@@ -130,7 +130,7 @@ def test_a_module_must_not_change_meanwhile(here):
     assert note.make().pieces == 1
     file = here / "straight.py"
     file.write_text(file.read_text() + "\n# better\n")
-    with pytest.raises(FormatError, match="straight: changed since the comparison began"):
+    with pytest.raises(FormatError, match="straight: changed"):
         note.make()
 
 
@@ -144,5 +144,5 @@ def test_what_a_module_prints_is_not_what_the_command_prints(here, capsys):
 
 def test_no_file_of_the_current_directory_hides_an_installed_module(here):
     (here / "mujoco.py").write_text("raise ValueError('hidden')\n")
-    with pytest.raises(UnknownNameError, match=r"unknown planner of mujoco\.batch 'Mine'"):
+    with pytest.raises(UnknownNameError, match=r"mujoco\.batch 'Mine'"):
         read_planners(["mujoco.batch:Mine"])

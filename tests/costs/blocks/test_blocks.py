@@ -191,7 +191,7 @@ def test_wrong_gradients_are_found_beside_kinks_and_rounding(scene: gp.Scene, st
     cost = Wrong(gp.ClearanceCost(0.3))
     if step < 1e-3:
         return check_cost(cost, scene)
-    with pytest.raises(ContractError, match="differs from central differences"):
+    with pytest.raises(ContractError, match="central differences"):
         check_cost(cost, scene)
     return None
 
@@ -225,11 +225,9 @@ def test_settings_are_checked(make: Callable[[], gp.Cost], message: str) -> None
 
 
 def test_what_does_not_fit_a_scene_is_named(scene: gp.Scene) -> None:
-    with pytest.raises(
-        UnknownNameError, match=r"unknown clearance target 'lamp'; valid: .*laptop.*self, stapler, surround"
-    ):
+    with pytest.raises(UnknownNameError, match=r"'lamp'.*laptop.*self, stapler, surround"):
         values(gp.ClearanceCost(to="lamp"), scene, states(scene, 1))
-    with pytest.raises(ShapeError, match=r"EnergyCost\.torque has shape \(2,\)"):
+    with pytest.raises(ShapeError, match=r"EnergyCost\.torque.*\(2,\)"):
         values(gp.costs.EnergyCost((1.0, 1.0)), scene, states(scene, 1))
     with pytest.raises(ShapeError, match=r"JointCost\.centre has shape"):
         values(gp.costs.JointCost(centre=(0.0, 1.0)), scene, states(scene, 1))

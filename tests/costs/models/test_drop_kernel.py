@@ -28,6 +28,7 @@ from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
+from sizes import first_quick
 
 _P = 1e-11  # probabilities: what is left out to save time, and rounding; the bar is 1e-9
 SETTINGS = DropSettings.shipped()
@@ -83,7 +84,7 @@ def kernel(scene):
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", gp.scenes())
+@pytest.mark.parametrize("name", first_quick(gp.scenes()))
 def test_the_kernel_is_the_specification(name):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
         q, qd = _states(task.scene, 150, seed=k)
@@ -233,7 +234,7 @@ def _check_gradient(kernel, q, qd, severity, own=0.7):
         assert np.min([np.abs(gradient - d) / (1.0 + np.abs(d)) for d in found], axis=0).max() < 1e-6
 
 
-@pytest.mark.parametrize("name", gp.scenes())
+@pytest.mark.parametrize("name", first_quick(gp.scenes()))
 def test_gradient_is_the_finite_difference(name):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
         scene, kernel = task.scene, drop_kernel(task.scene, SETTINGS)
@@ -245,7 +246,7 @@ def test_gradient_is_the_finite_difference(name):
             _check_gradient(kernel, q, qd, np.zeros_like(severity), own=1.0)
 
 
-@pytest.mark.parametrize("name", gp.scenes())
+@pytest.mark.parametrize("name", first_quick(gp.scenes()))
 @pytest.mark.parametrize("isa", instruction_sets())
 def test_in_single_precision_it_is_nearly_the_same(name, isa):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):

@@ -242,7 +242,7 @@ def test_it_is_a_value() -> None:
 
 
 def test_misuse_names_the_culprit() -> None:
-    with pytest.raises(UnknownNameError, match="fault prior 'nonsense'; valid: arm, drop_only, service_robot"):
+    with pytest.raises(UnknownNameError, match=r"'nonsense'.*arm, drop_only, service_robot"):
         FailureMixture(faults="nonsense")
 
 

@@ -193,17 +193,17 @@ def test_cluster_bootstrap_takes_any_statistic() -> None:
 
 
 def test_misuse_is_refused() -> None:
-    with pytest.raises(SettingError, match="hits = 3, expected between 0 and n = 2"):
+    with pytest.raises(SettingError, match=r"hits = 3.*n = 2"):
         wilson(3, 2)
-    with pytest.raises(SettingError, match=r"confidence = 95.0, expected 0 < confidence < 1"):
+    with pytest.raises(SettingError, match=r"confidence = 95\.0"):
         estimate_mean([1.0], (0.0, 1.0), confidence=95.0)
-    with pytest.raises(SettingError, match=r"weights = -1\.0, expected weights >= 0"):
+    with pytest.raises(SettingError, match=r"weights = -1\.0"):
         estimate_mean([1.0, 2.0], (0.0, 2.0), weights=[1.0, -1.0])
-    with pytest.raises(ShapeError, match=r"weights has shape \(1,\)"):
+    with pytest.raises(ShapeError, match=r"weights.*\(1,\)"):
         estimate_mean([1.0, 2.0], (0.0, 2.0), weights=[1.0])
-    with pytest.raises(ShapeError, match=r"second has shape \(1,\), expected \(2,\): pairs"):
+    with pytest.raises(ShapeError, match=r"second.*\(1,\).*\(2,\)"):
         estimate_difference([1.0, 2.0], [1.0], (0.0, 2.0))
-    with pytest.raises(NonFiniteError, match="values is not finite at index"):
+    with pytest.raises(NonFiniteError, match=r"values.*finite"):
         estimate_mean([0.0, math.nan], (0.0, 1.0))
     with pytest.raises(SettingError, match="bounds"):
         estimate_mean([0.0], (1.0, 0.0))

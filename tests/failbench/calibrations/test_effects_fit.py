@@ -172,13 +172,13 @@ def test_failures_become_events():
 
 def test_misuse_is_refused():
     events = draw(TRUE, n=20)
-    with pytest.raises(ShapeError, match=r"happened has shape \(10,\), expected \(20,\)"):
+    with pytest.raises(ShapeError, match=r"happened.*\(10,\).*\(20,\)"):
         replace(events, happened=events.happened[:10])
     with pytest.raises(ShapeError, match="probability has shape"):
         replace(events, probability=events.probability[:, :3])
-    with pytest.raises(SettingError, match=r"probability = .*numbers in \[0, 1\]"):
+    with pytest.raises(SettingError, match=r"probability = .*\[0, 1\]"):
         replace(events, probability=events.probability + 1.0)
-    with pytest.raises(SettingError, match="at least one of noise"):
+    with pytest.raises(SettingError, match="noise"):
         fit_effects({"noise": events.rows(np.zeros(20, bool))})
 
 

@@ -87,10 +87,10 @@ def test_drops_repeat_and_survive_a_file(
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", b"not a file of drops"])
 def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "other.npz").write_bytes(content)
-    with pytest.raises(gp.GracefulPlanError, match=r"not a file of failures|no \.npz file of arrays"):
+    with pytest.raises(gp.GracefulPlanError, match=r"other\.npz"):
         failures.read_failures(tmp_path / "other.npz")
 
 
 def test_without_an_object_nothing_is_dropped(motion: gp.Trajectory) -> None:
-    with pytest.raises(SettingError, match="object in the gripper"):
+    with pytest.raises(SettingError, match="gripper"):
         failures.simulate_failures(motion, gp.load_scene(SCENE), n=1)

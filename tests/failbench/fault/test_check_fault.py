@@ -46,7 +46,13 @@ def test_our_own_are_sound(name):
     check_fault(faults()[name]())
 
 
-@pytest.mark.parametrize("name", list(faults()))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if fault.CATEGORY == "end_effector" else [pytest.mark.long])
+        for name, fault in faults().items()
+    ],
+)
 def test_our_own_are_sound_where_a_weld_holds(name):
     check_fault(faults()[name](), healthy_run(WELD))
 

@@ -134,7 +134,7 @@ def test_targets_that_cannot_have_the_fault_are_refused(name):
         if part in able:
             assert cls(targets=(target,)).targets == (target,)
         else:
-            with pytest.raises(SettingError, match=f"targets = .*to include .*: no other part can have a {name}"):
+            with pytest.raises(SettingError, match=f"targets = .*{name}"):
                 cls(targets=(target,))
     assert cls(targets=("robot",)).targets == ("robot",)
 
@@ -284,7 +284,7 @@ def test_a_fault_of_ones_own_is_loaded_and_has_a_json_form(tmp_path):
     fault = cls(size=2.0, count=3)
     again = from_document(to_document(fault), {"own": cls})
     assert again == fault and isinstance(again.count, int)
-    with pytest.raises(SettingError, match=r"count = 2\.5, expected a whole number"):
+    with pytest.raises(SettingError, match=r"count = 2\.5"):
         from_document(to_document(fault) | {"count": 2.5}, {"own": cls})
     with pytest.raises(UnknownNameError, match="unknown fault 'own'"):
         from_document(to_document(fault))

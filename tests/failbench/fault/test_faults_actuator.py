@@ -171,7 +171,7 @@ def test_a_stuck_joint_stays_where_it_is_whatever_the_model_calls_zero():
 @pytest.mark.parametrize("fault", [IncreasedFriction(), StuckPosition(), PowerLoss()])
 def test_friction_and_brakes_need_to_know_the_greatest_torque(fault):
     job = Job(fault=fault, onset=0.1, seed=0)
-    with pytest.raises(UnsupportedError, match="torque limit of the joint 'shoulder' is not known"):
+    with pytest.raises(UnsupportedError, match="'shoulder'"):
         run(execute([[0.0], [0.6]], build_world(arm())), [job])
     done = execute([[0.0], [0.6]], build_world(arm(torque=[80.0])))
     *_, (_, data) = steps(done, job, horizon=0.6)

@@ -111,9 +111,9 @@ def test_self_locking_fingers_without_power_do_not_open_on_command():
 
 
 def test_power_loss_of_an_unknown_kind_is_refused():
-    with pytest.raises(SettingError, match="brake = 'soft', expected one of none, delayed, immediate"):
+    with pytest.raises(SettingError, match=r"brake = 'soft'.*none, delayed, immediate"):
         PowerLoss(brake="soft")
-    with pytest.raises(SettingError, match="grip = 'firm', expected one of lost, kept"):
+    with pytest.raises(SettingError, match=r"grip = 'firm'.*lost, kept"):
         PowerLoss(grip="firm")
 
 

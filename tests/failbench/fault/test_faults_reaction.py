@@ -105,6 +105,6 @@ def test_it_has_a_json_form_and_refuses_other_categories():
     for category in (0, 1):
         fault = ProtectiveStop(category=category, degree="minor")
         assert from_document(to_document(fault)) == fault
-    with pytest.raises(SettingError, match="category = 2, expected one of 0, 1"):
+    with pytest.raises(SettingError, match=r"category = 2.*0, 1"):
         ProtectiveStop(category=2)
     assert dataclasses.replace(ProtectiveStop(), degree="critical").amount == 2.0

@@ -43,7 +43,7 @@ def laden(half_width, half_height):
 
 def straight(scene):
     """Four metres ahead at up to 1 m/s."""
-    return gp.plan([0.0, 0.0, 0.0], gp.BasePose(4.0, 0.0, 0.0), scene, w=0.0, iterations=300, speed=0.5, constraints=())
+    return gp.plan([0.0, 0.0, 0.0], gp.BasePose(4.0, 0.0, 0.0), scene, w=0.0, iterations=50, speed=0.5, constraints=())
 
 
 @pytest.mark.parametrize(("half_width", "falls"), [(0.03, True), (0.12, False)])

@@ -257,15 +257,15 @@ def test_an_outline_goes_around():
 
 @pytest.mark.parametrize("name", ["film.avi", "film.jpg", "film.png"])
 def test_unknown_suffixes_are_refused_by_name(done, tmp_path, name):
-    with pytest.raises(FormatError, match=rf"{name}: expected a folder .*\.gif, \.webp, \.apng, \.mp4"):
+    with pytest.raises(FormatError, match=rf"{name}: .*\.gif, \.webp, \.apng, \.mp4"):
         replay(done, LATE, output=tmp_path / name)
 
 
 def test_frames_do_not_go_where_something_is(done, tmp_path):
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(FormatError, match="this is a file"):
+    with pytest.raises(FormatError, match="file"):
         replay(done, LATE, output=tmp_path / "file")
-    with pytest.raises(FormatError, match="this folder is not empty"):
+    with pytest.raises(FormatError, match="empty"):
         replay(done, LATE, output=tmp_path)
     assert (tmp_path / "file").read_text() == "mine"
 
@@ -281,12 +281,12 @@ def test_settings_out_of_range_are_refused(done, tmp_path, setting, value):
 
 
 def test_more_frames_than_steps_are_refused(done, tmp_path):
-    with pytest.raises(SettingError, match=r"at most one frame for each time step of 0\.002 s"):
+    with pytest.raises(SettingError, match=r"0\.002 s"):
         replay(done, LATE, output=tmp_path / "x", fps=60.0, slow=10.0)
 
 
 def test_unknown_cameras_and_targets_are_refused(done, tmp_path):
-    with pytest.raises(UnknownNameError, match=r"unknown camera 'above'; valid: .*overview"):
+    with pytest.raises(UnknownNameError, match=r"'above'.*overview"):
         replay(done, LATE, output=tmp_path / "x", camera="above")
     with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
         replay(done, replace(LATE, fault=Drop(targets=("elbow",))), output=tmp_path / "x")
@@ -294,7 +294,7 @@ def test_unknown_cameras_and_targets_are_refused(done, tmp_path):
 
 def test_a_rollout_of_another_execution_is_refused(done, tmp_path):
     [rollout] = run(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.1)
-    with pytest.raises(SettingError, match="a rollout of this execution"):
+    with pytest.raises(SettingError, match="execution"):
         replay(done, replace(rollout, state=rollout.state + 1.0), output=tmp_path / "x")
 
 
@@ -306,7 +306,7 @@ class TestWithoutDisplay:
             monkeypatch.delenv(name, raising=False)
 
     def test_the_viewer_says_what_to_do_instead(self, done):
-        with pytest.raises(NoPicture, match=r"no display .* give an output, e\.g\. output='replay\.gif'"):
+        with pytest.raises(NoPicture, match=r"display .*output='replay\.gif'"):
             replay(done, LATE)
 
     @pytest.mark.usefixtures("gl")

@@ -56,8 +56,7 @@ def test_a_mug_that_is_turned_over_harms_whom_the_coffee_reaches() -> None:
     assert all(0.0 < event.time < done.duration + 1.0 for event in healthy.events)
     assert all(0.0 <= healthy.poured[event.entity] <= done.duration for event in healthy.events)
     text = str(healthy)
-    assert text.startswith("the healthy robot pours out 99.2 % of the contents of 'mug' (hot): harm ")
-    assert "with probability 1, before any failure: laptop 20" in text
+    assert "99.2 %" in text and "'mug' (hot)" in text and "laptop 20" in text
 
 
 def test_a_mug_that_is_tilted_half_way_keeps_what_a_cylinder_keeps() -> None:
@@ -154,7 +153,7 @@ def test_what_a_healthy_robot_bumps_into_is_harm() -> None:
     (event,) = bump.healthy.events
     assert (event.striker, event.entity) == ("body", "vase") and 0.0 < event.time < bump.duration
     assert event.energy > 0.0
-    assert "the healthy robot touches vase: harm 15 with probability 1" in str(bump.healthy)
+    assert "vase: harm 15 " in str(bump.healthy)
     assert execute(np.array([[0.5], [1.0]]), made).healthy.harmless
     # Failures leave it out, so it counts in every execution.
     (rollout,) = run(bump, [Job(fault=Weaken(degree="minor", duration=0.002), onset=0.0, seed=0)], horizon=1.0)
@@ -173,7 +172,7 @@ def test_touches_with_which_a_motion_begins_or_that_are_allowed_are_no_harm() ->
 def test_an_object_that_is_lost_is_refused_and_its_harm_is_told() -> None:
     bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
     rushed = np.stack([bottle.start, bottle.goal[0]])
-    with pytest.raises(ObjectLost, match=r"the object 'bottle' at .* use SimSettings\(grasp='weld'\)") as lost:
+    with pytest.raises(ObjectLost, match=r"'bottle'.*SimSettings\(grasp='weld'\)") as lost:
         execute(rushed, world("dining_table", "pass_bottle"))
     healthy = lost.value.healthy
     assert not healthy.harmless and str(healthy) in str(lost.value)

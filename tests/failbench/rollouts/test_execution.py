@@ -62,7 +62,7 @@ def test_configurations_and_paths_are_timed(task):
 def test_a_motion_that_is_too_fast_is_refused_with_joint_and_time(result, task):
     t = result.trajectory
     rushed = gp.Trajectory(t.t / 8, t.q, t.qd * 8, t.qdd * 64, t.joints)
-    with pytest.raises(ExecutionRefused, match=r"joint 'panda/joint\d' at 0\.\d+ s: .* rad from the trajectory") as e:
+    with pytest.raises(ExecutionRefused, match=r"'panda/joint\d'.*0\.\d+ s: .* rad") as e:
         execute(rushed, world("tabletop", "green_to_blue", SimSettings(grasp="weld")))
     assert 0.0 < e.value.time < rushed.duration
     assert e.value.what[7:-1] in task.scene.joints
@@ -72,7 +72,7 @@ def test_a_motion_out_of_a_joint_s_range_is_refused_with_joint_and_time(task):
     q = np.stack([task.start, task.start, task.start])
     q[2, 3] = 0.5
     away = gp.Trajectory(np.array([0.0, 1.0, 3.0]), q, 0.0 * q, 0.0 * q, task.scene.joints)
-    with pytest.raises(ExecutionRefused, match=r"joint 'panda/joint4' at .* its range is -3.07 to -0.0698") as e:
+    with pytest.raises(ExecutionRefused, match=r"'panda/joint4'.*-3\.07.*-0\.0698") as e:
         execute(away, world("tabletop", "green_to_blue"))
     assert 1.0 < e.value.time < 3.0
 
@@ -87,7 +87,7 @@ def test_a_healthy_run_that_blows_up_is_refused_and_leaves_no_log(tmp_path, monk
 
 def test_a_motion_that_takes_too_long_is_refused(task):
     q = np.stack([task.start, task.start])
-    with pytest.raises(SettingError, match=r"duration of the trajectory = 1000000\.0, expected at most"):
+    with pytest.raises(SettingError, match=r"duration.*1000000\.0"):
         execute(
             gp.Trajectory(np.array([0.0, 1e6]), q, 0.0 * q, 0.0 * q, task.scene.joints),
             world("tabletop", "green_to_blue"),
@@ -97,7 +97,7 @@ def test_a_motion_that_takes_too_long_is_refused(task):
 def test_an_object_that_slips_is_refused():
     bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
     rushed = np.stack([bottle.start, bottle.goal[0]])
-    with pytest.raises(ExecutionRefused, match=r"the object 'bottle' at .* use SimSettings\(grasp='weld'\)"):
+    with pytest.raises(ExecutionRefused, match=r"'bottle'.*SimSettings\(grasp='weld'\)"):
         execute(rushed, world("dining_table", "pass_bottle"))
     held = execute(rushed, world("dining_table", "pass_bottle", SimSettings(grasp="weld")))
     assert held.slip < 0.001
@@ -141,7 +141,7 @@ def test_other_joints_and_failed_plans_are_refused(task):
         execute(np.zeros((3, 5)), made)
     q = np.stack([task.start, task.start])
     turned = gp.Trajectory(np.array([0.0, 1.0]), q, 0.0 * q, 0.0 * q, tuple(reversed(task.scene.joints)))
-    with pytest.raises(SettingError, match=r"joints of the trajectory = .*joint7.* expected those of the scene"):
+    with pytest.raises(SettingError, match=r"joints.*joint7"):
         execute(turned, made)
     with pytest.raises(NonFiniteError):
         execute(np.full((3, 7), np.nan), made)

@@ -136,13 +136,13 @@ def test_no_log_is_left_in_the_working_directory(done, tmp_path, monkeypatch):
 
 
 def test_misuse_is_refused(done):
-    with pytest.raises(SettingError, match=r"horizon = 0\.0, expected between the time step"):
+    with pytest.raises(SettingError, match=r"horizon = 0\.0"):
         run(done, [Job(fault=Drop(), onset=0.1, seed=0)], horizon=0.0)
     with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
         run(done, [Job(fault=Drop(targets=("elbow",)), onset=0.1, seed=0)])
     for setting in ("threads", "batch"):
         for wrong, expected in ((0, "at least 1"), (10**400, "at most")):
-            with pytest.raises(SettingError, match=rf"{setting} = .*, expected a whole number, {expected}"):
+            with pytest.raises(SettingError, match=rf"{setting} = .*{expected}"):
                 run(done, [Job(fault=Drop(), onset=0.1, seed=0)], **{setting: wrong})
     assert run(done, []) == []
 
@@ -187,7 +187,7 @@ def test_a_weld_lets_go_without_a_push():
 def test_horizons_are_checked(done, horizon):
     job = Job(fault=Drop(), onset=0.1, seed=0)
     for ask in (lambda: run(done, [job], horizon=horizon), lambda: list(steps(done, job, horizon=horizon))):
-        with pytest.raises(SettingError, match=r"horizon = .*between the time step of 0\.002 s and 200 s"):
+        with pytest.raises(SettingError, match=r"horizon = .*0\.002 s.*200 s"):
             ask()
 
 

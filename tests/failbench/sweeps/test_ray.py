@@ -66,7 +66,7 @@ def test_workers_and_nodes_may_die_while_they_work(nodes):
 def test_a_node_with_other_versions_is_an_error_that_says_so(nodes, monkeypatch):
     real = ray_executor.versions()
     monkeypatch.setattr(ray_executor, "versions", lambda: real | {"mujoco": "5.0"})
-    with pytest.raises(WorkerError, match=rf"a node has mujoco {real['mujoco']}, not 5\.0"):
+    with pytest.raises(WorkerError, match=rf"mujoco {real['mujoco']}.*5\.0"):
         list(RayExecutor(address=nodes.address).map(fake_work.Fake(), fake_work.chunks(2)))
 
 

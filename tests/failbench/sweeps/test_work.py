@@ -137,17 +137,17 @@ def test_a_fault_of_the_users_own(tmp_path):
     sweep = Sweep(motions=(PLANNED,), faults=(document,), rollouts=1, horizon=0.05).planned()
     (row,) = run_chunk(sweep, sweep.chunks[0])["rollouts"]
     assert (row["fault"], row["degree"]) == ("shiver", "minor")
-    with pytest.raises(FormatError, match=r"shiver\.py: has no fault 'Shake'; it has Shiver"):
+    with pytest.raises(FormatError, match=r"shiver\.py: .*'Shake'.*Shiver"):
         fault_of({"fault": f"{file}:Shake"})
 
 
 def test_execution_of_an_unplanned_motion_is_refused():
-    with pytest.raises(SettingError, match="trajectory of motion 'lift'"):
+    with pytest.raises(SettingError, match="'lift'"):
         execution_of(Sweep(motions=(PLANNED,), faults=(DROP,), rollouts=1), 0)
 
 
 def test_unknown_task_names_the_tasks():
-    with pytest.raises(UnknownNameError, match=r"unknown task of tabletop 'dance'; valid: .*lift_to_goal"):
+    with pytest.raises(UnknownNameError, match=r"'dance'.*lift_to_goal"):
         dataclasses.replace(PLANNED, task="dance").planned()
 
 
@@ -171,9 +171,9 @@ def test_senseless_sweeps_are_refused(change, message):
 
 
 def test_motion_needs_a_trajectory_or_a_way_to_plan_one():
-    with pytest.raises(SettingError, match="trajectory of motion 'a'"):
+    with pytest.raises(SettingError, match=r"trajectory.*'a'"):
         SweepMotion(name="a", scene="tabletop")
-    with pytest.raises(SettingError, match="task of motion 'a'"):
+    with pytest.raises(SettingError, match=r"task.*'a'"):
         SweepMotion(name="a", scene="tabletop", plan=PlanSettings())
 
 

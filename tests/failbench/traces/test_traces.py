@@ -83,9 +83,9 @@ def test_the_gripper_carries_what_it_holds():
 
 
 def test_what_is_sampled_is_checked():
-    with pytest.raises(SettingError, match="every = 0, expected a whole number, at least 1"):
+    with pytest.raises(SettingError, match="every = 0"):
         Sampling(every=0)
-    with pytest.raises(SettingError, match="images = 7, expected 0, or a multiple of every = 5"):
+    with pytest.raises(SettingError, match=r"images = 7.*every = 5"):
         Sampling(images=7)
 
 
@@ -157,9 +157,9 @@ def test_lerobots_form_has_what_version_3_says(dataset, tmp_path):
     assert tasks.iloc[0].name == "m, and then: gripper_failure (critical)" and tasks["task_index"].tolist() == [0]
     stats = json.loads((tmp_path / "l" / "meta" / "stats.json").read_text())
     assert stats["action"]["mean"] == pytest.approx(np.stack(data["action"]).mean(axis=0), rel=1e-5)
-    with pytest.raises(SettingError, match="a folder that does not exist yet"):
+    with pytest.raises(SettingError, match="exist"):
         write_lerobot(dataset, tmp_path / "l")
-    with pytest.raises(SettingError, match="every = 3, expected steps of"):
+    with pytest.raises(SettingError, match="every = 3"):
         write_lerobot(dataset, tmp_path / "k", every=3)
 
 
@@ -172,9 +172,9 @@ def test_the_command_writes_both(dataset, tmp_path, capsys):
 
 
 def test_numbers_that_there_are_not_are_refused(dataset, tmp_path):
-    with pytest.raises(SettingError, match="rollout = 3, expected between 0 and 2"):
+    with pytest.raises(SettingError, match=r"rollout = 3.*2"):
         write_traces(dataset, tmp_path / "x", rollouts=[3])
-    with pytest.raises(SettingError, match="at least one, each once"):
+    with pytest.raises(SettingError, match="once"):
         write_traces(dataset, tmp_path / "x", rollouts=[1, 1])
     with pytest.raises(FormatError, match=r"manifest\.json"):
         write_traces(tmp_path, tmp_path / "x")

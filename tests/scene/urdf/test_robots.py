@@ -50,7 +50,7 @@ def test_a_published_mjcf_arm_moves(name: str, joints: int, solved: int) -> None
 
 def test_a_published_fetch_moves_its_arm_at_a_table() -> None:
     file = _there(MJCF / "gymnasium_robotics" / "envs" / "assets" / "fetch" / "reach.xml")
-    with pytest.raises(SceneError, match=r"meshdir='../stls/fetch' is outside .* folder=DIR\) allows"):
+    with pytest.raises(SceneError, match=r"'../stls/fetch'.*folder=DIR"):
         gp.Scene.from_mjcf(file, robot="robot0:", tool="robot0:grip", velocity=[1.0] * 11, acceleration=[3.0] * 11)
     spec = mujoco.MjSpec.from_file(str(file))
     for k in range(3):  # its base stands still

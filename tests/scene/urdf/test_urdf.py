@@ -183,7 +183,7 @@ def test_packages_may_have_other_names_than_their_folders(tmp_path: Path) -> Non
 
 def test_limits_beyond_all_places_are_refused() -> None:
     text = ARM.replace('lower="0" upper="0.2"', 'lower="-1e308" upper="1e308"')
-    with pytest.raises(SceneError, match="limits of joint 'arm/reach' are -1e\\+308 and 1e\\+308"):
+    with pytest.raises(SceneError, match=r"'arm/reach'.*1e\+308"):
         gp.Scene.from_urdf(text, tool="tip", acceleration=4.0)
 
 
@@ -211,11 +211,11 @@ def test_collada_needs_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(__import__("sys").modules, "collada", None)
     with pytest.raises(UnsupportedError, match=r"\.\[urdf\]"):
         mesh_content(file)
-    with pytest.raises(UnsupportedError, match=r"\.stl, \.obj or \.dae"):
+    with pytest.raises(UnsupportedError, match=r"\.stl, \.obj.*\.dae"):
         (tmp_path / "a.fbx").write_text("")
         mesh_content(tmp_path / "a.fbx")
     (tmp_path / "b.stl").write_text("solid b\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\n")
-    with pytest.raises(SceneError, match="not an STL file"):
+    with pytest.raises(SceneError, match="STL"):
         mesh_content(tmp_path / "b.stl")
 
 
