@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from graceful_plan.compare.runs.planner_specs import PlannerSpec
-
 from benchmarks import suite
 from graceful_plan.compare import BestMotions, Run
 from graceful_plan.compare.problems.suite import ProblemSpec
 from graceful_plan.compare.runs import workers
+from graceful_plan.compare.runs.planner_specs import PlannerSpec
 from graceful_plan.compare.runs.runner import PlannerJob, warm_up
 
 W = 1.0

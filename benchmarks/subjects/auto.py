@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from graceful_plan.compare.runs.planner_specs import PlannerSpec
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
 from benchmarks.subjects.planners import references
 from graceful_plan.compare import Run
 from graceful_plan.compare.reports.summary import gap
+from graceful_plan.compare.runs.planner_specs import PlannerSpec
 from graceful_plan.compare.runs.runner import PlannerJob
 
 TITLE = "The default planner: gap to the best known over time"

@@ -1,8 +1,8 @@
 import pytest
 from bench_cases import own_planner
-from graceful_plan.compare.runs.planner_specs import PlannerImportError, read_planners
 
 import graceful_plan as gp
+from graceful_plan.compare.runs.planner_specs import PlannerImportError, read_planners
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 
