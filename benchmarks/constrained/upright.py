@@ -17,15 +17,15 @@ from graceful_plan.query.endpoints.endpoints import find_endpoints
 
 UPRIGHT = gp.Upright(float(np.deg2rad(15.0)))
 SEED = 14
-"""Of the problems."""
+"""Seed of the problems."""
 KINDS = tuple(motion_problems.KINDS)
-PER_KIND, KEPT = 16, 10
-"""Made of each kind, and of those whose ends are upright as many are kept of each kind."""
+SIZES, LONG_SIZES = (8, 4), (16, 10)
+"""Problems made per kind, and problems with upright ends used per kind, in normal and long runs."""
 PROJECTION, REJECTION, OMPL = "projection", "rejection", "OMPL"
 SECONDS = 1.0
 """Time limit of a plan and of a search."""
 SOON = 0.5
-"""When the gap is looked at [s]."""
+"""Time at which the gap is measured [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +34,8 @@ class UprightJob:
 
     Args:
         name: "scene/task" or "kind/number".
-        seeds: Number of seeds of everything that is quick.
-        long: Seconds of a long run.
+        seeds: Number of seeds of the short runs.
+        long: Duration of a long run [s].
         long_seeds: Number of long runs.
     """
 
@@ -47,14 +47,14 @@ class UprightJob:
 
 @dataclass(frozen=True, kw_only=True)
 class UprightFigures:
-    """What came of it; infinite without a path.
+    """Result for a problem; infinite without a path.
 
     Args:
         name: Of the problem.
-        objection: What start and goal lack, or why there is no way between them by construction; "" if nothing.
+        objection: Reason why start and goal cannot be upright or connected; otherwise "".
         statuses: Of every seed within `SECONDS`.
-        details: What those say that were not solved.
-        first: Seconds to the first path of every seed, by method.
+        details: Messages of unsolved runs.
+        first: Time to the first path of every seed [s], by method.
         soon: J of every seed after `SOON`.
         long: J of every long run.
     """
@@ -75,7 +75,7 @@ class UprightFigures:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Question:
-    """Where to plan from and to."""
+    """Scene, start and goal of a problem."""
 
     scene: gp.Scene
     start: np.ndarray
@@ -98,11 +98,11 @@ def _made(kind: str, count: int) -> Sequence[motion_problems.ProblemFile]:
 
 
 def names(options: suite.Options) -> dict[str, list[str]]:
-    """Names of what there is to examine, by group: "tasks", and each kind of problems with upright ends.
+    """Return the problems to examine, by group: "tasks", and each kind of problems with upright ends.
 
-    Kinds that reach from the front never end with the gripper upright, so that none of theirs are made.
+    Kinds that reach from the front never end with the gripper upright, so they are left out.
     """
-    made, kept = options.pick((PER_KIND, KEPT), quick=(2, 1))
+    made, kept = options.pick(SIZES, quick=(2, 1), long=LONG_SIZES)
     found = {"tasks": suite.task_names(options)}
     for kind in ("box", "table_pick"):
         asked = [Question(scene=p.scene, start=p.start, goal=p.goals) for p in _made(kind, made)]

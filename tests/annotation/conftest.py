@@ -1,7 +1,7 @@
 """What tests of annotations share."""
 
 import pytest
-from benchmarks.model_server import ModelServer, guesses
+from model_server import ModelServer, guesses
 
 import graceful_plan as gp
 

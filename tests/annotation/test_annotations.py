@@ -1,9 +1,9 @@
 import dataclasses
 
 import pytest
-from benchmarks.model_server import rows
 from hypothesis import given
 from hypothesis import strategies as st
+from model_server import rows
 
 import graceful_plan as gp
 from graceful_plan.annotation.agreement import compared, severity_row

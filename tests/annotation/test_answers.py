@@ -2,9 +2,9 @@ import json
 import math
 
 import pytest
-from benchmarks.model_server import rows
 from hypothesis import given
 from hypothesis import strategies as st
+from model_server import rows
 
 from graceful_plan.annotation.answers import read_answer
 from graceful_plan.exceptions import AnnotationError

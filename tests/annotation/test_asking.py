@@ -5,7 +5,7 @@ import struct
 import threading
 
 import pytest
-from benchmarks.model_server import asked_about, guesses, rows, said
+from model_server import asked_about, guesses, rows, said
 from places import ROOT
 
 import graceful_plan as gp

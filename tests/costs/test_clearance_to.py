@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pytest
-from benchmarks.clearance_twin import ClearanceTwin
+from clearance_twin import ClearanceTwin
 
 import graceful_plan as gp
 from graceful_plan.core.arrays import RobotArrays
@@ -29,6 +29,17 @@ _CART = """<mujoco model="cart"><worldbody>
 @pytest.fixture(scope="module")
 def scene() -> gp.Scene:
     return gp.load_scene("desk").tasks["bring_coffee"].scene
+
+
+def test_the_twin_of_the_clearance_agrees_with_the_kernels():
+    kernels = compile_scene(gp.load_scene("tabletop_l1").tasks["green_to_blue"].scene).kernels
+    twin = ClearanceTwin(kernels.robot, kernels.world)
+    q = np.random.default_rng(0).uniform(kernels.robot.lower, kernels.robot.upper, (60, kernels.nq))
+    distances = twin.distances(q)
+    np.testing.assert_allclose(distances.min(axis=1), kernels.clearance(q), atol=1e-5)
+    nearest = distances.argmin(axis=1)
+    assert np.any(nearest >= distances.shape[1] - twin.n_self) and np.any(nearest < distances.shape[1] - twin.n_self)
+    np.testing.assert_allclose(twin.distance(q, nearest), distances.min(axis=1), atol=1e-12)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from benchmarks.model_server import ModelServer, guesses, said
+from model_server import ModelServer, guesses, said
 
 from graceful_plan.annotation.annotations import Annotations
 from graceful_plan.tools import cli

@@ -7,7 +7,7 @@ from pathlib import Path
 import fake_work
 import pytest
 import yaml
-from benchmarks.kill_sweep import Trial
+from kill_sweep import Trial
 from places import SUPPORT
 
 from failbench.basics.chunks import attempt
