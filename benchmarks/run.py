@@ -172,7 +172,8 @@ def _git(*words: str) -> str | None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subjects", nargs="*", choices=SUBJECTS, metavar="subject", help=", ".join(SUBJECTS))
+    # No `choices`: with them, Python 3.11 refuses an empty list.
+    parser.add_argument("subjects", nargs="*", type=_subject, metavar="subject", help=", ".join(SUBJECTS))
     parser.add_argument("--quick", action="store_true", help="small sizes: only checks that the benchmark runs")
     parser.add_argument("--long", action="store_true", help="large sizes, hours in all; see benchmarks/README.md")
     parser.add_argument("--write", action="store_true", help="write results/SUBJECT.md and its row of the index")
@@ -190,6 +191,12 @@ def _parser() -> argparse.ArgumentParser:
     own.add_argument("--mixed", type=int, metavar="N", help="mixed failures per motion")
     own.add_argument("--weights", type=float, nargs="+", metavar="W", help="weights of the impact models")
     return parser
+
+
+def _subject(name: str) -> str:
+    if name not in SUBJECTS:
+        raise argparse.ArgumentTypeError(f"{name!r} is no benchmark; choose from {', '.join(SUBJECTS)}")
+    return name
 
 
 if __name__ == "__main__":

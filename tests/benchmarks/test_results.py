@@ -122,6 +122,12 @@ def test_quick_results_are_not_written(capsys):
     assert "--quick" in capsys.readouterr().err
 
 
+def test_unknown_subjects_are_refused(capsys):
+    with pytest.raises(SystemExit):
+        runner.main(["roadmap"])
+    assert "'roadmap' is no benchmark" in capsys.readouterr().err
+
+
 # --- stale results ----------------------------------------------------------------------------------------------------
 
 
@@ -155,3 +161,9 @@ def test_results_are_stale_once_their_paths_change(tmp_path, monkeypatch):
     assert list(runner.stale()) == [("safety", f"1 files changed since {commit}, such as measured.py")]
     report.file_of("safety").write_text("- Commit: `0123abcd`\n")
     assert list(runner.stale()) == [("safety", "commit 0123abcd is not in this repository")]
+
+
+def test_stale_results_are_listed_without_a_failure(capsys, monkeypatch):
+    monkeypatch.setattr(runner, "stale", lambda: iter([("safety", "no results")]))
+    assert runner.main(["--stale"]) == 0
+    assert capsys.readouterr().out == "safety: no results\n"
