@@ -29,7 +29,7 @@ included.
 def run(options: suite.Options) -> str:
     """Run the default planner alone, then all planners; better motions than the best known are stored."""
     seeds = 1
-    limit, default_seeds = options.pick((1.0, 4), quick=(1.0, 2), long=(5.0, 10))
+    limit, default_seeds = options.pick((1.0, 4), quick=(0.3, 1), long=(5.0, 10))
     limit = options.seconds or limit
     tasks = suite.task_names(options)
     jobs = [
