@@ -156,7 +156,7 @@ def stale() -> Iterator[tuple[str, str]]:
 
 
 def _commit(paths: tuple[str, ...]) -> str:
-    """Return the current commit, with a plus if one of the paths has uncommitted changes; "unknown" without git."""
+    """Return the current commit, with a plus if the paths have uncommitted changes; "unknown" without git."""
     commit, changed = _git("rev-parse", "--short=8", "HEAD"), _git("status", "--porcelain", "--", *paths)
     return "unknown" if commit is None else f"{commit}+" if changed else commit
 

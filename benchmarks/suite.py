@@ -67,7 +67,7 @@ class Options:
 
 @cache
 def scene(name: str) -> gp.Scene:
-    """Load a bundled scene, or one of `unseen/` or `vessels/`, once per process."""
+    """Load a bundled scene, or a scene of `unseen/` or `vessels/`, once per process."""
     own = [folder / f"{name}.yaml" for folder in (UNSEEN, VESSELS) if (folder / f"{name}.yaml").exists()]
     return gp.load_scene(own[0] if own else name)
 

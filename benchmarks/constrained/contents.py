@@ -134,7 +134,7 @@ def _carried_out(known: Kept, result: gp.PlanResult, scene: gp.Scene) -> Kept:
 
 
 def filled_scene(task: gp.Task, fill: float) -> gp.Scene:
-    """Return the scene of a task with its vessel filled to a share of what it holds."""
+    """Return the scene of a task with its vessel filled to a share of its volume."""
     scene = task.scene
     assert scene.contents is not None and task.object_name is not None
     vessel = _vessel(scene)

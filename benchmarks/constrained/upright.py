@@ -1,4 +1,4 @@
-"""Planning with what is carried, or the gripper, upright: bundled tasks and problems of the MotionBenchMaker type."""
+"""Planning with the carried object or the gripper upright: bundled tasks and problems of the MotionBenchMaker type."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class UprightFigures:
     """Result for a problem; infinite without a path.
 
     Args:
-        name: Of the problem.
+        name: Name of the problem.
         objection: Reason why start and goal cannot be upright or connected; otherwise "".
-        statuses: Of every seed within `SECONDS`.
+        statuses: Status of every seed within `SECONDS`.
         details: Messages of unsolved runs.
         first: Time to the first path of every seed [s], by method.
         soon: J of every seed after `SOON`.
@@ -112,7 +112,7 @@ def names(options: suite.Options) -> dict[str, list[str]]:
 
 
 def objection(asked: Question) -> str:
-    """Say what start and goal lack."""
+    """Return the reason why start and goal cannot be upright or connected; otherwise ""."""
     held = SceneConstraints(asked.scene, [UPRIGHT])
     at_start = [f"start: {told}" for told in held.objections(asked.start)]
     at_goals = [held.objections(q) for q in np.atleast_2d(asked.goal)]
@@ -120,7 +120,7 @@ def objection(asked: Question) -> str:
 
 
 def examine(job: UprightJob) -> UprightFigures:
-    """Examine one problem; its scene is compiled and everything was run once before anything is timed."""
+    """Examine one problem, with a compiled scene and after a warm-up."""
     asked = question(job.name)
     held = SceneConstraints(asked.scene, [UPRIGHT])
     lacking = objection(asked)
@@ -148,7 +148,7 @@ def examine(job: UprightJob) -> UprightFigures:
 
 
 def first_paths(problem: SceneProblem, scene: gp.Scene, seeds: int) -> dict[str, tuple[float, ...]]:
-    """Return the seconds to the first path of every seed, by method."""
+    """Return the time to the first path of every seed [s], by method."""
     objective = gp.Objective(w=0.0).bind(scene)
 
     def search(method: str, seed: int) -> float:

@@ -39,7 +39,7 @@ class Found(NamedTuple):
 
 
 def less(done: Headline, label: str, kind: str, *, per: str, own_loss: bool = True) -> float:
-    """Return harm at w = 0 over harm of a motion; NaN if one of them was not simulated.
+    """Return harm at w = 0 over harm of a motion; NaN if either was not simulated.
 
     Args:
         done: The task.
@@ -118,7 +118,7 @@ def typical_less(heads: Sequence[Headline], label: str, kind: str, per: str, *, 
 
 
 class OfFault(NamedTuple):
-    """Harm of one of the mixed faults in a group of tasks."""
+    """Harm of one fault among the mixed ones in a group of tasks."""
 
     fault: str
     share: float

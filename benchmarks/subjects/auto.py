@@ -15,7 +15,7 @@ from graceful_plan.compare.runs.planner_notes import PlannerNote
 from graceful_plan.compare.runs.runner import PlannerJob
 
 TITLE = "The default planner: gap to the best known over time"
-QUESTION = "How close to the best-known cost is the default planner over time, and what do its parts contribute?"
+QUESTION = "How close to the best-known cost is the default planner over time, and how much do its parts contribute?"
 HEADLINE = "median gap, time_limit=0.3"
 DEPENDS_ON = (*suite.PLANNING, "benchmarks/planning.py", "benchmarks/best_known")
 OTHERS = ("rrt_star", "informed_rrt_star", "bit_star")

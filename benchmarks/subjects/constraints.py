@@ -19,7 +19,7 @@ from benchmarks.constrained.upright import OMPL, PROJECTION, REJECTION, UprightF
 from benchmarks.store import read_lines
 
 TITLE = "Constraints: what is carried is kept, and planning upright"
-QUESTION = "Do carried vessels keep their contents, do the fingers hold the object, and what does that cost?"
+QUESTION = "Do carried vessels keep their contents and fingers their object, and how much longer are these motions?"
 HEADLINE = "healthy motions that lose more than 1 % by FailBench"
 DEPENDS_ON = (
     *suite.PLANNING,

@@ -15,7 +15,7 @@ Array = np.ndarray
 
 TITLE = "Robots that drive: bundled tasks, first motions, durations and what w changes"
 QUESTION = (
-    "How fast are motions of mobile robots planned, how long do they take, and what does the safety weight change?"
+    "How fast are motions of mobile robots planned, how long are they, and how much does w reduce impact?"
 )
 HEADLINE = "predicted impact"
 DEPENDS_ON = (*suite.PLANNING, "src/graceful_plan/mobile")

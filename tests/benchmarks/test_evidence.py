@@ -1,4 +1,4 @@
-"""The benchmarks of FailBench measure what they claim."""
+"""Reference implementations in the benchmarks of FailBench."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""What `prevention` says of motions: costs of common sense, curves of harm, records that are kept, tables."""
+"""Parts of `prevention`: simple costs, curves of harm, stored lines, tables."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_only_what_is_left_is_done(tmp_path):
     names = {"bundled": ["desk/bring_coffee", "desk/water_plant", "desk/put_book_away"]}
     heads, curves = tmp_path / "heads.jsonl", tmp_path / "curves.jsonl"
     assert len(work.headline_jobs(names, heads, job)) == 3
-    assert work.curve_jobs(names, heads, curves, sizes) == []  # what holds the objects is not known
+    assert work.curve_jobs(names, heads, curves, sizes) == []  # the grasp is not known
     lost = head("desk/water_plant", **{NONE: Motion(w=0.0, refused="slips")})
     heads.write_text(store.line(head()) + store.line(lost))
     assert [job.task for job in work.headline_jobs(names, heads, job)] == ["desk/put_book_away"]

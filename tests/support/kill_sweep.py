@@ -52,7 +52,7 @@ class Trial:
         sweep = Sweep(motions=(motion,), faults=documents, rollouts=rollouts, horizon=horizon)
         self.total = rollouts * len(FAULTS)
         self.file = folder / "sweep.json"
-        # Planned here, because planning is not what is tried.
+        # Planned here, because planning is not under test.
         self.file.write_text(json.dumps(sweep.planned().to_document()))
         started = time.monotonic()
         assert self._start("peace").wait() == 0

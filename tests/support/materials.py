@@ -16,12 +16,12 @@ from failbench.recording.closeup import Closeup
 
 GRAVITY = 9.81
 HEIGHTS = (0.1, 0.3, 0.8)
-"""From where the sphere falls [m]; what is asked for is asked for at the second."""
+"""Heights of the fall [m]; the asked restitution is that at the second."""
 RADIUS = 0.035
 """Of the sphere and of the cylinder [m]: that of a bottle."""
 _SPEED, _SECONDS = 0.5, 1.0
 _SUNK = 0.002
-"""Things are placed without touching; this far below [m], they touch what they stand on."""
+"""Lowering by which objects touch their support [m]."""
 _SOLID = 1.5
 """Inertia of a rolling solid cylinder over that of one that slides."""
 
@@ -62,7 +62,7 @@ class Measured(NamedTuple):
 
 
 def measure(scene: str, material: str, *, on: str = "wood") -> Measured:
-    """Drop a sphere and roll a cylinder of one of a scene's materials on another."""
+    """Drop a sphere and roll a cylinder of a scene's material on another material."""
     spec = suite.scene(scene).spec
     sphere, cylinder = (_model(spec, material, on, kind) for kind in ("SPHERE", "CYLINDER"))
     return Measured(tuple(restitution(sphere, height) for height in HEIGHTS), rolling(cylinder))
@@ -108,7 +108,7 @@ def rolling(model: mujoco.MjModel) -> float:
         mujoco.mj_step(model, data)
         places[i] = data.qpos[0]
     times = model.opt.timestep * np.arange(len(places))
-    settled = (times > 0.1) & (np.gradient(places, times) > 0.02)  # what has stopped does not slow down any more
+    settled = (times > 0.1) & (np.gradient(places, times) > 0.02)  # a stopped body does not slow down
     slowing = -2.0 * np.polyfit(times[settled], places[settled], 2)[0]
     return float(_SOLID * slowing * RADIUS / GRAVITY)
 
