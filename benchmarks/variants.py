@@ -382,8 +382,6 @@ def _end(scene: gp.Scene, q: Array, task: gp.Task, rng: np.random.Generator) -> 
         near = np.clip(q + rng.normal(scale=spread, size=len(q)), low + 0.02, high - 0.02)
         if room > 0.0 and float(gp.clearance(scene, near)) >= room:
             return tuple(near.round(4).tolist())
-        if (
-            room <= 0.0 and gp.clearance(scene, near) >= _ROOM
-        ):  # here the object is held in the air
+        if room <= 0.0 and gp.clearance(scene, near) >= _ROOM:  # here the object is held in the air
             return tuple(near.round(4).tolist())
     raise SceneError(f"an end of {task.name!r} is not free")

@@ -14,9 +14,7 @@ from benchmarks import report, suite
 Array = np.ndarray
 
 TITLE = "Robots that drive: bundled tasks, first motions, durations and what w changes"
-QUESTION = (
-    "How fast are motions of mobile robots planned, how long are they, and how much does w reduce impact?"
-)
+QUESTION = "How fast are motions of mobile robots planned, how long are they, and how much does w reduce impact?"
 HEADLINE = "predicted impact"
 DEPENDS_ON = (*suite.PLANNING, "src/graceful_plan/mobile")
 LIMITS = (0.5, 1.0, 2.0, 5.0)

@@ -3,7 +3,6 @@ import dataclasses
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from model_server import rows
 
 import graceful_plan as gp
 from graceful_plan.annotation.agreement import compared, severity_row
@@ -12,6 +11,7 @@ from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.scene.elements import Liquid
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.harm.severity import SeverityTable
+from support.annotation.model_server import rows
 
 TABLE = SeverityTable.shipped()
 

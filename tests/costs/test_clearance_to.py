@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pytest
-from clearance_twin import ClearanceTwin
 
 import graceful_plan as gp
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.testing import check_cost
+from support.costs.clearance_twin import ClearanceTwin
 
 _ROUNDING = 2e-6  # [m]; the kernels compute distances in single precision
 _FARTHEST = 10.0  # [m]; of pairs that MuJoCo measures

@@ -2,7 +2,6 @@
 
 import re
 
-import materials
 import mujoco
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from places import ROOT
 
 import failbench
 from benchmarks import suite
+from support.scenes import materials
 
 SCENES = ("desk", "dining_table", "kitchen_counter")
 EACH = [(scene, name) for scene in SCENES for name in materials.of(scene)]

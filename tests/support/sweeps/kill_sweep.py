@@ -18,13 +18,12 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from ray_nodes import RayNodes
-
 from failbench.fault.registry import faults, to_document
 from failbench.sweeps.dataset import read_dataset
 from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.sweep import JOURNAL
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
+from support.sweeps.ray_nodes import RayNodes
 
 FAULTS = ("gripper_failure", "loose_joint", "noise", "power_loss")
 """One of each category."""
