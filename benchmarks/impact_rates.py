@@ -83,8 +83,8 @@ def _rates(task: gp.Task, n: int) -> Rates:
     drop = drop_kernel(scene, DropSettings.shipped())
     both = np.ones((len(ROWS), every))
     only = both * (np.arange(len(ROWS)) == 0)[:, None]
-    alone = gp.Footprint().kernel(scene, severity * falls, search_paces())
-    mixture = gp.Footprint(faults="service_robot").kernel(scene, severity, search_paces())
+    alone = gp.FailureMixture().kernel(scene, severity * falls, search_paces())
+    mixture = gp.FailureMixture(faults="service_robot").kernel(scene, severity, search_paces())
     assert alone is not None and mixture is not None
     samples = np.ceil(1.0 / COST_STEP) + 1.0
     along = n * samples * every / _seconds(lambda: alone.edges(q, ahead))
@@ -104,7 +104,7 @@ def _times_of_task(task: gp.Task, rng: np.random.Generator) -> Rates:
     names, entities = task.scene.components, task.scene.entities.values()
     severity = np.array([[entity.severity[name] for entity in entities] for name in names])
     drop, mixture = (
-        gp.Footprint(faults=faults).kernel(task.scene, severity, search_paces())
+        gp.FailureMixture(faults=faults).kernel(task.scene, severity, search_paces())
         for faults in ("drop_only", "service_robot")
     )
     limits, way = task.scene.limits, task.goal[0] - task.start

@@ -55,7 +55,7 @@ def test_everything_stays_where_it_stands(name: str) -> None:
     scene, world = task.scene, fb.build_world(task.scene)
     execution = fb.execute(gp.Path(np.stack([task.start, task.start + 1e-3])), world)
     jobs = [fb.Job(fault=StuckGripper(closed=True), onset=0.0, seed=0)]  # nothing else happens then
-    (rollout,) = fb.run(execution, jobs)
+    (rollout,) = fb.run_rollouts(execution, jobs)
     for entity, body in world.movable.items():
         home = scene.home_qpos[scene.model.jnt_qposadr[scene.model.body_jntadr[body]] :][:3]
         assert np.abs(rollout.poses[entity][4:] - home).max() < _SETTLES, entity

@@ -12,7 +12,7 @@ import numpy as np
 import failbench
 from benchmarks import suite
 from failbench import SimSettings
-from failbench.recording.closeup import Closeup
+from failbench.recording.contact_query import ContactQuery
 
 GRAVITY = 9.81
 HEIGHTS = (0.1, 0.3, 0.8)
@@ -158,7 +158,7 @@ def alone(world: failbench.World, body: int) -> mujoco.MjModel:
 
 def _support(world: failbench.World, body: int) -> int:
     """Return the geom that a body stands on."""
-    closeup, qpos = Closeup(world), np.array(world.scene.home_qpos)
+    closeup, qpos = ContactQuery(world), np.array(world.scene.home_qpos)
     qpos[world.model.jnt_qposadr[world.model.body_jntadr[body]] + 2] -= _SUNK
     closeup.place(qpos, np.zeros(world.model.nv))
     contact = closeup.data.contact

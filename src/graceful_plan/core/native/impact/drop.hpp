@@ -346,10 +346,10 @@ struct Sweep {
 };
 
 // P that the object hits the side in its way before it lands (step 0).
-struct Brunt {
+struct SideImpact {
   D before, value;
 
-  Brunt(const Flight& flight, const Landing& landing) {
+  SideImpact(const Flight& flight, const Landing& landing) {
     before = value = D{};
     if (!any(flight.stop.chance > 0.0)) return;
     before = Step((landing.mean_time - flight.stop.time) * (1.0 / kSideLate)).value;

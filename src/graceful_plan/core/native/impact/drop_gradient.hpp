@@ -218,7 +218,7 @@ static inline void back_sweep(Backward& back, const Sweep& sweep, const SweepSlo
 }
 
 // P that the object hits the side in its way; returns the derivative with respect to P of landing at all.
-static inline D back_brunt(Backward& back, const Brunt& brunt, D d) {
+static inline D back_brunt(Backward& back, const SideImpact& brunt, D d) {
   const SideStop& stop = back.flight.stop;
   const D landed = back.landing.landed;
   back.d_flight.stop.chance += d * (1.0 - landed * (1.0 - brunt.before));

@@ -22,7 +22,7 @@ static inline void for_each_hit(const DropTables& drop, const Flight& flight, co
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   const Leaving leaving(drop, landing);
-  const Brunt brunt(flight, landing);
+  const SideImpact brunt(flight, landing);
   D lower = landing.landed;
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop);
@@ -45,7 +45,7 @@ static inline D carried_probability(const DropTables& drop, const Flight& flight
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   const Leaving leaving(drop, landing);
-  const Brunt brunt(flight, landing);
+  const SideImpact brunt(flight, landing);
   D lower = landing.landed;  // sum of F over this level and all lower ones
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
@@ -150,7 +150,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   const Leaving leaving(drop, landing);
-  const Brunt brunt(flight, landing);
+  const SideImpact brunt(flight, landing);
   D G[kMaxSurfaces], H[kMaxSurfaces], hit[kMaxSurfaces], lower[kMaxSurfaces], mass[kMaxSurfaces], P[kMaxEntities];
   Point2 drift[kMaxSurfaces];
   const bool own = own_matters(drop, severity);

@@ -208,11 +208,11 @@ struct Extents {
 };
 
 // How the object hits that side of a surface across its axis i towards which it flies.
-struct SideMeeting {
+struct SideApproach {
   D gap, speed, time;
   D across, half, inverse_width, falls, height;  // computed by detail() if a hit is possible
 
-  SideMeeting(const Surface& s, const Extents& extents, int i, const D at[2], const D v[2]) {
+  SideApproach(const Surface& s, const Extents& extents, int i, const D at[2], const D v[2]) {
     gap = where(v[i] < 0.0, at[i] + extents.low[i], -at[i] - extents.high[i]) - s.half[i];
     speed = maximum(absolute(v[i]), D{} + kSideSlow);
     time = relu(gap) * reciprocal(speed);
@@ -266,7 +266,7 @@ static inline void find_stop(const DropTables& drop, Flight& flight) {
     if (!any(comes(0) | comes(1))) continue;
     extents.turn_to(drop, flight, s);
     for (int i = 0; i < 2; ++i) {
-      SideMeeting meeting(s, extents, i, at, v);
+      SideApproach meeting(s, extents, i, at, v);
       const auto may = meeting.in_time(end);
       if (!any(may)) continue;
       meeting.detail(drop, flight, s, extents, i, at, v);

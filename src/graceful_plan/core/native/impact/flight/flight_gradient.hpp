@@ -18,7 +18,7 @@ static inline void back_meeting(Backward& back, const Extents& extents, int surf
   const Surface& s = drop.surface[surface];
   const Point2 from = placed(s, flight.c.x, flight.c.y), by = turned(s, flight.v.x, flight.v.y);
   const D at[2] = {from.x, from.y}, v[2] = {by.x, by.y};
-  SideMeeting m(s, extents, i, at, v);
+  SideApproach m(s, extents, i, at, v);
   m.detail(drop, flight, s, extents, i, at, v);
   const Step front = m.in_front(), beside = m.beside(), under = m.below(s), over = m.above(flight, s),
              moves = m.moves(v[i]);
