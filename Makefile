@@ -14,7 +14,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo picture sheet films gallery test test-long test-robots test-policies test-viewer fuzz mutants audit lint docs bench wheel \
-  release lock clean
+  release lock clean bench-stale
 .DELETE_ON_ERROR:
 
 help:
@@ -29,7 +29,8 @@ help:
 	@echo "make audit  check dependencies for known vulnerabilities; needs the network"
 	@echo "make lint   check style and types"
 	@echo "make docs   build the site into site/; every warning is an error"
-	@echo "make bench  run the benchmarks"
+	@echo "make bench  run the benchmarks, about 75 minutes"
+	@echo "make bench-stale  list benchmark results that are older than the code they measure"
 	@echo "make wheel  build a wheel into dist/"
 	@echo "make release  build source distribution and wheel of the last commit twice and compare the bytes"
 	@echo "make lock   update requirements/*.txt"
@@ -99,6 +100,9 @@ docs: $(VENV)/.docs
 
 bench: $(VENV)/.package
 	$(BIN)/python benchmarks/run.py $(ARGS)
+
+bench-stale: $(VENV)/.package
+	$(BIN)/python benchmarks/run.py --stale
 
 wheel: $(VENV)/.build
 	$(PIP) wheel -q --no-deps --no-build-isolation --wheel-dir dist .

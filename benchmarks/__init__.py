@@ -1,1 +1,1 @@
-"""Benchmarks: one runner, one module a subject, results in RESULTS.md. The library never imports this."""
+"""Benchmarks: one runner, one module per subject, one file per subject in results/. The library never imports this."""

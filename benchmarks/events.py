@@ -1,4 +1,4 @@
-"""Events of failures in scenes that calibration never saw: what was predicted of them, and whether they happened."""
+"""Events of failures in scenes that calibration has not seen, with predictions and observations."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from failbench.calibrations.failures import Failures
 Array = np.ndarray
 
 BINS = 20
-"""Of equally many events, or of equally many predicted hits."""
+"""Number of bins, of equal counts of events or of predicted hits."""
 FIGURES = ("events", "hits", "skill", "AUC", "ECE", "ratio", "log loss")
-"""What `Events.figures` returns."""
+"""Names of the cells that `Events.figures` returns."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Events:
-    """Events, one a row.
+    """Events, one per row.
 
     | field     | meaning                                             |
     |-----------|-----------------------------------------------------|
     | scene     | name of the scene                                   |
     | motion    | number of the motion                                |
-    | happened  | whether it came to a contact                        |
+    | happened  | whether a contact happened                          |
     | predicted | probability of a contact, by model                  |
-    | severity  | of the contact, where it is asked for               |
-    | labels    | what else they are told apart by, by name           |
+    | severity  | of the contact, if needed                           |
+    | labels    | other classes of events, by name                    |
     """
 
     scene: Array
@@ -43,7 +43,7 @@ class Events:
     labels: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
 
     def only(self, chosen: Array) -> Events:
-        """Return some of them."""
+        """Return the chosen events."""
         predicted = {name: p[chosen] for name, p in self.predicted.items()}
         severity = self.severity[chosen] if len(self.severity) else self.severity
         return Events(
@@ -56,7 +56,7 @@ class Events:
         )
 
     def figures(self, model: str) -> Sequence[object]:
-        """Return how well a model predicts them, as cells of a table."""
+        """Return figures of a model's predictions, as cells of a table."""
         if not self.happened.any():
             return (len(self.happened), 0, *["-"] * 5)
         p = np.clip(self.predicted[model], 0.0, 1.0)
@@ -66,7 +66,7 @@ class Events:
 
 
 def fail(jobs: Sequence[FailureJob], options: suite.Options) -> tuple[list[Failures], list[str]]:
-    """Let robots fail; return the failures in the order of their jobs, and why some motions have none."""
+    """Simulate failures; return them in job order, and the reasons of motions without failures."""
     outcomes = dict(suite.spread(_numbered, list(enumerate(jobs)), options.processes, "motions"))
     ordered = [outcomes[i] for i in range(len(jobs))]
     return [x for x in ordered if isinstance(x, Failures)], [x for x in ordered if isinstance(x, str)]

@@ -1,4 +1,4 @@
-"""Whether there is a path at all: OMPL's RRT-Connect with exact geometry, in the time that it is given."""
+"""Existence of a path: OMPL's RRT-Connect with exact geometry, within a time limit."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from graceful_plan.judge.exact import Judge
 Array = np.ndarray
 
 _STEP = 0.03
-"""Between the configurations of an edge that are looked at [rad or m]."""
+"""Distance between checked configurations of an edge [rad or m]."""
 
 
 def finds_path(start: Array, goal: Array, scene: gp.Scene, seconds: float, seed: int = 1) -> bool:
-    """Tell whether OMPL's RRT-Connect, which asks exact geometry alone, connects two configurations.
+    """Whether OMPL's RRT-Connect connects two configurations, with exact geometry only.
 
     Args:
-        start: Of the planned joints.
-        goal: The same.
-        scene: Where.
-        seconds: For the search.
-        seed: Of OMPL's random numbers; above 0.
+        start: Configuration of the planned joints.
+        goal: Configuration of the planned joints.
+        scene: The scene.
+        seconds: Time limit of the search [s].
+        seed: Seed of OMPL, > 0.
     """
     judge, n = Judge(scene), len(start)
     ou.setLogLevel(ou.LOG_NONE)

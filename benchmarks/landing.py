@@ -1,8 +1,8 @@
-"""Algorithm 1 of the paper, moved to where ballistics takes the object: the least that speed and height can change.
+"""Algorithm 1 of the paper at the ballistic landing point of the object, to account for speed and height.
 
-For each geom of an entity, the carried object's boxes are moved as far as its centre of mass flies until the lowest of
-them is as low as that geom's top. Everything else is as printed, the comparison of heights at the release included: see
-`graceful_plan.judge.reference_cost`.
+For each geom of an entity, the boxes of the carried object move along the flight of its centre of mass until the lowest
+box is at the height of that geom's top. Everything else is as in the paper, including the comparison of heights at the
+release: see `graceful_plan.judge.reference_cost`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ Array = np.ndarray
 
 GRAVITY = 9.81
 _AHEAD = 1e-5
-"""Time over which velocities are measured [s]."""
+"""Time step of the finite difference of velocities [s]."""
 
 
 def landed_probability(scene: gp.Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, "n entity"]:
     """Return P(the carried object hits the entity) by Algorithm 1 at the landing point.
 
     Args:
-        scene: With an object in the gripper.
+        scene: Scene with an object in the gripper.
         q: Configurations at the release.
-        qd: Velocities there.
+        qd: Velocities at the release.
     """
     parts = list(scene.components["carried"].geoms)
     low, high, velocity = _object(scene, parts, q, qd)

@@ -1,7 +1,7 @@
-"""A six-axis arm whose links are convex meshes, and its twin of capsules: what meshes cost beside primitives.
+"""A six-axis arm whose links are convex meshes, and the same arm of capsules, to compare meshes with primitives.
 
-Sizes are those of a mid-sized industrial arm; the meshes are convex hulls of seeded random points, two of them to a
-link, with some 200 faces each, as simplified collision meshes have.
+Sizes are those of a mid-sized industrial arm; the meshes are convex hulls of seeded random points, two per link with
+about 200 faces each, as in simplified collision meshes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 import graceful_plan as gp
 
 _POINTS = 400
-"""From which each hull is made."""
+"""Number of points per hull."""
 _LINKS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, float], str, tuple[float, float, float]], ...]
 _LINKS = (
     ("shoulder", (0.075, 0.075, 0.09), (0.0, 0.0, 0.16), "0 0 1", (0.0, 0.0, 0.0)),
@@ -21,7 +21,7 @@ _LINKS = (
     ("wrist2", (0.05, 0.05, 0.06), (0.0, 0.11, 0.0), "0 0 1", (0.0, 0.0, 0.09)),
     ("wrist3", (0.04, 0.04, 0.03), (0.0, 0.0, 0.095), "0 1 0", (0.0, 0.08, 0.0)),
 )
-"""Name, half of the size, position on the parent, axis, centre of the geoms [m]."""
+"""Name, half size, position on the parent, axis, centre of the geoms [m]."""
 READY = (0.0, -1.2, 1.5, -0.3, 0.0, 0.0)
 START, GOAL = (-0.9, -1.0, 1.2, 0.2, 0.3, 0.0), (0.9, -1.1, 1.4, 0.1, -0.3, 0.5)
 
@@ -64,7 +64,7 @@ def mesh_arm(*, capsules: bool = False) -> gp.Scene:
 
 
 def _points(half: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw points on something between an ellipsoid and a box."""
+    """Draw points on a surface between an ellipsoid and a box."""
     points = rng.normal(size=(_POINTS, 3))
     points /= np.abs(points) ** 0.5 + 0.3
     points /= np.linalg.norm(points, axis=1, keepdims=True) ** 0.6

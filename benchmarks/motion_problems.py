@@ -1,11 +1,10 @@
-"""Make problems of the MotionBenchMaker type: a Panda that reaches into furniture, everything of it seeded.
+"""Generate problems of the MotionBenchMaker type, from a seed: a Panda that reaches into furniture.
 
-Seven kinds after the published description, with sizes of our own: three bookshelves, an open box, a cage, a table from
-above and from below. The furniture is turned about the base and shifted, targets are shifted on their boards, and the
-hand reaches for one of them from a direction with some tilt. The motion starts at the ready pose or at another such
-reach, and ends in one configuration, as theirs do. Like theirs, a problem is only kept if a planner solves it, given
-far more time than anybody has later. The files are in robometrics' YAML, so that they go through the reader as others
-do.
+Seven kinds follow the published description, with other sizes: three bookshelves, an open box, a cage, a table from
+above and from below. The furniture is rotated about the base and shifted, targets are shifted on their boards, and the
+hand reaches for a target with a random tilt. The motion starts at the ready pose or at another such reach and ends in
+one configuration. As in the original set, a problem is only kept if a planner solves it in a long time. The files are
+in robometrics' YAML, so the usual reader loads them.
 
 References:
     Chamzas et al., "MotionBenchMaker: a tool to generate and benchmark motion planning datasets", RA-L 2022.
@@ -33,35 +32,35 @@ Array = np.ndarray
 
 READY = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
 BOARD = 0.02
-"""Half of what boards measure across [m]."""
+"""Half of the thickness of boards [m]."""
 SOLVABLE_WITHIN = 10.0
-"""Seconds for the planner that decides whether a problem can be solved."""
+"""Time limit of the planner that decides whether a problem is kept [s]."""
 _CLEARANCE = 0.003
-"""Clearance of starts and goals [m], so that no ways out of tight places are part of what is measured."""
+"""Clearance of starts and goals [m], so that no problem begins or ends in a tight place."""
 _HAND = 0.1034
 """Distance of the tool from the hand's origin [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grip:
-    """A place to reach for: the tool's position, and directions that it may come from, all in the furniture's frame."""
+    """A target: position of the tool and directions of approach, in the furniture's frame."""
 
     position: tuple[float, float, float]
     approach: tuple[float, float, float]
-    """Where the tool's z axis points, before it is tilted."""
+    """Directions of the tool's z axis before tilting."""
     tilt: float = 0.25
-    """Largest angle by which it is tilted [rad]."""
+    """Largest tilt [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Furniture:
-    """Boxes and cylinders, and what to reach for."""
+    """Boxes, cylinders and targets."""
 
     shapes: tuple[tuple[str, str, tuple[float, ...], tuple[float, float, float]], ...]
     """Name, kind, size as in `Obstacle`, position."""
     reaches: tuple[Grip, ...]
     place: tuple[float, float, float]
-    """Where the furniture's origin is while it is not turned or shifted [m]."""
+    """Origin of the furniture before rotation and shift [m]."""
     turn: float
     """Largest angle about the robot's base [rad]."""
     shift: tuple[float, float, float] = (0.08, 0.08, 0.08)
@@ -112,7 +111,7 @@ def bookshelf_thin(rng: np.random.Generator) -> Furniture:
 def _open_box(
     rng: np.random.Generator, half: float, height: float, front: tuple[tuple[float, float], ...], lid: bool
 ) -> Furniture:
-    """Bottom, three walls, something in front and above; a can on the bottom."""
+    """Bottom, three walls, obstacles in front and above; a can on the bottom."""
     walls: list[Any] = [
         ("bottom", "box", (half, half, BOARD), (0.0, 0.0, 0.0)),
         ("left", "box", (half, BOARD, 0.5 * height), (0.0, half, 0.5 * height)),
@@ -160,7 +159,7 @@ def _table(rng: np.random.Generator, height: float) -> list[Any]:
 
 
 def table_pick(rng: np.random.Generator) -> Furniture:
-    """Cans and boxes on a table, one of them to be taken from above."""
+    """Cans and boxes on a table; the target is reached from above."""
     height = 0.2
     shapes, reaches = _table(rng, height), []
     places = [(x, y) for x in (-0.16, 0.0, 0.16) for y in (-0.3, -0.1, 0.1, 0.3)]
@@ -203,7 +202,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Furniture]] = {
 
 
 def make(kind: str, count: int, seed: int) -> list[ProblemFile]:
-    """Make problems of one kind; which ones depends on the kind and the seed alone."""
+    """Generate problems of one kind; they depend only on the kind and the seed."""
     rng = np.random.default_rng([seed, *kind.encode()])
     found: list[ProblemFile] = []
     while len(found) < count:
@@ -214,7 +213,7 @@ def make(kind: str, count: int, seed: int) -> list[ProblemFile]:
 
 
 def _problem(kind: str, name: str, rng: np.random.Generator) -> ProblemFile | None:
-    """Make a problem, None if nothing can be reached."""
+    """Generate a problem; None if no target is reachable."""
     furniture = KINDS[kind](rng)
     angle = rng.uniform(-furniture.turn, furniture.turn)
     X_WB, X_BF = np.eye(4), np.eye(4)
@@ -247,7 +246,7 @@ def _obstacle(
 
 
 def _reached(problem: ProblemFile, X_WF: Array, reaches: tuple[Grip, ...], rng: np.random.Generator) -> Array | None:
-    """Find a free configuration that reaches for something, from anywhere in joint space."""
+    """Find a free configuration that reaches a target, from random seeds."""
     lower, upper = problem.scene.limits.position.T
     for _ in range(4):
         reach = reaches[rng.integers(len(reaches))]
@@ -269,7 +268,7 @@ def _reached(problem: ProblemFile, X_WF: Array, reaches: tuple[Grip, ...], rng: 
 
 
 def _tool_pose(reach: Grip, rng: np.random.Generator) -> Array:
-    """Draw a pose of the tool at a place: its z axis near the approach, its closing axis level or turned over."""
+    """Draw a tool pose at a target: its z axis near the approach, its closing axis level or turned over."""
     z = np.array(reach.approach) / np.linalg.norm(reach.approach)
     z = z + np.tan(reach.tilt) * rng.uniform(-1.0, 1.0, size=3)
     z /= np.linalg.norm(z)

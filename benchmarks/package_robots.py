@@ -1,4 +1,4 @@
-"""Robots from packages of the registry, each loaded as a new user would, and nothing of them is in the repository."""
+"""Robots from public packages, each loaded as a new user would load it; none is part of the repository."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Python's packages, where `make test-robots` puts it."""
 OTHERS = "ROBOT_WHEELS"
 """Variable that names a folder with the content of the other packages; by default, that of this Python's packages."""
 ACCELERATION, VELOCITY = 5.0, 2.0
-"""Limits of joints that have none [rad/s2 and rad/s, or m/s2 and m/s]."""
+"""Limits of joints without limits [rad/s2 and rad/s, or m/s2 and m/s]."""
 
 _IIWA = "rtbdata/xacro/kuka_description/kuka_lbr_iiwa"
 _SUITE = "robosuite/models/assets/robots"
@@ -28,18 +28,18 @@ _FETCH = "gymnasium_robotics/envs/assets"
 
 @dataclass(frozen=True, kw_only=True)
 class PackageRobot:
-    """Where a robot is, and what has to be said about it."""
+    """Location of a robot model, and settings to load it."""
 
     name: str
     file: str
     tool: str
     joints: int = 0
-    """Of a MJCF model: planned ones, whose limits of velocity are given; 0 for a URDF, which has them."""
+    """Planned joints of an MJCF model, which need velocity limits; 0 for a URDF."""
     fingers: float | None = None
     packages: Mapping[str, str] = field(default_factory=dict)
-    """Folders by the name of the package."""
+    """Folders by package."""
     of_issue: bool = False
-    """Whether it is one of the eight that are to work."""
+    """Whether the targets include this robot."""
 
     def load(self, folder: Path) -> gp.Scene:
         """Load it from the folder with the content of its package."""
@@ -87,7 +87,7 @@ WHEEL_ROBOTS = (
 
 
 def loads() -> list[tuple[PackageRobot, Callable[[], gp.Scene]]]:
-    """Return the robots whose packages are there, and what loads each."""
+    """Return the installed robots, each with its load function."""
     installed = Path(sysconfig.get_path("purelib"))
     data = Path(os.environ.get(FOLDER) or installed / "cmeel.prefix" / "share")
     others = Path(os.environ.get(OTHERS) or installed)
@@ -103,7 +103,7 @@ def loads() -> list[tuple[PackageRobot, Callable[[], gp.Scene]]]:
 
 
 def fetch_at_a_table(file: Path) -> gp.Scene:
-    """Return the Fetch of gymnasium-robotics 1.4.2, whose base stands still: lift and arm are planned."""
+    """Return the Fetch of gymnasium-robotics 1.4.2, with a fixed base: lift and arm are planned."""
     spec = mujoco.MjSpec.from_file(str(file))
     for k in range(3):
         spec.delete(spec.joint(f"robot0:slide{k}"))

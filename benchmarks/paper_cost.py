@@ -1,8 +1,8 @@
-"""The paper's safety cost as its code computes it, which is not as its text says. Only `paper_table` needs it.
+"""The paper's safety cost as its code computes it, which differs from its text; for `paper_table` only.
 
-The robot is its hand and its two fingers, each judged on its own; the carried object is left out, and the table counts.
-Their bounding boxes are softened, so that they have gradients: maxima become log-sum-exp. Algorithm 1's test of heights
-is switched off, and the sum over sampled configurations is scaled by 0.01.
+The robot is the hand and two fingers, each judged separately; the carried object is left out, and the table counts. The
+bounding boxes are softened to have gradients: maxima become log-sum-exp. The test of heights of Algorithm 1 is off, and
+the sum over sampled configurations is scaled by 0.01.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Array = np.ndarray
 
 SCALE = 0.01
 SHARPNESS = 100.0
-"""Of the log-sum-exp [1/m]; it makes a box about 1.4 cm larger on each side."""
+"""Sharpness of the log-sum-exp [1/m]; boxes become about 1.4 cm larger on each side."""
 
 _FINGER = ((-0.0105, 0.0, 0.0), (0.0105, 0.0264, 0.0538))
 BOXES = {
@@ -33,9 +33,9 @@ def as_coded(scene: Scene, samples: Sequence[Array], *, soft: bool = True) -> fl
     """Return the paper's safety cost of some configurations.
 
     Args:
-        scene: One with a Panda.
-        samples: Configurations that are summed over.
-        soft: With False, boxes are the true ones; for comparison.
+        scene: Scene with a Panda.
+        samples: Configurations of the sum.
+        soft: False for the exact boxes, to compare.
     """
     return SCALE * sum(_expected_severity(scene, q, soft) for q in samples)
 

@@ -1,4 +1,4 @@
-"""The paper's experiment again: four trajectories over a table, what they cost, and what drops along them really hit.
+"""The paper's experiment: four trajectories over a table, their costs, and observed impacts of drops along them.
 
 python benchmarks/paper_table.py [--drops N] [--seed S] [--speed F] [--threads N] [--json]
 """
@@ -36,23 +36,23 @@ from graceful_plan.compare.runs import machine  # noqa: E402
 Array = np.ndarray
 
 VIA_SHARE = 0.3
-"""Share of the failures that happen on the way to the via point."""
+"""Share of the failures before the via point."""
 KNOWN = ("T1", "T2", "T4")
 """The trajectories whose via point is known; that of T3 was found by elimination."""
 MOTION_WITHIN = 0.03
 DROPS = 600
 EPISODES_WITH_DROP = 2.0 / 3.0
-"""In the paper's log."""
+"""Share of episodes with a drop in the paper's log."""
 RUNS = 60
 """Executions of each trajectory in the paper's protocol."""
 FAILURE_SHARE = 0.25
-"""How probable a failure is in each of them; its time step is uniform."""
+"""Probability of a failure in each execution; its time step is uniform."""
 _TIMES = 512
 
 
 @dataclass(frozen=True)
 class Published:
-    """What others found: motion and safety cost, observed impact; safety cost as recomputed independently."""
+    """Published motion cost, safety cost and observed impact; safety cost as recomputed independently."""
 
     motion: float
     safety: float
@@ -71,7 +71,7 @@ PUBLISHED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What was found about one trajectory."""
+    """Result for one trajectory."""
 
     name: str
     motion: float
@@ -85,13 +85,13 @@ class Row:
     expected: float
     """The same with failures distributed over the phases as those observed are."""
     observed: Estimate
-    """Mean severity of all that the object touched within the horizon."""
+    """Mean severity of all touches of the object within the horizon."""
     first: Estimate
-    """Mean severity of what the object touched first, which is the paper's definition."""
+    """Mean severity of the first touch of the object, the paper's definition."""
     protocol: Estimate
-    """The paper's own protocol: mean of what the object touched first over few runs, most of them without a failure."""
+    """The paper's protocol: mean severity of the first touch over few runs, most of them without a failure."""
     at_stops: float
-    """By the paper's definition if failures happen at the stops alone, and a third of the episodes has no drop."""
+    """Severity of the first touch if failures happen only at the stops and a third of the episodes has no drop."""
     by_phase: tuple[float, float]
     """`observed` of failures before and after the via point."""
     duration: float
@@ -102,13 +102,13 @@ class Row:
 
 
 def measure(drops: int = DROPS, *, seed: int = 0, speed: float = 0.5, threads: int = 1) -> list[Row]:
-    """Cost and break every trajectory.
+    """Compute the costs of every trajectory and simulate failures along it.
 
     Args:
         drops: Failures of each trajectory, under the same random numbers.
-        seed: Of everything random.
+        seed: Seed of all random numbers.
         speed: Share of the joints' limits at which the robot moves; the paper does not say.
-        threads: Of the simulation.
+        threads: Threads of the simulation.
     """
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
     world = failbench.build_world(scene)
@@ -176,7 +176,7 @@ def algorithm_1(trajectory: gp.Trajectory, scene: gp.Scene, times: Array) -> flo
 
 
 def onset(quantile: Array, trajectory: gp.Trajectory, stops: Sequence[Array]) -> Array:
-    """Return when failures happen, for quantiles in [0, 1)."""
+    """Return failure times for quantiles in [0, 1) [s]."""
     via = via_time(trajectory, stops)
     if via == 0.0:
         return quantile * trajectory.duration
@@ -184,14 +184,14 @@ def onset(quantile: Array, trajectory: gp.Trajectory, stops: Sequence[Array]) ->
 
 
 def via_time(trajectory: gp.Trajectory, stops: Sequence[Array]) -> float:
-    """Return when the via point is reached [s]; 0 if there is none."""
+    """Return the time of the via point [s]; 0 without one."""
     if len(stops) == 2:
         return 0.0
     return float(trajectory.t[np.argmin(np.linalg.norm(trajectory.q - stops[1], axis=1))] - trajectory.t[0])
 
 
 def first_contact(rollout: failbench.Rollout, scene: gp.Scene) -> float:
-    """Return the severity of all that the carried object touched at its first touch."""
+    """Return the severity of the first touch of the carried object."""
     events = [event for event in rollout.events if event.striker == "carried"]
     first = min((event.time for event in events), default=0.0)
     return sum(scene.entities[event.entity].severity["carried"] for event in events if event.time == first)
@@ -241,7 +241,7 @@ def _mean(values: Array) -> float:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """Format everything: the table, the targets, and what differs from the paper and why."""
+    """Format the table, the targets, and the differences from the paper with their reasons."""
     header = (
         "trajectory",
         "motion, paper / ours",
@@ -271,7 +271,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def targets(rows: Sequence[Row]) -> list[report.Target]:
-    """Judge what has to hold."""
+    """Return the targets."""
     off = {row.name: row.motion / PUBLISHED[row.name].motion - 1.0 for row in rows if row.name in KNOWN}
     fewest = min(row.drops for row in rows)
     return [
@@ -286,7 +286,7 @@ def targets(rows: Sequence[Row]) -> list[report.Target]:
 
 
 def differences(rows: Sequence[Row]) -> str:
-    """Say in words what differs from the published table, and why."""
+    """Describe the differences from the published table and their reasons."""
     paper = [row for row in rows if row.name != "direct"]
     told = [_about_costs(rows, paper), _about_observations(rows, paper)]
     return "\n\n".join(textwrap.fill(" ".join(text.split()), 120) for text in told)

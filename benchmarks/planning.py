@@ -1,4 +1,4 @@
-"""Runs of `plan` on the tasks of bundled scenes, as `graceful_plan.compare` makes and records them."""
+"""Runs of `plan` on the tasks of bundled scenes, recorded by `graceful_plan.compare`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from graceful_plan.compare.runs.planner_specs import PlannerSpec
 from graceful_plan.compare.runs.runner import PlannerJob, warm_up
 
 W = 1.0
-"""Safety weight of every benchmark that does not say otherwise."""
+"""Safety weight of `planners`, `auto` and `best_known/`."""
 BEST = BestMotions(Path(__file__).parent / "best_known", W)
-"""The best motion known of every task."""
+"""Best-known motion of every task."""
 
 
 def job(
@@ -33,17 +33,17 @@ def job(
 
 
 def problem(task: str) -> ProblemSpec:
-    """Return where a task comes from."""
+    """Return the origin of a task."""
     scene, name = task.split("/")
     return ProblemSpec(name=task, kind="task", source=scene, item=name)
 
 
 def runs(jobs: Sequence[PlannerJob], processes: int, label: str) -> Iterator[Run]:
-    """Do runs and yield them as they come; with one process, in this very one."""
+    """Do runs and yield them as they finish; one process means this process."""
     return suite.told(workers.done(jobs, processes if processes > 1 else 0), len(jobs), label)
 
 
 def warm(planner: str, task: str | None = None) -> None:
-    """Let a planner import and compile what it needs, once per process: on a task, or on a problem in the plane."""
+    """Run a planner once per process, to import and compile its code: on a task, or on a planar problem."""
     disc = ProblemSpec(name="analytic/disc", kind="analytic", item="disc")
     warm_up(disc if task is None else problem(task), PlannerSpec(label=planner, name=planner))

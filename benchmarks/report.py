@@ -1,23 +1,32 @@
-"""Sections of RESULTS.md: tables, targets, and replacing one section without touching the others."""
+"""Result files: tables, targets, the head of a file, and the index of all files."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-HEADER = """# Results
+RESULTS = Path(__file__).with_name("results")
+INDEX = RESULTS / "README.md"
+INDEX_HEAD = """# Results
 
-Written by `python benchmarks/run.py --write`, a section at a time; each names the machine, the date and the command.
-Failures stay in the tables. A target that is not met says so.
+One file per benchmark, written by `python benchmarks/run.py SUBJECT --write`. Each file names its commit, date, machine
+and command. "Figure" is one target of the benchmark; "all targets" counts those that are reached. Targets that are
+missed stay in the tables. `make bench-stale` lists the results that are older than the code they measure.
 """
+_COLUMNS = ("benchmark", "question", "figure", "target", "reached", "all targets", "commit")
+_TARGETS = ("target", "wanted", "measured", "met")
+
+
+class NotMeasured(Exception):
+    """Raised by a subject that cannot run here, for example because a package is missing; nothing is written."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """One thing that has to hold, and what was measured."""
+    """A target and the measured value."""
 
     what: str
     wanted: str
@@ -26,16 +35,28 @@ class Target:
     """None if it could not be measured."""
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Format a Markdown table; all but the first column are aligned to the right."""
-    lines = [_line(header), _line(["---", *["---:"] * (len(header) - 1)])]
+@dataclass(frozen=True, kw_only=True)
+class Head:
+    """How a result was made."""
+
+    commit: str
+    """Abbreviated hash, with a plus if measured files had uncommitted changes; "unknown" without a repository."""
+    date: str
+    command: str
+    duration: str
+    machine: str
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, numbers: bool = True) -> str:
+    """Format a Markdown table; columns of numbers, all but the first, are aligned to the right."""
+    lines = [_line(header), _line(["---", *["---:" if numbers else "---"] * (len(header) - 1)])]
     return "\n".join([*lines, *(_line(row) for row in rows)]) + "\n"
 
 
 def targets(rows: Iterable[Target]) -> str:
     """Format a table of targets."""
     words = {True: "yes", False: "**no**", None: "**not measured**"}
-    return table(("target", "wanted", "measured", "met"), [(t.what, t.wanted, t.measured, words[t.met]) for t in rows])
+    return table(_TARGETS, [(t.what, t.wanted, t.measured, words[t.met]) for t in rows])
 
 
 def all_done(what: str, done: int, of: int, wanted: str = "all") -> Target:
@@ -61,18 +82,83 @@ def percent(share: float, digits: int = 1) -> str:
     return f"{100.0 * share:.{digits}f} %" if math.isfinite(share) else "none"
 
 
-def replace_section(document: str, name: str, body: str, order: Sequence[str]) -> str:
-    """Return the document with the section called `name` replaced or added, sections in the given order."""
-    found = dict(re.findall(r"<!-- begin (\w+) -->\n(.*?)\n<!-- end \1 -->", document, flags=re.DOTALL))
-    found[name] = body.strip()
-    sections = [f"<!-- begin {key} -->\n{found[key]}\n<!-- end {key} -->\n" for key in order if key in found]
-    return "\n".join([HEADER, *sections])
+# --- files ------------------------------------------------------------------------------------------------------------
 
 
-def write_section(file: Path, name: str, body: str, order: Sequence[str]) -> None:
-    """Replace a section in a file, which is made if there is none."""
-    document = file.read_text() if file.exists() else ""
-    file.write_text(replace_section(document, name, body, order))
+def file_of(name: str) -> Path:
+    """Return the result file of a subject."""
+    return RESULTS / f"{name}.md"
+
+
+def document(title: str, question: str, head: Head, body: str) -> str:
+    """Return the text of a result file."""
+    return "\n".join(
+        [
+            f"# {title}\n",
+            f"**{question}**\n",
+            f"- Commit: `{head.commit}`",
+            f"- Date: {head.date}",
+            f"- Command: `{head.command}`",
+            f"- Duration: {head.duration}",
+            f"- Machine: {head.machine}",
+            "",
+            body.strip(),
+            "",
+        ]
+    )
+
+
+def commit_of(text: str) -> str:
+    """Return the commit that a result file names; "unknown" if it names none."""
+    found = re.search(r"^- Commit: `?([0-9a-f]{7,40}\+?)", text, flags=re.MULTILINE)
+    return found[1] if found else "unknown"
+
+
+def measured_targets(text: str) -> list[tuple[str, str, str, str]]:
+    """Return the rows of all target tables of a result file: what, wanted, measured, met."""
+    rows, inside = [], False
+    for line in text.splitlines():
+        cells = tuple(cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", line)[1:-1])
+        if cells == _TARGETS:
+            inside = True
+        elif len(cells) != len(_TARGETS):
+            inside = False
+        elif inside and not cells[0].startswith("---"):
+            rows.append(cells)
+    return rows
+
+
+def index_row(name: str, question: str, headline: str, text: str) -> tuple[str, ...]:
+    """Return the row of a result file in the index.
+
+    Args:
+        name: Subject.
+        question: The question it answers.
+        headline: First words of the target to show, or of a line "headline: figure" where there are no targets.
+        text: The result file.
+
+    Raises:
+        ValueError: If neither a target nor a line begins with the headline.
+    """
+    rows = measured_targets(text)
+    shown = next((row for row in rows if row[0].startswith(headline)), None)
+    if shown is None:
+        line = re.search(rf"^{re.escape(headline)}.*: \S.*$", text, flags=re.MULTILINE)
+        if line is None:
+            raise ValueError(f"{name}: no target and no figure begins with {headline!r}")
+        figure, wanted, met = line[0].rstrip("."), "-", "-"
+    else:
+        what, wanted, measured, met = shown
+        figure = f"{what}: {measured}"
+    reached = f"{sum(row[3] == 'yes' for row in rows)} of {len(rows)}" if rows else "-"
+    commit = commit_of(text)
+    named = commit if commit == "unknown" else f"`{commit}`"
+    return f"[{name}]({name}.md)", question, figure, wanted, met, reached, named
+
+
+def index(rows: Mapping[str, Sequence[str]]) -> str:
+    """Return the text of the index from its rows."""
+    return f"{INDEX_HEAD}\n{table(_COLUMNS, rows.values(), numbers=False)}"
 
 
 def _line(cells: Sequence[object]) -> str:

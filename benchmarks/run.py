@@ -1,6 +1,7 @@
-"""Run benchmarks and print a Markdown section a subject; with `--write`, put it into RESULTS.md.
+"""Run benchmarks and print a Markdown document for each; `--write` writes it to results/ and updates the index.
 
-python benchmarks/run.py [subject ...] [--quick] [--write] [--processes N] [--seconds S]
+python benchmarks/run.py [subject ...] [--quick | --long] [--write] [--processes N] [--seconds S]
+python benchmarks/run.py --stale
 """
 
 from __future__ import annotations
@@ -12,106 +13,57 @@ import subprocess
 import sys
 import time
 import traceback
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from benchmarks import report, suite  # noqa: E402 - after the path to them is known
+from benchmarks import report, suite  # noqa: E402 - the import path is set above
 from graceful_plan.compare.runs import machine  # noqa: E402
 
 SUBJECTS = (
     "kernels",
-    "impact_speed",
     "safety",
-    "first_path",
     "first_motion",
     "real_tasks",
     "inverse_kinematics",
-    "straight_tool",
-    "clouds",
+    "motion_problems",
     "robots",
     "constraints",
-    "motion_problems",
-    "own_costs",
     "planners",
-    "best_known",
     "auto",
-    "optima",
-    "optimisers",
-    "roadmap",
-    "startup",
-    "hardening",
-    "viewer",
-    "packages",
-    "discretisation",
-    "motions",
+    "tuning",
     "paper_table",
-    "drop_physics",
     "drop_prediction",
-    "walls",
     "failure_prediction",
-    "trajectory_prediction",
-    "learned_interaction",
-    "prevention",
-    "harm_curves",
-    "damage_energy",
     "own_loss",
-    "stops",
+    "prevention",
     "policies",
-    "transcription",
-    "moving_entities",
-    "walking_past",
-    "driving",
     "driven_tasks",
     "mobile_prevention",
-    "other_floors",
-    "whole_body",
-    "base_failures",
-    "clutter",
-    "lattice",
-    "floor_maps",
-    "tuning",
-    "annotation",
     "failbench_speed",
-    "failbench_soak",
-    "failbench_kills",
-    "failbench_sweeps",
 )
-"""In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset(
-    {
-        "packages",
-        "best_known",
-        "real_tasks",
-        "auto",
-        "trajectory_prediction",
-        "learned_interaction",
-        "prevention",
-        "harm_curves",
-        "constraints",
-        "stops",
-        "lattice",
-        "floor_maps",
-        "policies",
-        "driven_tasks",
-        "mobile_prevention",
-        "other_floors",
-    }
-)
-"""Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
-TAKEN_OUT = "taken_out"
-"""Section written by hand: what was measured, did not help and is gone."""
-RESULTS = Path(__file__).with_name("RESULTS.md")
+"""In the order of the index. Each is a module of `benchmarks.subjects` with TITLE, QUESTION, HEADLINE, DEPENDS_ON and
+run(options)."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run subjects and return how many of them raised."""
-    args = _parser().parse_args(arguments)
+    """Run subjects and return the number of those that raised."""
+    parser = _parser()
+    args = parser.parse_args(arguments)
+    if args.stale:
+        for name, reason in stale():
+            print(f"{name}: {reason}")
+        return 0
+    if args.quick and (args.write or args.long):
+        parser.error("--quick: its figures mean little; leave out --write and --long")
     options = suite.Options(
         quick=args.quick,
+        long=args.long,
         processes=args.processes,
         seconds=args.seconds,
         calls=args.calls,
@@ -120,62 +72,131 @@ def main(arguments: list[str] | None = None) -> int:
         mixed=args.mixed,
         weights=tuple(args.weights) if args.weights else None,
     )
-    # Of the processes that are started from here: with one each, threads of linear algebra only stand in the way.
+    # For child processes: threads of linear algebra would compete with the processes.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     print(machine.described())
     failed = 0
-    for name in args.subjects or [name for name in SUBJECTS if name not in ON_REQUEST]:
+    for name in args.subjects or SUBJECTS:
         try:
-            body = section(name, options, arguments)
+            text = measured(name, options, arguments)
+        except report.NotMeasured as reason:
+            print(f"\n{name} is not measured: {reason}", flush=True)
+            continue
         except Exception:
             failed += 1
             traceback.print_exc()
             continue
-        print(f"\n{body}", flush=True)
+        print(f"\n{text}", flush=True)
         if args.write:
-            report.write_section(RESULTS, name, body, (*SUBJECTS, TAKEN_OUT))
+            write(name, text)
     return failed
 
 
-def section(name: str, options: suite.Options, arguments: list[str] | None) -> str:
-    """Run one subject and format its section."""
-    subject = importlib.import_module(f"benchmarks.subjects.{name}")
-    load, started = os.getloadavg()[0], time.perf_counter()
+def measured(name: str, options: suite.Options, arguments: list[str] | None) -> str:
+    """Run one subject and return the text of its result file."""
+    subject = module(name)
+    commit, load, started = _commit(paths_of(name)), os.getloadavg()[0], time.perf_counter()
     body = subject.run(options)
     seconds = time.perf_counter() - started
-    command = " ".join(["python benchmarks/run.py", *(sys.argv[1:] if arguments is None else arguments)])
-    made = f"{datetime.now(UTC):%Y-%m-%d}, `{command}`, commit {_commit()}, {seconds:.0f} s"
-    made = f"{made}, load average {load:.1f} before it began."
-    quick = "\n\n**Quick run: sizes too small for its figures to mean much.**" if options.quick else ""
-    return f"## {subject.TITLE}\n\n{made} {machine.described()}.{quick}\n\n{body}"
+    head = report.Head(
+        commit=commit,
+        date=f"{datetime.now(UTC):%Y-%m-%d}",
+        command=" ".join(["python benchmarks/run.py", *(sys.argv[1:] if arguments is None else arguments)]),
+        duration=f"{seconds:.0f} s, load average {load:.1f} before the run",
+        machine=machine.described(),
+    )
+    quick = "**Quick run: too small for meaningful figures.**\n\n" if options.quick else ""
+    return report.document(subject.TITLE, subject.QUESTION, head, quick + body)
 
 
-def _commit() -> str:
-    """Return the commit that is measured, with a plus if files differ from it; "unknown" outside of a repository."""
-    words = ["git", "describe", "--always", "--dirty=+", "--exclude=*"]
+def write(name: str, text: str) -> None:
+    """Write a result file and renew the index."""
+    report.file_of(name).write_text(text, encoding="utf-8")
+    report.INDEX.write_text(index(), encoding="utf-8")
+
+
+def index() -> str:
+    """Return the index of the result files that exist."""
+    rows = {}
+    for name in SUBJECTS:
+        file, subject = report.file_of(name), module(name)
+        if file.exists():
+            text = file.read_text(encoding="utf-8")
+            rows[name] = report.index_row(name, subject.QUESTION, subject.HEADLINE, text)
+    return report.index(rows)
+
+
+def module(name: str) -> ModuleType:
+    """Import a subject."""
+    return importlib.import_module(f"benchmarks.subjects.{name}")
+
+
+def paths_of(name: str) -> tuple[str, ...]:
+    """Return the paths in the repository that a subject's results depend on."""
+    return (f"benchmarks/subjects/{name}.py", *module(name).DEPENDS_ON)
+
+
+def stale() -> Iterator[tuple[str, str]]:
+    """Yield each subject whose results are older than the code they measure, and why."""
+    for name in SUBJECTS:
+        file = report.file_of(name)
+        if not file.exists():
+            yield name, "no results"
+            continue
+        commit = report.commit_of(file.read_text(encoding="utf-8"))
+        if commit == "unknown" or commit.endswith("+"):
+            yield name, "commit unknown" if commit == "unknown" else f"uncommitted changes at {commit[:-1]}"
+            continue
+        changed = _git("diff", "--name-only", commit, "--", *paths_of(name))
+        if changed is None:
+            yield name, f"commit {commit} is not in this repository"
+        elif changed:
+            files = changed.splitlines()
+            yield name, f"{len(files)} files changed since {commit}, such as {files[0]}"
+
+
+def _commit(paths: tuple[str, ...]) -> str:
+    """Return the current commit, with a plus if the paths have uncommitted changes; "unknown" without git."""
+    commit, changed = _git("rev-parse", "--short=8", "HEAD"), _git("status", "--porcelain", "--", *paths)
+    return "unknown" if commit is None else f"{commit}+" if changed else commit
+
+
+def _git(*words: str) -> str | None:
+    """Return what git prints; None if it fails."""
     try:
-        found = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return found.stdout.strip()
+        return None
+    return done.stdout.strip()
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subjects", nargs="*", choices=SUBJECTS, metavar="subject", help=", ".join(SUBJECTS))
-    parser.add_argument("--quick", action="store_true", help="small sizes: does it work?")
-    parser.add_argument("--write", action="store_true", help="replace the sections in RESULTS.md")
+    # No `choices`: with them, Python 3.11 refuses an empty list.
+    parser.add_argument("subjects", nargs="*", type=_subject, metavar="subject", help=", ".join(SUBJECTS))
+    parser.add_argument("--quick", action="store_true", help="small sizes: only checks that the benchmark runs")
+    parser.add_argument("--long", action="store_true", help="large sizes, hours in all; see benchmarks/README.md")
+    parser.add_argument("--write", action="store_true", help="write results/SUBJECT.md and its row of the index")
+    parser.add_argument("--stale", action="store_true", help="list results that are older than the code they measure")
     parser.add_argument(
-        "--processes", type=int, default=max(1, (os.cpu_count() or 1)), help="for planning jobs (default: one a core)"
+        "--processes", type=int, default=max(1, (os.cpu_count() or 1)), help="for planning jobs (default: one per core)"
     )
-    parser.add_argument("--seconds", type=float, help="time limit of a run, for best_known, planners and optima")
-    parser.add_argument("--calls", type=int, metavar="N", help="calls of each time limit, for first_motion")
-    own = parser.add_argument_group("of prevention and harm_curves")
-    own.add_argument("--tasks", action="append", metavar="PATTERN", help="of scene/task; may be given again")
-    own.add_argument("--drops", type=int, metavar="N", help="drops along each motion")
-    own.add_argument("--mixed", type=int, metavar="N", help="mixed failures along each motion of prevention")
-    own.add_argument("--weights", type=float, nargs="+", metavar="W", help="of the impact models in harm_curves")
+    parser.add_argument(
+        "--seconds", type=float, help="time limit of a run, in planners, driven_tasks and long subjects"
+    )
+    parser.add_argument("--calls", type=int, metavar="N", help="calls per time limit in first_motion")
+    own = parser.add_argument_group("prevention")
+    own.add_argument("--tasks", action="append", metavar="PATTERN", help="of SCENE/TASK; may be repeated")
+    own.add_argument("--drops", type=int, metavar="N", help="drops per motion")
+    own.add_argument("--mixed", type=int, metavar="N", help="mixed failures per motion")
+    own.add_argument("--weights", type=float, nargs="+", metavar="W", help="weights of the impact models")
     return parser
+
+
+def _subject(name: str) -> str:
+    if name not in SUBJECTS:
+        raise argparse.ArgumentTypeError(f"{name!r} is no benchmark; choose from {', '.join(SUBJECTS)}")
+    return name
 
 
 if __name__ == "__main__":

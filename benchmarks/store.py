@@ -1,4 +1,4 @@
-"""What is done of a long benchmark, a line of JSON each, so that an interrupted run goes on where it was."""
+"""Finished jobs of a long benchmark, one line of JSON each, so that an interrupted run can resume."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from benchmarks import suite
 
 
 def read_lines(file: Path) -> Iterator[dict[str, Any]]:
-    """Yield the documents of a file, if there is one; a last line that was cut off does not count."""
+    """Yield the documents of a file; nothing if it does not exist, and no incomplete last line."""
     lines = file.read_text(encoding="utf-8").splitlines(keepends=True) if file.exists() else []
     yield from (json.loads(line) for line in lines if line.endswith("\n"))
 
 
 def line(done: Any) -> str:
-    """Return a line for a dataclass."""
+    """Return the line of a dataclass."""
     return json.dumps(asdict(done), default=dict) + "\n"
 
 
 def fill(
     file: Path, jobs: Sequence[Any], do: Callable[[Any], Any], *, processes: int, label: str, until: float
 ) -> None:
-    """Do jobs in processes and add a line for each to the file.
+    """Do jobs in processes and append a line for each to the file.
 
     Args:
-        file: Where; its folder is made if need be.
-        jobs: What is left to do.
-        do: Does one; what it returns is a dataclass, of what JSON knows.
-        processes: How many.
-        label: What is done, for people.
-        until: On the monotonic clock: nothing begins after it, and what is done then ends the run [s].
+        file: The file; its folder is created if necessary.
+        jobs: Jobs to do.
+        do: Does one job and returns a dataclass of JSON types.
+        processes: Number of processes.
+        label: Name of the work, for progress messages.
+        until: Deadline on the monotonic clock [s]; the run ends with the first job that finishes later.
     """
     if time.monotonic() >= until:
         return
@@ -51,7 +51,7 @@ def fill(
 
 @contextmanager
 def folder_of(options: suite.Options, store: Path) -> Generator[Path]:
-    """Give the folder for lines; a quick run has nothing to keep."""
+    """Return the folder of the lines; a quick run uses a temporary one."""
     if options.quick:
         with tempfile.TemporaryDirectory() as scratch:
             yield Path(scratch)

@@ -1,4 +1,4 @@
-"""What the benchmarks run on: every task of every bundled scene, those of `unseen/`, and jobs in processes."""
+"""Tasks of the benchmarks (bundled scenes, `unseen/`, `vessels/`), their options, and jobs in processes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,20 @@ import graceful_plan as gp
 from graceful_plan.compare.runs import workers
 
 UNSEEN = Path(__file__).with_name("unseen")
-"""Scenes that no constant was fitted on: other furniture, other objects than the bundled ones."""
+"""Scenes that no constant was fitted on, with other furniture and objects than the bundled ones."""
 VESSELS = Path(__file__).with_name("vessels")
-"""Scenes with open vessels to carry."""
+"""Scenes in which open vessels are carried."""
+
+PLANNING = tuple(
+    f"src/graceful_plan/{name}"
+    for name in ("core", "scene", "costs", "constraints", "planners", "query", "timing", "judge", "plan.py")
+)
+"""Paths that every planned motion depends on."""
+SIMULATION = tuple(
+    f"sim/failbench/{name}"
+    for name in ("basics", "fault", "recording", "rollouts", "simulated", "surroundings", "validation.py")
+)
+"""Paths that every simulated failure depends on."""
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -29,30 +40,34 @@ class Options:
     """How to run a subject."""
 
     quick: bool = False
-    """Sizes small enough to see in a minute that it works; its figures mean little."""
+    """Sizes that only check that the benchmark runs; the figures mean little."""
+    long: bool = False
+    """Sizes that take too long for a run of all benchmarks."""
     processes: int = 1
-    """Processes for planning jobs; never more than there are cores, or times mean nothing."""
+    """Processes for planning jobs; at most one per core, otherwise times mean nothing."""
     seconds: float | None = None
-    """Time limit of a run [s], where the subject lets it be chosen."""
+    """Time limit of a run [s], for subjects that have one."""
     calls: int | None = None
-    """Calls of each time limit of `first_motion`; its own numbers if None."""
+    """Calls per time limit in `first_motion`; None for its default."""
     tasks: tuple[str, ...] = ("*",)
-    """Patterns of "scene/task" with * and ?: those of `prevention` and `harm_curves`, as are all below."""
+    """Patterns of "scene/task" with * and ?. This and the fields below are for `prevention`."""
     drops: int | None = None
-    """Drops along each motion; the subject's own number if None, as below."""
+    """Drops per motion; None for the default, as below."""
     mixed: int | None = None
-    """Mixed failures along each motion of `prevention`."""
+    """Mixed failures per motion."""
     weights: tuple[float, ...] | None = None
-    """Weights of the impact models in `harm_curves`."""
+    """Weights of the impact models over which harm is measured."""
 
-    def pick(self, full: T, *, quick: T) -> T:
-        """Return sizes for a full or for a quick run."""
-        return quick if self.quick else full
+    def pick(self, normal: T, *, quick: T, long: T | None = None) -> T:
+        """Return the sizes for a normal, quick or long run; a long run without its own sizes uses the normal ones."""
+        if self.long and long is not None:
+            return long
+        return quick if self.quick else normal
 
 
 @cache
 def scene(name: str) -> gp.Scene:
-    """Load a bundled scene, or one of `unseen/` or `vessels/`, once per process."""
+    """Load a bundled scene, or a scene of `unseen/` or `vessels/`, once per process."""
     own = [folder / f"{name}.yaml" for folder in (UNSEEN, VESSELS) if (folder / f"{name}.yaml").exists()]
     return gp.load_scene(own[0] if own else name)
 
@@ -68,7 +83,7 @@ def vessel_scenes() -> tuple[str, ...]:
 
 
 def is_tabletop(task_name: str) -> bool:
-    """Whether a task is one of a small arm over a low, crowded table; else it is one of a household."""
+    """Whether a task is a table task (small objects on a crowded table); otherwise it is a household task."""
     scene_name = task_name.split("/")[0]
     return scene_name.startswith("tabletop") or scene_name in ("play_table", "lab_bench")
 
@@ -80,17 +95,17 @@ def task(name: str) -> gp.Task:
 
 
 def task_names(options: Options | None = None) -> list[str]:
-    """Names "scene/task" of all tasks of the bundled scenes; of one task per scene if it is to be quick."""
+    """Names "scene/task" of all tasks of the bundled scenes; one task per scene in a quick run."""
     return _tasks_of(gp.scenes(), options)
 
 
 def unseen_task_names(options: Options | None = None) -> list[str]:
-    """Names "scene/task" of all tasks in `unseen/`; of one task per scene if it is to be quick."""
+    """Names "scene/task" of all tasks in `unseen/`; one task per scene in a quick run."""
     return _tasks_of(unseen_scenes(), options)
 
 
 def vessel_task_names(options: Options | None = None) -> list[str]:
-    """Names "scene/task" of all tasks in `vessels/`; of one task per scene if it is to be quick."""
+    """Names "scene/task" of all tasks in `vessels/`; one task per scene in a quick run."""
     return _tasks_of(vessel_scenes(), options)
 
 
@@ -105,12 +120,12 @@ def _tasks_of(scenes: Sequence[str], options: Options | None) -> list[str]:
 
 
 def spread(do: Callable[[J], R], jobs: Sequence[J], processes: int, label: str) -> Iterator[R]:
-    """Do jobs in processes of their own, with one in this very one, and yield results as they come."""
+    """Do jobs in worker processes, or in this process if there is only one, and yield results as they come."""
     return told(workers.spread(workers.Work(do=do), jobs, processes if processes > 1 else 0), len(jobs), label)
 
 
 def told(results: Iterator[R], count: int, label: str) -> Iterator[R]:
-    """Yield results and tell on standard error how many there are."""
+    """Yield results and print progress on standard error."""
     started, terminal = time.perf_counter(), sys.stderr.isatty()
     for done, result in enumerate(results, 1):
         if terminal or done == count or done % max(1, count // 10) == 0:

@@ -1,4 +1,4 @@
-"""Starts and goals that exact geometry accepts, although spheres touch there: does `plan` accept them?"""
+"""Starts and goals that are free by exact geometry although covering spheres touch: does `plan` accept them?"""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE, way_out
 Array = np.ndarray
 
 _DRAWN, _TIGHT = 1500, 40
-"""Configurations drawn in one of two ways in a scene, and how many tight ones of them are asked for a way out."""
+"""Configurations drawn per scene and distribution, and tight configurations tried among these."""
 _AROUND = 0.08
 """Standard deviation around goals [rad]."""
 
 
 @dataclass(frozen=True)
 class TightEnds:
-    """How many configurations were looked at, and what came of them."""
+    """Numbers of configurations."""
 
     free: int
-    """By exact geometry; with clearance they are accepted anyway."""
+    """Free configurations by exact geometry."""
     tight: int
-    """Of these, those without clearance of spheres that were tried."""
+    """Free configurations without clearance of the spheres, as far as tried."""
     refused: int
-    """Of the tight ones, those from which no short way leads to clearance."""
+    """Tight configurations from which `plan` finds no short path to clearance."""
 
 
 def tight_ends(problems: Sequence[ProblemFile]) -> TightEnds:
-    """Draw configurations evenly and around goals, and try the tight ones among them."""
+    """Draw configurations uniformly and around goals, and try the tight ones."""
     rng, free, tight, refused = np.random.default_rng(0), 0, 0, 0
     for problem in problems:
         scene = problem.scene

@@ -2,8 +2,9 @@
 
 make .venv/.policies && .venv/bin/python benchmarks/train_reach.py [STEPS]
 
-Needs Stable-Baselines3 and torch. The weights go into arrays that NumPy reads; running them needs neither. The network
-sees how far the joints are from their goal, and how fast they move: nothing of the surroundings, nor of what breaks.
+Needs Stable-Baselines3 and torch. The weights are stored as NumPy arrays, so running the policy
+needs neither. The network sees the distance of the joints from their goal and their velocities: no surroundings and no
+faults.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from failbench.policies.task import PolicySettings
 
 TASKS = ("tabletop_l1/green_to_blue", "tabletop_l1/right_to_left", "tabletop_l1/far_to_near")
 SETTINGS = PolicySettings(noise=0.3, limit=3.0)
-"""Starts far around those of the tasks, so that the way to the goal is another one each time."""
+"""Standard deviation of the starts, large so that paths to the goal vary."""
 STEPS = 60_000
 
 
 class ReachFeatures(gymnasium.ObservationWrapper[np.ndarray, np.ndarray, np.ndarray]):
-    """Shows what the network of `reach` sees."""
+    """Features of the network of `reach`."""
 
     def __init__(self, env: FailBenchEnv) -> None:
         super().__init__(env)

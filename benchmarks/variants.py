@@ -1,8 +1,8 @@
-"""Scenes that no constant was fitted on: bundled ones with things moved, turned, taken away and added, and other tasks.
+"""Variants of the bundled scenes, with objects moved, removed and added, that no constant was fitted on.
 
-Each variant is a few lines of data and a seed. Things stay on what they stood on; every end of a task is another
-configuration than in the bundled scene, and some tasks carry things that no bundled task does. `problems` says what is
-wrong with a variant, and nothing is expected to be.
+Each variant is a few lines of data and a seed. Objects stay on their supports. Every end of a task differs from the
+bundled scene, and some tasks carry objects that no bundled task carries. `problems` lists the errors of a variant;
+there must be none.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from graceful_plan.scene.elements import ObjectNote, TaskNote
 Array = np.ndarray
 
 TOUCHES = 0.001
-"""Things may be this deep [m] in each other."""
+"""Largest penetration of objects [m]."""
 _GAP = 0.004
-"""Least distance [m] between things that were moved."""
+"""Least distance between moved objects [m]."""
 _ROOM = 0.01
-"""Least clearance [m] at the ends of a task, unless the bundled task has less, as things that stand have."""
+"""Least clearance at the ends of a task [m], unless the bundled task has less, such as objects on a support."""
 _TRIES = 4000
 _END_SPREAD = 0.12
-"""How far the ends of a task are from those of the bundled one [rad], standard deviation of each joint."""
+"""Standard deviation of each joint at the ends of a task from the bundled task [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Thing:
-    """Something that is added, free to move.
+    """An added object, free to move.
 
     Args:
         kind: "box" or "cylinder".
         size: Half lengths, or radius and half height [m].
         category: Entity class.
-        severity: In place of the table's.
+        severity: Severity instead of that of the table.
     """
 
     kind: str
@@ -52,17 +52,17 @@ class Thing:
 
     @property
     def half_height(self) -> float:
-        """Half of what it is high, standing [m]."""
+        """Half of the height when standing [m]."""
         return self.size[-1]
 
 
 class Shift(NamedTuple):
-    """How far things are moved at random."""
+    """Largest random displacements of objects."""
 
     distance: float
-    """At most, along x and y [m]."""
+    """Largest shift along x and y [m]."""
     turn: float
-    """At most, about z [rad]."""
+    """Largest rotation about z [rad]."""
 
 
 _UNMOVED = Shift(0.0, 0.0)
@@ -74,12 +74,12 @@ class Variant:
 
     Args:
         base: Name of the bundled scene.
-        seed: Of everything random.
-        remove: Bodies that are taken away.
-        shift: How far every free body is moved and turned.
-        keep: Bodies that stay where they are all the same.
-        turn: Fixed bodies that are turned about z [rad], in place.
-        add: Things that are put on the support, anywhere in `area`.
+        seed: Seed of all random numbers.
+        remove: Removed bodies.
+        shift: Largest displacement of every free body.
+        keep: Free bodies that are not moved.
+        turn: Fixed bodies and their rotations about z [rad].
+        add: Objects added on the support, anywhere in `area`.
         area: Where (x, y at least; x, y at most; z of the support) [m].
         carry: Objects that no task of the bundled scene carries, by name, with the point where they are held, above the
             body's origin [m]; each does the first two tasks.
@@ -170,7 +170,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         ),
     }
 )
-"""By name."""
+"""Variants by name."""
 
 
 @cache
@@ -178,7 +178,7 @@ def load(name: str) -> gp.Scene:
     """Build a variant.
 
     Raises:
-        UnknownNameError: If there is none of that name.
+        UnknownNameError: If no variant has this name.
     """
     if name not in VARIANTS:
         raise UnknownNameError("variant", name, VARIANTS)
@@ -204,7 +204,7 @@ def task_names(name: str) -> list[str]:
 
 
 def problems(scene: gp.Scene) -> list[str]:
-    """Return what is wrong with a scene as such: things in each other, or out of reach."""
+    """Return the errors of a scene: objects in each other, or out of reach."""
     data = _at_home(scene)
     return [
         f"{first} and {second} are {-distance * 1e3:.1f} mm in each other"
@@ -227,7 +227,7 @@ def _add(spec: mujoco.MjSpec, name: str, thing: Thing, area: tuple[float, ...]) 
     body.add_geom(name=name, type=kinds[thing.kind], size=size, density=600.0, condim=4)
 
 
-# --- where things stand ----------------------------------------------------------------------------------------------
+# --- positions -----------------------------------------------------------------------------------------------------
 
 
 def _free(scene: gp.Scene) -> dict[str, int]:
@@ -245,9 +245,9 @@ def _at_home(scene: gp.Scene) -> mujoco.MjData:
 
 
 def _place(scene: gp.Scene, spec: mujoco.MjSpec, variant: Variant, rng: np.random.Generator) -> None:
-    """Draw where the free bodies stand until none is in another, one after the other, and write it down."""
+    """Draw positions of the free bodies, one after the other, until none penetrates another, and store them."""
     model, data, bodies = scene.model, _at_home(scene), _free(scene)
-    # What is added may stand anywhere; the largest have the least choice and go first. The others make room.
+    # Added objects may stand anywhere. The largest have the least choice and are placed first.
     size = {
         name: 2.0 if name in variant.keep else max(variant.add[name].size[:2]) for name in (*variant.keep, *variant.add)
     }
@@ -259,7 +259,7 @@ def _place(scene: gp.Scene, spec: mujoco.MjSpec, variant: Variant, rng: np.rando
         supports = _below(scene, data, bodies[name])
         others = {key: bodies[key] for key in placed}
         for attempt in range(_TRIES):
-            # Whoever finds no room by small steps may take larger ones.
+            # If small steps find no free position, larger ones are tried.
             data.qpos[address : address + 7] = _drawn(before, variant, name, 1.0 + attempt // 500, rng)
             mujoco.mj_kinematics(model, data)
             if name in variant.keep or _stands(scene, data, bodies[name], others, supports):
@@ -287,13 +287,13 @@ def _drawn(before: Array, variant: Variant, name: str, reach: float, rng: np.ran
 
 
 def _below(scene: gp.Scene, data: mujoco.MjData, body: int) -> set[int]:
-    """Return the fixed geoms that a body touches now, or nearly does."""
+    """Return the fixed geoms that a body touches, within a tolerance."""
     model = scene.model
     return {g for g in _fixed(scene) for own in _own(model, body) if _distance(model, data, own, g) < _GAP}
 
 
 def _stands(scene: gp.Scene, data: mujoco.MjData, body: int, others: Mapping[str, int], supports: set[int]) -> bool:
-    """Whether a body keeps its distance from everything but its support, and stands on that with all of its foot."""
+    """Whether a body keeps its distance from all but its support, and its whole foot is on the support."""
     model, own = scene.model, _own(scene.model, body)
     moved = [g for other in others.values() for g in _own(model, other)]
     apart = all(_distance(model, data, a, b) >= _GAP for a in own for b in moved)
@@ -303,7 +303,7 @@ def _stands(scene: gp.Scene, data: mujoco.MjData, body: int, others: Mapping[str
 
 
 def _foot(model: mujoco.MjModel, data: mujoco.MjData, own: list[int]) -> Array:
-    """Return the corners of the box around what reaches lowest, in xy [m]."""
+    """Return the corners of the box around the lowest parts, in xy [m]."""
     corners = []
     for g in own:
         centre, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
@@ -351,11 +351,11 @@ def _distances(
     return found
 
 
-# --- what is to be done ----------------------------------------------------------------------------------------------
+# --- tasks ---------------------------------------------------------------------------------------------------------
 
 
 def _with_tasks(scene: gp.Scene, base: gp.Scene, variant: Variant, rng: np.random.Generator) -> gp.Scene:
-    """Return a variant with the bundled tasks, the other way round and between other ends, and those of its own."""
+    """Return a variant with the bundled tasks reversed and between other ends, and with additional tasks."""
     objects = dict(scene.notes.objects)
     for name, height in variant.carry.items():
         X_TO = np.diag([1.0, -1.0, -1.0, 1.0])  # the tool points down, the object stands
@@ -374,7 +374,7 @@ def _with_tasks(scene: gp.Scene, base: gp.Scene, variant: Variant, rng: np.rando
 
 
 def _end(scene: gp.Scene, q: Array, task: gp.Task, rng: np.random.Generator) -> tuple[float, ...]:
-    """Return a configuration near one of a bundled task's ends that is as free as that was."""
+    """Return a configuration near an end of a bundled task with at least its clearance."""
     room = min(_ROOM, float(gp.clearance(q, task.scene)))
     low, high = scene.limits.position.T
     for attempt in range(_TRIES):
@@ -382,6 +382,6 @@ def _end(scene: gp.Scene, q: Array, task: gp.Task, rng: np.random.Generator) -> 
         near = np.clip(q + rng.normal(scale=spread, size=len(q)), low + 0.02, high - 0.02)
         if room > 0.0 and float(gp.clearance(near, scene)) >= room:
             return tuple(near.round(4).tolist())
-        if room <= 0.0 and gp.clearance(near, scene) >= _ROOM:  # a thing that stood is held in the air here
+        if room <= 0.0 and gp.clearance(near, scene) >= _ROOM:  # here the object is held in the air
             return tuple(near.round(4).tolist())
     raise SceneError(f"an end of {task.name!r} is not free")

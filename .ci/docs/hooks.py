@@ -17,7 +17,11 @@ PAGES = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
     "benchmarks/README.md": "benchmarks.md",
-    "benchmarks/RESULTS.md": "results.md",
+    "benchmarks/results/README.md": "results/index.md",
+    **{
+        f"benchmarks/results/{file.name}": f"results/{file.name}"
+        for file in sorted((ROOT / "benchmarks" / "results").glob("[!R]*.md"))
+    },
 }
 """Pages of the site that are made from other files of the repository."""
 EXAMPLES = "examples.md"
@@ -91,6 +95,8 @@ def target(link: re.Match[str], folder: Path) -> str:
 
 def upwards(folder: Path) -> str:
     """Return the relative path from a page to the root of the site."""
+    if folder == Path("benchmarks/results"):
+        return "../"
     return "../" * (len(folder.parts) - 1) if folder.parts[:1] == ("docs",) else ""
 
 

@@ -1,4 +1,4 @@
-"""Motions that carry vessels with contents, planned with the default constraints and without any, carried out."""
+"""Motions that carry vessels with contents, planned with and without the default constraints, and executed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 
 DEFAULT, NOTHING = "default", "[]"
-"""Of `constraints`: those that go without saying, and none."""
+"""Values of `constraints`: the default ones, and none."""
 WEIGHTS = (0.0, 0.3, 1.0)
 FILLS = (0.5, 0.7, 0.8, 0.9, 0.95)
 FILLED = ("desk/bring_coffee", "stove/carry_bucket")
@@ -26,7 +26,7 @@ FILLED = ("desk/bring_coffee", "stove/carry_bucket")
 
 @dataclass(frozen=True, kw_only=True)
 class ContentsJob:
-    """A motion to plan and to carry out.
+    """A motion to plan and execute.
 
     Args:
         task: "scene/task".
@@ -45,20 +45,20 @@ class ContentsJob:
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """What came of a motion; NaN where there is none, or where nobody could carry it out.
+    """Result for a motion; NaN if there is no motion or it cannot be executed.
 
     Args:
-        job: What was asked for.
+        job: The job.
         status: Of the plan.
-        detail: What it says.
+        detail: Message of the plan.
         duration: [s].
         total: J.
-        seconds: That the call took.
+        seconds: Duration of the call.
         lost: Share of the contents that FailBench's healthy robot loses.
         swung: Share that the judge's pendulum leaves above the rim at worst.
-        grasp: What holds the vessel: "fingers", or "weld" where these lose it.
-        lost_grip: What was said when the fingers failed; "" else.
-        refused: Why it cannot be carried out even with a weld; "" if it can.
+        grasp: "fingers", or "weld" if the fingers lose the vessel.
+        lost_grip: Message when the fingers fail; otherwise "".
+        refused: Reason why the motion cannot be executed even with a weld; otherwise "".
     """
 
     job: ContentsJob
@@ -84,9 +84,9 @@ def task_names(options: suite.Options) -> list[str]:
 def jobs(options: suite.Options) -> list[ContentsJob]:
     """List every motion: tasks as they are over weights, some of them over fills at the default weight.
 
-    Seed by seed, so that an interrupted run has something of everything.
+    Seed by seed, so an interrupted run covers all tasks.
     """
-    weights, seeds, fills = options.pick((WEIGHTS, 5, FILLS), quick=((0.3,), 1, (0.9,)))
+    weights, seeds, fills = options.pick((WEIGHTS, 1, FILLS), quick=((0.3,), 1, (0.9,)), long=(WEIGHTS, 5, FILLS))
     asked, both = task_names(options), (DEFAULT, NOTHING)
     filled = suite.chosen(FILLED, options.tasks)[: options.pick(len(FILLED), quick=1)]
     return [
@@ -134,7 +134,7 @@ def _carried_out(known: Kept, result: gp.PlanResult, scene: gp.Scene) -> Kept:
 
 
 def filled_scene(task: gp.Task, fill: float) -> gp.Scene:
-    """Return the scene of a task with its vessel filled to a share of what it holds."""
+    """Return the scene of a task with its vessel filled to a share of its volume."""
     scene = task.scene
     assert scene.contents is not None and task.object_name is not None
     vessel = _vessel(scene)

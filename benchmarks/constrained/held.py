@@ -1,4 +1,4 @@
-"""Motions of all bundled tasks as they are planned by default, carried out by a healthy robot with its fingers."""
+"""Default motions of all bundled tasks, executed by a healthy robot that holds the object with its fingers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from failbench import ExecutionRefused, ObjectLost
 
 SECONDS = 0.5
 """Time limit of a plan [s]."""
-SEEDS = 20
+SEEDS, LONG_SEEDS = 4, 20
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldJob:
-    """A motion to plan, at the default weight, and to carry out: of a task "scene/task" with a seed."""
+    """A task "scene/task" and a seed of the motion to plan at the default weight and execute."""
 
     task: str
     seed: int
@@ -25,17 +25,17 @@ class HeldJob:
 
 @dataclass(frozen=True, kw_only=True)
 class Held:
-    """What came of a motion.
+    """Result for a motion.
 
     Args:
-        job: What was asked for.
+        job: The job.
         status: Of the plan.
         duration: [s]; NaN where there is no motion.
-        slip: How far the object moved in the gripper at most [m]; NaN where nothing was carried out.
-        lost: What was said if the object was lost; "" else.
-        refused: What was said if the robot could not follow; "" else.
-        harm: What the healthy robot does harm to, added up.
-        told: The same in words.
+        slip: Largest displacement of the object in the gripper [m]; NaN if the motion was not executed.
+        lost: Message if the object was lost; otherwise "".
+        refused: Message if the robot could not follow; otherwise "".
+        harm: Total harm of the healthy motion.
+        told: The harm in words.
     """
 
     job: HeldJob
@@ -53,7 +53,9 @@ def jobs(options: suite.Options) -> list[HeldJob]:
     names = suite.chosen(list(suite.task_names()), options.tasks)
     return [
         HeldJob(task=name, seed=seed)
-        for seed, name in product(range(options.pick(SEEDS, quick=1)), options.pick(names, quick=names[:1]))
+        for seed, name in product(
+            range(options.pick(SEEDS, quick=1, long=LONG_SEEDS)), options.pick(names, quick=names[:1])
+        )
     ]
 
 

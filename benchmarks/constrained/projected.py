@@ -25,11 +25,11 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _NUDGE = 1e-5
-"""For central differences [rad]."""
+"""Step of central differences [rad]."""
 
 
 def connect(problem: SceneProblem, objective: SceneObjective, seed: int, seconds: float, *, projects: bool) -> float:
-    """Return how long RRT-Connect takes to its first path [s]; infinite if there is none in time."""
+    """Return the time of RRT-Connect to its first path [s]; infinite without one in time."""
     kernel, settings, budget = objective.kernel, RRTConnect(), Budget(seconds)
     assert kernel is not None
     started = time.perf_counter()
@@ -61,7 +61,7 @@ def connect(problem: SceneProblem, objective: SceneObjective, seed: int, seconds
 
 @final
 class Outside(ob.Constraint):
-    """How far outside a configuration is, 0 inside: OMPL projects onto equations alone."""
+    """Distance of a configuration from the constraint, 0 inside, since OMPL only projects onto equations."""
 
     def __init__(self, rule: AxisRule, scene: Scene) -> None:
         super().__init__(len(scene.joints), 1)
@@ -71,11 +71,11 @@ class Outside(ob.Constraint):
         self._direction, self._angle = np.array(rule.direction), rule.angle
 
     def function(self, x: Array, out: Array) -> None:
-        """Write how far outside one configuration is [rad]."""
+        """Write the distance of a configuration from the constraint [rad]."""
         out[0] = max(0.0, float(self.residual(np.array(x)[None])[0]))
 
     def jacobian(self, x: Array, out: Array) -> None:
-        """Write its derivative, 0 inside."""
+        """Write the derivative of the distance, 0 inside."""
         n = len(x)
         around = np.array(x) + _NUDGE * np.concatenate([np.zeros((1, n)), np.eye(n), -np.eye(n)])
         residual = self.residual(around)
@@ -83,14 +83,14 @@ class Outside(ob.Constraint):
         out[0, :] = slope if residual[0] > 0.0 else 0.0
 
     def residual(self, q: Array) -> Array:
-        """Return by how much the angle is too large [rad]."""
+        """Return the excess of the angle [rad]."""
         axis = self._kernels.link_poses(q)[:, self._link, :3, :3] @ self._axis
         across = np.linalg.norm(np.cross(axis, self._direction), axis=1)
         return np.arctan2(across, axis @ self._direction) - self._angle
 
 
 def ompl_connect(problem: SceneProblem, rule: AxisRule, scene: Scene, seed: int, seconds: float) -> float:
-    """Return the seconds of RRT-Connect in OMPL's ProjectedStateSpace to its first path; infinite if not in time."""
+    """Return the time to a first path of RRT-Connect in OMPL's ProjectedStateSpace [s]; infinite without one."""
     kernels, n, budget = compile_scene(scene).kernels, len(problem.start), Budget(seconds)
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(seed + 1)

@@ -1,4 +1,4 @@
-"""Planning with what is carried, or the gripper, upright: bundled tasks and problems of the MotionBenchMaker type."""
+"""Planning with the carried object or the gripper upright: bundled tasks and problems of the MotionBenchMaker type."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from graceful_plan.query.endpoints.endpoints import find_endpoints
 
 UPRIGHT = gp.Upright(float(np.deg2rad(15.0)))
 SEED = 14
-"""Of the problems."""
+"""Seed of the problems."""
 KINDS = tuple(motion_problems.KINDS)
-PER_KIND, KEPT = 16, 10
-"""Made of each kind, and of those whose ends are upright as many are kept of each kind."""
+SIZES, LONG_SIZES = (8, 4), (16, 10)
+"""Problems made per kind, and problems with upright ends used per kind, in normal and long runs."""
 PROJECTION, REJECTION, OMPL = "projection", "rejection", "OMPL"
 SECONDS = 1.0
 """Time limit of a plan and of a search."""
 SOON = 0.5
-"""When the gap is looked at [s]."""
+"""Time at which the gap is measured [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +34,8 @@ class UprightJob:
 
     Args:
         name: "scene/task" or "kind/number".
-        seeds: Number of seeds of everything that is quick.
-        long: Seconds of a long run.
+        seeds: Number of seeds of the short runs.
+        long: Duration of a long run [s].
         long_seeds: Number of long runs.
     """
 
@@ -47,14 +47,14 @@ class UprightJob:
 
 @dataclass(frozen=True, kw_only=True)
 class UprightFigures:
-    """What came of it; infinite without a path.
+    """Result for a problem; infinite without a path.
 
     Args:
-        name: Of the problem.
-        objection: What start and goal lack, or why there is no way between them by construction; "" if nothing.
-        statuses: Of every seed within `SECONDS`.
-        details: What those say that were not solved.
-        first: Seconds to the first path of every seed, by method.
+        name: Name of the problem.
+        objection: Reason why start and goal cannot be upright or connected; otherwise "".
+        statuses: Status of every seed within `SECONDS`.
+        details: Messages of unsolved runs.
+        first: Time to the first path of every seed [s], by method.
         soon: J of every seed after `SOON`.
         long: J of every long run.
     """
@@ -75,7 +75,7 @@ class UprightFigures:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Question:
-    """Where to plan from and to."""
+    """Scene, start and goal of a problem."""
 
     scene: gp.Scene
     start: np.ndarray
@@ -98,11 +98,11 @@ def _made(kind: str, count: int) -> Sequence[motion_problems.ProblemFile]:
 
 
 def names(options: suite.Options) -> dict[str, list[str]]:
-    """Names of what there is to examine, by group: "tasks", and each kind of problems with upright ends.
+    """Return the problems to examine, by group: "tasks", and each kind of problems with upright ends.
 
-    Kinds that reach from the front never end with the gripper upright, so that none of theirs are made.
+    Kinds that reach from the front never end with the gripper upright, so they are left out.
     """
-    made, kept = options.pick((PER_KIND, KEPT), quick=(2, 1))
+    made, kept = options.pick(SIZES, quick=(2, 1), long=LONG_SIZES)
     found = {"tasks": suite.task_names(options)}
     for kind in ("box", "table_pick"):
         asked = [Question(scene=p.scene, start=p.start, goal=p.goals) for p in _made(kind, made)]
@@ -112,7 +112,7 @@ def names(options: suite.Options) -> dict[str, list[str]]:
 
 
 def objection(asked: Question) -> str:
-    """Say what start and goal lack."""
+    """Return the reason why start and goal cannot be upright or connected; otherwise ""."""
     held = SceneConstraints(asked.scene, [UPRIGHT])
     at_start = [f"start: {told}" for told in held.objections(asked.start)]
     at_goals = [held.objections(q) for q in np.atleast_2d(asked.goal)]
@@ -120,7 +120,7 @@ def objection(asked: Question) -> str:
 
 
 def examine(job: UprightJob) -> UprightFigures:
-    """Examine one problem; its scene is compiled and everything was run once before anything is timed."""
+    """Examine one problem, with a compiled scene and after a warm-up."""
     asked = question(job.name)
     held = SceneConstraints(asked.scene, [UPRIGHT])
     lacking = objection(asked)
@@ -148,7 +148,7 @@ def examine(job: UprightJob) -> UprightFigures:
 
 
 def first_paths(problem: SceneProblem, scene: gp.Scene, seeds: int) -> dict[str, tuple[float, ...]]:
-    """Return the seconds to the first path of every seed, by method."""
+    """Return the time to the first path of every seed [s], by method."""
     objective = gp.Objective(w=0.0).bind(scene)
 
     def search(method: str, seed: int) -> float:

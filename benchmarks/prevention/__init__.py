@@ -1,1 +1,1 @@
-"""What `prevention` is made of: costs of common sense, runs, figures and tables."""
+"""Parts of the benchmark `prevention`: simple costs to compare with, runs, figures and tables."""

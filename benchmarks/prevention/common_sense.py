@@ -1,7 +1,7 @@
-"""Costs as somebody would write them who knows no model of failures: keep away, do not fly above things, carry low.
+"""Simple costs as a user may write them without a model of failures: keep away, do not pass above, carry low.
 
-Each is a `gp.Cost` of a few lines over the boxes around the things of a scene, as `docs/extending.md` says; planners
-call them through Python. Severity is that of the table, summed over the carried object and its contents.
+Each is a `gp.Cost` of a few lines over the boxes around the objects of a scene, as in `docs/extending.md`, and runs in
+Python. Severity is that of the table, summed over the carried object and its contents.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ import graceful_plan as gp
 Array = np.ndarray
 
 NEAR = 0.15
-"""Distance [m] over which the wish to keep away falls to 1/e: a little more than a hand's breadth."""
+"""Distance over which the cost decays to 1/e [m], a little more than the width of a hand."""
 MARGIN = 0.05
-"""How far beside a thing [m] one is no longer above it: half the width of what is carried."""
+"""Distance beside an object at which the carried object no longer counts as above [m], half its width."""
 _WORLD = 100.0
-"""Half the width of what has no end, such as a plane [m]."""
+"""Half the width of a plane [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Boxes around geoms, upright in W.
+    """Axis-aligned boxes around geoms, in W.
 
     Args:
         low: Lower corners [m].
         high: Upper corners [m].
-        owner: Which thing each geom belongs to, in ascending order, none left out.
+        owner: Index of the object of each geom, ascending, without gaps.
     """
 
     low: Array
@@ -41,19 +41,19 @@ class Boxes:
     owner: Array
 
     def distance(self, p_WQ: Array) -> Array:
-        """Return the distance of points [n, 3] from the nearest box of each thing [m], 0 inside: [n, thing]."""
+        """Return distances of points [n, 3] from the nearest box of each object [m], 0 inside: [n, object]."""
         away = np.maximum(np.maximum(self.low - p_WQ[:, None], p_WQ[:, None] - self.high), 0.0)
         return self._each(np.minimum, np.sqrt(np.square(away).sum(axis=2)))
 
     def above(self, p_WQ: Array) -> Array:
-        """Return how far points [n, 3] are above each thing, 1 or, within `MARGIN` beside it, less: [n, thing]."""
+        """Return 1 for points [n, 3] above an object, decaying to 0 within `MARGIN` beside it: [n, object]."""
         flat, low, high = p_WQ[:, None, :2], self.low[:, :2], self.high[:, :2]
         away = np.maximum(np.maximum(low - flat, flat - high), 0.0)
         share = np.clip(1.0 - np.sqrt(np.square(away).sum(axis=2)) / MARGIN, 0.0, 1.0)
         return self._each(np.maximum, np.where(p_WQ[:, None, 2] > self.high[:, 2], share, 0.0))
 
     def drop(self, p_WQ: Array) -> Array:
-        """Return how far points [n, 3] are above the highest top below them [m], at most 2: [n]."""
+        """Return heights of points [n, 3] above the highest surface below them [m], at most 2: [n]."""
         flat = p_WQ[:, None, :2]
         over = np.all((self.low[:, :2] <= flat) & (flat <= self.high[:, :2]), axis=2)
         below = p_WQ[:, None, 2] - self.high[:, 2]
@@ -70,7 +70,7 @@ def entity_boxes(scene: gp.Scene) -> Boxes:
 
 
 def support_boxes(scene: gp.Scene) -> Boxes:
-    """Return the boxes of what stands still and is not the robot, each a thing of its own."""
+    """Return the boxes of all fixed geoms outside the robot, each as its own object."""
     model = scene.model
     still = (model.body_weldid[model.geom_bodyid] == 0) & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
     geoms = [g for g in np.flatnonzero(still).tolist() if int(model.geom_bodyid[g]) not in scene.robot_bodies]
@@ -83,25 +83,25 @@ def _boxes(scene: gp.Scene, things: list[tuple[int, ...]]) -> Boxes:
     centre = np.array([data.geom_xpos[g] + data.geom_xmat[g].reshape(3, 3) @ model.geom_aabb[g, :3] for g in geoms])
     half = np.array([np.abs(data.geom_xmat[g].reshape(3, 3)) @ model.geom_aabb[g, 3:] for g in geoms])
     for i, g in enumerate(geoms):
-        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_PLANE:  # a floor: its top is where it is
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_PLANE:  # a floor: its top is at its position
             centre[i], half[i] = data.geom_xpos[g] - [0.0, 0.0, _WORLD], _WORLD
     return Boxes(centre - half, centre + half, np.repeat(np.arange(len(things)), [len(thing) for thing in things]))
 
 
 def severities(scene: gp.Scene) -> Array:
-    """Return how severe it is for each entity to be hit by what is carried and what is inside: [entity]."""
+    """Return the severity of hits by the carried object and its contents: [entity]."""
     parts = [name for name in ("carried", "contents") if name in scene.components] or ["body"]
     return np.array([sum(entity.severity[part] for part in parts) for entity in scene.entities.values()])
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedCost(gp.Cost):
-    """A cost of where the middle of the carried object is, or the tool if there is none.
+    """A cost of the centre of the carried object, or of the tool without one.
 
     Args:
-        boxes: Of what the cost looks at.
-        severity: Of each thing.
-        p_OQ: Middle of the object, in its frame [m].
+        boxes: Boxes of the objects in the cost.
+        severity: Severity of each object.
+        p_OQ: Centre of the carried object, in its frame [m].
     """
 
     boxes: Boxes
@@ -115,11 +115,11 @@ class CarriedCost(gp.Cost):
 
     @abstractmethod
     def density(self, p_WQ: Array) -> Array:
-        """Return the density where the middle of the object is at these points [n, 3]."""
+        """Return the density for centres at these points [n, 3]."""
 
 
 class KeepAway(CarriedCost):
-    """Stay away from what is severe: severity that decays with the distance."""
+    """Keep away: severity that decays with the distance."""
 
     def density(self, p_WQ: Array) -> Array:
         """Return the sum of severities, each times exp(- distance / NEAR)."""
@@ -127,15 +127,15 @@ class KeepAway(CarriedCost):
 
 
 class NotAbove(CarriedCost):
-    """Do not fly above things: the severity of everything straight below."""
+    """Do not pass above objects: severity of everything straight below."""
 
     def density(self, p_WQ: Array) -> Array:
-        """Return the sum of severities of what is below."""
+        """Return the sum of the severities below."""
         return self.boxes.above(p_WQ) @ self.severity
 
 
 class CarryLow(CarriedCost):
-    """Carry low: the height above what is below."""
+    """Carry low: height above the surface below."""
 
     def density(self, p_WQ: Array) -> Array:
         """Return the height [m]."""
@@ -160,11 +160,11 @@ def carry_low(scene: gp.Scene) -> CarryLow:
 COSTS: Mapping[str, Callable[[gp.Scene], CarriedCost]] = MappingProxyType(
     {"keep away": keep_away, "not above": not_above, "carry low": carry_low}
 )
-"""By name: what makes a cost for a scene."""
+"""Functions that make the costs, by name."""
 
 
 def _middle(scene: gp.Scene) -> Array:
-    """Return the middle of the box around the carried object, in its frame [m]."""
+    """Return the centre of the box around the carried object, in its frame [m]."""
     if scene.carried is None:
         return np.zeros(3)
     model, geoms = scene.model, scene.components["carried"].geoms

@@ -1,4 +1,4 @@
-"""Figures of `prevention`: how many times less harm than at w = 0, and than with other costs."""
+"""Figures of `prevention`: ratios of harm at w = 0, and with other costs, over harm with the default."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from benchmarks.prevention.runs import NONE, OURS, PUBLISHED, Curve, Headline, M
 Array = np.ndarray
 
 MILLION = 1e6
-"""Tasks that absolute harm is stated for."""
+"""Number of tasks for absolute harm."""
 _HOUR = 3600.0
-"""Seconds of an hour."""
+"""Seconds per hour."""
 _LOST = 0.01
-"""Part of the contents of which nobody notices the loss."""
+"""Share of the contents whose loss is negligible."""
 
 
 class Group(NamedTuple):
@@ -31,7 +31,7 @@ class Group(NamedTuple):
 
 
 class Found(NamedTuple):
-    """All that is done."""
+    """All finished jobs, and groups of tasks."""
 
     heads: list[Headline]
     curves: dict[tuple[str, str], Curve]
@@ -39,12 +39,12 @@ class Found(NamedTuple):
 
 
 def less(done: Headline, label: str, kind: str, *, per: str, own_loss: bool = True) -> float:
-    """Return how many times less harm there is than at w = 0; NaN if there is none of one of them.
+    """Return harm at w = 0 over harm of a motion; NaN if either was not simulated.
 
     Args:
         done: The task.
-        label: Of the motion that is compared with that at w = 0.
-        kind: Of failures.
+        label: Label of the motion.
+        kind: Kind of failures.
         per: "failure" or "task".
         own_loss: Whether the loss of the carried object itself counts.
     """
@@ -64,7 +64,7 @@ def _without_own_loss(motion: Motion) -> Motion:
 
 
 def offers(done: Headline, curve: Curve, extent: str) -> list[Offer]:
-    """Return what a planner offers in a task over its weights, by "duration" or "length" relative to w = 0."""
+    """Return the offers of a planner over its weights, by "duration" or "length" relative to w = 0."""
     base = done.motions[NONE]
     motions = [base, *curve.points.values()]
     if curve.cost in done.motions:
@@ -88,7 +88,7 @@ def against_ours(found: Found, group: Group, cost: str, extent: str, at: float) 
 
 
 def _per_task(motion: Motion, kind: str, done: Headline) -> float:
-    """Return harm per executed task over the rate of failures per second, that of the healthy robot with it."""
+    """Return harm per executed task over the failure rate per second, including harm of the healthy motion."""
     return _impact(motion, kind, done.least) * motion.duration + motion.healthy * _HOUR / done.rate
 
 
@@ -98,7 +98,7 @@ def _impact(motion: Motion, kind: str, least: float) -> float:
 
 
 def tasks_of(found: Found, group: Group) -> list[Headline]:
-    """Return what is done of a group."""
+    """Return the finished tasks of a group."""
     return [done for done in found.heads if done.task in group.tasks]
 
 
@@ -108,7 +108,7 @@ def spilt_on_the_way(heads: Sequence[Headline], label: str) -> list[str]:
 
 
 def loses_contents(motion: Motion) -> bool:
-    """Whether a healthy robot spills on its way."""
+    """Whether the healthy motion spills contents."""
     return motion.kept < 1.0 - _LOST
 
 
@@ -118,17 +118,17 @@ def typical_less(heads: Sequence[Headline], label: str, kind: str, per: str, *, 
 
 
 class OfFault(NamedTuple):
-    """What one of the mixed faults does in a group of tasks."""
+    """Harm of one fault among the mixed ones in a group of tasks."""
 
     fault: str
     share: float
-    """Of the harm at w = 0, each task counted alike."""
+    """Share of the harm at w = 0; all tasks have equal weight."""
     less: float
-    """How many times less harm per task, of the sums over tasks of harm relative to that of all faults at w = 0."""
+    """Harm per task at w = 0 over that of the motion; each task is normalised by its harm of all faults at w = 0."""
 
 
 def by_fault(heads: Sequence[Headline], label: str) -> list[OfFault]:
-    """Say what each of the mixed faults does at w = 0, and how many times less it does with a model."""
+    """Return the harm of each mixed fault at w = 0, and the ratio of harm with a model."""
     sums: dict[str, list[float]] = {}
     for done in heads:
         motions = [done.motions.get(x) for x in (NONE, label)]
@@ -146,7 +146,7 @@ def by_fault(heads: Sequence[Headline], label: str) -> list[OfFault]:
 
 
 def longer(heads: Sequence[Headline], label: str, extent: str) -> float:
-    """Return by what share motions are longer than at w = 0, in the median."""
+    """Return the median relative increase of duration or length over w = 0."""
     pairs = [(done.motions[NONE], done.motions[label]) for done in heads]
     ratios = [getattr(own, extent) / getattr(base, extent) for base, own in pairs if base.harm and own.harm]
     return float(np.median(ratios)) - 1.0 if ratios else math.nan
@@ -164,7 +164,7 @@ def beyond(heads: Sequence[Headline], label: str, kind: str, sign: float) -> lis
 
 
 def at_weight(found: Found, group: Group, w: float) -> tuple[float, float, Typical]:
-    """Return duration and length relative to w = 0, medians, and how much less harm, of the default model."""
+    """Return median duration and length relative to w = 0, and typical ratios of harm, of the default model."""
     extents, ratios = [], []
     for done in tasks_of(found, group):
         curve, base = found.curves.get((done.task, OURS)), done.motions[NONE]
@@ -179,9 +179,9 @@ def at_weight(found: Found, group: Group, w: float) -> tuple[float, float, Typic
 
 
 def least_of_all(found: Found, group: Group) -> Typical:
-    """Return how much less harm there is along the best motion of any cost and weight, chosen by what was observed.
+    """Return harm at w = 0 over harm along the best motion of any cost and weight, by observed harm.
 
-    No planner can know it, and it profits from chance; it shows how much there is to be spared in these tasks.
+    The choice profits from chance. It is an upper bound of the harm that planning can prevent in these tasks.
     """
     ratios = []
     for done in tasks_of(found, group):

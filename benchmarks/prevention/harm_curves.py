@@ -1,7 +1,7 @@
-"""What one planner is worth beside another: harm at equal duration or equal motion, and averages of ratios over tasks.
+"""Comparison of planners: harm at equal duration or equal motion, and averages of ratios over tasks.
 
-Costs have different units, and so have their weights. What can be compared is what they are traded for: over its
-weights, each planner offers some harm for some duration. `harm_at` reads that curve where it is asked to.
+Costs have different units, and so have their weights. Each planner gives a curve of harm over duration, and `harm_at`
+reads that curve at a given duration.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ Array = np.ndarray
 
 
 class Offer(NamedTuple):
-    """What a planner offers at one weight."""
+    """Duration or motion, and harm, of a planner at one weight."""
 
     extent: float
     """Duration or motion, relative to that at w = 0."""
     harm: float
-    """Of an executed task, > 0."""
+    """Harm per executed task, > 0."""
 
 
 def lower_envelope(offers: Sequence[Offer]) -> list[Offer]:
-    """Return the offers that do less harm than every one of at most the same extent, from the shortest on."""
+    """Return the offers with less harm than all others of at most the same extent, from the shortest on."""
     found: list[Offer] = []
     for offer in sorted(offers):
         if not found or offer.harm < found[-1].harm:
@@ -39,17 +39,17 @@ def lower_envelope(offers: Sequence[Offer]) -> list[Offer]:
 def harm_at(offers: Sequence[Offer], extent: float) -> float:
     """Interpolate the logarithm of the harm along the lower envelope at an extent.
 
-    Beyond the last offer of the envelope more extent brings nothing; before the first there is no motion.
+    The curve is constant beyond the last offer of the envelope and undefined before the first.
 
     Args:
-        offers: Of one planner in one task, that of w = 0 among them.
+        offers: All offers of one planner in one task, including w = 0.
         extent: Where to read the envelope.
 
     Returns:
         The harm; NaN before the first offer.
 
     Raises:
-        ValueError: If an offer has no positive harm, of which there is no logarithm.
+        ValueError: If the harm of an offer is not positive.
     """
     if any(not offer.harm > 0.0 for offer in offers):
         raise ValueError("harm has to be > 0: see `floored`")
@@ -61,9 +61,9 @@ def harm_at(offers: Sequence[Offer], extent: float) -> float:
 
 
 def floored(mean: float, n: int, least: float) -> float:
-    """Return the mean of n observed impacts, or what it were if one of them had been the least possible one.
+    """Return the mean of n observed impacts, at least as large as if one of them had the least severity.
 
-    Nothing hit in n failures is no proof that nothing can be hit, and there is no ratio to nothing.
+    Ratios need a positive harm even if none of the n failures hit anything.
 
     Args:
         mean: Observed impact of a failure.
@@ -74,15 +74,15 @@ def floored(mean: float, n: int, least: float) -> float:
 
 
 class Typical(NamedTuple):
-    """How many times less harm there is over some tasks."""
+    """Typical ratio of harm over tasks."""
 
     median: float
     geometric: Estimate
-    """Geometric mean, with the interval between percentiles of resampled tasks."""
+    """Geometric mean, with an interval from resampled tasks."""
 
 
 def typical(ratios: Sequence[float]) -> Typical:
-    """Summarise ratios of harm, one for each task; NaN are left out. Without any, everything is NaN."""
+    """Summarise ratios of harm, one per task, without NaN; all fields are NaN if there are none."""
     kept = np.array([ratio for ratio in ratios if not math.isnan(ratio)])
     if not len(kept):
         return Typical(math.nan, Estimate(math.nan, math.nan, math.nan, 0))

@@ -1,8 +1,7 @@
-"""Motions planned with different costs, and what failures do along them; done in jobs, kept a line of JSON each.
+"""Motions planned with different costs, and the harm of failures along them; one line of JSON per job.
 
-Two kinds of jobs. "headline": for a task, motions at w = 0 and at the default w of the impact models; their harm is
-paired with that at w = 0. "curve": for a task and a cost, motions over a grid of weights, with what was found to hold
-the object along those of the headline.
+A "headline" job plans a task at w = 0 and at the default w of the impact models; their harm is paired with that at
+w = 0. A "curve" job plans a task over a grid of weights of one cost, with the grasp of the headline.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ from failbench.validation import chosen_faults
 
 SEED = 77
 SPEED = 0.5
-"""Fraction of the velocity limits."""
+"""Fraction of the velocity limits of all motions."""
 SECONDS, OWN_SECONDS = 1.0, 5.0
-"""Time limit of a plan; of one whose cost is Python, so that costs are compared and not their speed."""
+"""Time limit of a plan with a native cost, and with a cost in Python [s]."""
 NONE, PUBLISHED, OURS, ALL_FAULTS = "w = 0", "Algorithm 1", "default", "service robot"
 MODELS: Mapping[str, gp.ImpactCost] = MappingProxyType(
     {
@@ -39,25 +38,25 @@ MODELS: Mapping[str, gp.ImpactCost] = MappingProxyType(
         ALL_FAULTS: gp.ImpactCost(model=gp.FailureMixture(faults="service_robot")),
     }
 )
-"""Planned with at the default w; their weights are absolute."""
+"""Impact models of the headline, at the default w; their weights are absolute."""
 CURVES = (OURS, PUBLISHED, *common_sense.COSTS)
-"""Planned with over weights."""
+"""Costs of the curves."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Harm:
-    """What failures of one kind do along a motion.
+    """Harm of one kind of failures along a motion.
 
     Args:
         mean: Observed impact of a failure.
         n: Number of failures.
         own: The part of the mean that is the loss of the carried object itself.
-        by_fault: Mean of those of each fault, by "NAME/DEGREE".
-        predicted: Impact of a failure that the default model predicts.
-        less_per_failure: How many times less than at w = 0, per failure: ratio and its interval; None at w = 0 itself
-            and where failures are not paired with those at w = 0.
-        less_per_task: The same per executed task.
-        rise: Harm per executed task less that at w = 0, with its interval.
+        by_fault: Mean impact by fault, "NAME/DEGREE".
+        predicted: Impact of a failure as the default model predicts it.
+        less_per_failure: Harm per failure at w = 0 over that of the motion, with its interval; None at w = 0 and for
+            unpaired failures.
+        less_per_task: The same ratio per executed task.
+        rise: Harm per executed task minus that at w = 0, with its interval.
     """
 
     mean: float
@@ -75,12 +74,12 @@ class Motion:
     """A planned motion.
 
     Args:
-        w: Weight that it was planned with.
-        refused: Why there is none, or why the healthy robot cannot carry it out; "" if it does.
+        w: Weight of the plan.
+        refused: Reason why there is no motion or the healthy robot cannot execute it; otherwise "".
         length: Joint-space length [rad].
         duration: [s].
-        kept: Part of the contents that the healthy robot arrives with; 1 if there are none, or if nobody looked.
-        healthy: Harm of the healthy robot, with probability 1.
+        kept: Share of the contents at the end of the healthy motion; 1 without contents.
+        healthy: Harm of the healthy motion.
         harm: By kind of failures, "drops" or "mixed".
     """
 
@@ -99,9 +98,9 @@ class Headline:
 
     Args:
         task: "scene/task".
-        grasp: What holds the object.
+        grasp: "fingers" or "weld".
         least: Least positive severity of the scene.
-        rate: Failures per hour, of harm per task.
+        rate: Failures per hour.
         motions: By label, those of `NONE` and `MODELS`.
     """
 
@@ -119,7 +118,7 @@ class Curve:
     Args:
         task: "scene/task".
         cost: One of `CURVES`.
-        points: By weight as asked for: absolute for impact models, else relative; see `weight_of`.
+        points: Motions by weight, absolute for impact models, otherwise relative; see `weight_of`.
     """
 
     task: str
@@ -129,7 +128,7 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class HeadlineJob:
-    """What to do for a task: motions of these labels, so many failures along each; mixed ones only if there are any."""
+    """Labels of the motions of a task, and numbers of failures along each; no mixed failures if zero."""
 
     task: str = ""
     drops: int
@@ -139,7 +138,7 @@ class HeadlineJob:
 
 @dataclass(frozen=True, kw_only=True)
 class CurveJob:
-    """What to do for a task and a cost."""
+    """Weights of a cost in a task, grasp, and number of drops along each motion."""
 
     task: str
     cost: str
@@ -152,7 +151,7 @@ class CurveJob:
 
 
 def do_headline(job: HeadlineJob) -> Headline:
-    """Plan at w = 0 and with each impact model at the default w, and let all of them fail alike."""
+    """Plan at w = 0 and with each impact model at the default w, and simulate the same failures along all motions."""
     task = suite.task(job.task)
     objectives = {NONE: gp.Objective(w=0.0), **{label: gp.Objective(impact=x) for label, x in MODELS.items()}}
     objectives = {label: objectives[label] for label in job.labels}
@@ -189,9 +188,9 @@ def do_curve(job: CurveJob) -> Curve:
 
 
 def weight_of(relative: float, task: gp.Task, impact: gp.Cost) -> float:
-    """Return the weight at which the straight path to the first goal costs so many times its motion.
+    """Return the weight at which the impact of the straight path to the first goal is a multiple of its motion.
 
-    Costs of one's own have units of their own; this makes weights of all of them comparable, and of all tasks.
+    Own costs have different units; this makes their weights comparable over costs and tasks.
     """
     straight = gp.evaluate(np.stack([task.start, task.goal[0]]), task.scene, gp.Objective(impact=impact, w=1.0))
     return relative * straight.motion / straight.impact if straight.impact > 0.0 else relative
@@ -203,7 +202,7 @@ def kinds(task: gp.Task) -> dict[str, Sequence[Fault]]:
     return {**drop, "mixed": chosen_faults("*/*/severe")}
 
 
-# --- parts of them ---------------------------------------------------------------------------------------------------
+# --- parts of jobs --------------------------------------------------------------------------------------------------
 
 
 def _planned(task: gp.Task, objective: gp.Objective, seconds: float) -> gp.PlanResult:
@@ -211,7 +210,7 @@ def _planned(task: gp.Task, objective: gp.Objective, seconds: float) -> gp.PlanR
 
 
 def _held(name: str, results: Mapping[str, gp.PlanResult]) -> tuple[str, dict[str, str]]:
-    """Return what holds the object, a weld if fingers do not along every motion, and what is refused all the same."""
+    """Return the grasp, a weld if fingers lose the object along any motion, and the reasons of refused motions."""
     task, refused = suite.task(name), dict[str, str]()
     grasp = "weld"
     for grasp in ("fingers", "weld"):
@@ -222,7 +221,7 @@ def _held(name: str, results: Mapping[str, gp.PlanResult]) -> tuple[str, dict[st
 
 
 def _refusal(task: gp.Task, result: gp.PlanResult, grasp: str) -> str:
-    """Return why a motion cannot be carried out; "" if it can."""
+    """Return the reason why a motion cannot be executed; otherwise ""."""
     if result.trajectory is None:
         return f"{result.status.name}: {result.detail}"
     try:
@@ -233,7 +232,7 @@ def _refusal(task: gp.Task, result: gp.PlanResult, grasp: str) -> str:
 
 
 def _without_failure(reports: Mapping[str, ValidationReport]) -> dict[str, float]:
-    """Return the fields of a motion that say what the healthy robot does; all reports say the same."""
+    """Return the fields of a motion about its healthy execution, which is the same in all reports."""
     for found in reports.values():
         return {"kept": 1.0 - found.healthy.spilled, "healthy": found.healthy.harm}
     return {}
@@ -251,7 +250,7 @@ def _reports(
 
 
 def _harm(own: ValidationReport, reference: ValidationReport | None) -> Harm:
-    """Summarise failures, paired with those at w = 0 if there are any."""
+    """Summarise failures, paired with those at w = 0 if given."""
     plain = Harm(
         mean=own.observed.mean,
         n=own.observed.n,
@@ -287,17 +286,17 @@ def _least(scene: gp.Scene) -> float:
     return min(s for entity in scene.entities.values() for s in entity.severity.values() if s > 0.0)
 
 
-# --- what is kept ----------------------------------------------------------------------------------------------------
+# --- stored lines --------------------------------------------------------------------------------------------------
 
 
 def read_headlines(file: Path) -> Iterator[Headline]:
-    """Yield what is done of the first phase."""
+    """Yield the finished headlines."""
     for x in read_lines(file):
         yield Headline(**{**x, "motions": _motions(x["motions"])})
 
 
 def read_curves(file: Path) -> Iterator[Curve]:
-    """Yield what is done of the second phase, points of the same task and cost together."""
+    """Yield the finished curves, with all points of a task and cost together."""
     found: dict[tuple[str, str], dict[str, Motion]] = {}
     for x in read_lines(file):
         found.setdefault((x["task"], x["cost"]), {}).update(_motions(x["points"]))

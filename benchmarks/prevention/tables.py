@@ -1,4 +1,4 @@
-"""The reports of `prevention` and `harm_curves`: targets and tables."""
+"""Targets and tables of `prevention`."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline, Hea
 from failbench.report import FAILURES_PER_HOUR
 
 KINDS = ("drops", "mixed")
-DROPS, MIXED, CURVE_DROPS = 1000, 500, 200
+DROPS, MIXED, CURVE_DROPS = 200, 76, 200
+"""Failures per motion in a normal run, and drops per motion of the curves."""
 DURATIONS = (1.05, 1.1, 1.2)
-"""Relative to w = 0: where planners are compared."""
+"""Durations relative to w = 0 at which planners are compared."""
 TRUE_TO = (0.8, 1.25)
-"""What is wanted of predictions over what is observed."""
+"""Target of predicted over observed harm."""
 LESS, LESS_WITH_OWN, LESS_AT_CHOICE, LONGER, LESS_THAN_OTHERS = 2.5, 1.8, 4.0, 0.2, 1.5
-"""What is wanted: times less harm per task at the default w without and with the object's own loss, at any w, for so
-much more duration; than other costs."""
+"""Targets: ratio of harm per task at w = 0 over the default, without and with the object's own loss; the same at the
+best w; largest increase of the median duration; ratio of the harm of other costs over the default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sizes:
-    """How many drops along motions of how many weights."""
+    """Drops per motion, and weights of the curves."""
 
     drops: int
     weights: tuple[float, ...]
@@ -47,12 +48,12 @@ class Sizes:
 
 
 def headline_sections(found: Found, asked: Sequence[str], job: HeadlineJob) -> Iterator[str]:
-    """Yield the parts of the report on motions at the default w.
+    """Yield the sections on motions at the default w.
 
     Args:
-        found: What is done.
-        asked: Names of the tasks that were asked for.
-        job: What was to be done for each of them.
+        found: Finished jobs.
+        asked: Names of the chosen tasks.
+        job: The job of each task.
     """
     yield (
         f"{len(found.heads)} of {len(asked)} tasks, {job.drops} drops and {job.mixed} mixed failures or more "
@@ -72,7 +73,7 @@ def headline_sections(found: Found, asked: Sequence[str], job: HeadlineJob) -> I
 
 
 def curve_sections(found: Found, asked: Sequence[str], sizes: Sizes) -> Iterator[str]:
-    """Yield the parts of the report on motions over weights."""
+    """Yield the sections on motions over weights."""
     yield (
         f"{len(found.heads)} of {len(asked)} tasks, {len(found.curves)} of {len(asked) * len(CURVES)} curves, "
         f"{sizes.drops} drops a motion.\n"
@@ -80,7 +81,7 @@ def curve_sections(found: Found, asked: Sequence[str], sizes: Sizes) -> Iterator
     yield from _remarks(found, asked)
     yield report.targets(_curve_targets(found, sizes))
     yield (
-        "The least harm along any motion of any cost and weight, chosen by what was observed, as no planner can: "
+        "Least observed harm along any motion of any cost and weight, which no planner can know in advance: "
         f"x less, median (geometric mean): {'; '.join(_least_of_all(found))}.\n"
     )
     yield "Default model over w:\n"
@@ -106,7 +107,7 @@ def _told(what: str, entries: Sequence[str]) -> str:
 
 
 def _refused(found: Found) -> list[str]:
-    """List every motion that there is none of, or that cannot be carried out."""
+    """List the motions that were not found or cannot be executed."""
     heads = [(x.task, label, x.motions[label]) for x in found.heads for label in x.motions]
     curves = [(x.task, f"{x.cost}, w {asked}", x.points[asked]) for x in found.curves.values() for asked in x.points]
     return [f"{task} ({label}): {motion.refused}" for task, label, motion in heads + curves if motion.refused]
@@ -163,7 +164,7 @@ def _at_least(what: str, value: float, wanted: float, complete: bool) -> report.
 
 
 def _met(holds: bool, complete: bool) -> bool | None:
-    """Whether a target is met; what holds with fewer failures or tasks than were asked for is not yet measured."""
+    """Whether a target is met; None if it holds but failures or tasks are missing."""
     return False if not holds else True if complete else None
 
 
@@ -238,7 +239,7 @@ def _summary(found: Found, kind: str) -> Iterator[Sequence[object]]:
 
 
 def _labels(heads: Sequence[Headline]) -> list[str]:
-    """Return the models that motions were planned with."""
+    """Return the models of the planned motions."""
     return [label for label in MODELS if any(label in done.motions for done in heads)]
 
 

@@ -1,4 +1,4 @@
-"""How close the default planner is to the best motion known, how soon; what its parts contribute; others beside it."""
+"""Gap of the default planner to the best-known cost over time, contribution of its parts, and other planners."""
 
 from __future__ import annotations
 
@@ -15,23 +15,26 @@ from graceful_plan.compare.runs.planner_specs import PlannerSpec
 from graceful_plan.compare.runs.runner import PlannerJob
 
 TITLE = "The default planner: gap to the best known over time"
+QUESTION = "How close to the best-known cost is the default planner over time, and how much do its parts contribute?"
+HEADLINE = "median gap, time_limit=0.3"
+DEPENDS_ON = (*suite.PLANNING, "benchmarks/planning.py", "benchmarks/best_known")
 OTHERS = ("rrt_star", "informed_rrt_star", "bit_star")
-"""Other planners on the same kernels, with more time."""
+"""Planners to compare with, on the same kernels and with more time."""
 OTHERS_WITHIN, OTHERS_TASKS = 0.3, 20
-"""Gap that the first of them is to reach on so many tasks."""
+"""Target for the first of them: gap, and number of tasks with at most this gap."""
 WANTED = {(0.3, 50): 0.02, (2.0, 50): 0.005, (1.0, 90): 0.05}
-"""Greatest gap by time limit [s] and percentile."""
+"""Largest gap by time limit [s] and percentile."""
 PARTS = (
     PlannerSpec(label="everything", name="auto", refine=True),
     PlannerSpec(label="one search", name="auto", refine=True, settings=(("workers", 1),)),
     PlannerSpec(label="without roadmaps", name="auto", refine=True, settings=(("search", gp.Anytime(scouts=False)),)),
     PlannerSpec(label="without descents", name="auto", refine=True, settings=(("search", gp.Anytime(descents=False)),)),
 )
-"""The default planner, and what is left without some of it; roadmaps need descents."""
+"""The default planner with all parts, and without some; roadmaps need descents."""
 MEASURED = """\
-Calls of `plan(w=1)` with the footprint model, scenes loaded and compiled before, one call at a time. The gap is how
-much the total cost lies above the best known: the lesser of `best_known/` and the best of this very run. Every limit is
-a call of its own, verification within it. A call that is not SOLVED counts as an infinite gap.
+Calls of `plan(w=1)` with the footprint model, one at a time, with scenes loaded and compiled before. "Gap": relative
+excess of the total cost over the best known, which is the lesser of `best_known/` and the best of this run. Every time
+limit is a separate call that includes verification. A call that is not SOLVED counts as an infinite gap.
 """
 
 
@@ -40,8 +43,8 @@ Runs = Mapping[float, list[Run]]
 
 
 def run(options: suite.Options) -> str:
-    """Run the default at every limit, its parts, and the others."""
-    seeds, other_limit = options.pick((4, 5.0), quick=(1, 1.0))
+    """Run the default planner at every limit, its parts, and the other planners."""
+    seeds, other_limit = options.pick((2, 5.0), quick=(1, 1.0), long=(4, 5.0))
     tasks = suite.task_names(options)
     limits = sorted({limit for limit, _ in WANTED})
     own = [planning.job(task, seed=seed, seconds=limit) for limit in limits for seed in range(seeds) for task in tasks]
@@ -68,8 +71,8 @@ def run(options: suite.Options) -> str:
 
 
 def _by_limit(jobs: list[PlannerJob]) -> Runs:
-    """Run the default planner; jobs of all limits take part in one row, so that progress is told of all."""
-    done = zip(jobs, planning.runs(jobs, 1, "default planner"), strict=True)  # one process keeps the order
+    """Run the default planner on all jobs, and group the runs by time limit."""
+    done = zip(jobs, planning.runs(jobs, 1, "default planner"), strict=True)  # in order, in one process
     found: dict[float, list[Run]] = {}
     for job, run in done:
         found.setdefault(job.seconds, []).append(run)

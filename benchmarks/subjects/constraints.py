@@ -1,4 +1,4 @@
-"""Constraints: what carried vessels keep and what that costs, and planning with an object or the gripper upright."""
+"""Constraints: contents that carried vessels keep and the extra duration, grasps, and planning upright."""
 
 from __future__ import annotations
 
@@ -19,52 +19,65 @@ from benchmarks.constrained.upright import OMPL, PROJECTION, REJECTION, UprightF
 from benchmarks.store import read_lines
 
 TITLE = "Constraints: what is carried is kept, and planning upright"
+QUESTION = "Do carried vessels keep their contents and fingers their object, and how much longer are these motions?"
+HEADLINE = "healthy motions that lose more than 1 % by FailBench"
+DEPENDS_ON = (
+    *suite.PLANNING,
+    *suite.SIMULATION,
+    "benchmarks/constrained",
+    "benchmarks/vessels",
+    "benchmarks/motion_problems.py",
+)
 MEASURED = f"""\
 **Contents.** All bundled tasks that carry a vessel with contents, and six of `benchmarks/vessels/`: a bowl of soup
 filled to 90 %, a wine glass held from the side, a tray with three cups, a ladle, a bucket on its handle, a pan with
-oil. Carried objects have one vessel each, so that of the three cups it is the one farthest from the grip; the bucket's
-handle is fixed. `plan` with its defaults but for w and `constraints`, full speed, 5 seeds. "Lost, FailBench": share of
-the contents that are not there after FailBench's healthy robot has carried the motion out, by its own model of
-containers. "Lost, pendulum": share that the judge's pendulum leaves above the rim at worst, for unconstrained motions
-too. Fingers hold the vessel; "fingers lose it" counts motions along which a weld has to
-take their place, "not carried out" those that even then leave the tolerance of the joints (0.05 rad). "Longer":
-duration of a constrained motion over that of the unconstrained one with the same task, w and seed.
+oil. A carried object has one vessel: of the three cups it is the one farthest from the grip. The handle of the bucket
+is fixed. `plan` with its defaults except for w and `constraints`, at full speed. "Lost, FailBench": share of the
+contents that is missing after FailBench's healthy robot has executed the motion, by its own model of containers. "Lost,
+pendulum": largest share that the judge's pendulum has above the rim, also for unconstrained motions. Fingers hold the
+vessel; "fingers lose it" counts motions that need a weld instead, "not carried out" those that leave the joint
+tolerance (0.05 rad) even then. "Longer": duration of a constrained motion over that of the unconstrained motion with
+the same task, w and seed.
 
-**Held.** All bundled tasks, {held.SEEDS} seeds, `plan` with its defaults within {held.SECONDS:g} s, carried out by
-FailBench's healthy robot at full speed: fingers hold the object by friction, no weld.
+**Held.** All bundled tasks, `plan` with its defaults within {held.SECONDS:g} s, executed by FailBench's healthy robot
+at full speed. Fingers hold the object by friction, without a weld.
 
-**Upright.** `Upright(15 degrees)` on all bundled tasks, and on problems of the MotionBenchMaker type by
-`benchmarks/motion_problems.py`: of its seven kinds two reach from above ("box", "table_pick"), so that both ends can
-have the gripper upright; the first {upright.KEPT} of {upright.PER_KIND} made of each whose ends do. "Solved": `plan` at
-the default w within {upright.SECONDS:g} s. "First path": RRT-Connect with w = 0 from the call to the first path, scene
-compiled, first call not counted, {upright.SECONDS:g} s at most. "{PROJECTION}" is the library's, "{REJECTION}" the same
-trees, kernels and edge checks without projection, "{OMPL}" its RRTConnect in a ProjectedStateSpace with default
-settings, whose equation is how far outside a configuration is (0 inside); its callbacks are Python with our kernels, so
-its times are those of a user of its Python module. "Gap": J of `plan` with {upright.SOON:g} s over the least of all
-runs, among them long ones of other seeds.
+**Upright.** `Upright(15 degrees)` on all bundled tasks and on problems of the MotionBenchMaker type from
+`benchmarks/motion_problems.py`. Two of its seven kinds reach from above ("box", "table_pick"), so the gripper can be
+upright at both ends; only such problems count. "Solved": `plan` at the default w within {upright.SECONDS:g} s. "First
+path": RRT-Connect with w = 0 from the call to the first path within {upright.SECONDS:g} s, scene compiled, first call
+not counted. "{PROJECTION}" is the library's method; "{REJECTION}" uses the same trees, kernels and edge checks without
+projection. "{OMPL}" is its RRTConnect in a ProjectedStateSpace with default settings; the equation is the distance of a
+configuration from the constraint (0 inside). Its callbacks are Python with our kernels, so its times are those of a
+user of its Python module. "Gap": excess of J of `plan` with {upright.SOON:g} s over the least J of all runs, including
+long ones with other seeds.
 """
 _CONTENTS, _HELD = 0.4, 0.25
-"""Of the time, if it is limited, for contents and for what is held; the rest is for planning upright."""
+"""Shares of a limited time for contents and for grasps; the rest is for planning upright."""
 STORE = Path(__file__).resolve().parents[1] / "constrained_runs"
-"""A line for each job that is done; an interrupted run goes on where it was. To measure anew, take the folder away."""
+"""One line per finished job, so an interrupted run can resume. Remove the folder to measure again."""
 LOST = 0.01
-"""Share of the contents that counts as lost."""
+"""Share of the contents above which they count as lost."""
 LONGER = 0.3
 FIRST_WITHIN = 0.005
 GAP = 0.02
-_LONG, _LONG_SEEDS, _SEEDS = 10.0, 3, 5
+_SIZES = {"normal": (3.0, 1, 2), "quick": (1.5, 1, 2), "long": (10.0, 3, 5)}
+"""Upright: duration of a long run [s], number of long runs, number of other seeds."""
 
 _fill = partial(store.fill, processes=1)
 
 
 def run(options: suite.Options) -> str:
-    """Do what is left to do, and report on all that is done."""
+    """Do the jobs that are left, and report on all finished ones."""
+    size = options.pick("normal", quick="quick", long="long")
     began, seconds = time.monotonic(), math.inf if options.seconds is None else options.seconds
     with store.folder_of(options, STORE) as folder:
-        kept_file, held_file, upright_file = (folder / f"{name}.jsonl" for name in ("contents", "held", "upright"))
+        kept_file, held_file, upright_file = (
+            folder / f"{name}.jsonl" for name in ("contents", "held", f"upright_{size}")
+        )
         wanted = contents.jobs(options)
         have = {kept.job for kept in read_kept(kept_file)}
-        # One process: planning has a limit in seconds and two threads.
+        # One process: planning has a limit in seconds and uses two threads.
         left = [job for job in wanted if job not in have]
         _fill(kept_file, left, contents.examine, label="contents", until=began + _CONTENTS * seconds)
         motions = held.jobs(options)
@@ -74,7 +87,7 @@ def run(options: suite.Options) -> str:
         groups = upright.names(options)
         done = {figures.name for figures in read_upright(upright_file)}
         names = [name for group in groups.values() for name in group if name not in done]
-        long, long_seeds, seeds = options.pick((_LONG, _LONG_SEEDS, _SEEDS), quick=(1.5, 1, 2))
+        long, long_seeds, seeds = _SIZES[size]
         questions = [UprightJob(name=name, seeds=seeds, long=long, long_seeds=long_seeds) for name in names]
         _fill(upright_file, questions, upright.examine, label="upright", until=began + seconds)
         asked = set(wanted)
@@ -102,23 +115,23 @@ def run(options: suite.Options) -> str:
     )
 
 
-# --- what is kept ----------------------------------------------------------------------------------------------------
+# --- finished jobs --------------------------------------------------------------------------------------------------
 
 
 def read_kept(file: Path) -> Iterator[Kept]:
-    """Yield what is done of the contents."""
+    """Yield the finished jobs on contents."""
     for x in read_lines(file):
         yield Kept(**{**x, "job": ContentsJob(**x["job"])})
 
 
 def read_held(file: Path) -> Iterator[Held]:
-    """Yield what is done of what fingers hold."""
+    """Yield the finished jobs on grasps."""
     for x in read_lines(file):
         yield Held(**{**x, "job": HeldJob(**x["job"])})
 
 
 def read_upright(file: Path) -> Iterator[UprightFigures]:
-    """Yield what is done of planning upright."""
+    """Yield the finished jobs on planning upright."""
     for x in read_lines(file):
         first = {method: tuple(times) for method, times in x["first"].items()}
         lists = {key: tuple(value) for key, value in x.items() if isinstance(value, list)}
@@ -205,7 +218,7 @@ def _is_well(x: Held) -> bool:
 
 
 def ratios(kept: Iterable[Kept]) -> dict[ContentsJob, float]:
-    """Return how many times longer each constrained motion takes than its unconstrained twin; NaN where one lacks."""
+    """Return the duration of each constrained motion over that of its unconstrained twin; NaN if one is missing."""
     duration = {(x.job.task, x.job.w, x.job.seed, x.job.fill, x.job.constraints): x.duration for x in kept}
     found: dict[ContentsJob, float] = {}
     for task, w, seed, fill, constraints in duration:

@@ -1,4 +1,4 @@
-"""Is what the drop model predicts what happens? Every event of drops in scenes that no constant was fitted on."""
+"""Predictions of the drop model against simulated drops, in scenes that no constant was fitted on."""
 
 from __future__ import annotations
 
@@ -21,31 +21,41 @@ from graceful_plan.costs.models.mixture.mixture import FailureMixture
 Array = np.ndarray
 
 TITLE = "Drop model: predicted and observed hits, event by event"
+QUESTION = "Does the drop model predict the hits that simulated drops cause in scenes it was not fitted on?"
+HEADLINE = "footprint, Brier skill"
+DEPENDS_ON = (
+    *suite.PLANNING,
+    *suite.SIMULATION,
+    "sim/failbench/calibrations",
+    "benchmarks/events.py",
+    "benchmarks/landing.py",
+    "benchmarks/unseen",
+    "benchmarks/variants.py",
+)
 TALL = 2.0
-"""Height over width of what is carried, from which on it is tall: bottles, tall glasses, vases, cans."""
+"""Height over width above which a carried object is tall: bottles, tall glasses, vases, cans."""
 MEASURED = f"""\
-Scenes: variants of the bundled ones (`benchmarks/variants.py`), with things moved, turned, taken away and added, other
-ends of all tasks, and things carried that no bundled task carries; calibration has seen none of them. Motions: by
-RRT-Connect, planned by the default planner with w = 0.1, 0.3 and 1 ("optimised"), and over random via points, at 0.3 to
-1.0 of the velocity limits. The gripper fails at a random time; the object is held by the fingers where they can,
-otherwise by a weld. An event is a drop and an entity: did the object touch it within one second (what entities do to
-each other is not counted)? "Skill": Brier skill over the base rate of the same events. "ECE": 20 bins of equal counts.
-"Ratio": predicted hits over observed ones. "Tall": what is carried is, as it is held at the start, at least {TALL:g}
-times as high as it is wide. Intervals are 95 %, whole motions drawn with replacement. "Aimed": Algorithm
-1 with the object moved to where ballistics takes it at the height of each entity. "Unseen": the scenes of
-`benchmarks/unseen`, with furniture and objects of their own.
+Scenes: variants of the bundled ones (`benchmarks/variants.py`) with objects moved, turned, removed and added, other
+ends of all tasks, and carried objects that no bundled task carries. Calibration has seen none of them. "Unseen": the
+scenes of `benchmarks/unseen`, with other furniture and objects. Motions: by RRT-Connect, by the default planner with w
+= 0.1, 0.3 and 1 ("optimised"), and over random via points, at 0.3 to 1.0 of the velocity limits. The gripper fails at a
+random time; fingers hold the object where they can, otherwise a weld does. An event is a drop and an entity: did the
+object touch the entity within one second? Touches among entities do not count. "Skill": Brier skill over the base rate
+of the same events. "ECE": 20 bins of equal counts. "Ratio": predicted over observed hits. "Tall": the object as held at
+the start is at least {TALL:g} times as high as wide. Intervals are 95 %, from resampled whole motions. "Aimed":
+Algorithm 1 with the object moved to its ballistic landing point at the height of each entity.
 """
 SEED = 2026
 LEAST = {"brier_skill": 0.65, "auc": 0.96}
 MOST_ECE = 0.02
 RATIO = (0.9, 1.1)
 RATIO_OPTIMISED = (0.8, 1.25)
-"""On optimised motions, for each of `HIT`: what is least there is what the model may underrate."""
+"""Target on optimised motions, for each of `HIT`: planners may exploit hits that the model underrates."""
 DROPS, SCENES = 1000, 6
 DROPS_UNSEEN = 30
-"""Along each motion."""
+"""Drops along each motion in the unseen scenes."""
 HIT = ("things", "furniture", "floor")
-"""What is hit, by the class of the entity; people and animals are things, too."""
+"""Kinds of hit entities, by class; people and animals count as things."""
 VARIANTS, UNSEEN = "variants", "unseen"
 _SURFACES = {"table": "furniture", "floor": "floor"}
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "reliability.png"
@@ -61,11 +71,11 @@ SEVERITIES = (
     ("above 1, at most 5", 1.0, 5.0),
     ("above 5", 5.0, np.inf),
 )
-"""Classes of events by the severity of the object's touching the entity."""
+"""Classes of events, by the severity of a touch of the entity by the object."""
 
 
 def run(options: suite.Options) -> str:
-    """Drop, predict and compare."""
+    """Simulate drops, predict them and compare."""
     resamples = options.pick(1000, quick=20)
     drops, refused = drop_all(options)
     events = events_of(drops)
@@ -90,26 +100,26 @@ def run(options: suite.Options) -> str:
         report.table(_HEADER, _severity_rows(events)),
         "`footprint` by motion and by what is hit:\n",
         report.table(("scenes", "motions", "what is hit", *FIGURES), _hit_rows({VARIANTS: events, UNSEEN: unseen})),
-        "![](../docs/images/reliability.png)\n\nReliability of `footprint`, bins of equally many predicted hits:\n",
+        "![](../../docs/images/reliability.png)\n\nReliability of `footprint`, bins of equally many predicted hits:\n",
         report.table(("predicted", "observed", "95 %", "events"), _curve_rows(events, resamples)),
     ]
     return "\n".join(parts)
 
 
 def drop_all(options: suite.Options) -> tuple[list[Failures], list[str]]:
-    """Drop things in all variants; return the drops in the order of their jobs, and why some motions have none."""
+    """Simulate drops in all variants; return the drops in job order, and the reasons of motions without drops."""
     least, scenes = options.pick((DROPS, len(variants.VARIANTS)), quick=(24, 2))
     jobs: list[FailureJob] = []
     for k, name in enumerate(list(variants.VARIANTS)[:scenes]):
         kinds = options.pick(KINDS, quick=KINDS[:1])
         motions = len(variants.load(name).tasks) * len(kinds)
-        n = -(-least // motions) + (0 if options.quick else 2)  # some diverge, now and then
+        n = -(-least // motions) + (0 if options.quick else 2)  # spares: some rollouts diverge
         jobs += failure_jobs(variants.load, [name], n=n, seed=SEED + k, kinds=kinds)
     return failures.fail(jobs, options)
 
 
 def drop_unseen(options: suite.Options) -> tuple[list[Failures], list[str]]:
-    """Drop things in scenes with furniture and objects of their own, as `drop_all` does."""
+    """Simulate drops in the scenes of `unseen/`, as `drop_all` does."""
     scenes = options.pick(suite.unseen_scenes(), quick=suite.unseen_scenes()[:1])
     kinds = options.pick(KINDS, quick=KINDS[1:2])
     n = options.pick(DROPS_UNSEEN, quick=2)
@@ -155,7 +165,7 @@ def events_of(
 
 
 def is_tall(scene: gp.Scene, q: Array) -> bool:
-    """Whether what is carried is tall, as it is held in a configuration."""
+    """Whether the carried object is tall, as held in a configuration."""
     data = scene.data_at(q)
     geoms = list(scene.components["carried"].geoms)
     half, middle = scene.model.geom_aabb[geoms, 3:], scene.model.geom_aabb[geoms, :3]
@@ -246,7 +256,7 @@ def _hit_rows(events: Mapping[str, Events]) -> list[Sequence[object]]:
 
 
 def _part(events: Events, made: str, what: str = "") -> Events:
-    """Return the events of some motions; of all that is hit if `what` is empty."""
+    """Return the events of some motions with one kind of entity; with all entities if `what` is empty."""
     hit = events.labels["hit"]
     return events.only((events.labels["made"] == made) & ((hit == what) if what else True))
 

@@ -1,4 +1,4 @@
-"""Failures a second that FailBench simulates on one core, beside a plain loop in Python; and where the time goes."""
+"""Rollouts per second of FailBench on one core, compared with a plain loop in Python, with a breakdown of the time."""
 
 from __future__ import annotations
 
@@ -21,13 +21,16 @@ from failbench.rollouts.sampling import make_jobs
 from failbench.simulated.states import CHECKPOINT
 
 TITLE = "FailBench: rollouts a second"
+QUESTION = "How many failure rollouts per second does FailBench simulate on one core?"
+HEADLINE = "rollouts/s on one core, mixed"
+DEPENDS_ON = (*suite.SIMULATION,)
 MEASURED = """\
-Scene `tabletop`, task `lift_to_goal`: the whole arm, 15 free boxes, the object held by the fingers; half of the joints'
-limits; time step 2 ms. Failures at times spread over the motion, one second simulated after each. "Drops": the gripper
-fails; "mixed": all 19 faults at their default degree, equally often. "Plain loop": the same forks from the same
-checkpoints, with mj_step and the recorder called step by step from Python; "from the start": the same loop, but the
-healthy motion is simulated anew before each failure and nothing sleeps, as is usual. All in one process, one kind after
-the other in several rounds; the best round of each counts. The breakdown is that of the fastest round.
+Scene `tabletop`, task `lift_to_goal`: the whole arm, 15 free boxes, fingers that hold the object, half of the joint
+limits, time step 2 ms. Failures at times spread over the motion, one second simulated after each. "Drops": the gripper
+fails. "Mixed": all 19 faults at their default degree, equally often. "Plain loop": the same forks from the same
+checkpoints, with mj_step and the recorder called step by step from Python. "From the start": the same loop, but the
+healthy motion is simulated again before each failure, without sleeping bodies, as is usual. One process; the best of
+several rounds counts, and the breakdown is that of the fastest round.
 """
 DROPS_AT_LEAST, MIXED_AT_LEAST, THREADS_AT_LEAST = 70.0, 40.0, 1.8
 HORIZON = 1.0
@@ -45,13 +48,13 @@ class Timing:
 
     @property
     def rate(self) -> float:
-        """Rollouts a second."""
+        """Rollouts per second."""
         return self.rollouts / self.seconds
 
 
 def run(options: suite.Options) -> str:
     """Measure everything."""
-    # A plain loop of a multiple of 19 rollouts has all faults.
+    # Multiples of 19 rollouts cover all faults.
     n_drops, n_mixed, loop, rounds = options.pick((256, 190, 38, 5), quick=(32, 19, 19, 1))
     execution = prepared()
     drops = make_jobs([GripperFailure()], execution.duration, n=n_drops)
@@ -88,7 +91,7 @@ def plain_rollout(execution: failbench.Execution, job: failbench.Job, *, anew: b
     Args:
         execution: The healthy run.
         job: What fails, and when.
-        anew: Whether to simulate the healthy motion first, which changes nothing but the time it takes.
+        anew: Whether to simulate the healthy motion first, which only takes time.
     """
     model = execution.world.model
     checkpoint = execution.checkpoint(job.onset)
@@ -107,7 +110,7 @@ def plain_rollout(execution: failbench.Execution, job: failbench.Job, *, anew: b
 
 
 def same(first: failbench.Rollout, second: failbench.Rollout) -> bool:
-    """Tell whether two rollouts agree in every bit of what they recorded."""
+    """Whether the records of two rollouts are bitwise equal."""
     fields = [field.name for field in dataclasses.fields(first) if field.name not in ("poses", "state")]
     return all(getattr(first, name) == getattr(second, name) for name in fields) and all(
         np.array_equal(first.poses[name], second.poses[name]) for name in first.poses.keys() | second.poses.keys()
@@ -120,7 +123,7 @@ def _loop(execution: failbench.Execution, jobs: Sequence[failbench.Job], *, anew
 
 
 def _differing(execution: failbench.Execution, jobs: Sequence[failbench.Job]) -> int:
-    """Return how many native rollouts differ from those of the plain loop."""
+    """Return the number of native rollouts that differ from the plain loop."""
     native = failbench.run_rollouts(execution, jobs, horizon=HORIZON, threads=2)
     return sum(not same(rollout, plain_rollout(execution, rollout.job)) for rollout in native)
 
@@ -130,7 +133,7 @@ def _without_sleep(world: failbench.World) -> failbench.World:
 
 
 def _time(timing: Timing, count: int, do: Callable[[], object]) -> None:
-    """Time one round, and keep it if it is the fastest so far."""
+    """Time one round and keep it if it is the fastest."""
     parts = {"simulation": 0.0, "recorder": 0.0}
     with (
         mock.patch(f"{rollout.__name__}.Batch", _told(Batch, ("rollout",), parts, "simulation")),
@@ -146,7 +149,7 @@ def _time(timing: Timing, count: int, do: Callable[[], object]) -> None:
 
 
 def _told(cls: type, methods: Sequence[str], parts: dict[str, float], part: str) -> type:
-    """Return a class whose methods add the time they take to a part."""
+    """Return a class whose methods add their duration to a part."""
 
     def told(method: Callable[..., object]) -> Callable[..., object]:
         def timed(*args: object, **named: object) -> object:

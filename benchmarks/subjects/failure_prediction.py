@@ -1,4 +1,4 @@
-"""Spills, collapsing and stuck arms: is what the model predicts what happens, in scenes that it never saw?"""
+"""Predictions of the spill and body models against simulated failures, in scenes they were not fitted on."""
 
 from __future__ import annotations
 
@@ -23,14 +23,23 @@ from graceful_plan.costs.models.body.tables import ROWS
 Array = np.ndarray
 
 TITLE = "Spill and body models: predicted and observed hits, event by event"
+QUESTION = "Do the spill and body models predict the hits of spills and failing arms in scenes they were not fitted on?"
+HEADLINE = "collapse: Brier skill"
+DEPENDS_ON = (
+    *suite.PLANNING,
+    *suite.SIMULATION,
+    "sim/failbench/calibrations",
+    "benchmarks/events.py",
+    "benchmarks/variants.py",
+)
 MEASURED = """\
-Scenes and motions as in `drop_prediction`, with other seeds. Faults are severe, at random times. An event is a failure
-and an entity: did one of the components touch it within one second? "Spill, dropped": contents after a failure of the
-gripper. "Spill, held": contents after faults of the arm that spill some of them; whether they do does not show in the
-state. "Collapse": body after a loss of power. "Joint": body and carried object after the shutdown of one joint.
-"Stuck": the same after one joint has seized. "Stray": after faults of sensors. The model is told what kind of failure
-it is, for single joints which, and the motion that was planned. "Skill": Brier skill over the base rate of the same
-events; "ratio": predicted hits over observed ones; intervals are 95 %, whole motions drawn with replacement.
+Scenes and motions as in `drop_prediction`, with other seeds. Faults are severe and begin at random times. An event is a
+failure and an entity: did one of the listed components touch the entity within one second? "Spill, dropped": contents
+after a gripper failure. "Spill, held": contents after arm faults that spill some of them; the state does not show
+whether they do. "Collapse": body after a power loss. "Joint": body and carried object after the shutdown of one joint.
+"Stuck": the same after one joint has seized. "Stray": the same after sensor faults. The model gets the kind of failure,
+the joint for single-joint faults, and the planned motion. "Skill": Brier skill over the base rate of the same events.
+"Ratio": predicted over observed hits. Intervals are 95 %, from resampled whole motions.
 """
 SEED = 3111
 LEAST_SKILL = 0.4
@@ -44,14 +53,14 @@ class FailureKind:
 
     generator: str
     faults: tuple[str, ...]
-    """Names."""
+    """Names of the faults."""
     components: tuple[str, ...]
     single: bool = False
-    """Whether the faults strike one joint that is known."""
+    """Whether the faults concern one known joint."""
     spilled: bool = False
-    """Whether only failures count in which contents got out."""
+    """Whether only failures with spilled contents count."""
     judged: bool = True
-    """Whether there is a bar for them."""
+    """Whether there is a target."""
 
 
 _GRIPPER = ("gripper_failure", "weak_grip", "stuck_gripper")
@@ -68,7 +77,7 @@ EVENTS: Mapping[str, FailureKind] = {
 
 
 def run(options: suite.Options) -> str:
-    """Fail, predict and compare."""
+    """Simulate failures, predict them and compare."""
     failures, refused = fail_all(options)
     events = {name: events_of(failures, kind) for name, kind in EVENTS.items()}
     rows = [(name, model, *x.figures(model)) for name, x in events.items() for model in x.predicted]
@@ -84,18 +93,18 @@ def run(options: suite.Options) -> str:
 
 
 def fail_all(options: suite.Options) -> tuple[list[Failures], list[str]]:
-    """Fail in all variants; return the failures in the order of their jobs, and why some motions have none."""
-    each, scenes = options.pick((3, len(variants.VARIANTS)), quick=(1, 2))
+    """Simulate failures in all variants; return them in job order, and the reasons of motions without failures."""
+    each, scenes = options.pick((1, len(variants.VARIANTS)), quick=(1, 2), long=(3, len(variants.VARIANTS)))
     jobs: list[FailureJob] = []
     for k, name in enumerate(list(variants.VARIANTS)[:scenes]):
-        feared = feared_in(variants.load(name))
+        chosen = faults_of(variants.load(name))
         kinds = options.pick(KINDS, quick=KINDS[:1])
-        jobs += failure_jobs(variants.load, [name], feared, n=each * len(feared), seed=SEED + k, kinds=kinds)
+        jobs += failure_jobs(variants.load, [name], chosen, n=each * len(chosen), seed=SEED + k, kinds=kinds)
     return failing.fail(jobs, options)
 
 
-def feared_in(scene: gp.Scene) -> list[Fault]:
-    """Return all faults that are asked for, those of single joints for each joint."""
+def faults_of(scene: gp.Scene) -> list[Fault]:
+    """Return all simulated faults, those of single joints for each joint."""
     every: dict[Fault, None] = {}
     for kind in EVENTS.values():
         for name in kind.faults:

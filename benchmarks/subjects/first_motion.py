@@ -1,4 +1,4 @@
-"""From a call to a verified first motion: where the time goes, what changes of a scene cost, limits that are kept."""
+"""Time to a verified first motion, time to import and to change a scene, and overruns of time limits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import graceful_plan as gp
-from benchmarks import mesh_arm, report, suite
+from benchmarks import import_times, mesh_arm, report, suite
 from benchmarks.motion_problems import KINDS, make
 from graceful_plan.compare.problems.problem_files import ProblemFile
 from graceful_plan.core import covers
@@ -23,25 +23,35 @@ from graceful_plan.scene.edit import StaticBody
 Array = np.ndarray
 
 TITLE = "First motion: plan(w=0) from the call to a verified motion, changes of a scene, limits of time"
+QUESTION = "How long do import, the first verified motion and a change of the scene take, and are time limits kept?"
+HEADLINE = "plan(w=0) to a verified first motion, CPU, median"
+DEPENDS_ON = (
+    *suite.PLANNING,
+    "src/graceful_plan/__init__.py",
+    "src/graceful_plan/tools/cli.py",
+    "benchmarks/import_times.py",
+    "benchmarks/mesh_arm.py",
+    "benchmarks/motion_problems.py",
+)
 SEED = 7
 LIMITS = (0.02, 0.05, 0.3, 1.0)
-"""Time limits that are to be kept [s]."""
-CALLS = 1000
-"""Calls of each limit, unless `--calls` says otherwise: of .3 s a quarter of them, of 1 s a tenth."""
+"""Time limits to keep [s]."""
+CALLS, LONG_CALLS = 400, 1000
+"""Calls per time limit without `--calls`; a quarter of them at 0.3 s, a tenth at 1 s."""
 MEASURED = """\
-One process, scenes compiled unless it says otherwise. "Call" is `plan(w=0)` on own problems of the MotionBenchMaker
-kinds whose callback ends the search at the first path: both ends checked by exact geometry, search, a motion, its
-verdict. "Search" is RRT-Connect alone on the same problem with the same margin, to its first path, and its quarter of
-the call is what all else has to fit into. "Verified" is the verdict on the same motion, as the call has it and with
-exact geometry everywhere. CPU times are of the process. "Mesh" is an arm whose links are two hulls each
-(`benchmarks/mesh_arm.py`), beside its twin of capsules. Overruns are of calls that have the time limit alone, by wall
-clock: a call that ends early has a negative one. "Somebody walks by" are table tasks with a moving entity.
+One process with compiled scenes, unless a row says otherwise. "Call" is `plan(w=0)` on generated problems of the
+MotionBenchMaker kinds; a callback ends the search at the first path. A call checks both ends by exact geometry,
+searches, times the motion and verifies it. "Search" is RRT-Connect alone to its first path, on the same problem with
+the same margin. "Verified" is the verification of the motion as the call does it, and with exact geometry everywhere.
+CPU times are those of the process. "Mesh" is an arm whose links have two hulls each (`benchmarks/mesh_arm.py`),
+compared with the same arm of capsules. Overruns are wall-clock times of calls with only a time limit; a call that ends
+early has a negative overrun. "Moving entity" are table tasks with a pedestrian passing by.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class CallFigures:
-    """What came of one problem: seconds."""
+    """Times of one problem [s], and the samples of its verification."""
 
     group: str
     status: str
@@ -52,21 +62,23 @@ class CallFigures:
     exact: float
     samples: int
     looked_at: int
+    """Samples that a lower bound of the clearance did not settle."""
 
 
 def run(options: suite.Options) -> str:
-    """Measure calls, changes and overruns."""
+    """Measure calls, changes, overruns and new processes."""
     made = suite.spread(_make, [(kind, options.pick(10, quick=1)) for kind in KINDS], options.processes, "problems")
     problems = [problem for group in made for problem in group]
     repeats = options.pick(5, quick=2)
     calls = [_call(problem, repeats) for problem in problems]
     among = _among_entities(repeats)
     changes = _changes(problems[0].scene, options.pick(15, quick=3))
-    overruns = list(_overruns(problems, options.calls, options.pick(CALLS, quick=24)))
+    fresh = list(import_times.targets(options))
+    overruns = list(_overruns(problems, options.calls, options.pick(CALLS, quick=24, long=LONG_CALLS)))
     return "\n".join(
         [
             MEASURED,
-            report.targets([*_targets(calls), among, *_change_targets(changes), *_overrun_targets(overruns)]),
+            report.targets([*_targets(calls), among, *_change_targets(changes), *_overrun_targets(overruns), *fresh]),
             _call_table(calls),
             report.table(("scene, ms", *changes["own Panda"]), [
                 (name, *(f"{1e3 * seconds:.2f}" for seconds in row.values())) for name, row in changes.items()
@@ -75,6 +87,7 @@ def run(options: suite.Options) -> str:
                 ("calls", "limit [ms]", "n", "median over [ms]", "99 %", "most", "solved", "timeout", "other"),
                 [one.row() for one in overruns],
             ),
+            import_times.MEASURED,
         ]
     )  # fmt: skip
 
@@ -122,7 +135,7 @@ def _call(problem: ProblemFile, repeats: int) -> CallFigures:
 
 
 def _among_entities(repeats: int) -> report.Target:
-    """Measure first verified motions of table tasks at the default weight, by the processor's clock."""
+    """Measure the processor time of first verified motions on table tasks at the default weight."""
     seconds = []
     for task in (suite.task(name) for name in suite.task_names() if suite.is_tabletop(name)):
         spent = []
@@ -199,7 +212,7 @@ def _targets(calls: list[CallFigures]) -> Iterator[report.Target]:
 
 
 def _changes(panda: gp.Scene, repeats: int) -> dict[str, dict[str, float]]:
-    """Return seconds by what was done, by scene."""
+    """Return times by scene and kind of change [s]."""
     ends = {
         "own Panda": (panda, mesh_free(panda)),
         "mesh": (mesh_arm.mesh_arm(), (mesh_arm.START, mesh_arm.GOAL)),
@@ -209,7 +222,7 @@ def _changes(panda: gp.Scene, repeats: int) -> dict[str, dict[str, float]]:
 
 
 def mesh_free(panda: gp.Scene) -> tuple[Array, Array]:
-    """Return two configurations of the Panda that are free and not far apart."""
+    """Return two free configurations of the Panda, close to each other."""
     q = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
     around = q + np.random.default_rng(0).uniform(-0.4, 0.4, (200, 7))
     free = around[compile_scene(panda).kernels.free(around, 0.01)]
@@ -272,7 +285,7 @@ def _change_targets(changes: dict[str, dict[str, float]]) -> Iterator[report.Tar
 
 @dataclass(frozen=True, kw_only=True)
 class Overruns:
-    """Calls of one kind with one time limit."""
+    """Overruns of calls of one kind with one time limit."""
 
     name: str
     limit: float
@@ -313,7 +326,7 @@ def _overruns(problems: list[ProblemFile], calls: int | None, most: int = CALLS)
         "files, w = 0": files,
         "table tasks": household,
         "unreachable pose": unreachable,
-        "somebody walks by": walked,
+        "moving entity": walked,
     }
     for name, call in kinds.items():
         for k in range(min(most, 25)):
@@ -331,7 +344,7 @@ def _overruns(problems: list[ProblemFile], calls: int | None, most: int = CALLS)
 
 
 def _walker() -> gp.MovingEntity:
-    """Return somebody who passes the table."""
+    """Return a pedestrian who passes the table."""
     position = [[-0.5, -2.0, 0.85], [-0.5, 2.2, 0.85]]
     return gp.MovingEntity("person", "adult", size=[0.2, 0.85], t=[0.0, 3.0], position=position, spread=0.03)
 

@@ -1,4 +1,4 @@
-"""Goals given as a pose: are they solved, how exactly, in what time, and how many seeds arrive?"""
+"""Pose goals: share solved, error, time, and number of seeds that reach the pose."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from graceful_plan.query.endpoints.pose_solver import PoseSolver
 from graceful_plan.scene.pose_goal import pose_error
 
 TITLE = "Inverse kinematics: goals given as a pose"
+QUESTION = "Are reachable tool poses solved, how exactly and how fast?"
+HEADLINE = "reachable poses"
+DEPENDS_ON = ("src/graceful_plan/query/endpoints", "src/graceful_plan/core", "src/graceful_plan/scene")
 SEEDS = 32
-"""Seeds of the search in a round, as `solve_ik` has by default."""
+"""Seeds per round of the search, the default of `solve_ik`."""
 ITERATIONS = 60
 EXACT = 1e-6
-"""Error [m, rad] that no solution may exceed."""
+"""Largest error of a solution [m, rad]."""
 MEASURED = """\
-Poses of the tool in configurations drawn uniformly within the joint limits, so all of them can be reached; ten in each
-bundled scene, all of the pose or with free yaw. "Solved" and "query" are `solve_ik` from the task's start: at most
-eight different solutions, collisions not asked for. Errors are those of all solutions. "Arrived" are the seeds that
-the core takes to their pose, of one round of 32 seeds for each pose.
+Tool poses of configurations drawn uniformly within the joint limits, so all can be reached; ten per bundled scene, as
+full poses and with free yaw. "Solved" and "query": `solve_ik` from the task's start, at most eight distinct solutions,
+collisions ignored. Errors are those of all solutions. "Arrived": seeds that the core brings to their pose, out of one
+round of 32 seeds per pose.
 """
 
 Array = np.ndarray
@@ -32,21 +35,21 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class PoseFigures:
-    """What came of one pose."""
+    """Result for one pose."""
 
     free_yaw: bool
     seconds: float
     solutions: Array
-    """Error of each [m, rad]."""
+    """Errors of the solutions [m, rad]."""
     arrived: int
-    """Seeds of one round that reach it."""
+    """Seeds of one round that reach the pose."""
 
 
 def run(options: suite.Options) -> str:
     """Measure random poses in every scene."""
     per_scene = 1 if options.quick else 10
     jobs = [(name, free_yaw, per_scene) for name in gp.scenes() for free_yaw in (False, True)]
-    # One process: queries of some milliseconds are not to be shared with anybody.
+    # One process: other processes would disturb queries of a few milliseconds.
     findings = [f for found in suite.spread(examine, jobs, 1, "inverse kinematics") for f in found]
     header = (
         "goal", "poses", "solved", "query, median [ms]", "slowest [ms]", "error, median", "worst",
@@ -65,7 +68,7 @@ def examine(job: tuple[str, bool, int]) -> list[PoseFigures]:
         gp.PoseGoal(_tool(task.scene, q), free_yaw=free_yaw)
         for q in rng.uniform(*task.scene.limits.position.T, size=(count, len(task.start)))
     ]
-    solve_ik(goals[0], task.scene, task.start)  # the first one warms up
+    solve_ik(goals[0], task.scene, task.start)  # warm-up
     return [_examine(goal, task.scene, task.start) for goal in goals]
 
 

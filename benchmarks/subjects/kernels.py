@@ -1,4 +1,4 @@
-"""How fast the kernels are, on one thread, for every instruction set, beside MuJoCo on the same configurations."""
+"""Speed of the kernels on one thread, for every instruction set, compared with MuJoCo on the same configurations."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from benchmarks import report, suite
+from benchmarks import impact_rates, report, suite
 from graceful_plan.core.compile import CompiledScene, compile_scene
 from graceful_plan.core.kernels import CHECK_STEP, COST_STEP, Kernels, instruction_sets
 from graceful_plan.costs.impact import ImpactCost
@@ -21,26 +21,33 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 TITLE = "Kernels: configurations per second on one thread"
+QUESTION = "How many configurations per second do the kernels and impact models evaluate on one thread?"
+HEADLINE = "free edges"
+DEPENDS_ON = (
+    "src/graceful_plan/core",
+    "src/graceful_plan/costs",
+    "src/graceful_plan/scene",
+    "benchmarks/impact_rates.py",
+)
 N_BOXES = 20
 CARGO = 0.03
 """Half side of the carried box [m]."""
 EDGE_LENGTH = 1.03
-"""Length of the edges [rad]: not a multiple of any block, so that rounding cannot change how many the kernel checks."""
+"""Length of the edges [rad], not a multiple of any block, so that rounding does not change the number of checks."""
 MEASURED = f"""\
-A Panda that carries a 6 cm box, against {N_BOXES} random oriented boxes and itself. "Free edges": straight edges of
-{EDGE_LENGTH:g} rad that are free, checked at {CHECK_STEP:g} rad; every configuration that the kernel checks is
-counted. "Uniform": drawn uniformly within the joint limits. Clearance is signed, that of the spheres. Algorithm 1
-runs on `tabletop` with the green cube in the gripper: "impact" is the sum of P S of carried object and contents,
-"interaction" all P with those of the links. "Edge costs" counts the samples of `edge_costs` at {COST_STEP:g} rad.
-The drop model runs on the same scene, at random joint velocities up to the limits or along edges; its pairs are those
-of a configuration and an entity.
-MuJoCo is `mj_kinematics` and `mj_collision` called from Python, with the box as a part of the hand, so that it needs
-no placing. Best of several repetitions; millions of configurations per second.
+A Panda that carries a 6 cm box among {N_BOXES} random oriented boxes. "Free edges": free straight edges of
+{EDGE_LENGTH:g} rad, checked every {CHECK_STEP:g} rad; all configurations that the kernel checks are counted. "Uniform":
+configurations drawn uniformly within the joint limits. Clearance is signed and is that of the covering spheres.
+Algorithm 1 runs on `tabletop` with the green cube in the gripper: "impact" is the sum of P S of the carried object and
+its contents, "interaction" all P including those of the links. "Edge costs" counts the samples of `edge_costs`, one
+every {COST_STEP:g} rad. The drop model runs on the same scene, at random joint velocities up to the limits and along
+edges; its pairs are those of a configuration and an entity. MuJoCo is `mj_kinematics` and `mj_collision`, called from
+Python, with the box fixed to the hand. Best of several repetitions, in millions of configurations per second.
 """
 
 
 Work = dict[str, tuple[int, Callable[[], object]]]
-"""By name, a number of configurations and what goes through them."""
+"""By name: the number of configurations, and the function to time."""
 WANTED = {
     "free edges": 6.0,
     "uniform": 3.0,
@@ -49,13 +56,13 @@ WANTED = {
     "impact": 3.0,
     "drop model, pairs": 20.0,
 }
-"""Targets with AVX-512, in millions of configurations (or pairs) per second."""
+"""Targets with AVX-512, in millions of configurations or pairs per second."""
 
 
 def run(options: suite.Options) -> str:
-    """Measure every kernel with every instruction set, then MuJoCo."""
+    """Measure every kernel with every instruction set, MuJoCo, and the impact models in every scene."""
     uniform, count, repetitions = options.pick((200_000, 10_000, 7), quick=(20_000, 1000, 2))
-    # Kernels that are slower, and MuJoCo, get some of the configurations only.
+    # Slower kernels and MuJoCo run on fewer configurations.
     heavy, few = options.pick((50_000, 20_000), quick=(5000, 1000))
     rng = np.random.default_rng(0)
     boxes = compile_scene(boxes_scene(np.random.default_rng(0)))
@@ -73,11 +80,14 @@ def run(options: suite.Options) -> str:
         for isa in instruction_sets()
     }
     rates["MuJoCo"] = _mujoco_rates(q[:few], edges, repetitions)
-    return f"{MEASURED}\n{_facts(boxes, q)}\n\n{_targets(rates)}\n{_table(rates)}"
+    impact = impact_rates.measure(options)
+    targets = report.targets([*_targets(rates), *impact_rates.targets(impact)])
+    kernels, models = _table(rates), impact_rates.table(impact)
+    return "\n".join([MEASURED, _facts(boxes, q), "", targets, kernels, impact_rates.MEASURED, models])
 
 
 def boxes_scene(rng: np.random.Generator, *, fixed_cargo: bool = False) -> Scene:
-    """Make the arm among boxes; `fixed_cargo` makes the carried box a part of the hand, for MuJoCo's own use."""
+    """Return the arm among boxes; with `fixed_cargo` the carried box is part of the hand, as MuJoCo needs it."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.attach(mujoco.MjSpec.from_file(str(robot_file("panda"))), prefix="panda/", frame=spec.worldbody.add_frame())
@@ -97,7 +107,7 @@ def boxes_scene(rng: np.random.Generator, *, fixed_cargo: bool = False) -> Scene
 
 
 def free_edges(kernels: Kernels, q: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Draw free edges of one length from free configurations in random directions."""
+    """Return random free edges of one length that begin at free configurations."""
     first = q[kernels.free(q)]
     direction = rng.normal(size=first.shape)
     second = first + EDGE_LENGTH * direction / np.linalg.norm(direction, axis=1, keepdims=True)
@@ -108,12 +118,12 @@ def free_edges(kernels: Kernels, q: Array, count: int, rng: np.random.Generator)
 
 
 def configurations_checked(length: Array, lanes: int) -> int:
-    """Count the configurations that the kernel looks at on free edges: whole blocks of lanes."""
+    """Return the number of configurations that the kernel checks on free edges, in whole blocks of lanes."""
     return int((((length / CHECK_STEP + 1.0) / lanes).astype(int) + 1).sum()) * lanes
 
 
 def _position(rng: np.random.Generator) -> Array:
-    """Draw where a box goes: in reach, not in the arm's base."""
+    """Return a random position of a box within reach of the arm and outside its base."""
     while True:
         p = rng.uniform([-0.8, -0.8, 0.0], [0.8, 0.8, 1.1])
         if np.hypot(p[0], p[1]) > 0.25:
@@ -139,7 +149,7 @@ def _best_seconds(work: Callable[[], object], repetitions: int) -> float:
 
 
 def _measured(work: Work, repetitions: int) -> dict[str, float]:
-    """Millions of configurations a second."""
+    """Return millions of configurations per second."""
     return {name: n / _best_seconds(task, repetitions) / 1e6 for name, (n, task) in work.items()}
 
 
@@ -213,11 +223,11 @@ def _facts(boxes: CompiledScene, q: Array) -> str:
     )
 
 
-def _targets(rates: dict[str, dict[str, float]]) -> str:
+def _targets(rates: dict[str, dict[str, float]]) -> list[report.Target]:
     best = instruction_sets()[0]
-    # What a kernel has to reach was set for AVX-512; with less there is nothing to meet.
+    # The targets are for AVX-512; other processors are not judged.
     judged = "v4" in best
-    return report.targets(
+    return [
         report.Target(
             what=f"{name}, {best}",
             wanted=f">= {wanted:g} M/s",
@@ -225,7 +235,7 @@ def _targets(rates: dict[str, dict[str, float]]) -> str:
             met=rates[best][name] >= wanted if judged else None,
         )
         for name, wanted in WANTED.items()
-    )
+    ]
 
 
 def _table(rates: dict[str, dict[str, float]]) -> str:

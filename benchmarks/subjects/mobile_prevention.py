@@ -1,4 +1,4 @@
-"""Robots that drive, with whatever may break: harm per executed task at the default weight, against w = 0."""
+"""Mobile robots under all faults: harm per executed task at the default weight, compared with w = 0."""
 
 from __future__ import annotations
 
@@ -16,65 +16,69 @@ from graceful_plan.mobile.floor.generated import floor_plan
 Array = np.ndarray
 
 TITLE = "Robots that drive: harm per executed task under all faults"
-PLANS, PEOPLE, FAILURES, HORIZON, SECONDS, SEED = 20, 12, 8, 3.0, 5.0, 2016
+QUESTION = "How much less harm do failing mobile robots cause at the default weight than at w = 0?"
+HEADLINE = "harm per executed task at the default w"
+DEPENDS_ON = (*suite.PLANNING, *suite.SIMULATION, "src/graceful_plan/mobile", "sim/failbench/mobile")
+PEOPLE, HORIZON, SECONDS, SEED = 12, 3.0, 5.0, 2016
+SIZES, LONG_SIZES = (10, 2), (20, 8)
+"""Generated floors, and failures per fault, in normal and long runs."""
 DEGREE = "severe"
 LEAST = 0.1
-"""Hits that count where none was seen."""
+"""Hits that count if none was observed."""
 MEASURED = f"""\
-Every task of the mobile scenes ({", ".join(gp.mobile_scenes())}), with what is carried, and {PLANS} generated floors
-(`floor_plan`, three by two rooms, {PEOPLE} who may be harmed), which a Jackal crosses with nothing aboard. No constant
-was fitted on either; `harmless` of the coast model was, on twelve other floors of this kind (`other_floors`),
-and the pace of bases that go astray on 16 more.
-Each is planned in {SECONDS:g} s with w = 0 and with the default weight, executed in FailBench on
-wheels that turn, and fails {FAILURES} times with each fault that its robot can have, degree "{DEGREE}", the same onsets
-(as quantiles) and random numbers for both motions, watched for {HORIZON:g} s. Harm is that of `validate`: what the
-body of the base hits counts by the square of its speed up to 1 m/s, what is carried by what it falls on, the loss of
-itself included; what others suffer is told beside it. **Per task**: failures come per hour, so it is harm per failure
-times duration; where nothing is hit, {LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot
-execute the motion, for instance since somebody walks into it where it has to pass. "Worse": more harm per task than at
-w = 0, by more than twice the standard error of the paired difference.
+Every task of the mobile scenes ({", ".join(gp.mobile_scenes())}), with its carried object, and generated floors
+(`floor_plan`, three by two rooms, {PEOPLE} entities), which an empty Jackal crosses. No constant was fitted on these
+tasks and floors; `harmless` of the coast model was fitted on twelve other floors of this kind, and the speed of
+drifting bases on 16 more. Each task is planned in {SECONDS:g} s with w = 0 and with the default weight and executed in
+FailBench on simulated wheels. It then fails with each fault of its robot, degree "{DEGREE}", with the same onsets (as
+quantiles) and random numbers for both motions; the simulation continues for {HORIZON:g} s. Harm is that of `validate`:
+hits of the base count by the square of its speed up to 1 m/s, hits of the carried object by what it falls on, including
+its own loss; "others" leaves that out. **Per task**: failures come per hour, so harm per task is harm per failure times
+duration; without any hit, {LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the
+motion, for instance because a pedestrian blocks its way. "Worse": more harm per task than at w = 0, by more than twice
+the standard error of the paired difference.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prevented:
-    """What came of one task."""
+    """Result for one task."""
 
     task: str
     note: str = ""
-    """Why there are no figures."""
+    """Reason why there are no figures."""
     duration: tuple[float, float] = (np.nan, np.nan)
     """At w = 0, and at the default weight [s]."""
     harm: tuple[float, float] = (np.nan, np.nan)
-    """Of a failure."""
+    """Harm per failure."""
     others: tuple[float, float] = (np.nan, np.nan)
-    """Without the loss of what is carried itself."""
+    """Harm without the loss of the carried object."""
     predicted: tuple[float, float] = (np.nan, np.nan)
     worse: bool = False
-    faults: int = 0
+    failures: int = 0
 
     @property
     def times_less(self) -> float:
-        """How many times less harm per executed task."""
+        """Harm per executed task at w = 0 over that at the default weight."""
         return self._less(self.harm)
 
     @property
     def others_less(self) -> float:
-        """How many times less harm to others per executed task."""
+        """The same ratio for harm to others."""
         return self._less(self.others)
 
     def _less(self, harm: tuple[float, float]) -> float:
-        plain, ours = (max(h, LEAST / (FAILURES * self.faults)) * t for h, t in zip(harm, self.duration, strict=True))
+        plain, ours = (max(h, LEAST / self.failures) * t for h, t in zip(harm, self.duration, strict=True))
         return plain / ours
 
     @property
     def longer(self) -> float:
-        """How much longer it takes, as a ratio."""
+        """Duration at the default weight over that at w = 0."""
         return self.duration[1] / self.duration[0]
 
 
 def asked(name: str) -> tuple[gp.Scene, Array, Array, tuple[fb.Fault, ...]]:
-    """Return scene, start and goal of a task, and what may break there: "SCENE/TASK", or "floor SEED"."""
+    """Return scene, start, goal and possible faults of a task: "SCENE/TASK", or "floor SEED"."""
     if name.startswith("floor"):
         plan = floor_plan(SEED + int(name.split()[1]), people=PEOPLE)
         found = fb.scenarios(f"apartment/serve_tea/*/{DEGREE}")  # a Jackal too, which has no gripper
@@ -85,10 +89,10 @@ def asked(name: str) -> tuple[gp.Scene, Array, Array, tuple[fb.Fault, ...]]:
 
 
 def examine(job: tuple[str, float, int]) -> Prevented:
-    """Plan a task twice, and let both motions fail alike."""
+    """Plan a task with both weights, and simulate the same failures along both motions."""
     name, seconds, each = job
     scene, start, goal, faults = asked(name)
-    found, reports = Prevented(task=name, faults=len(faults)), []
+    found, reports = Prevented(task=name, failures=each * len(faults)), []
     gp.plan(start, goal, scene, iterations=1)  # compiles
     for w in (0.0, None):
         result = gp.plan(start, goal, scene, w=w, time_limit=seconds)
@@ -113,10 +117,10 @@ def examine(job: tuple[str, float, int]) -> Prevented:
 def run(options: suite.Options) -> str:
     """Measure bundled tasks and generated floors."""
     bundled = tuple(dict.fromkeys(f"{s.scene}/{s.task}" for s in fb.scenarios(f"{MOBILE}/*/{DEGREE}")))
-    floors = tuple(f"floor {k}" for k in range(PLANS))
-    names = (bundled[0], *floors[:2]) if options.quick else (*bundled, *floors)
-    each = 1 if options.quick else FAILURES
-    jobs = [(name, options.seconds or SECONDS, each) for name in suite.chosen(names, options.tasks)]
+    plans, failures = options.pick(SIZES, quick=(2, 1), long=LONG_SIZES)
+    floors = tuple(f"floor {k}" for k in range(plans))
+    names = (bundled[0], *floors) if options.quick else (*bundled, *floors)
+    jobs = [(name, options.seconds or SECONDS, failures) for name in suite.chosen(names, options.tasks)]
     found = list(suite.spread(examine, jobs, options.processes, "tasks"))
     table, groups = report.table(HEADER, [_row(one) for one in found]), report.table(GROUPED, list(_groups(found)))
     return f"{MEASURED}\n{report.targets(_targets(found))}\n{groups}\n{table}"
@@ -129,7 +133,7 @@ GROUPED = ("group", "tasks with figures", "harm per task, x less, median", "rati
 
 
 def _groups(found: Sequence[Prevented]) -> Iterator[list[str]]:
-    """Yield what came of floors, where nothing is aboard, and of bundled tasks."""
+    """Yield the results of the floors, with an empty robot, and of the bundled tasks."""
     for name, floors in (("generated floors", True), ("bundled tasks", False)):
         done = [one for one in found if not one.note and one.task.startswith("floor ") == floors]
         if done:
@@ -140,7 +144,7 @@ def _groups(found: Sequence[Prevented]) -> Iterator[list[str]]:
 
 
 def _of_means(done: Sequence[Prevented], harm: str) -> float:
-    """Return how many times less harm per executed task in the mean over tasks: all `harm`, or that to `others`."""
+    """Return mean harm per executed task at w = 0 over that at the default weight: all `harm`, or that to `others`."""
     plain, ours = np.mean([np.multiply(getattr(one, harm), one.duration) for one in done], axis=0)
     return float(plain / ours)
 

@@ -1,4 +1,4 @@
-"""plan(w=0) on problems of the MotionBenchMaker type: solved, time of the search, time to a verified path, length."""
+"""plan(w=0) on problems of the MotionBenchMaker type: share solved, search time, time to a verified motion, length."""
 
 from __future__ import annotations
 
@@ -27,59 +27,67 @@ from graceful_plan.query.endpoints.goals import resolve_goal, resolve_start
 Array = np.ndarray
 
 TITLE = "Problem files: plan(w=0) on problems of the MotionBenchMaker type"
+QUESTION = "How many problems of the MotionBenchMaker type are solved, and how fast?"
+HEADLINE = "problems that"
+DEPENDS_ON = (
+    *suite.PLANNING,
+    "src/graceful_plan/compare/problems",
+    "benchmarks/motion_problems.py",
+    "benchmarks/tight_ends.py",
+)
 FILE = "MOTION_PROBLEMS"
-"""Environment variable with the path of a problem file or folder to measure instead of our own problems."""
+"""Environment variable with the path of a problem file or folder to use instead of the generated problems."""
 SEED = 7
 TIME_LIMIT = 5.0
 MARKS = (0.005, 0.01, 0.02, 0.1)
-"""Times of the anytime planner at which its path is looked at [s]."""
+"""Times at which the path of the anytime planner is measured [s]."""
 LENGTHS = {0.01: 4.40, 0.1: 4.25}
-"""Wanted on the problems of MotionBenchMaker: median length [rad] so long after the start [s]."""
+"""Targets on the problems of MotionBenchMaker: median length [rad] by time [s]."""
 VAMP_SEARCH = 0.075e-3
-"""Published median of VAMP's search on those [s]."""
+"""Published median of VAMP's search on these problems [s]."""
 LONG = 2.0
-"""Of the long run that lengths are put beside [s]."""
+"""Duration of the long run that lengths are compared with [s]."""
 LONG_EVERY = 4
-"""One in so many problems has a long run."""
+"""Every n-th problem has a long run."""
 MEASURED = f"""\
-"Search" is RRT-Connect alone, from the call of `solve` to its first collision-free path with 2 mm of clearance, scene
-compiled. "Verified" is a whole call of `plan` that ends with the first path: goals checked by exact geometry, search,
-timing by TOPP-RA, exact verification of the timed motion. "Length" is joint-space length of the `anytime`
-planner's path at w = 0 so long after its start. "Ratio" is that length divided by the one of a run of {LONG:g} s on the
-same problem and seed, for one problem in {LONG_EVERY}: it depends less on machine and problems than the length does.
+"Search": RRT-Connect alone, from the call of `solve` to its first collision-free path with 2 mm of clearance, scene
+compiled. "Verified": a whole call of `plan` that ends with the first path, including exact checks of both ends, timing
+by TOPP-RA and exact verification of the timed motion. "Length": joint-space length of the path of the `anytime` planner
+at w = 0 after the given time. "Ratio": this length over the length after {LONG:g} s on the same problem and seed, for
+one problem in {LONG_EVERY}; it depends less on the machine and the problems than the length does.
 
-Unless `{FILE}` names a file, the problems are **our own**, made by `benchmarks/motion_problems.py` after the
-published description of MotionBenchMaker's seven kinds for the Panda. They are not its problems: sizes, targets and the
-choice among solutions of inverse kinematics differ, so lengths and times do not compare with figures published for
-those (VAMP: median 0.075 ms search, 0.19 ms simplification, length 4.90; AORRTC: 4.40 after 6 to 40 ms). The bars of a
-median length of 4.40 rad within 10 ms and 4.25 within 100 ms are for theirs, and are only measured if `{FILE}` names a
-file. "Refused": of configurations drawn in two scenes of each kind, evenly and around goals, that exact geometry calls
-free and in which spheres have less than 2 mm of clearance, those that `plan` would refuse as a start or a goal. A
-problem of ours
-was kept only if RRT-Connect of another seed and range solved it within 10 s, so that some share of the hardest is
-missing, as it is among theirs.
+Unless `{FILE}` names a file, the problems are **generated** by `benchmarks/motion_problems.py`, after the published
+description of MotionBenchMaker's seven kinds for the Panda. They are not the original problems: sizes, targets and the
+choice among inverse-kinematics solutions differ. Lengths and times therefore do not compare with published figures
+(VAMP: median 0.075 ms search, 0.19 ms simplification, length 4.90; AORRTC: 4.40 after 6 to 40 ms). The targets for the
+median length, 4.40 rad within 10 ms and 4.25 rad within 100 ms, are for the original problems and are only judged if
+`{FILE}` names a file. A generated problem is kept only if RRT-Connect with another seed and range solves it within 10
+s, so some of the hardest are missing, as in the original set.
+
+"Refused": configurations that `plan` would refuse as a start or a goal, although exact geometry calls them free. They
+are drawn in two scenes of each kind, uniformly and around goals; the covering spheres have less than 2 mm of clearance.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemFigures:
-    """What came of one problem."""
+    """Result for one problem."""
 
     name: str
     group: str
     search: tuple[float, ...]
-    """Seconds of every seed; infinite without a path."""
+    """Search time of every seed [s]; infinite without a path."""
     lengths: tuple[float, ...]
-    """Of the first path and at `MARKS` [rad]."""
+    """Lengths of the first path and at `MARKS` [rad]."""
     ratios: tuple[float, ...] | None
-    """The same divided by that of the long run."""
+    """The lengths divided by the length of the long run."""
     status: str
     verified: float
-    """Seconds of the whole call."""
+    """Duration of the whole call [s]."""
 
 
 def run(options: suite.Options) -> str:
-    """Measure every problem, in one process: times below a millisecond are not to be shared with anybody."""
+    """Measure every problem, in one process: others would disturb times below a millisecond."""
     given = os.environ.get(FILE)
     if given:
         problems, origin = gp.load_problems(given), f"The problems are those of `{Path(given).name}`."
@@ -102,7 +110,7 @@ def run(options: suite.Options) -> str:
 
 
 def _own(count: int, options: suite.Options) -> Sequence[ProblemFile]:
-    """Make our own problems, and read them back as anybody's are read."""
+    """Generate problems, write them to a file and read them back."""
     made = suite.spread(_make, [(kind, count) for kind in KINDS], options.processes, "making problems")
     by_kind = {problems[0].group: problems for problems in made}
     with tempfile.TemporaryDirectory() as folder:
@@ -116,7 +124,7 @@ def _make(job: tuple[str, int]) -> list[ProblemFile]:
 
 
 def _without_scene(problem: ProblemFile) -> ProblemFile:
-    """Copy a problem without what it has made meanwhile, so that it can cross processes."""
+    """Copy a problem without its cached scene, so that it can be sent to another process."""
     return ProblemFile(**{name: getattr(problem, name) for name in problem.__dataclass_fields__})
 
 
@@ -129,7 +137,7 @@ def examine(job: tuple[ProblemFile, int, bool]) -> ProblemFigures:
     ratios = None
     if asked is not None:
         objective = gp.Objective(w=0.0).bind(problem.scene)
-        search = tuple(_search(asked, objective, seed) for seed in [0, *range(seeds)])[1:]  # the first one warms up
+        search = tuple(_search(asked, objective, seed) for seed in [0, *range(seeds)])[1:]  # warm-up
         *lengths_, last = _lengths(asked, objective, LONG if long else MARKS[-1])
         lengths = tuple(lengths_)
         ratios = tuple(length / last for length in lengths) if long and np.isfinite(last) else None
@@ -149,7 +157,7 @@ def examine(job: tuple[ProblemFile, int, bool]) -> ProblemFigures:
 
 
 def _asked(problem: ProblemFile) -> SceneProblem | None:
-    """Make the problem that planners see, as `plan` does; None if start or goals cannot be used."""
+    """Return the problem as `plan` passes it to planners; None if start or goals are invalid."""
     scene, compiled = problem.scene, compile_scene(problem.scene)
     start = resolve_start(problem.start, scene).q
     goals = resolve_goal(problem.goal, scene, problem.start).q
@@ -221,7 +229,7 @@ def _targets(findings: list[ProblemFigures], own: bool) -> Iterator[report.Targe
         measured=f"{median:.3f} ms",
         met=median <= 1e3 * most,
     )
-    for mark, most in () if own else LENGTHS.items():  # the bars are for theirs
+    for mark, most in () if own else LENGTHS.items():  # targets for the original problems
         length = float(np.median([finding.lengths[1 + MARKS.index(mark)] for finding in findings]))
         yield report.Target(
             what=f"median length after {1e3 * mark:g} ms",

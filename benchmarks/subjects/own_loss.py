@@ -1,4 +1,4 @@
-"""What falls do to the carried object itself: predicted and observed, and the share of the energy that does it."""
+"""Damage of falls to the carried object itself: predicted, observed, and the share of the energy that causes it."""
 
 from __future__ import annotations
 
@@ -20,47 +20,49 @@ from graceful_plan.costs.objective import moving_batch
 from graceful_plan.scene.harm.fragility import FragilityTable
 
 TITLE = "Own loss: what falls do to the carried object itself, predicted and observed"
+QUESTION = "Is the predicted damage to the dropped object itself the damage that simulated falls cause?"
+HEADLINE = "predicted over observed loss"
+DEPENDS_ON = ("src/graceful_plan/costs", "src/graceful_plan/scene", *suite.SIMULATION)
 MEASURED = """\
-Paths of every task with w = 0 at 0.5 of the velocity limits, the object held by the fingers, or by a weld where these
-do not hold it; drops at random times, 1.5 s after each. "Damage": probability that the object is damaged, predicted by
-the drop model, and computed from the energies of all its touches, of which the hardest counts. "First only": the same
-of the first touch alone. "-ln share": of the energy along the normal at the first touch over that of the predicted
-vertical speed at that height; what the touch has more than the prediction counts as 1. "Loss": damage times the
-severity of the loss.
+Paths of every task with w = 0 at 0.5 of the velocity limits. Fingers hold the object, or a weld where they fail. Drops
+at random times, simulated for 1.5 s. "Damage": probability that the object is damaged, predicted by the drop model, and
+computed from the energies of all its touches, of which the hardest counts. "First only": damage by the first touch
+alone. "-ln share": of the energy along the normal at the first touch over that of the predicted vertical speed at that
+height; a share above 1 counts as 1. "Loss": damage times the severity of the loss.
 """
-DROPS = 200
+DROPS, LONG_DROPS = 100, 200
 RATIO = (0.75, 1.25)
 _HORIZON = 1.5
-"""Falls off a table take their time."""
+"""Simulated time after a failure [s], long enough for falls off a table."""
 _LEAST = 1e-7  # [J]
 
 
 @dataclass(kw_only=True)
 class OwnLosses:
-    """What happened along one motion."""
+    """Result along one motion."""
 
     task: str
     object_class: str = ""
     severity: float = 0.0
     predicted: list[float] = field(default_factory=list)
-    """Probability of damage for each drop."""
+    """Predicted probability of damage of each drop."""
     observed: list[float] = field(default_factory=list)
     first: list[float] = field(default_factory=list)
-    """Observed, by the first touch alone."""
+    """Observed damage by the first touch alone."""
     share: list[float] = field(default_factory=list)
     """-ln of the share of each first touch."""
 
 
 def run(options: suite.Options) -> str:
-    """Drop things in all tasks and return Markdown."""
-    jobs = [(name, DROPS // (10 if options.quick else 1)) for name in suite.task_names(options)]
+    """Simulate drops in all tasks."""
+    jobs = [(name, options.pick(DROPS, quick=20, long=LONG_DROPS)) for name in suite.task_names(options)]
     found = sorted(suite.spread(measure, jobs, options.processes, "own losses"), key=lambda part: part.task)
     found = [part for part in found if part.predicted]
     return "\n".join([MEASURED, report.targets(_targets(found)), report.table(_HEADER, _rows(found))])
 
 
 def measure(job: tuple[str, int]) -> OwnLosses:
-    """Drop what is carried along one motion."""
+    """Simulate drops of the carried object along one motion."""
     name, drops = job
     task = suite.task(name)
     losses = OwnLosses(task=name)

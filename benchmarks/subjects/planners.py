@@ -1,10 +1,8 @@
-"""Every planner on every task, and how good the default is after one second."""
+"""Every planner on every bundled task, and the gap of the default planner after one second."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -15,21 +13,23 @@ from graceful_plan.compare.reports.summary import gap
 from graceful_plan.compare.runs.best_motions import StaleBestMotion
 
 TITLE = "Planners: plan(w=1) on every task"
-DETAILS = Path(__file__).parents[1] / "planners.json"
+QUESTION = "How does each planner perform on each bundled task?"
+HEADLINE = "median gap"
+DEPENDS_ON = (*suite.PLANNING, "benchmarks/planning.py", "benchmarks/best_known")
 GAP_AT_MOST = 0.05
 MEASURED = """\
-Whole calls of `plan(w=1)`, scenes loaded and compiled before. "Gap" is how much J of the motion that is returned lies
-above the best known of the task: the lesser of what `best_known/` holds and the best of this very run. "First": when
-the search had its first path. A run that was not SOLVED counts as infinite, and "none" is the median of more than half
-such runs. All planners have {limit:g} s and return their own paths (`refine=False`); the default's own calls have
-`time_limit=1.0`, verification within the second.
+Whole calls of `plan(w=1)`, with scenes loaded and compiled before. "Gap": relative excess of J over the best-known J of
+the task, which is the lesser of `best_known/` and the best of this run. "First": time of the first path of the search.
+Runs that are not SOLVED count as infinite, so "none" is a median of mostly unsolved runs. All planners have {limit:g} s
+and return their own paths (`refine=False`). The default planner's own calls have `time_limit=1.0`, verification
+included.
 """
 
 
 def run(options: suite.Options) -> str:
-    """Run all planners, then the default by itself; better motions than known are kept if this is no quick run."""
+    """Run the default planner alone, then all planners; better motions than the best known are stored."""
     seeds = 1
-    limit, default_seeds = options.pick((5.0, 10), quick=(1.0, 2))
+    limit, default_seeds = options.pick((1.0, 4), quick=(0.3, 1), long=(5.0, 10))
     limit = options.seconds or limit
     tasks = suite.task_names(options)
     jobs = [
@@ -39,12 +39,10 @@ def run(options: suite.Options) -> str:
         for planner in gp.PLANNERS
     ]
     default = [planning.job(task, seed=seed) for seed in range(default_seeds) for task in tasks]
-    # The default's second is its own: no other process beside it.
+    # One process: the default planner gets the whole machine.
     own = list(planning.runs(default, 1, "default planner"))
     table = list(planning.runs(jobs, options.processes, "planners"))
     best, doubts = references([(1.0, own), (limit, table)], tasks, keep=not options.quick)
-    if not options.quick:
-        DETAILS.write_text(json.dumps(_details(table, best, limit), indent=1) + "\n")
     parts = [
         MEASURED.format(limit=limit),
         "".join(f"- {doubt}\n" for doubt in doubts),
@@ -64,12 +62,12 @@ def run(options: suite.Options) -> str:
 def references(
     found: Iterable[tuple[float, Sequence[Run]]], tasks: list[str], *, keep: bool
 ) -> tuple[dict[str, float], list[str]]:
-    """Return the least total known of each task, and what is wrong with the files.
+    """Return the least known total cost of each task, and remarks on missing or refused files.
 
     Args:
-        found: Runs that may have found something better, with their time limit [s].
+        found: Runs that may be better than the files, with their time limit [s].
         tasks: Names of tasks.
-        keep: Whether to store what is better.
+        keep: Whether to store better motions.
     """
     best, doubts, missing = {}, [], []
     for name in tasks:
@@ -88,7 +86,7 @@ def references(
         stored = better
         best[name] = np.inf if stored is None else stored.total
     if missing:
-        doubts.append(f"No best known before this run, so that its own best counts: {', '.join(missing)}")
+        doubts.append(f"No best known before this run, so its own best counts: {', '.join(missing)}")
     return best, doubts
 
 
@@ -162,31 +160,7 @@ def _first(records: list[Run]) -> str:
 
 
 def _solved(records: list[Run]) -> str:
-    """Count what was solved and name what else happened."""
+    """Return the number of solved runs, and the statuses of the others."""
     others = [r.status for r in records if not r.solved]
     named = ", ".join(f"{others.count(status)} {status}" for status in sorted(set(others)))
     return f"{len(records) - len(others)}/{len(records)}" + (f" ({named})" if named else "")
-
-
-def _details(records: list[Run], best: dict[str, float], limit: float) -> dict[str, object]:
-    """Everything about every run but its motion, for those who want other statistics."""
-    runs = [
-        {
-            "task": r.problem,
-            "planner": r.planner,
-            "seed": r.seed,
-            "time_limit": limit,
-            "status": r.status,
-            "detail": r.detail,
-            "seconds": _finite(r.seconds),
-            "total": _finite(r.total),
-            "first": _finite(r.first),
-        }
-        for r in sorted(records, key=lambda r: (r.problem, r.planner, r.seed))
-    ]
-    known_totals = {task: _finite(total) for task, total in best.items()}
-    return {"schema": 2, "w": planning.W, "best_known": known_totals, "runs": runs}
-
-
-def _finite(value: float) -> float | None:
-    return round(float(value), 6) if np.isfinite(value) else None

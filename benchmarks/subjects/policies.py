@@ -33,45 +33,46 @@ from failbench.policies.batch import EpisodeBatch
 from failbench.report import FAILURES_PER_HOUR
 
 TITLE = "Policies in closed loop: success and harm under 19 faults, and what recovery is worth"
+QUESTION = "How much harm do five controllers cause in closed loop under 19 faults, and how much do recoveries save?"
+HEADLINE = "Harm of a failed episode at w = 0"
+DEPENDS_ON = (*suite.PLANNING, *suite.SIMULATION, "sim/failbench/policies", "benchmarks/unseen")
 SEED = 77
 TASKS = ("tabletop/green_to_blue", "unseen/bedside/bring_water")
 BLOCK = 3
-"""Episodes of a job with each fault."""
-WANTED = 500
-"""Rollouts of each fault and controller that the issue asks for, on all tasks together."""
+"""Episodes per job and fault."""
+WANTED, LONG_WANTED = 18, 500
+"""Episodes per fault and controller on all tasks together, in normal and long runs."""
 SEVERE = "*/*/severe"
 STORE = Path(__file__).resolve().parents[1] / "policy_runs"
-"""A line for each job that is done; an interrupted run goes on where it was. To measure anew, take the folder away."""
+"""One line per finished job, so an interrupted run can resume. Remove the folder to measure again."""
 MEASURED = f"""\
-Episodes of up to three times what the straight path takes, and 1 s, at half of the joints' speeds, an action each 20
-ms. Starts are the task's with noise of 0.02 rad. Each controller meets every fault, severe, in the same episodes in
-which it meets none; a fault begins at a fraction of the time that its healthy twin takes, all fractions alike.
-Success: the tool is within 2 cm and 0.1 rad of its goal in time, at the end too, with the object in the gripper.
-Harm: severities of all that is hit in the whole episode, which goes on for 1 s after the onset at least; **added**:
-less that of the healthy twin. All controllers have the same starts, fractions and seeds of faults. 95 % intervals;
-episodes of a job are stratified, which the intervals ignore. Per task: failures at {FAILURES_PER_HOUR:g}/h while the
-healthy motion lasts, and its own harm.
+An episode lasts at most three times the duration of the straight path plus 1 s, at half of the joint speeds, with an
+action every 20 ms. Starts are the task's with noise of 0.02 rad. Each controller meets every fault, severe, in the same
+episodes in which it meets none. A fault begins at a fraction of the duration of its healthy twin. Success: the tool is
+within 2 cm and 0.1 rad of its goal in time and at the end, with the object in the gripper. Harm: severities of all hits
+in the episode, which lasts at least 1 s after the onset; **added**: less the harm of the healthy twin. All controllers
+have the same starts, fractions and seeds of faults. Intervals are 95 %; they ignore that episodes of a job are
+stratified. Per task: {FAILURES_PER_HOUR:g} failures per hour during the healthy motion, plus its own harm.
 
-Controllers: **plan, w = 0** and **plan** (default w) follow their motion by the clock; **plan, replan** is the
-second, which 0.1 s after the onset stops, plans from where it stands for 0.5 s of the world's time, and goes on, or
-lets its brakes close where a joint does not obey;
-**script** lifts, crosses, lowers by tool poses; **reach** is a network trained with PPO on joints alone, blind to
-what is around, around three motions of `tabletop_l1`, one of which is that of the first task. A recovery notices
-every fault, exactly so late. Recoveries, and **none** beside them, are watched for the whole time, whether the goal is
-reached or not: who is there sooner is spared nothing that comes later, with the object still in the gripper. Planners
-have iterations and no seconds, and every draw has a seed: the figures are the same on a busy machine.
+Controllers: **plan, w = 0** and **plan** (default w) follow their motion by the clock. **plan, replan** is the second
+with a recovery: 0.1 s after the onset it stops, plans for 0.5 s of simulated time from the current state and continues,
+or brakes if a joint does not respond. **script** lifts, crosses and lowers along tool poses. **reach** is a network
+trained with PPO on joints alone, without perception of its surroundings, for three motions of `tabletop_l1`; one is
+that of the first task. A recovery detects every fault after a fixed delay. Recoveries, and **none** for comparison, are
+simulated for the whole time, even if the goal is reached, so early arrival avoids no later harm. Planners have
+iterations instead of seconds, and all draws have seeds, so the figures do not depend on the load of the machine.
 """
 
 
 @dataclass(frozen=True)
 class Controller:
-    """Who acts: a policy, and what takes over."""
+    """A policy, and the recovery that takes over after a fault."""
 
     factory: PolicyFactory
     recovery: Recovery | None = None
     delay: float = 0.1
     whole: bool = False
-    """Whether episodes go on for the whole time, reached or not."""
+    """Whether episodes last for the whole time, even if the goal is reached."""
 
 
 PLAN = planned()
@@ -104,7 +105,7 @@ class PolicyJob:
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """What came of it: a row for each kind of episode, healthy first, as (success, harm), and how long it took."""
+    """Result of a job: (success, harm) of each episode by kind, healthy first; mean duration and processor time [s]."""
 
     task: str
     controller: str
@@ -115,8 +116,8 @@ class Block:
 
 
 def run(options: suite.Options) -> str:
-    """Do what is left to do, and report on all that is done."""
-    tasks, blocks, faults = options.pick((TASKS, _blocks(), (SEVERE,)), quick=(TASKS[:1], 1, ("drop/*/severe",)))
+    """Do the jobs that are left, and report on all finished ones."""
+    tasks, blocks, faults = options.pick((TASKS, _blocks(options), (SEVERE,)), quick=(TASKS[:1], 1, ("drop/*/severe",)))
     file = STORE / f"blocks.{SEED}.{BLOCK}.jsonl"
     until = math.inf if options.seconds is None else time.monotonic() + options.seconds
     if options.quick:
@@ -124,15 +125,19 @@ def run(options: suite.Options) -> str:
     else:
         fill(file, tasks, blocks, options, until)
         done = [read(line) for line in read_lines(file)]
-    return "\n".join([MEASURED, *tables(done), *speed(options)])
+    return "\n".join([MEASURED, *tables(done, _wanted(options)), *speed(options)])
 
 
-def _blocks() -> int:
-    return math.ceil(WANTED / (BLOCK * len(TASKS)))
+def _blocks(options: suite.Options) -> int:
+    return math.ceil(_wanted(options) / (BLOCK * len(TASKS)))
+
+
+def _wanted(options: suite.Options) -> int:
+    return options.pick(WANTED, quick=BLOCK, long=LONG_WANTED)
 
 
 def fill(file: Path, tasks: Sequence[str], blocks: int, options: suite.Options, until: float) -> None:
-    """Do jobs, a whole round of controllers and tasks after the other, until the time is over."""
+    """Do jobs, round by round over controllers and tasks, until the time is over."""
     have = {(done.task, done.controller, done.block) for done in map(read, read_lines(file))}
     wanted = [(task, name, block) for block in range(blocks) for task in tasks for name in ALL]
     jobs = [
@@ -171,7 +176,7 @@ def do(job: PolicyJob) -> Block:
 
 @cache
 def ready(task: str, *, whole: bool) -> PolicyTask:
-    """Make a task ready, once in a process: what was planned or settled for it is not done again."""
+    """Prepare a task, once per process."""
     if not whole:
         return policy_task(path_of(task))
     limit = ready(task, whole=False).limit
@@ -179,7 +184,7 @@ def ready(task: str, *, whole: bool) -> PolicyTask:
 
 
 def path_of(task: str) -> str:
-    """Return a task's name as `policy_task` takes it: of a scene in `unseen/`, by its file."""
+    """Return a task's name as `policy_task` takes it; scenes in `unseen/` are named by their file."""
     _, *unseen = task.split("unseen/")
     if not unseen:
         return task
@@ -188,7 +193,7 @@ def path_of(task: str) -> str:
 
 
 def read(line: Mapping[str, Any]) -> Block:
-    """Read what `fill` wrote."""
+    """Read a line that `fill` wrote."""
     rows = {name: [(bool(success), float(harm)) for success, harm in row] for name, row in line["rows"].items()}
     return Block(**{**line, "rows": rows})
 
@@ -198,16 +203,16 @@ def read(line: Mapping[str, Any]) -> Block:
 
 @dataclass(frozen=True, kw_only=True)
 class Sum:
-    """All blocks of a controller: success, harm and harm of the healthy twin of each episode, by kind."""
+    """All blocks of a controller: success and harm of each episode, by kind."""
 
     success: Mapping[str, np.ndarray]
     harm: Mapping[str, np.ndarray]
     duration: float
     most: float
-    """The worst harm of any episode of any controller: the guard of intervals."""
+    """The largest harm of any episode of any controller, which bounds the intervals."""
 
     def added(self, name: str) -> np.ndarray:
-        """Return what a fault adds in each episode."""
+        """Return the harm that a fault adds in each episode."""
         return self.harm[name] - self.harm["healthy"]
 
     @property
@@ -221,7 +226,7 @@ class Sum:
 
 
 def sums(done: Sequence[Block]) -> dict[str, Sum]:
-    """Add up whole rounds: blocks that every controller has done on every task."""
+    """Add up the blocks that every controller has finished."""
     controllers = list(dict.fromkeys(block.controller for block in done))
     by = {(block.task, block.block, block.controller): block for block in done}
     whole = sorted({(t, b) for t, b, _ in by if all((t, b, name) in by for name in controllers)})
@@ -244,12 +249,12 @@ def sums(done: Sequence[Block]) -> dict[str, Sum]:
 
 
 def mean(values: np.ndarray, most: float) -> Estimate:
-    """Estimate the mean of harm, or of what is added to it, when an episode has `most` at the worst."""
+    """Estimate the mean of harm, or of added harm, where an episode has at most `most`."""
     valid = values[np.isfinite(values)]
     return estimate_mean(valid, (-most if valid.min(initial=0.0) < 0.0 else 0.0, most))
 
 
-def tables(done: Sequence[Block]) -> Iterator[str]:
+def tables(done: Sequence[Block], wanted: int) -> Iterator[str]:
     """Yield the tables."""
     found = sums(done)
     if not found:
@@ -259,7 +264,7 @@ def tables(done: Sequence[Block]) -> Iterator[str]:
     cpu = sum(block.seconds for block in done)
     tasks = ", ".join(f"`{task}`" for task in dict.fromkeys(block.task for block in done))
     yield (
-        f"Tasks: {tasks}. {n} episodes of each controller with each fault, of {WANTED} wanted; "
+        f"Tasks: {tasks}. {n} episodes of each controller with each fault, of {wanted} wanted; "
         f"{cpu:.0f} s of processor time.\n"
     )
     yield from overview({name: found[name] for name in CONTROLLERS if name in found})
@@ -271,7 +276,7 @@ def tables(done: Sequence[Block]) -> Iterator[str]:
 
 
 def overview(found: Mapping[str, Sum]) -> Iterator[str]:
-    """Yield what each controller comes to."""
+    """Yield the table of controllers."""
     columns = ("controller", "healthy: success", "harm", "at goal after", "failed: success", "harm added")
     yield f"| {' | '.join(columns)} | harm per million tasks |"
     yield "|---|---|---|---|---|---|---|"
@@ -305,7 +310,7 @@ def by_fault(found: Mapping[str, Sum]) -> Iterator[str]:
 
 
 def recovery(found: Mapping[str, Sum]) -> Iterator[str]:
-    """Yield what recoveries of the default plan are worth."""
+    """Yield the table of recoveries of the default plan."""
     columns = ("recovery of **plan**", "success", "harm of a failed episode", "less than without (paired)")
     yield f"| {' | '.join(columns)} | faults with less, more |"
     yield "|---|---|---|---|---|"
@@ -321,7 +326,7 @@ def recovery(found: Mapping[str, Sum]) -> Iterator[str]:
 
 
 def speed(options: suite.Options) -> Iterator[str]:
-    """Yield how many actions a second environments take, states observed."""
+    """Yield the speed of environments in actions per second."""
     task = policy_task(TASKS[0], PolicySettings(noise=0.0, limit=60.0))
     count = options.pick(1000, quick=50)
     yield f"Actions of 20 ms a second, state observed, `{TASKS[0]}` ({len(task.scene.entities)} objects), no fault:\n"

@@ -1,55 +1,117 @@
-"""Does planning with the impact prevent damage? What failures do along motions planned with it and without."""
+"""Harm of failures along motions planned with and without the impact, and over weights of several costs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 from benchmarks import suite
-from benchmarks.prevention.runs import ALL_FAULTS, SECONDS, SEED, HeadlineJob, do_headline
-from benchmarks.prevention.tables import DROPS, MIXED, headline_sections
-from benchmarks.prevention.work import fill, found, headline_jobs, kept, task_names
+from benchmarks.prevention.figures import draw
+from benchmarks.prevention.runs import (
+    ALL_FAULTS,
+    NONE,
+    OURS,
+    OWN_SECONDS,
+    PUBLISHED,
+    SECONDS,
+    SEED,
+    HeadlineJob,
+    do_curve,
+    do_headline,
+)
+from benchmarks.prevention.tables import CURVE_DROPS, DROPS, MIXED, Sizes, curve_sections, headline_sections
+from benchmarks.prevention.work import curve_jobs, fill, found, headline_jobs, kept, task_names
 from failbench.report import FAILURES_PER_HOUR
 
-TITLE = "Damage prevented: failures along motions planned with and without regard for them"
+TITLE = "Prevention: harm of failures along motions planned with and without the impact"
+QUESTION = "How much less harm do failures cause along default motions than along the fastest motions (w = 0)?"
+HEADLINE = "unseen: x less harm per task, drops, others only, median"
+DEPENDS_ON = (
+    *suite.PLANNING,
+    *suite.SIMULATION,
+    "sim/failbench/report.py",
+    "benchmarks/prevention",
+    "benchmarks/unseen",
+)
+LONG_DROPS, LONG_MIXED = 1000, 500
+WEIGHTS = (0.1, 0.3, 1.0, 3.0, 10.0)
+RELATIVE = (0.3, 1.0, 3.0, 10.0)
+"""Weights of own costs, as multiples of the weight at which the straight path costs twice as much; see `weight_of`."""
+PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "prevention.png"
 MEASURED = f"""\
-Every task of every bundled scene and of those in `benchmarks/unseen/`, on which no constant was fitted (the constants
-were fitted on rollouts in the bundled scenes, along other motions). All are planned at half of the velocity limits, in
-{SECONDS:g} s. Then the robot fails: "drops", the gripper lets go; "mixed", each of the 19 faults, severe, equally
-often. All motions of a task have the same faults at the same fractions of their time, with the same random numbers;
-fingers hold the object where they can along all of them, otherwise a weld. Impact: sum of the severities of what is
-touched within 1 s.
-**Per failure**: its mean. **Per task**: failures come per hour, so harm per executed task is failure rate x duration x
-mean impact of a failure; absolute figures are for one failure in {1.0 / FAILURES_PER_HOUR:g} h and a million tasks,
-ratios do not depend on the rate. "x less": harm at w = 0 over that of the planner. Where n failures hit nothing, one of
-them counts as a hit of the least severity of the scene: there is no ratio to nothing. Medians and geometric means are
-over tasks, the latter with the 95 % interval between percentiles of resampled tasks. "Worse": tasks with more harm per
-task than at w = 0 beyond the 95 % interval of the paired difference; "better" likewise. "{ALL_FAULTS}": the default
-model with that prior of faults. Harm counts what the fall does to the carried object itself; "others only" leaves that
-out, for motions that were planned with it.
+Every task of the bundled scenes and of `benchmarks/unseen/`. No constant was fitted on the latter; on the bundled
+scenes constants were fitted to rollouts along other motions. All motions are planned at half of the velocity limits in
+{SECONDS:g} s. Then the robot fails: "drops" are gripper failures, "mixed" are all 19 faults, severe, equally often. All
+motions of a task have the same faults at the same fractions of their duration, with the same random numbers. Fingers
+hold the object if they can along all motions of the task, otherwise a weld does. The impact of a failure is the sum of
+the severities of all touches within 1 s.
 
-What a healthy robot does harm to on its way, such as by spilling, is in harm per task with probability 1, whatever the
-rate. It is no failure's harm, and what has left before a failure cannot be spilt by it. Tasks of which a motion at
-w = 0 or of the default loses more than 1 % are left out of the groups "nothing spilt on the way", which are not shown
-where they are all tasks.
+**Per failure**: mean impact. **Per task**: failures come per hour, so harm per executed task is failure rate x duration
+x mean impact. Absolute figures are for one failure in {1.0 / FAILURES_PER_HOUR:g} h and a million tasks; ratios do not
+depend on the rate. "x less": harm at w = 0 over harm with the planner. If no failure of a motion hits anything, one of
+them counts as a hit of the least severity of the scene. Medians and geometric means are over tasks; the latter have a
+95 % interval from resampled tasks. "Worse" ("better"): tasks with more (less) harm per task than at w = 0, beyond the
+95 % interval of the paired difference. "{ALL_FAULTS}": the default model with that prior of faults. Harm includes the
+damage to the carried object; "others only" leaves it out, for the same motions.
 
-Targets are for {DROPS:,} drops and {MIXED} mixed failures a motion on all tasks; what holds with fewer is "not
-measured".
+Harm of the healthy motion, such as spilling on the way, has probability 1 and is included in harm per task. It is no
+failure's harm, and contents that were spilled before a failure cannot be spilled by it. The groups "nothing spilt on
+the way" leave out tasks in which the motion at w = 0 or the default motion loses more than 1 %.
+"""
+CURVES_MEASURED = f"""\
+## Harm over duration
+
+Costs written in Python have {OWN_SECONDS:g} s per plan, to compare costs instead of speed. The object is dropped along
+every motion. Own costs as a user may write them: "keep away" is the severity of each entity times exp(- distance / 0.15
+m); "not above" is the severity of everything straight below; "carry low" is the height above what is below. Motions are
+planned over a grid of weights of these costs, of the default model and of Algorithm 1. "At equal duration" reads harm
+per task from the lower envelope over the weights, including w = 0, and interpolates its logarithm.
 """
 
 
 def run(options: suite.Options) -> str:
-    """Do what is left to do, and report on all that is done."""
-    job = asked_job(options)
+    """Do the jobs that are left, and report on all finished ones; a long run adds the curves and their picture."""
     names = task_names(options)
+    asked = [name for all_of in names.values() for name in all_of]
+    parts = [MEASURED, *_headline(options, names, asked)]
+    if options.long or options.quick:
+        parts += _curves(options, names, asked)
+    return "\n".join(parts)
+
+
+def asked_job(options: suite.Options) -> HeadlineJob:
+    """Return the job of each task at the default weights."""
+    drops, mixed = options.pick((DROPS, MIXED), quick=(16, 19), long=(LONG_DROPS, LONG_MIXED))
+    return HeadlineJob(drops=options.drops or drops, mixed=options.mixed or mixed)
+
+
+def sizes_of(options: suite.Options) -> Sizes:
+    """Return the sizes of the curves."""
+    weights, relative = options.pick((WEIGHTS, RELATIVE), quick=((1.0,), (3.0,)))
+    drops = options.drops or options.pick(CURVE_DROPS, quick=8)
+    return Sizes(drops=drops, weights=options.weights or weights, relative=relative)
+
+
+def _headline(options: suite.Options, names: Mapping[str, Sequence[str]], asked: Sequence[str]) -> Iterator[str]:
+    job = asked_job(options)
     with kept(options) as folder:
         heads = folder / f"headline.{SEED}.{job.drops}.{job.mixed}.jsonl"
         fill(heads, headline_jobs(names, heads, job), do_headline, options, "prevention")
         done = found(names, heads)
-    asked: Iterable[str] = (name for all_of in names.values() for name in all_of)
-    return "\n".join([MEASURED, *headline_sections(done, list(asked), job)])
+    yield from headline_sections(done, asked, job)
 
 
-def asked_job(options: suite.Options) -> HeadlineJob:
-    """Return what is done for each task."""
-    drops, mixed = options.pick((DROPS, MIXED), quick=(16, 19))
-    return HeadlineJob(drops=options.drops or drops, mixed=options.mixed or mixed)
+def _curves(options: suite.Options, names: Mapping[str, Sequence[str]], asked: Sequence[str]) -> Iterator[str]:
+    sizes = sizes_of(options)
+    job = HeadlineJob(drops=sizes.drops, mixed=0, labels=(NONE, OURS, PUBLISHED))
+    with kept(options) as folder:
+        heads = folder / f"curve_heads.{SEED}.{sizes.drops}.jsonl"
+        curves = folder / f"curves.{SEED}.{sizes.drops}.jsonl"
+        fill(heads, headline_jobs(names, heads, job), do_headline, options, "curves, default weights")
+        fill(curves, curve_jobs(names, heads, curves, sizes), do_curve, options, "curves")
+        done = found(names, heads, curves)
+    yield CURVES_MEASURED
+    yield from curve_sections(done, asked, sizes)
+    if not options.quick:
+        draw(done, PICTURE)
+        yield f"![harm per task over duration](../../docs/images/{PICTURE.name})\n"

@@ -1,4 +1,4 @@
-"""Robots as their makers publish them: do they load, how long does it take, and what is planned?"""
+"""Robot models of public packages: do they load, how fast, and are motions planned for them?"""
 
 from __future__ import annotations
 
@@ -20,27 +20,28 @@ from graceful_plan.judge.exact import Judge
 from graceful_plan.scene.contacts import unchecked_links
 
 TITLE = "Robots from URDF"
+QUESTION = "Which robots from public packages load, and can motions be planned for them?"
+HEADLINE = "robots with a motion"
+DEPENDS_ON = (*suite.PLANNING, "benchmarks/package_robots.py", "benchmarks/exact_ompl.py")
 CONFIGURATIONS, QUERIES = 2000, 50
-ASKED, SECONDS = 10, 10.0
-"""Of the queries that are not solved, how many OMPL is asked, and for how long [s]."""
+ASKED, SECONDS, LONG_SECONDS = 10, 4.0, 10.0
+"""Number of unsolved queries that OMPL gets, and its time limit in normal and long runs [s]."""
 SOON, CALLED = 3.0, 0.95
-"""What is to be: first motion from nothing [s], and the share of free configurations that are called so."""
+"""Targets: time to a first motion without caches [s], share of free configurations that the kernels call free."""
 MEASURED = f"""\
 Models of the packages `example-robot-data` 6.0.0, `airo-models` 0.0.12 (UR5e), `rtb-data` 2.0.0 (iiwa 14), `robosuite`
-1.5.2 (MJCF) and `gymnasium-robotics` 1.4.2 (Fetch), nothing changed in them but that Fetch's base stands still; robots
-alone, without surroundings, but for Fetch's floor and table. The filters of robosuite's models let all links of most
-arms pass through each other: they are loaded with `self_collision="links"`. "Load" reads a model, looks for links that
-always touch, and of URDFs divides meshes where their hulls
-touch too often; "compile" covers the links with spheres; both with nothing kept on disk. "Again": both in another
-process that finds what the first one kept. Of {CONFIGURATIONS} configurations
-drawn evenly within the limits, "free" are those that exact geometry on convex hulls calls so, and "called free" is
-which share of them the kernels call free. "Wrongly": of the others, the share that the kernels call free. Queries:
-{QUERIES} pairs of free configurations, w = 0, first motion within 1 s; all motions are verified. "OMPL": of at most
-{ASKED} queries that are not solved, for how many OMPL's RRT-Connect finds a path within {SECONDS:g} s by exact geometry
-alone; where it is none, there may be none: upper arms of UR cannot pass their own foot, so
-that joint angles of the shoulder, which turns by two turns, come in three ranges without a path between them. "First":
-a motion, the median. "Pairs": of links that may not touch. Robots that are not in the table cannot be read; why is
-below it. Targets are for UR5e, UR5, iiwa, Kinova3, Panda, SO-101, Fetch and TIAGo.
+1.5.2 (MJCF) and `gymnasium-robotics` 1.4.2 (Fetch), unchanged except that Fetch's base is fixed. The robots stand
+alone; only Fetch has a floor and a table. The collision filters of robosuite let most links of an arm pass through each
+other, so its models are loaded with `self_collision="links"`. "Load": read the model, find links that always touch, and
+divide meshes of URDFs whose hulls touch too often. "Compile": cover the links with spheres. Both run without caches;
+"again" is both with the caches of an earlier process. Of {CONFIGURATIONS} configurations drawn uniformly within the
+limits, "free" are those free by exact geometry on convex hulls, "called free" is the share of these that the kernels
+call free, and "wrongly" the share of the others that the kernels call free. Queries: {QUERIES} pairs of free
+configurations, w = 0, first motion within 1 s, all verified. "OMPL": number of at most {ASKED} unsolved queries for
+which OMPL's RRT-Connect finds a path by exact geometry alone, within {SECONDS:g} s ({LONG_SECONDS:g} s in a long run).
+Without one, a path may not exist: the upper arm of a UR cannot pass its own foot, so its shoulder angle (two turns) has
+three disconnected ranges. "First": median time to a motion. "Pairs": pairs of links that may not touch. Robots that
+cannot be read are listed below the table. Targets are for UR5e, UR5, iiwa, Kinova3, Panda, SO-101, Fetch and TIAGo.
 """
 
 Array = np.ndarray
@@ -48,7 +49,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class RobotFigures:
-    """What came of one robot."""
+    """Result for one robot."""
 
     joints: int
     pairs: int
@@ -66,14 +67,14 @@ class RobotFigures:
 
 
 def run(options: suite.Options) -> str:
-    """Try every robot."""
+    """Measure every robot that is installed."""
     there = package_robots.loads()
     if not there:
-        return f"{MEASURED}\nNot measured: there is none of the packages; {package_robots.FOLDER} may name a folder.\n"
+        raise report.NotMeasured(f"none of the packages is installed; {package_robots.FOLDER} can name a folder")
     rows, told, wanted = [], [], {}
     for robot, load in there[: options.pick(len(there), quick=1)]:
         try:
-            one = examine(load, seconds=options.pick(SECONDS, quick=1.0))
+            one = examine(load, seconds=options.pick(SECONDS, quick=1.0, long=LONG_SECONDS))
         except gp.GracefulPlanError as error:
             told.append(f"{robot.name}: {type(error).__name__}, {error}")
             continue
@@ -135,7 +136,7 @@ def _cache_in(folder: str) -> Generator[None]:
 
 
 def examine(load: Callable[[], gp.Scene], seconds: float = SECONDS) -> RobotFigures:
-    """Load a robot and plan for it; OMPL has so many seconds for a query that is not solved."""
+    """Load a robot and plan for it; OMPL has `seconds` for each query that is not solved."""
     with tempfile.TemporaryDirectory() as empty, _cache_in(empty):
         started = time.perf_counter()
         scene = load()

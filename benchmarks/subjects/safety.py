@@ -1,4 +1,4 @@
-"""Is the fast checker ever optimistic, how cautious is it, and does Algorithm 1 do what the paper says?"""
+"""Missed collisions and rejected free configurations of the fast checker, and Algorithm 1 against NumPy."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from graceful_plan.judge.reference_cost import reference_probability
 Array = np.ndarray
 
 TITLE = "Safety: never optimistic, rarely too cautious, Algorithm 1 as printed"
+QUESTION = "Does the collision checker ever miss a collision, and how many free configurations does it reject?"
+HEADLINE = "missed collisions"
+DEPENDS_ON = ("src/graceful_plan/core", "src/graceful_plan/scene", "src/graceful_plan/judge")
 MEASURED = """\
-Configurations drawn uniformly within the joint limits, in every bundled scene, with empty hand and with each object
-that a task carries. "Missed": the kernel says free, MuJoCo's exact geometry says collision. "Too cautious": share of
-the configurations free by exact geometry that the kernel calls colliding; it covers robot and object with spheres
+Configurations drawn uniformly within the joint limits of every bundled scene, with an empty gripper and with each
+object that a task carries. "Missed": free by the kernel, in collision by MuJoCo's exact geometry. "Too cautious": share
+of the configurations free by exact geometry that the kernel calls colliding; it covers robot and object with spheres
 that stick out by less than 1 cm. The margin is 0; contacts between an object and its support count as collisions on
-both sides. "Algorithm 1" is the greatest difference between any P of the kernel and that of a plain NumPy
-transcription on MuJoCo.
+both sides. "Algorithm 1": largest difference between a P of the kernel and that of a plain NumPy transcription on
+MuJoCo.
 """
 CAUTIOUS_AT_MOST = 0.06
 ALGORITHM_TOLERANCE = 1e-6
@@ -31,7 +34,7 @@ _CHUNK = 500
 
 @dataclass(frozen=True, kw_only=True)
 class Sizes:
-    """How many configurations."""
+    """Numbers of configurations."""
 
     collision: int
     algorithm: int
@@ -43,12 +46,12 @@ QUICK = Sizes(collision=1000, algorithm=200)
 
 @dataclass(frozen=True, kw_only=True)
 class SafetyFigures:
-    """What came of one scene with one object."""
+    """Result for one scene with one object."""
 
     scene: str
     carried: str
     free: float
-    """Share that is free by exact geometry."""
+    """Share of the configurations that is free by exact geometry."""
     missed: int
     cautious: float
     difference: float
@@ -89,7 +92,7 @@ def examine(job: tuple[str, str, Sizes]) -> SafetyFigures:
 
 
 def exact_collisions(scene: gp.Scene, q: Array) -> Array:
-    """Tell by MuJoCo's exact geometry which configurations collide."""
+    """Return which configurations collide, by MuJoCo's exact geometry."""
     judge = Judge(scene)
     colliding = np.zeros(len(q), dtype=bool)
     for touch in judge.touches(q):
@@ -98,7 +101,7 @@ def exact_collisions(scene: gp.Scene, q: Array) -> Array:
 
 
 def _objects(scene: gp.Scene) -> Iterator[str]:
-    """Names of the objects that tasks carry, each once."""
+    """Yield the names of the objects that tasks carry, each once."""
     yield from dict.fromkeys(task.object_name for task in scene.tasks.values() if task.object_name is not None)
 
 

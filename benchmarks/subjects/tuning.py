@@ -1,4 +1,4 @@
-"""How good is the front that `gp.pareto` finds in seconds, beside a sweep of the planner in ten times the time?"""
+"""Front of `gp.pareto`, compared with a sweep of the planner over weights in ten times the time."""
 
 from __future__ import annotations
 
@@ -19,28 +19,30 @@ from graceful_plan.tuning.search import sweep_weights
 Array = np.ndarray
 
 TITLE = "Tuning: a front in ten seconds"
+QUESTION = "Is the front that `gp.pareto` finds in 10 s as good as a sweep of the planner in ten times the time?"
+HEADLINE = "hypervolume"
+DEPENDS_ON = (*suite.PLANNING, "src/graceful_plan/tuning")
 PICTURE = Path(__file__).parents[2] / "docs" / "images" / "tuning_fronts.png"
 SCENE = "tabletop"
 SECONDS_BELOW = 10.0
 POINTS_AT_LEAST = 12
 WEIGHTS = 20
-"""Of the sweep: 0 and a geometric row."""
+"""Number of weights of the sweep: 0 and a geometric series."""
 TIMES = 10.0
-"""How many times as long the sweep takes in all."""
+"""Duration of the sweep over the duration of the front."""
 MEASURED = """\
-`gp.pareto` with its defaults on every task of `tabletop`, whole calls, scenes loaded and compiled before, every point
-verified; and `gp.plan` at {weights} safety weights, 0 and a geometric row over the range that `pareto` sweeps, with
-the default planner and {times:g} times the time in all. "Hypervolume" is the share of the rectangle from zero to the
-reference that is worse than some point; the reference is 1.1 times the greatest motion and the greatest impact that
-any of the fronts of the task has, the same for all of them. "Epsilon": the least factor by which the costs of the
-other front (for the sweep: that of seed 0) have to be multiplied for this one to be as good everywhere. "By a weight":
-how many points have the least V + w S of their front for some w.
+`gp.pareto` with its defaults on tasks of `tabletop`: whole calls, scenes loaded and compiled before, every point
+verified. The sweep calls `gp.plan` with the default planner at {weights} safety weights (0 and a geometric series over
+the range that `pareto` sweeps), in {times:g} times the time in all. "Hypervolume": share of the rectangle between zero
+and the reference that the front dominates. The reference is 1.1 times the largest motion and the largest impact of all
+fronts of the task. "Epsilon": least factor on the costs of the other front (for the sweep: of seed 0) at which this one
+is as good everywhere. "By a weight": points with the least V + w S of their front for some w.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredFront:
-    """Motion and impact of verified motions, and how long they took."""
+    """Motion and impact of verified motions, and the time to find them."""
 
     costs: Array
     seconds: float
@@ -50,7 +52,7 @@ class MeasuredFront:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskFronts:
-    """What came of one task."""
+    """Result for one task."""
 
     task: str
     tuned: tuple[MeasuredFront, ...]
@@ -58,26 +60,28 @@ class TaskFronts:
 
     @property
     def reference(self) -> Array:
-        """The reference of all hypervolumes of the task."""
+        """Reference of all hypervolumes of the task."""
         return 1.1 * np.concatenate([self.swept.costs, *(front.costs for front in self.tuned)]).max(axis=0)
 
     def hypervolume(self, front: MeasuredFront) -> float:
-        """Share of the rectangle between zero and the reference that is worse than the front."""
+        """Return the share of the rectangle between zero and the reference that the front dominates."""
         return dominated_area(front.costs, self.reference) / float(np.prod(self.reference))
 
 
 def run(options: suite.Options) -> str:
-    """Find fronts and sweep; write a picture if this is no quick run."""
-    tasks, seeds, seconds, weights = options.pick((4, 3, SECONDS_BELOW, WEIGHTS), quick=(1, 1, 2.0, 5))
+    """Find fronts and sweep; write the picture unless this is a quick run."""
+    tasks, seeds, seconds, weights = options.pick(
+        (2, 3, SECONDS_BELOW, WEIGHTS), quick=(1, 1, 2.0, 5), long=(4, 3, SECONDS_BELOW, WEIGHTS)
+    )
     names = [name for name in suite.task_names() if name.startswith(f"{SCENE}/")][:tasks]
-    # One at a time: both are measured by what they find in a given time.
+    # One process: both have limits in seconds.
     findings = list(suite.spread(lambda name: examine(name, seeds, seconds, weights), names, 1, "tuning"))
     if not options.quick:
         draw(findings, PICTURE)
     header = ("task", "front of", "seconds", "points", "by a weight", "hypervolume", "of the sweep's", "epsilon")
     rows = [row for finding in findings for row in _rows(finding)]
     told = MEASURED.format(weights=weights, times=TIMES)
-    picture = "" if options.quick else f"\n![Fronts and sweeps](../docs/images/{PICTURE.name})\n"
+    picture = "" if options.quick else f"\n![Fronts and sweeps](../../docs/images/{PICTURE.name})\n"
     return f"{told}\n{report.targets(_targets(findings))}\n{report.table(header, rows)}{picture}"
 
 
@@ -99,7 +103,7 @@ def tune(name: str, seed: int, seconds: float) -> MeasuredFront:
 
 
 def sweep(name: str, count: int, seconds: float) -> MeasuredFront:
-    """Call `gp.plan` at one weight after the other; keep what no other is better than."""
+    """Call `gp.plan` at each weight and keep the non-dominated motions."""
     task = suite.task(name)
     started = time.perf_counter()
 
@@ -118,7 +122,7 @@ def sweep(name: str, count: int, seconds: float) -> MeasuredFront:
 
 
 def epsilon(front: Array, other: Array) -> float:
-    """Least factor by which another front has to be multiplied for this one to be as good everywhere."""
+    """Return the least factor on the other front at which this one is as good everywhere."""
     if not len(front) or not len(other):
         return np.inf
     ratio = np.divide(front[:, None], other[None], out=np.ones((len(front), len(other), 2)), where=other[None] > 0.0)

@@ -1,9 +1,9 @@
 """What tests of annotations share."""
 
 import pytest
-from benchmarks.model_server import ModelServer, guesses
 
 import graceful_plan as gp
+from support.annotation.model_server import ModelServer, guesses
 
 ROOM = """
 <mujoco><worldbody>

@@ -1,7 +1,6 @@
 import dataclasses
 
 import pytest
-from benchmarks.model_server import rows
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +11,7 @@ from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.scene.elements import Liquid
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.harm.severity import SeverityTable
+from support.annotation.model_server import rows
 
 TABLE = SeverityTable.shipped()
 

@@ -2,13 +2,13 @@ import json
 import math
 
 import pytest
-from benchmarks.model_server import rows
 from hypothesis import given
 from hypothesis import strategies as st
 
 from graceful_plan.annotation.answers import read_answer
 from graceful_plan.exceptions import AnnotationError
 from graceful_plan.scene.harm.severity import SeverityTable
+from support.annotation.model_server import rows
 
 TABLE = SeverityTable.shipped()
 NAMES = ["vase", "person"]

@@ -5,7 +5,6 @@ import struct
 import threading
 
 import pytest
-from benchmarks.model_server import asked_about, guesses, rows, said
 from places import ROOT
 
 import graceful_plan as gp
@@ -14,6 +13,7 @@ from graceful_plan.annotation.endpoint import MAX_ANSWER, Endpoint
 from graceful_plan.exceptions import AnnotationError, EndpointError, SceneError, SettingError
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.viz import offscreen
+from support.annotation.model_server import asked_about, guesses, rows, said
 
 KEY = "sk-not-a-real-key-0123456789"
 

@@ -1,4 +1,4 @@
-"""What `prevention` says of motions: costs of common sense, curves of harm, records that are kept, tables."""
+"""Parts of `prevention`: simple costs, curves of harm, stored lines, tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from benchmarks.prevention import common_sense, figures, runs, tables, work
 from benchmarks.prevention.harm_curves import Offer, floored, harm_at, lower_envelope, typical
 from benchmarks.prevention.runs import NONE, OURS, PUBLISHED, Curve, CurveJob, Harm, Headline, HeadlineJob, Motion
-from benchmarks.subjects import harm_curves, prevention
+from benchmarks.subjects import prevention
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -66,7 +66,7 @@ def test_the_unit_of_harm_does_not_matter(offers, extent, factor):
 
 
 def test_no_harm_has_no_logarithm():
-    with pytest.raises(ValueError, match=r"harm.*> 0"):
+    with pytest.raises(ValueError, match="harm has to be > 0"):
         harm_at([Offer(1.0, 0.0)], 1.0)
     assert floored(0.0, 200, 0.5) == pytest.approx(0.0025)
     assert floored(1.0, 200, 0.5) == 1.0
@@ -187,12 +187,12 @@ def test_only_what_is_left_is_done(tmp_path):
     names = {"bundled": ["desk/bring_coffee", "desk/water_plant", "desk/put_book_away"]}
     heads, curves = tmp_path / "heads.jsonl", tmp_path / "curves.jsonl"
     assert len(work.headline_jobs(names, heads, job)) == 3
-    assert harm_curves.curve_jobs(names, heads, curves, sizes) == []  # what holds the objects is not known
+    assert work.curve_jobs(names, heads, curves, sizes) == []  # the grasp is not known
     lost = head("desk/water_plant", **{NONE: Motion(w=0.0, refused="slips")})
     heads.write_text(store.line(head()) + store.line(lost))
     assert [job.task for job in work.headline_jobs(names, heads, job)] == ["desk/put_book_away"]
     curves.write_text(store.line(curve(OURS, (2.2, 4.0))))
-    jobs = harm_curves.curve_jobs(names, heads, curves, sizes)
+    jobs = work.curve_jobs(names, heads, curves, sizes)
     assert {job.cost for job in jobs} == set(runs.CURVES) and {job.task for job in jobs} == {"desk/bring_coffee"}
     weights = {job.cost: job.weights for job in jobs}
     assert weights[OURS] == (1.0,) and weights[PUBLISHED] == (0.1, 1.0) and weights["carry low"] == (3.0,)
@@ -238,11 +238,12 @@ def test_the_report_loses_nothing(tmp_path):
     curves = "\n".join(tables.curve_sections(all_of, asked, sizes))
     assert "1 of 2 tasks" in curves and "2 of 10 curves" in curves
     assert "| bundled | 0.1 | +10 % | +10 % | 2.27 | 2.27 [2.27, 2.27] |" in curves
-    assert "bundled 2.27 (2.27 [2.27, 2.27])" in curves
+    assert "know in advance: x less, median (geometric mean): bundled 2.27 (2.27 [2.27, 2.27])." in curves
     text = "\n".join(tables.headline_sections(all_of, asked, HeadlineJob(drops=1000, mixed=500)))
     assert "1 of 2 tasks" in text
-    assert ": desk/water_plant." in text and ": desk/bring_coffee." in text
-    assert "desk/bring_coffee (service robot): " in text and "'mug' at 1 s" in text
+    assert "Not done: desk/water_plant." in text
+    assert "Held by a weld: desk/bring_coffee." in text
+    assert "desk/bring_coffee (service robot): the object 'mug' at 1 s: slips" in text
     assert "1.39 *" in text  # 2 per failure, 2.5 s, one failure in 1000 h, a million tasks
     less = "5.00 | 5.00 | 4.00 | 4.00 [4.00, 4.00] | 7.20 | 7.20 [7.20, 7.20]"
     assert f"| bundled | default | 1 | +25 % | +25 % | {less} | 0 | 1 |" in text
@@ -254,9 +255,9 @@ def test_the_report_loses_nothing(tmp_path):
 
 def test_sizes_and_tasks_are_as_they_are_asked_for():
     options = suite.Options(drops=5, weights=(0.5,), tasks=("desk/*", "bedside/bring_*"))
-    job, sizes = prevention.asked_job(options), harm_curves.sizes_of(options)
+    job, sizes = prevention.asked_job(options), prevention.sizes_of(options)
     assert (job.drops, job.mixed) == (5, tables.MIXED)
-    assert (sizes.drops, sizes.weights, sizes.relative) == (5, (0.5,), harm_curves.RELATIVE)
+    assert (sizes.drops, sizes.weights, sizes.relative) == (5, (0.5,), prevention.RELATIVE)
     names = work.task_names(options)
     assert len(names["bundled"]) == 5 and names["unseen"] == ["bedside/bring_pills", "bedside/bring_water"]
     quick = work.task_names(suite.Options(quick=True))

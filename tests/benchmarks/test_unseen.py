@@ -26,7 +26,7 @@ _OBSTACLES = {
     "buffet": {"pedestal"},
     "stove": {"pedestal", "shelf"},
 }
-"""Bodies that collide and are no entities, so that nobody counts what hits them."""
+"""Bodies that collide and are no entities, so hits of them do not count."""
 
 
 def test_there_are_enough_of_them():
@@ -74,7 +74,7 @@ def test_what_collides_is_an_entity_or_known_to_be_none(name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_no_object_is_one_that_constants_were_fitted_on(name):
-    """By kind, size and mass of what is carried."""
+    """Compare kind, size and mass of the carried objects."""
     bundled = {_shape(scene, thing) for scene in map(suite.scene, gp.scenes()) for thing in scene.notes.objects}
     scene = suite.scene(name)
     for thing in scene.notes.objects:

@@ -1,14 +1,11 @@
 from __future__ import annotations
 
-from pathlib import Path as FilePath
-
 import numpy as np
 import pytest
-from benchmarks.subjects import trajectory_prediction
 
 import failbench as fb
 import graceful_plan as gp
-from benchmarks import landing, suite, variants
+from benchmarks import landing, variants
 from failbench.fault.end_effector import StuckGripper
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.judge.reference_cost import reference_probability
@@ -111,30 +108,3 @@ def test_it_is_algorithm_1_where_the_object_comes_down() -> None:
     plain = reference_probability(with_box(data.xipos[body][:2] + offset), still[None], ["carried"])[0, 0, -1]
     assert 0.0 < plain < 1.0
     assert aimed == pytest.approx(plain, abs=1e-6)
-
-
-# --- motion by motion ------------------------------------------------------------------------------------------------
-
-
-def test_motions_that_are_done_are_not_done_again(tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs = trajectory_prediction.jobs_of("tabletop_l1_scattered", 6, 8)[:3]
-    file, options = tmp_path / "store" / "done.jsonl", suite.Options()
-    asked: list[int] = []
-
-    def fake(job: tuple[int, object]) -> trajectory_prediction.JudgedMotion:
-        asked.append(job[0])
-        return trajectory_prediction.JudgedMotion(
-            number=job[0], label="", drops=4, observed=1.0, error=0.1, halves=(1.0, 1.0), predicted={"mixture": 0.5}
-        )
-
-    monkeypatch.setattr(trajectory_prediction, "_do", fake)
-    trajectory_prediction.go_on(file, jobs, options, until=0.0)
-    assert asked == []
-    trajectory_prediction.go_on(file, jobs, options, until=np.inf)
-    assert sorted(asked) == [0, 1, 2]
-    whole = file.read_text()
-    file.write_text(whole[:-10])  # killed while it wrote the last line
-    trajectory_prediction.go_on(file, jobs, options, until=np.inf)
-    assert len(asked) == 4
-    assert sorted(x.number for x in trajectory_prediction.read(file)) == [0, 1, 2]
-    assert file.read_text() == whole

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pytest
-from benchmarks.clearance_twin import ClearanceTwin
 
 import graceful_plan as gp
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.testing import check_cost
+from support.costs.clearance_twin import ClearanceTwin
 
 _ROUNDING = 2e-6  # [m]; the kernels compute distances in single precision
 _FARTHEST = 10.0  # [m]; of pairs that MuJoCo measures
@@ -29,6 +29,17 @@ _CART = """<mujoco model="cart"><worldbody>
 @pytest.fixture(scope="module")
 def scene() -> gp.Scene:
     return gp.load_scene("desk").tasks["bring_coffee"].scene
+
+
+def test_the_twin_of_the_clearance_agrees_with_the_kernels():
+    kernels = compile_scene(gp.load_scene("tabletop_l1").tasks["green_to_blue"].scene).kernels
+    twin = ClearanceTwin(kernels.robot, kernels.world)
+    q = np.random.default_rng(0).uniform(kernels.robot.lower, kernels.robot.upper, (60, kernels.nq))
+    distances = twin.distances(q)
+    np.testing.assert_allclose(distances.min(axis=1), kernels.clearance(q), atol=1e-5)
+    nearest = distances.argmin(axis=1)
+    assert np.any(nearest >= distances.shape[1] - twin.n_self) and np.any(nearest < distances.shape[1] - twin.n_self)
+    np.testing.assert_allclose(twin.distance(q, nearest), distances.min(axis=1), atol=1e-12)
 
 
 @pytest.fixture(scope="module")

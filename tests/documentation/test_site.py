@@ -13,7 +13,7 @@ import failbench
 import graceful_plan as gp
 
 DOCS = ROOT / "docs"
-GENERATED = {"readme.md", "changelog.md", "contributing.md", "benchmarks.md", "results.md", "examples.md"}
+GENERATED = {"readme.md", "changelog.md", "contributing.md", "benchmarks.md", "results/index.md", "examples.md"}
 ENTRIES = {
     entry: page.name
     for page in (DOCS / "api").glob("*.md")
@@ -65,7 +65,9 @@ def hooks():
     ("text", "folder", "expected"),
     [
         ("[a](../README.md)", "docs", "[a](readme.md)"),
-        ("[a](../benchmarks/RESULTS.md#b)", "docs", "[a](results.md#b)"),
+        ("[a](../benchmarks/results/kernels.md#b)", "docs", "[a](results/kernels.md#b)"),
+        ("[a](results/README.md)", "benchmarks", "[a](results/index.md)"),
+        ("[a](kernels.md)", "benchmarks/results", "[a](../results/kernels.md)"),
         ("[a](../examples/custom_fault.py)", "docs", "[a](examples.md#custom_faultpy)"),
         ("[a](docs/risk.md#b)", ".", "[a](risk.md#b)"),
         ("![a](docs/images/a.png)", ".", "![a](images/a.png)"),

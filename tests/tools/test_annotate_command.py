@@ -3,10 +3,10 @@
 import json
 
 import pytest
-from benchmarks.model_server import ModelServer, guesses, said
 
 from graceful_plan.annotation.annotations import Annotations
 from graceful_plan.tools import cli
+from support.annotation.model_server import ModelServer, guesses, said
 
 
 @pytest.fixture

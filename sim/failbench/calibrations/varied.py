@@ -15,7 +15,8 @@ from failbench.simulated.world import World
 from graceful_plan.exceptions import SettingError
 
 _RESTITUTION = (0.017, 0.193, 0.266, 0.351, 0.460, 0.529, 0.611, 0.694)
-"""Restitution of a sphere that falls 0.3 m, measured by `benchmarks/materials.py: restitution` for `_DAMPING`."""
+"""Restitution of a sphere that falls 0.3 m, for each of `_DAMPING`, by `restitution` of
+`tests/support/scenes/materials.py`."""
 _DAMPING = (0.8, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15)
 """Damping ratios of the contact, with MuJoCo's time constant of 0.02 s."""
 _ALONE = 1e3

@@ -42,7 +42,8 @@ Array = np.ndarray
 
 CARRIED_LOSS = 2.0
 """b: mean of -ln of the share of E that acts along the normal. Measured: 2.06 in 4648 touches of entities other than
-tables and floors, in 5400 drops along a motion for each of the 27 bundled tasks; see `benchmarks/`, damage_energy."""
+tables and floors, in 5400 drops along a motion for each of the 27 bundled tasks; see benchmarks/damage_energy at
+commit cbf77b38."""
 BODY_ENERGY = 0.5
 """Median energy of the robot's body [J]. Measured: 0.52 in 641 touches after 5400 severe failures of single drives,
 sensors and power along the same motions."""

@@ -40,7 +40,7 @@ MAX_WEIGHT = 1e9
 """Greatest safety weight; beyond it, V is lost in the rounding error of w S."""
 DEFAULT_WEIGHT = 0.3
 """Default safety weight. Over the bundled tasks, predicted harm per executed task falls by a median factor of 4.2 for
-11 % more duration; at 0.1 it is 2.9 for 4 %, at 1 4.4 for 14 %. Observed: see `benchmarks/`, prevention."""
+11 % more duration; at 0.1 it is 2.9 for 4 %, at 1 4.4 for 14 %. Observed: see benchmarks/results/prevention.md."""
 MEAN_PACE = 0.7
 """Time average of the fraction of the velocity limits in motions retimed at full speed: 0.71 on the bundled tasks, 0.36
 at half speed."""

@@ -12,6 +12,7 @@ from graceful_plan.compare import BestMotion, BestMotions, Run, read_known
 from graceful_plan.compare.problems.suite import ProblemSpec
 from graceful_plan.compare.runs.best_motions import Attempt, StaleBestMotion
 from graceful_plan.compare.runs.planner_specs import PlannerSpec
+from graceful_plan.compare.runs.records import cubics
 from graceful_plan.compare.runs.runner import PlannerJob, run
 
 SCENE, NAME = "tabletop_l1", "green_to_blue"

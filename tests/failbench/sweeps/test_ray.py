@@ -18,7 +18,7 @@ from failbench.sweeps.ray_executor import RayExecutor
 
 pytest.importorskip("ray")
 
-from benchmarks.ray_nodes import RayNodes
+from support.sweeps.ray_nodes import RayNodes
 
 pytestmark = pytest.mark.long
 

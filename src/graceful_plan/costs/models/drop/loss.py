@@ -21,7 +21,8 @@ Array = np.ndarray
 
 LANDING_LOSS = 0.7
 """b: mean of -ln of the share of the vertical energy that acts along the normal where the object lands. Measured:
-0.715 in the first touches of 5400 drops along a motion for each of the 27 bundled tasks; see `benchmarks/`, own_loss.
+0.715 in the first touches of 5400 drops along a motion for each of the 27 bundled tasks; see
+benchmarks/results/own_loss.md.
 """
 NODES = 2.0 - math.sqrt(2.0), 2.0 + math.sqrt(2.0)
 """Nodes of the two-point Gauss-Laguerre rule: values of -ln of that share, in units of its mean."""

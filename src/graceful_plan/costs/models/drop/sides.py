@@ -1,8 +1,8 @@
 """The side that blocks a flying object before it lands: step 0 of the drop model, in NumPy.
 
 Symbols are those of the specification in the docstring of the package. The constants were chosen on the drops beside
-walls of the first seed of `benchmarks/walled.py`, with some of the other scenes' drops in view; that benchmark measures
-other walls.
+walls of the first seed of `benchmarks/walled.py` at commit cbf77b38, with some of the other scenes' drops in view; that
+benchmark measures other walls.
 """
 
 from __future__ import annotations
