@@ -7,6 +7,8 @@
 
 namespace gp {
 
+constexpr double kGravity = 9.81;  // gravitational acceleration of the models of failures [m/s^2]
+
 constexpr int kMaxLinks = 48;
 constexpr int kMaxJoints = 32;
 constexpr int kMaxSpheres = 2048;

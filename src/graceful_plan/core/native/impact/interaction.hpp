@@ -1,5 +1,12 @@
 // Algorithm 1 of the paper: entities below or beside the robot's boxes. In double precision, so that results equal a
 // NumPy transcription.
+#pragma once
+#include "geometry/kinematics.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 constexpr double kLeastArea = 1e-12;  // least area of a body seen from above [m^2]; thinner bodies cannot be hit from
                                       // above
@@ -131,3 +138,5 @@ static inline D impact_of(const Tables& tables, const Hazard& hazard, const D* q
   for_each_interaction(tables, X_W, hazard, [&](int r, int e, D P) { impact += P * hazard.of(tables, r, e); });
   return impact;
 }
+
+}  // namespace gp::GP_ISA

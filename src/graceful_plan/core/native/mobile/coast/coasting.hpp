@@ -141,7 +141,7 @@ class Coasting {
   // Whether an entity may be hit at all; a base never goes farther than at its initial speed.
   bool reaches(const State& at, const FloorShape& who) const {
     const double speed = std::fabs(at.v);
-    if (speed <= kStill) return false;
+    if (speed <= CoastTables::kStandstill) return false;
     double far = std::max(of_.farthest, of_.aside), longest = of_.lasts;
     for (const CoastTables::Stop& stop : of_.stop) {
       far = std::max(far, speed * stop.delay + speed * speed / (2 * stop.a));
@@ -167,8 +167,7 @@ class Coasting {
   }
 
  private:
-  static constexpr int kLooks = 16;       // number of times at which `reaches` checks the distance
-  static constexpr double kStill = 1e-6;  // speed below which a base stands [m/s]
+  static constexpr int kLooks = 16;  // number of times at which `reaches` checks the distance
 
   const CoastTables of_;
   const CoastKernels& kernels_;
