@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <limits>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "search/planning.hpp"
@@ -35,14 +36,6 @@ inline Isa choose(const std::string& isa) {
   for (const Isa& candidate : available())
     if (isa == "auto" || isa == candidate.name) return candidate;
   throw std::invalid_argument("this machine cannot run instruction set " + isa);
-}
-
-template <class T> Out<T> make(std::vector<size_t> shape, T*& data) {
-  size_t size = 1;
-  for (size_t n : shape) size *= n;
-  data = new T[size ? size : 1];
-  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
-  return Out<T>(data, shape.size(), shape.data(), owner);
 }
 
 // Solve A y = b by Cramer's rule; A is positive definite.
@@ -166,7 +159,6 @@ class Core {
   auto link_poses(Reals q) const {
     double* out;
     auto array = make<double>({rows(q), size_t(tables_.n_link), 4, 4}, out);
-    nb::gil_scoped_release release;
     kernels().link_poses(tables_, states(q), out);
     return array;
   }
@@ -174,7 +166,6 @@ class Core {
     bool* out;
     auto array = make<bool>({rows(q)}, out);
     require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
-    nb::gil_scoped_release release;
     kernels().free_states(tables_, states(q), margin, reinterpret_cast<uint8_t*>(out));
     return array;
   }
@@ -183,7 +174,6 @@ class Core {
     auto array = make<bool>({rows(q0)}, out);
     const Edges all = edges(q0, q1, step);
     require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
-    nb::gil_scoped_release release;
     kernels().free_edges(tables_, all, margin, reinterpret_cast<uint8_t*>(out));
     return array;
   }
@@ -194,7 +184,6 @@ class Core {
     auto array = make<double>({all.n, nq}, out);
     require_limits(lower, upper);
     require(in_range(clearance, -kMaxExtent, kMaxExtent), "clearance");
-    nb::gil_scoped_release release;
     std::copy_n(all.q, all.n * nq, out);
     for (size_t k = 0; has_bounds() && k < all.n; ++k) project(out + k * nq, lower.data(), upper.data(), clearance);
     return array;
@@ -202,7 +191,6 @@ class Core {
   auto clearance(Reals q) const {
     double* out;
     auto array = make<double>({rows(q)}, out);
-    nb::gil_scoped_release release;
     kernels().clearance(tables_, states(q), std::numeric_limits<double>::infinity(), out, nullptr);
     return array;
   }
@@ -210,16 +198,12 @@ class Core {
     double *out, *gradient;
     auto values = make<double>({rows(q)}, out);
     auto gradients = make<double>({q.shape(0), size_t(tables_.n_joint)}, gradient);
-    {
-      nb::gil_scoped_release release;
-      kernels().clearance(tables_, states(q), std::numeric_limits<double>::infinity(), out, gradient);
-    }
-    return nb::make_tuple(values, gradients);
+    kernels().clearance(tables_, states(q), std::numeric_limits<double>::infinity(), out, gradient);
+    return std::tuple(std::move(values), std::move(gradients));
   }
   auto interaction(Reals q) const {
     double* out;
     auto array = make<double>({rows(q), size_t(tables_.n_component), size_t(tables_.n_entity)}, out);
-    nb::gil_scoped_release release;
     kernels().interaction(tables_, states(q), out);
     return array;
   }
@@ -236,14 +220,11 @@ class Core {
     require_limits(lower, upper);
     require(iterations >= 0 && patience >= 1, "iterations");
     auto ended = make<double>({n, nq}, q), twists = make<double>({n, 6}, missing);
-    {
-      nb::gil_scoped_release release;
-      kernels().reach(tables_,
-                      {seed.data(), X_WG.data(), free_yaw.data(), n, X_LT.data(), tool_link_, lower.data(),
-                       upper.data(), held.data(), iterations, patience},
-                      q, missing);
-    }
-    return nb::make_tuple(ended, twists);
+    kernels().reach(tables_,
+                    {seed.data(), X_WG.data(), free_yaw.data(), n, X_LT.data(), tool_link_, lower.data(), upper.data(),
+                     held.data(), iterations, patience},
+                    q, missing);
+    return std::tuple(std::move(ended), std::move(twists));
   }
   // e^x and ln e^x as the drop model computes them, for tests.
   auto elementary(Reals x) const {
@@ -252,7 +233,7 @@ class Core {
     auto first = make<double>({x.size()}, exponential);
     auto second = make<double>({x.size()}, logarithm);
     kernels().elementary(x.data(), x.size(), exponential, logarithm);
-    return nb::make_tuple(first, second);
+    return std::tuple(std::move(first), std::move(second));
   }
 
   // The Jacobian J of the tool's position, and gram = J J^T, damped.

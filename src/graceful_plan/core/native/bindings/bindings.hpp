@@ -2,9 +2,13 @@
 #pragma once
 #include <nanobind/nanobind.h>
 
+#include "bindings/ndarrays.hpp"
+
 namespace nb = nanobind;
 
 namespace gp {
+
+using WithoutGil = nb::call_guard<nb::gil_scoped_release>;
 
 void bind_core(nb::module_&);
 void bind_impact(nb::module_&);  // after bind_core

@@ -3,11 +3,12 @@
 
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include "bindings/bindings.hpp"
+#include "bindings/own_cost.hpp"
 #include "impact/body_impact.hpp"
-#include "impact/own/own_cost.hpp"
 #include "impact/own/posture_costs.hpp"
 #include "impact/own/state_cost.hpp"
 
@@ -42,10 +43,10 @@ void bind_impact(nb::module_& m) {
       .def("add_stop", &DropModel::add_stop, "deceleration"_a, "constants"_a, "places"_a)
       .def("add_loss", &DropModel::add_loss, "strength"_a, "loss"_a)
       .def("add_network", &DropModel::add_network, "hidden"_a, "bound"_a, "weights"_a)
-      .def("probability", &DropModel::probability, "q"_a, "qd"_a)
-      .def("sights", &DropModel::sights, "q"_a, "qd"_a)
-      .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
-      .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a, "rough"_a = false);
+      .def("probability", &DropModel::probability, "q"_a, "qd"_a, WithoutGil())
+      .def("sights", &DropModel::sights, "q"_a, "qd"_a, WithoutGil())
+      .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a, WithoutGil())
+      .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a, "rough"_a = false, WithoutGil());
   nb::class_<BodyModel>(m, "BodyModel")
       .def(
           "__init__",
@@ -55,16 +56,16 @@ void bind_impact(nb::module_& m) {
           },
           nb::kw_only(), "core"_a, "inertia"_a, "drive"_a, "row"_a, "entity"_a, "n_row"_a, "n_entity"_a, "n_step"_a,
           "constants"_a, nb::keep_alive<1, 2>())
-      .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
-      .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
-      .def("gradient", &BodyModel::gradient, "weight"_a, "severity"_a, "q"_a, "qd"_a)
-      .def("dynamics", &BodyModel::dynamics, "q"_a);
+      .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none(), WithoutGil())
+      .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a, WithoutGil())
+      .def("gradient", &BodyModel::gradient, "weight"_a, "severity"_a, "q"_a, "qd"_a, WithoutGil())
+      .def("dynamics", &BodyModel::dynamics, "q"_a, WithoutGil());
   nb::class_<Impact>(m, "Impact")
-      .def("states", &Impact::states_array, "q"_a)
-      .def("moving_states", &Impact::moving_states_array, "q"_a, "qd"_a)
-      .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a, "rough"_a = false)
-      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a, "rough"_a = false)
-      .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a);
+      .def("states", &Impact::states_array, "q"_a, WithoutGil())
+      .def("moving_states", &Impact::moving_states_array, "q"_a, "qd"_a, WithoutGil())
+      .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a, "rough"_a = false, WithoutGil())
+      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a, "rough"_a = false, WithoutGil())
+      .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a, WithoutGil());
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact")
       .def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
   nb::class_<DropImpact, Impact>(m, "DropImpact")

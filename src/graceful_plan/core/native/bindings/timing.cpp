@@ -21,13 +21,13 @@ struct TimedCurve {
   size_t dim;
 };
 
-Out<double> rows(const std::vector<double>& values, size_t dim) {
+Array<double> rows(const std::vector<double>& values, size_t dim) {
   double* out;
   auto array = make<double>({values.size() / dim, dim}, out);
   std::copy(values.begin(), values.end(), out);
   return array;
 }
-Out<double> row(const std::vector<double>& values) {
+Array<double> row(const std::vector<double>& values) {
   double* out;
   auto array = make<double>({values.size()}, out);
   std::copy(values.begin(), values.end(), out);
@@ -102,7 +102,7 @@ double excess(Reals t, Reals q, Reals qd, Reals qdd, Reals velocity, Reals accel
 }
 
 // First and second derivatives of a point of a link along a curve: [2, n, 3].
-Out<double> point_derivatives(const Core& core, int link, Reals where, Reals q, Reals slope, Reals bend) {
+Array<double> point_derivatives(const Core& core, int link, Reals where, Reals q, Reals slope, Reals bend) {
   const size_t n = core.rows(q), dim = size_t(core.tables().n_joint), links = size_t(core.tables().n_link);
   require_numbers(where, 3, "a point", kMaxExtent);
   require_numbers(slope, n * dim, "a slope"), require_numbers(bend, n * dim, "a bend");
@@ -121,7 +121,7 @@ Out<double> point_derivatives(const Core& core, int link, Reals where, Reals q, 
 }
 
 // A spline and its first two derivatives at given parameters: [3, n, dim].
-Out<double> spline(Reals controls, Reals u) {
+Array<double> spline(Reals controls, Reals u) {
   require(controls.ndim() == 2 && controls.shape(0) >= 4, "controls are [n >= 4, nq]");
   require_numbers(controls, "controls");
   const SplineBasis basis(controls.shape(0));

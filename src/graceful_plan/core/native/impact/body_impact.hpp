@@ -1,6 +1,10 @@
 // The tables of the body model from Python, and the impact model for native planners.
 #pragma once
-#include <nanobind/stl/optional.h>
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <tuple>
+#include <vector>
 
 #include "impact/impact.hpp"
 
@@ -111,7 +115,6 @@ class BodyModel {
       tables.n_reference = int(ahead->shape(1));
     }
     const double* known = ahead ? ahead->data() : nullptr;
-    nb::gil_scoped_release release;
     core_.kernels().body(core_.tables(), tables, states, known, out);
     return array;
   }
@@ -120,23 +123,19 @@ class BodyModel {
     auto array = make<double>({core_.rows(q)}, out);
     check(weight, severity);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     core_.kernels().body_impact(core_.tables(), tables_, {weight.data(), severity.data(), nullptr}, states, out);
     return array;
   }
   // Impact and its derivatives with respect to q and qd.
-  nb::tuple gradient(Reals weight, Reals severity, Reals q, Reals qd) const {
+  auto gradient(Reals weight, Reals severity, Reals q, Reals qd) const {
     Slopes out;
     check(weight, severity);
     const States states = core_.states(q, qd);
     const size_t n = q.shape(0), nq = q.shape(1);
     auto values = make<double>({n}, out.value);
     auto by_q = make<double>({n, nq}, out.d_q), by_qd = make<double>({n, nq}, out.d_qd);
-    {
-      nb::gil_scoped_release release;
-      core_.kernels().body_gradient(core_.tables(), tables_, {weight.data(), severity.data(), nullptr}, states, out);
-    }
-    return nb::make_tuple(values, by_q, by_qd);
+    core_.kernels().body_gradient(core_.tables(), tables_, {weight.data(), severity.data(), nullptr}, states, out);
+    return std::tuple(std::move(values), std::move(by_q), std::move(by_qd));
   }
   // Tails that neglect hits worth less than a share of the worst possible.
   std::vector<Tail> tails(const Point& weight, const Point& severity, double share) const {
@@ -164,7 +163,7 @@ class BodyModel {
     auto first = make<double>({core_.rows(q), q.shape(1), q.shape(1)}, mass_matrix);
     auto second = make<double>({q.shape(0), q.shape(1)}, gravity);
     core_.kernels().body_dynamics(core_.tables(), tables_, core_.states(q), mass_matrix, gravity);
-    return nb::make_tuple(first, second);
+    return std::tuple(std::move(first), std::move(second));
   }
 
  private:

@@ -1,6 +1,10 @@
 // Impact models with severities, from which native planners compute the cost of edges.
 #pragma once
+#include <algorithm>
 #include <cmath>
+#include <optional>
+#include <tuple>
+#include <vector>
 
 #include "core.hpp"
 #include "edge_states.hpp"
@@ -63,7 +67,6 @@ class Impact {
   auto states_array(Reals q) const {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
-    nb::gil_scoped_release release;
     states(q.data(), q.shape(0), out);
     return array;
   }
@@ -71,7 +74,6 @@ class Impact {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
     const States all = core_.states(q, qd);
-    nb::gil_scoped_release release;
     moving_states(all, out);
     return array;
   }
@@ -82,34 +84,28 @@ class Impact {
     auto by_q = make<double>({q.shape(0), q.shape(1)}, out.d_q),
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
     const States states = core_.states(q, qd);
-    {
-      nb::gil_scoped_release release;
-      state_slopes(states, rough, out);
-    }
-    return nb::make_tuple(values, by_q, by_qd);
+    state_slopes(states, rough, out);
+    return std::tuple(std::move(values), std::move(by_q), std::move(by_qd));
   }
   // V and S, and the derivatives of S with respect to q0 and q1; None if the model has none.
-  nb::object edge_gradients_array(Reals q0, Reals q1, double step) const {
+  std::optional<std::tuple<Array<double>, Array<double>, Array<double>>> edge_gradients_array(Reals q0, Reals q1,
+                                                                                              double step) const {
     const Edges all = core_.edges(q0, q1, step);
-    if (!has_gradients()) return nb::none();
+    if (!has_gradients()) return std::nullopt;
     EdgeSlopes out;
     auto costs = make<double>({all.n, 2}, out.cost);
     auto by_q0 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q0),
          by_q1 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q1);
-    {
-      const size_t nq = q0.shape(1);
-      nb::gil_scoped_release release;
-      in_parts(all, [&](const Edges& part, size_t first) {
-        edge_gradients(part, Sampling::kExact, {out.cost + 2 * first, out.d_q0 + first * nq, out.d_q1 + first * nq});
-      });
-    }
-    return nb::make_tuple(costs, by_q0, by_q1);
+    const size_t nq = q0.shape(1);
+    in_parts(all, [&](const Edges& part, size_t first) {
+      edge_gradients(part, Sampling::kExact, {out.cost + 2 * first, out.d_q0 + first * nq, out.d_q1 + first * nq});
+    });
+    return std::tuple(std::move(costs), std::move(by_q0), std::move(by_q1));
   }
   auto edges_array(Reals q0, Reals q1, double step, bool rough) const {
     double* out;
     auto array = make<double>({core_.rows(q0), 2}, out);
     const Edges all = core_.edges(q0, q1, step);
-    nb::gil_scoped_release release;
     in_parts(all, [&](const Edges& part, size_t first) {
       rough ? rough_edges(part, out + 2 * first) : edges(part, out + 2 * first);
     });
@@ -289,7 +285,6 @@ class DropModel {
     const size_t row = surface_.size() * size_t(kNetworkInputs + 1);
     auto array = make<double>({core_.rows(q), surface_.size(), size_t(kNetworkInputs + 1)}, out);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     std::fill(out, out + states.n * row, 0.0);
     core_.kernels().drop_sights(core_.tables(), tables_, states, out);
     return array;
@@ -299,7 +294,6 @@ class DropModel {
     double* out;
     auto array = make<double>({core_.rows(q), size_t(kDropRows * tables_.n_entity + 1)}, out);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     core_.kernels().drop(core_.tables(), tables_, states, out);
     return array;
   }
@@ -308,7 +302,6 @@ class DropModel {
     auto array = make<double>({core_.rows(q)}, out);
     require_numbers(severity, size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), states, out);
     return array;
   }
@@ -320,12 +313,9 @@ class DropModel {
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
     require_numbers(severity, size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
-    {
-      nb::gil_scoped_release release;
-      const auto compute = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
-      compute(core_.tables(), tables_, severity.data(), states, out);
-    }
-    return nb::make_tuple(values, by_q, by_qd);
+    const auto compute = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
+    compute(core_.tables(), tables_, severity.data(), states, out);
+    return std::tuple(std::move(values), std::move(by_q), std::move(by_qd));
   }
 
  private:

@@ -54,10 +54,11 @@ static inline V first_damage(const DropTables& drop, const Flight<V>& flight, co
 // so.
 template <class V> struct OwnLoss {
   V probability = {};
-  V lift = {}, borne = {};      // A, K in the specification of step 5
-  V share = {}, height, known;  // on the present level: 1/(B + 1e-6), h, damage already done by the first contact
-  V log_energy;
-  double top;
+  V lift = {}, borne = {};  // A, K in the specification of step 5
+  V share = {}, height = {},
+    known = {};  // on the present level: 1/(B + 1e-6), h, damage already done by the first contact
+  V log_energy = {};
+  double top = 0;
 
   void enter(const Tumble<V>& tumble) {
     share = reciprocal(tumble.mass + kLeastMass);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <tuple>
 #include <vector>
 
 #include "impact/impact.hpp"
@@ -116,7 +117,6 @@ class MovingSource {
     auto array = make<double>({core_.rows(q), table_.size()}, out);
     const States all = core_.states(q, qd);
     if (t) require_numbers(*t, all.n, "a time of each state", kMaxTime);
-    nb::gil_scoped_release release;
     probability(all, t ? t->data() : nullptr, nullptr, out);
     return array;
   }
@@ -193,7 +193,6 @@ class MovingImpact {
     auto array = make<double>({core_.rows(q)}, out);
     const States all = core_.states(q, qd);
     if (t) require_numbers(*t, all.n, "a time of each state", kMaxTime);
-    nb::gil_scoped_release release;
     std::fill_n(out, all.n, 0.0);
     Point P(all.n * table_.size());
     for (size_t k = 0; k < source_.size(); ++k) {
@@ -208,12 +207,9 @@ class MovingImpact {
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.by_qd), by_t = make<double>({q.shape(0)}, out.by_t);
     const States all = core_.states(q, qd);
     require_numbers(t, all.n, "a time of each state", kMaxTime);
-    {
-      nb::gil_scoped_release release;
-      std::fill_n(out.impact, all.n, 0.0), std::fill_n(out.by_q, q.size(), 0.0), std::fill_n(out.by_qd, q.size(), 0.0);
-      slopes({all.q, all.qd, t.data(), int(all.n)}, out);
-    }
-    return nb::make_tuple(value, by_q, by_qd, by_t);
+    std::fill_n(out.impact, all.n, 0.0), std::fill_n(out.by_q, q.size(), 0.0), std::fill_n(out.by_qd, q.size(), 0.0);
+    slopes({all.q, all.qd, t.data(), int(all.n)}, out);
+    return std::tuple(std::move(value), std::move(by_q), std::move(by_qd), std::move(by_t));
   }
   auto gaps_array(Reals q, Reals t, double wanted) const {
     GapSlopes out;
@@ -221,11 +217,8 @@ class MovingImpact {
          by_t = make<double>({q.shape(0)}, out.by_t);
     require_numbers(t, q.shape(0), "a time of each state", kMaxTime);
     require(!std::isnan(wanted), "wanted gap");
-    {
-      nb::gil_scoped_release release;
-      gaps({q.data(), t.data(), int(q.shape(0)), wanted}, out);
-    }
-    return nb::make_tuple(gap, by_q, by_t);
+    gaps({q.data(), t.data(), int(q.shape(0)), wanted}, out);
+    return std::tuple(std::move(gap), std::move(by_q), std::move(by_t));
   }
 
  private:

@@ -10,8 +10,8 @@ namespace gp {
 namespace {
 
 using lattice::TimedMove;
-using Bytes = nb::ndarray<const uint8_t, nb::c_contig, nb::device::cpu>;
-using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+using Bytes = Given<uint8_t>;
+using Floats = Given<float>;
 
 constexpr size_t kMaxTimed = size_t(1) << 28;  // largest number of states: cells, headings and ticks
 constexpr size_t kColumns = 6;                 // columns of moves: heading, columns, rows, turn, ticks, kind
@@ -62,14 +62,12 @@ lattice::TimedRules rules_of(const Reals& outline, const Reals& rules, int ticks
 }
 
 nb::dict answer(const lattice::TimedPath& path) {
-  auto* nodes = new std::vector<int32_t>();
-  for (const lattice::TimedNode& n : path.nodes) nodes->insert(nodes->end(), {n.x, n.y, n.heading, n.tick});
-  nb::capsule owner(nodes, [](void* p) noexcept { delete static_cast<std::vector<int32_t>*>(p); });
+  std::vector<int32_t> nodes;
+  for (const lattice::TimedNode& n : path.nodes) nodes.insert(nodes.end(), {n.x, n.y, n.heading, n.tick});
   nb::dict out;
   out["found"] = path.found, out["stopped"] = path.stopped, out["cost"] = path.cost;
   out["expansions"] = path.expansions;
-  const size_t shape[2] = {path.nodes.size(), 4};
-  out["nodes"] = Out<int32_t>(nodes->data(), 2, shape, owner);
+  out["nodes"] = owned(std::move(nodes), {path.nodes.size(), 4});
   return out;
 }
 

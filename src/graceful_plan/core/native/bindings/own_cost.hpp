@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "bindings/bindings.hpp"
 #include "impact/impact.hpp"
 
 namespace gp {
@@ -58,10 +59,10 @@ class OwnCost final : public Impact {
     double* copy;
     auto array = make<double>({n, speed_.size()}, copy);
     std::copy_n(data, n * speed_.size(), copy);
-    return nb::cast(array);
+    return nb::cast(std::move(array));
   }
   static void copy_answer(const nb::handle& answer, size_t size, double* out) {
-    const auto array = nb::cast<Reals>(answer);
+    const auto array = nb::cast<Given<double>>(answer);
     require(array.size() == size, "one answer for each that was asked for");
     std::copy_n(array.data(), size, out);
   }
