@@ -341,5 +341,5 @@ def test_kernels_of_other_scenes_are_refused():
     with pytest.raises(ValueError, match="different scenes"):
         impact.add(moving_arm(there), np.ones(1))
     q, qd, t = states(here, 3)
-    with pytest.raises(ValueError, match="a time of each state"):
+    with pytest.raises(ValueError, match="one time per state"):
         impact.impact(q, qd, t[:2])

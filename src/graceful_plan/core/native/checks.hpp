@@ -17,7 +17,7 @@ constexpr double kMaxSamples = 1e6;  // largest number of configurations that an
 constexpr double kLeastStep = 1e-6;  // least distance between configurations of an edge [rad]
 
 inline void require(bool ok, const char* what) {
-  if (!ok) throw std::invalid_argument(std::string("bad table: ") + what);
+  if (!ok) throw std::invalid_argument(std::string("invalid argument: ") + what);
 }
 
 // Requires n finite numbers of absolute value at most `most`.

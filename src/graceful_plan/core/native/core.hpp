@@ -98,7 +98,7 @@ class Core {
     const Reals& tool_position = robot.tool_position;
     const Integers& self_pair = robot.self_pair;
     const int n_link = int(robot.parent.size());
-    require_numbers(robot.self_slack, self_pair.size() / 2, "a slack of each pair of links");
+    require_numbers(robot.self_slack, self_pair.size() / 2, "one slack per pair of links");
     require(self_pair.size() % 2 == 0, "pairs of links");
     require_within(self_pair, 0, n_link, "pair of links");
     require(tool_link_ >= 0 && tool_link_ < n_link, "tool");
@@ -213,10 +213,10 @@ class Core {
              int iterations, int patience) const {
     double *q, *missing;
     const size_t n = rows(seed), nq = size_t(tables_.n_joint);
-    require_numbers(X_WG, 12 * n, "a pose for each seed");
-    require_numbers(X_LT, 16, "the tool in its link", kMaxExtent);
-    require(free_yaw.size() == n, "whether each pose leaves the yaw free");
-    require(held.size() == nq, "joints that are held");
+    require_numbers(X_WG, 12 * n, "one pose per seed");
+    require_numbers(X_LT, 16, "pose of the tool in its link", kMaxExtent);
+    require(free_yaw.size() == n, "one free-yaw flag per pose");
+    require(held.size() == nq, "one held flag per joint");
     require_limits(lower, upper);
     require(iterations >= 0 && patience >= 1, "iterations");
     auto ended = make<double>({n, nq}, q), twists = make<double>({n, 6}, missing);
@@ -386,7 +386,7 @@ class Core {
     for (int l = 0; l < n; ++l) {
       Link link{};
       link.parent = parent.data()[l], link.joint = joint.data()[l], link.slide = slide.data()[l];
-      require(l == 0 ? link.parent == -1 : link.parent >= 0 && link.parent < l, "parents come first");
+      require(l == 0 ? link.parent == -1 : link.parent >= 0 && link.parent < l, "parents of links are not first");
       link.frame = l == 0 || link.joint >= 0 ? l : link_[size_t(link.parent)].frame;
       for (int r = 0; r < 3; ++r) {
         for (int c = 0; c < 3; ++c) link.R[3 * r + c] = X_PL.data()[16 * l + 4 * r + c];
@@ -490,11 +490,11 @@ class Core {
   void add_obstacles(const WorldArrays& world) {
     const auto& [kind, pose, size, bound, ignores, hull_start, triangles, keep] = world;
     const size_t n = kind.size();
-    require_numbers(keep, n, "a distance to keep from each obstacle", kMaxExtent);
+    require_numbers(keep, n, "one distance to keep per obstacle", kMaxExtent);
     require_numbers(pose, 12 * n, "poses of obstacles", kMaxExtent);
     require_numbers(size, 3 * n, "sizes of obstacles", kMaxExtent);
     require_numbers(bound, 4 * n, "bounding spheres of obstacles", 2 * kMaxExtent);
-    require(ignores.size() == n && hull_start.size() == n + 1, "what ignores obstacles, and their hulls");
+    require(ignores.size() == n && hull_start.size() == n + 1, "ignored links and hull ranges of obstacles");
     require_within(hull_start, 0, int(triangle_.size()) + 1, "hull range");
     for (size_t j = 0; j < n; ++j) {
       Obstacle o{};

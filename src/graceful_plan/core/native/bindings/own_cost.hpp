@@ -63,7 +63,7 @@ class OwnCost final : public Impact {
   }
   static void copy_answer(const nb::handle& answer, size_t size, double* out) {
     const auto array = nb::cast<Given<double>>(answer);
-    require(array.size() == size, "one answer for each that was asked for");
+    require(array.size() == size, "one value per requested state or edge");
     std::copy_n(array.data(), size, out);
   }
   void ask_slopes(const nb::object& question, const States& of, const Slopes& out) const {

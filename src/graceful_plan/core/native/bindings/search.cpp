@@ -56,14 +56,14 @@ class SceneSpace final : public Space {
         custom_(std::move(custom)),
         among_(among) {
     margin = settings.margin;
-    require(dim == core.tables().n_joint && impact.core().tables().n_joint == dim, "limits of another robot");
+    require(dim == core.tables().n_joint && impact.core().tables().n_joint == dim, "limits of a different robot");
     for (double step : {settings.check_step, settings.fine_step, settings.cost_step})
       require(in_range(step, kLeastStep) && extent() <= step * kMaxSamples, "step of an edge");
     require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
     require(custom_.holds.is_none() == custom_.clearance.is_none(), "holds and clearance come together");
-    require(!among.moving == !among.still, "what moves and what stands still come together");
+    require(!among.moving == !among.still, "costs of moving entities and of the static scene come together");
     for (const Core* other : {among.moving ? &among.moving->core() : &core, among.still ? &among.still->core() : &core})
-      require(other->tables().n_joint == dim, "limits of another robot");
+      require(other->tables().n_joint == dim, "limits of a different robot");
   }
   bool edge_free(const double* a, const double* b) override { return free_at(a, b, settings_.check_step); }
   bool edge_certain(const double* a, const double* b) override { return free_at(a, b, settings_.fine_step); }
@@ -205,7 +205,7 @@ class CallbackSpace final : public Space {
   // If a core is given, configurations are projected onto its bounds.
   CallbackSpace(Callbacks ask, Reals low, Reals high, double weight, bool motion_is_length, const Core* core)
       : Space(point(low), point(high), weight), ask_(std::move(ask)), motion_is_length_(motion_is_length), core_(core) {
-    require(!core || core->tables().n_joint == dim, "limits of another robot");
+    require(!core || core->tables().n_joint == dim, "limits of a different robot");
   }
   bool has_bounds() const override { return core_ && core_->has_bounds(); }
   bool project(double* q) override {
@@ -357,7 +357,7 @@ class DescentRun {
 
  private:
   static Space& checked(Space& space, int pieces, double step) {
-    require(space.has_slopes(), "the space has no slopes");
+    require(space.has_slopes(), "the space has no edge gradients");
     require(pieces >= 1 && pieces <= kMaxPieces, "pieces of a descent");
     require(in_range(step, kLeastStep) && space.extent() <= step * kMaxSamples, "step of a descent");
     return space;
@@ -407,7 +407,7 @@ class MotionDescentRun {
     return std::make_unique<RollingCurve>(space, of.controls, of.density, *rolling);
   }
   static Space& checked(Space& space, const MotionSettings& settings) {
-    require(space.has_state_slopes(), "the space has no slopes of states");
+    require(space.has_state_slopes(), "the space has no state gradients");
     require(settings.controls >= 4 && settings.controls <= 200, "controls of a descent");
     require(settings.density >= 1 && settings.density <= 1000, "density of a descent");
     require(settings.velocity.size() == size_t(space.dim) && settings.acceleration.size() == size_t(space.dim),

@@ -175,7 +175,7 @@ class BodyModel {
       rigid.mass = row[0];
       std::copy(row + 1, row + 4, rigid.centre);
       std::copy(row + 4, row + 13, rigid.inertia);
-      require(core_.frame(int(l)) == int(l), "frames come first");
+      require(core_.frame(int(l)) == int(l), "links that own a frame are not first");
       inertia_.push_back(rigid);
     }
   }

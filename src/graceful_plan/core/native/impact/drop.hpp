@@ -269,9 +269,9 @@ template <class V> struct Tumble {
   V mass = {};                   // B: P that the object is falling
   Point2<V> drift = {V{}, V{}};  // N: sum of n M, weighted direction
   V inverse_scale;
-  Point2<V> start;  // L + ks v
-  V x, y;           // its place on the present level
-  V keep, caught;   // shares of B: not stopped by the surfaces visited on the level; stopped by the last one
+  Point2<V> start;           // L + ks v
+  V x, y;                    // its place on the present level
+  V keep = {}, caught = {};  // shares of B: not stopped by the surfaces visited on the level; stopped by the last one
 
   Tumble(const DropTables& drop, const Flight<V>& flight, const Landing<V>& landing) {
     const DropConstants& k = drop.constants;

@@ -201,7 +201,7 @@ class DropModel {
     require_numbers(of.centre, 3, "centre of the drop model", kMaxExtent);
     require_positive(of.speed, size_t(core.tables().n_joint), "speed of each joint");
     require_numbers(of.constants, sizeof(DropConstants) / sizeof(double), "constants of the drop model");
-    require(in_range(of.size, 0, kMaxExtent), "size of what is carried");
+    require(in_range(of.size, 0, kMaxExtent), "size of the carried object");
     std::copy(of.constants.data(), of.constants.data() + of.constants.size(), &tables_.constants.delay);
     std::copy(of.centre.data(), of.centre.data() + 3, tables_.centre);
     tables_.link = of.link, tables_.frame = core.frame(of.link), tables_.main = of.main, tables_.size = of.size;
@@ -223,7 +223,7 @@ class DropModel {
   void add_contents(Reals container, Integers stands, Reals visible, Reals constants) {
     const size_t n = surface_.size();
     require(!tables_.spill.surface && spill_.empty() && stands.size() == 2 * n, "tables of the spill model");
-    require_numbers(container, 12, "container"), require_numbers(visible, n, "what is visible of surfaces");
+    require_numbers(container, 12, "container"), require_numbers(visible, n, "visible shares of surfaces");
     require_numbers(constants, kSpillUses * std::size(kSpillConstants), "constants of the spill model");
     const double* c = container.data();
     SpillTables& spill = tables_.spill;
@@ -248,7 +248,7 @@ class DropModel {
     const size_t nq = size_t(core_.tables().n_joint);
     require_positive(deceleration, nq, "deceleration of a joint");
     require_numbers(constants, 3, "constants of stops");
-    require_numbers(places, std::size(kSpillConstants), "places of stops");
+    require_numbers(places, std::size(kSpillConstants), "spill constants of stops");
     StopTables& stop = tables_.stop;
     std::copy_n(places.data(), places.size(), &stop.places.position_spread);
     stop.amplification = constants.data()[0], stop.response = constants.data()[1], stop.spread = constants.data()[2];
@@ -259,7 +259,7 @@ class DropModel {
   // strength: per surface; loss: sharpness, shifts (2), weights (2)
   void add_loss(Reals strength, Reals loss) {
     require_numbers(strength, surface_.size(), "strength of surfaces");
-    require_numbers(loss, sizeof(LossTables) / sizeof(double), "tables of the loss of what is carried");
+    require_numbers(loss, sizeof(LossTables) / sizeof(double), "own-loss constants of the carried object");
     for (size_t k = 0; k < surface_.size(); ++k) surface_[k].strength = strength.data()[k];
     std::copy(loss.data(), loss.data() + loss.size(), &tables_.loss.sharpness);
     require(tables_.loss.sharpness > 0, "sharpness of damage");

@@ -55,8 +55,8 @@ static inline V first_damage(const DropTables& drop, const Flight<V>& flight, co
 template <class V> struct OwnLoss {
   V probability = {};
   V lift = {}, borne = {};  // A, K in the specification of step 5
-  V share = {}, height = {},
-    known = {};  // on the present level: 1/(B + 1e-6), h, damage already done by the first contact
+  // On the present level: 1/(B + 1e-6), h, and the damage already done by the first contact.
+  V share = {}, height = {}, known = {};
   V log_energy = {};
   double top = 0;
 

@@ -58,7 +58,7 @@ class MotionDescent {
     step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0),
         stop_.front() = stop_.back() = 1;
     if (settings.fitted && path.size() != settings.controls)
-      throw std::invalid_argument("other control points than those of a curve");
+      throw std::invalid_argument("control points that are not those of the curve");
     x_ = settings.fitted ? curve_->adopted(path) : curve_->fitted(path);
     for (size_t i = 0; i < x_.size(); ++i) x_[i] = clipped(i, x_[i]);
     trial_ = x_;

@@ -38,15 +38,16 @@ std::vector<TimedMove> moves_of(const Integers& moves, const Reals& price, int h
 
 lattice::TimedWalkers walkers_of(const Reals& shape, const Integers& velocity, const Floats& rate, double apart,
                                  size_t headings) {
-  require(shape.ndim() == 3 && shape.shape(2) == 7 && velocity.ndim() == 2, "those who move");
-  require(velocity.shape(0) == shape.shape(0) && velocity.shape(1) == shape.shape(1), "velocities of those who move");
-  require(shape.shape(0) == 0 || shape.shape(1) > 0, "times of those who move");
-  require_numbers(shape, "those who move", 2 * kMaxExtent);
-  require(rate.ndim() == 4 && in_range(apart, 1e-3, 1e3), "impact beside those who move");
+  require(shape.ndim() == 3 && shape.shape(2) == 7 && velocity.ndim() == 2, "shapes of moving entities");
+  require(velocity.shape(0) == shape.shape(0) && velocity.shape(1) == shape.shape(1),
+          "velocity classes of moving entities");
+  require(shape.shape(0) == 0 || shape.shape(1) > 0, "times of moving entities");
+  require_numbers(shape, "shapes of moving entities", 2 * kMaxExtent);
+  require(rate.ndim() == 4 && in_range(apart, 1e-3, 1e3), "impact near moving entities");
   const size_t classes = rate.shape(0), places = rate.shape(2);
   require(classes == 0 || (rate.shape(1) == headings && places == rate.shape(3) && places % 2 == 1 && places < 10000),
-          "impact beside those who move");
-  require_rates(rate, "impact beside those who move");
+          "impact near moving entities");
+  require_rates(rate, "impact near moving entities");
   if (classes) require_within(velocity, 0, int(classes), "class of a velocity");
   return {shape.shape(0), shape.shape(1), places, classes, shape.data(), velocity.data(), rate.data(), apart};
 }
@@ -55,9 +56,9 @@ lattice::TimedRules rules_of(const Reals& outline, const Reals& rules, int ticks
   require_numbers(outline, "outline of a base", kMaxExtent);
   require(outline.size() > 0 && outline.size() % 3 == 0, "outline of a base");
   for (size_t k = 2; k < outline.size(); k += 3) require(outline.data()[k] >= 0, "radius of a disc");
-  require_numbers(rules, kRules, "rules beside those who move", 1e9);
+  require_numbers(rules, kRules, "rules near moving entities", 1e9);
   const double* r = rules.data();
-  require(r[3] >= 0 && r[4] >= 0 && r[5] > 0, "rules beside those who move");
+  require(r[3] >= 0 && r[4] >= 0 && r[5] > 0, "rules near moving entities");
   return {{outline.data(), outline.data() + outline.size()}, r[0], r[1], r[2], r[3], r[4], r[5], ticks};
 }
 

@@ -39,7 +39,7 @@ struct CoastingArrays {
 class CheckedTables {
  public:
   explicit CheckedTables(const CoastingArrays& of) : made(Footprint2d(outline(of.outline))) {
-    require_numbers(of.stops, "ways to come to rest"), require_numbers(of.constants, 4, "constants of a base");
+    require_numbers(of.stops, "stopping modes of a base"), require_numbers(of.constants, 4, "constants of a base");
     const double* c = of.constants.data();
     require(c[0] > 0 && c[1] > 0 && c[2] >= 0 && c[3] >= 0, "constants of a base");
     made.unit = c[0], made.spread = c[1], made.drift = c[2], made.turn = c[3];
@@ -62,10 +62,10 @@ class CheckedTables {
     return parts;
   }
   void stops(const Reals& of) {
-    require(of.size() % kStop == 0, "ways to come to rest");
+    require(of.size() % kStop == 0, "stopping modes of a base");
     for (size_t k = 0; k < of.size(); k += kStop) {
       const double* s = of.data() + k;
-      require(s[0] >= 0 && s[1] > 0 && s[2] >= 0 && s[3] >= 0, "way to come to rest");
+      require(s[0] >= 0 && s[1] > 0 && s[2] >= 0 && s[3] >= 0, "stopping mode of a base");
       made.stop.push_back({s[0], s[1], s[2], s[3], s[4] != 0, s[5]});
     }
     for (const CoastTables::Stop& one : made.stop)
@@ -106,11 +106,11 @@ class CheckedTables {
       }
   }
   void strays(const Reals& of) {
-    require_numbers(of, "bases astray");
-    require(of.size() % kStrayed == 0, "bases astray");
+    require_numbers(of, "drifting bases");
+    require(of.size() % kStrayed == 0, "drifting bases");
     for (size_t k = 0; k < of.size(); k += kStrayed) {
       const double* s = of.data() + k;
-      require(s[0] >= 0 && s[3] > 0, "base astray");
+      require(s[0] >= 0 && s[3] > 0, "drifting base");
       made.stray.push_back({s[0], s[1], s[2], s[3], std::cos(s[2]), std::sin(s[2])});
       made.aside = std::max(made.aside, std::fabs(s[1]) + CoastTables::kNext + CoastTables::kFarOff * s[3]);
     }
