@@ -3,43 +3,33 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <string>
 #include <tuple>
 #include <vector>
 
 #include "impact/impact.hpp"
+#include "named.hpp"
 
 namespace gp {
 
-constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
-    "brake_time",
-    "brake_stop",
-    "step",
-    "carry_on",
-    "collapse.stop_gain",
-    "joint.stop_gain",
-    "stuck.stop_gain",
-    "stray.stop_gain",
-    "collapse.stop_tolerance",
-    "joint.stop_tolerance",
-    "stuck.stop_tolerance",
-    "stray.stop_tolerance",
-    "collapse.body.offset",
-    "collapse.carried.offset",
-    "joint.body.offset",
-    "joint.carried.offset",
-    "stuck.body.offset",
-    "stuck.carried.offset",
-    "stray.body.offset",
-    "stray.carried.offset",
-    "collapse.body.spread",
-    "collapse.carried.spread",
-    "joint.body.spread",
-    "joint.carried.spread",
-    "stuck.body.spread",
-    "stuck.carried.spread",
-    "stray.body.spread",
-    "stray.carried.spread"};
-static_assert(sizeof(BodyConstants) == sizeof(kBodyConstants) / sizeof(kBodyConstants[0]) * sizeof(double));
+// Names of constants; costs/models/body explains them.
+template <class Visit> void fields(BodyConstants& of, Visit visit) {
+  constexpr const char* kModes[kGenerators] = {"collapse", "joint", "stuck", "stray"};
+  constexpr const char* kRows[2] = {"body", "carried"};
+  visit("brake_time", of.brake_time);
+  visit("brake_stop", of.brake_stop);
+  visit("step", of.step);
+  visit("carry_on", of.carry_on);
+  for (int g = 0; g < kGenerators; ++g) {
+    const std::string mode = std::string(kModes[g]) + ".";
+    visit(mode + "stop_gain", of.stop_gain[g]);
+    visit(mode + "stop_tolerance", of.stop_tolerance[g]);
+    for (int r = 0; r < 2; ++r) {
+      visit(mode + kRows[r] + ".offset", of.offset[g][r]);
+      visit(mode + kRows[r] + ".spread", of.spread[g][r]);
+    }
+  }
+}
 
 constexpr int kFallSteps = 5;  // steps of a collapse, see costs/models/body
 
@@ -57,7 +47,7 @@ struct BodyArrays {
   Reals drive;    // per joint: limits (2), armature, damping, friction, resistance, speed
   Integers row, entity;
   int n_row, n_entity, n_step;
-  Reals constants;
+  Named constants;
 };
 
 // Hits by links and the carried object.
@@ -67,9 +57,9 @@ class BodyModel {
       : core_(core), entity_(of.entity.data(), of.entity.data() + of.entity.size()) {
     const Tables& t = core.tables();
     const auto& [inertia, drive, row, entity, n_row, n_entity, n_step, constants] = of;
-    require_numbers(constants, sizeof(BodyConstants) / sizeof(double), "constants of the body model");
-    std::copy(constants.data(), constants.data() + constants.size(), &tables_.constants.brake_time);
-    for (size_t g = 0; g < 2 * kGenerators; ++g) require((&tables_.constants.spread[0][0])[g] > 0, "spread");
+    fill(tables_.constants, constants, "constants of the body model");
+    for (const auto& spreads : tables_.constants.spread)
+      for (double spread : spreads) require(spread > 0, "spread");
     require(n_row >= 1 && n_row <= 2 && n_entity >= 0 && n_entity <= kMaxEntities, "rows and entities");
     require(t.n_obstacle <= kMaxObstacles, "obstacles of the body model");
     require(n_step >= 0 && n_step <= kMaxSteps && tables_.constants.step > 0, "steps");

@@ -1,6 +1,8 @@
 // Bindings of the coast model: harm of a failing base.
 #include "mobile/coast/moving_coast.hpp"
 
+#include <nanobind/stl/map.h>
+
 #include "mobile/bindings/mobile.hpp"
 
 using namespace nb::literals;
@@ -12,7 +14,7 @@ void bind_coast(nb::module_& m) {
       .def(
           "__init__",
           [](CoastModel* self, const Core& core, Integers entity, Reals shape, int n_entity, Reals outline, Reals stops,
-             Reals constants, Reals share, Reals speeds, Reals rates, Reals places, Reals astray) {
+             Named constants, Reals share, Reals speeds, Reals rates, Reals places, Reals astray) {
             new (self) CoastModel(core, {outline, stops, constants, share, speeds, rates, places, astray}, entity,
                                   shape, n_entity);
           },

@@ -1,8 +1,11 @@
 // Bindings of paths of a base over cells, headings and time.
 #include "mobile/lattice/timed.hpp"
 
+#include <nanobind/stl/map.h>
+
 #include "mobile/bindings/mobile.hpp"
-#include "core.hpp"
+#include "checks.hpp"
+#include "named.hpp"
 
 using namespace nb::literals;
 
@@ -15,7 +18,6 @@ using Floats = Given<float>;
 
 constexpr size_t kMaxTimed = size_t(1) << 28;  // largest number of states: cells, headings and ticks
 constexpr size_t kColumns = 6;                 // columns of moves: heading, columns, rows, turn, ticks, kind
-constexpr size_t kRules = 6;
 
 void require_rates(const Floats& rate, const char* what) {
   for (size_t i = 0; i < rate.size(); ++i) require(in_range(double(rate.data()[i]), 0, 1e12), what);
@@ -52,14 +54,17 @@ lattice::TimedWalkers walkers_of(const Reals& shape, const Integers& velocity, c
   return {shape.shape(0), shape.shape(1), places, classes, shape.data(), velocity.data(), rate.data(), apart};
 }
 
-lattice::TimedRules rules_of(const Reals& outline, const Reals& rules, int ticks) {
+lattice::TimedRules rules_of(const Reals& outline, const Named& given, int ticks) {
   require_numbers(outline, "outline of a base", kMaxExtent);
   require(outline.size() > 0 && outline.size() % 3 == 0, "outline of a base");
   for (size_t k = 2; k < outline.size(); k += 3) require(outline.data()[k] >= 0, "radius of a disc");
-  require_numbers(rules, kRules, "rules near moving entities", 1e9);
-  const double* r = rules.data();
-  require(r[3] >= 0 && r[4] >= 0 && r[5] > 0, "rules near moving entities");
-  return {{outline.data(), outline.data() + outline.size()}, r[0], r[1], r[2], r[3], r[4], r[5], ticks};
+  lattice::TimedRules rules;
+  fill(rules, given, "rules near moving entities");
+  fields(rules,
+         [](const std::string&, double& number) { require(std::fabs(number) <= 1e9, "rules near moving entities"); });
+  require(rules.price >= 0 && rules.slow >= 0 && rules.tick > 0, "rules near moving entities");
+  rules.outline.assign(outline.data(), outline.data() + outline.size()), rules.ticks = ticks;
+  return rules;
 }
 
 nb::dict answer(const lattice::TimedPath& path) {
@@ -73,7 +78,7 @@ nb::dict answer(const lattice::TimedPath& path) {
 }
 
 nb::dict timed_path(Bytes open, Floats rate, double width, Integers moves, Reals price, Reals shape, Integers velocity,
-                    Floats beside, double apart, Reals outline, Reals rules, int ticks, Integers start, Integers goal,
+                    Floats beside, double apart, Reals outline, Named rules, int ticks, Integers start, Integers goal,
                     Reals ending, const nb::callable& late) {
   require(open.ndim() == 3 && open.size() > 0 && in_range(width, 1e-6, 1e6), "cells of a floor");
   require(ticks >= 0 && open.size() < kMaxTimed && (size_t(ticks) + 1) * open.size() < kMaxTimed, "cells and ticks");

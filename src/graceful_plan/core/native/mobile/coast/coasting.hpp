@@ -5,6 +5,7 @@
 
 #include "core.hpp"
 #include "mobile/coast/coast_tables.hpp"
+#include "named.hpp"
 
 namespace gp {
 
@@ -23,10 +24,18 @@ inline std::vector<FloorShape> floor_shapes(const Integers& entity, const Reals&
   return out;
 }
 
+// Reference speed of severities; spread of positions; drift; angle turned after a release by turning rate squared.
+template <class Visit> void fields(CoastTables& of, Visit visit) {
+  visit("reference_speed", of.unit);
+  visit("position_spread", of.spread);
+  visit("drift", of.drift);
+  visit("straightens", of.turn);
+}
+
 struct CoastingArrays {
   Reals outline;    // parts of the base in its frame: rectangles, possibly rounded
   Reals stops;      // probability, deceleration, drag, delay, whether wheels are released, added curvature
-  Reals constants;  // reference speed of severities, position spread, drift, angle by rate squared after a release
+  Named constants;  // see fields()
   Reals share;      // probability of each table of places
   Reals speeds;     // speeds along the heading of the tables, from 0 [m/s]
   Reals rates;      // turning rates of the tables [rad/s]
@@ -39,10 +48,8 @@ struct CoastingArrays {
 class CheckedTables {
  public:
   explicit CheckedTables(const CoastingArrays& of) : made(Footprint2d(outline(of.outline))) {
-    require_numbers(of.stops, "stopping modes of a base"), require_numbers(of.constants, 4, "constants of a base");
-    const double* c = of.constants.data();
-    require(c[0] > 0 && c[1] > 0 && c[2] >= 0 && c[3] >= 0, "constants of a base");
-    made.unit = c[0], made.spread = c[1], made.drift = c[2], made.turn = c[3];
+    require_numbers(of.stops, "stopping modes of a base"), fill(made, of.constants, "constants of a base");
+    require(made.unit > 0 && made.spread > 0 && made.drift >= 0 && made.turn >= 0, "constants of a base");
     stops(of.stops), places(of), strays(of.astray);
   }
   CoastTables made;

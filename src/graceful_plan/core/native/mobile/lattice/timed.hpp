@@ -53,6 +53,14 @@ struct TimedRules {
   double tick;                  // [s]
   int ticks;                    // last tick
 };
+template <class Visit> void fields(TimedRules& of, Visit visit) {
+  visit("driving", of.driving);
+  visit("standing", of.standing);
+  visit("wanted", of.wanted);
+  visit("price", of.price);
+  visit("slow", of.slow);
+  visit("tick", of.tick);
+}
 
 struct TimedNode {
   int x, y, heading, tick;
