@@ -138,7 +138,7 @@ EDITS = {
     "impact/drop.hpp": (
         DROPS,
         (
-            ("near = where(«flight.highest_bottom - top > kAbove»", "(flight.highest_bottom - top > -kAbove)"),
+            ("near = where(«flight.highest_bottom - top > kAbove<V>»", "(flight.highest_bottom - top > -kAbove<V>)"),
             ("best = «maximum(best, value)»", "best + value"),
             ("maximum(o.x - r.x, «-s.carries[0] - at.x»)", "-s.carries[0] + at.x"),
             ("«2.0 * k.leave_tilt * flight.tilt»", "0.0 * flight.tilt"),
@@ -222,7 +222,10 @@ EDITS = {
         (
             ("slower * «push»", "0.0"),
             ("«x[i + end]», vessel", "x[i]"),
-            ("if (!liquid && «!below(vessel.axis[i + end]»", "below(vessel.axis[i + end]"),
+            (
+                "if (!liquid && «!below(vessel.axis[i + end], felt[end], std::sqrt(dot3(felt[end], felt[end])))»",
+                "below(vessel.axis[i + end], felt[end], std::sqrt(dot3(felt[end], felt[end])))",
+            ),
         ),
     ),
     "timing/travel.hpp": (

@@ -26,6 +26,8 @@ def test_edits_of_the_core_fit(native_mutants):
     for edit in edits:
         text = (ROOT / native_mutants.NATIVE / edit.file).read_text(encoding="utf-8")
         assert edit.entered(text) != text
+        for part in (edit.before.partition("«")[2].partition("»")[0], edit.after):
+            assert part.count("(") == part.count(")"), f"{part} is no expression"
         assert all((ROOT / name).exists() for name in edit.tests)
 
 
