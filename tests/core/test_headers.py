@@ -46,7 +46,7 @@ def test_nanobind_is_in_the_bindings_alone():
 def test_a_header_compiles_alone(name: str):
     includes = (NATIVE, Path(nanobind.include_dir()), Path(sysconfig.get_path("include")))
     # A header's functions have no caller here.
-    flags = ["-std=c++20", "-fsyntax-only", *_warnings(), "-Werror", "-Wno-unused-function"]
+    flags = ["-std=c++20", "-fsyntax-only", "-fvisibility=hidden", *_warnings(), "-Werror", "-Wno-unused-function"]
     command = [str(_COMPILER), *flags, "-I", str(includes[0])]
     for folder in includes[1:]:
         command += ["-isystem", str(folder)]

@@ -292,7 +292,7 @@ class Core {
 
   // Applies Newton's method to the bound with the least clearance, until the clearance of all is `wanted` [m].
   bool project(double* q, const double* lower, const double* upper, double wanted) const {
-    constexpr int kSteps = 30;
+    constexpr int kSteps = 30;        // of Newton's method
     constexpr double kLongest = 0.5;  // longest step [rad]
     const size_t nq = size_t(tables_.n_joint);
     Ride ride;

@@ -7,6 +7,7 @@
 
 namespace gp::GP_ISA {
 
+// Width of vectors [bytes].
 #if defined(__AVX512F__)
 constexpr int kWidth = 64;
 #elif defined(__AVX2__)

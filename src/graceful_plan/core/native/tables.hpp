@@ -9,6 +9,7 @@ namespace gp {
 
 constexpr double kGravity = 9.81;  // gravitational acceleration of the models of failures [m/s^2]
 
+// Capacities of the kernels.
 constexpr int kMaxLinks = 48;
 constexpr int kMaxJoints = 32;
 constexpr int kMaxSpheres = 2048;
@@ -22,8 +23,8 @@ constexpr int kMaxEntities = 512;
 constexpr int kMaxDropParts = 32;
 constexpr int kMaxSurfaces = 512;
 constexpr int kMaxSteps = 64;
-constexpr int kNetworkInputs = 18;
-constexpr int kMaxHidden = 32;
+constexpr int kNetworkInputs = 18;  // costs/models/drop/network.py lists them
+constexpr int kMaxHidden = 32;      // units of each hidden layer
 
 enum Kind : int32_t { kPlane, kSphere, kCapsule, kEllipsoid, kCylinder, kBox, kMesh };
 

@@ -53,7 +53,7 @@ class OwnCost final : public Impact {
   }
 
  private:
-  static constexpr double kLongestStep = 1.0;
+  static constexpr double kLongestStep = 1.0;  // longest step of an edge that Python is asked for [rad or m]
 
   nb::object rows(const double* data, size_t n) const {
     double* copy;

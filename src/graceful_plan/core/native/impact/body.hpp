@@ -86,7 +86,7 @@ template <class V, bool kNamed = false> class Arm {
   using Id = Mask<T>;
   using Way = WayToFail<V, kNamed>;
   static constexpr int W = kAbreast<V>;
-  static constexpr int kPending = 512;
+  static constexpr int kPending = 512;  // capacity for prospects, which are evaluated when it is full
 
  public:
   Way way;  // the most recent failure mode

@@ -191,6 +191,7 @@ class RollingCurve final : public MotionCurve {
 
  private:
   static constexpr size_t kBase = 3, kAxes = 4;
+  // kUnlimited: acceleration of axes without a limit; kLeastRoot: lower bound of a square root that is divided by.
   static constexpr double kPi = 3.14159265358979323846, kUnlimited = 1e9, kLeastRoot = 1e-6;
   static constexpr double kLeastSquared = 1e-8;  // least squared length of the tangent [m2]
   static constexpr double kSoft = 0.02;          // angle below which the cost of a turn in place is smoothed [rad]

@@ -116,10 +116,11 @@ class MotionDescent {
   };
   static constexpr double kKeep = 0.001;   // clearance to keep in addition to the space's margin [m]
   static constexpr double kLongest = 0.3;  // longest step of a control point [rad]
+  // Wolfe conditions of the line search (Nocedal and Wright, Numerical Optimization, ch. 3.1), and its longest step.
   static constexpr double kArmijo = 1e-4, kWolfe = 0.9, kLongestShare = 8.0;
-  static constexpr double kLeastShrink = 0.05;
-  static constexpr int kTries = 10;       // evaluations of a line search
-  static constexpr size_t kLookBack = 6;  // steps over which the decrease is measured
+  static constexpr double kLeastShrink = 0.05;  // least factor on a rejected step
+  static constexpr int kTries = 10;             // evaluations of a line search
+  static constexpr size_t kLookBack = 6;        // steps over which the decrease is measured
 
   // Factor for a step that was too long: the minimum of the parabola through its value and its initial slope, or a half
   // if the step did not start at the present point.
@@ -420,7 +421,7 @@ class MotionDescent {
 
   static constexpr double kPassing = 0.15;  // wanted clearance to moving entities [m]; the judge requires more than 0
   static constexpr double kPassingWeight = 20.0;  // weight of its square, relative to that of other clearance
-  static constexpr double kSlowest = 1e-9;
+  static constexpr double kSlowest = 1e-9;        // lower bound of speeds of the curve parameter [1/s]
 
   Space& space_;
   const MotionSettings settings_;

@@ -9,11 +9,11 @@
 namespace gp::GP_ISA {
 
 constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
-constexpr double kHalfRoot = 0.70710678118654752440;
+constexpr double kHalfRoot = 0.70710678118654752440;  // sqrt(1/2)
 constexpr double kTouch = 0.008;  // smoothing width for passing the height of a top (step 1 of the specification) [m]
 template <class V>
 constexpr double kAbove = -kTouch * (1.0 + kTail<V> * kBeta);  // parts that start lower do not land on a top [m]
-constexpr double kLeastMass = 1e-6;
+constexpr double kLeastMass = 1e-6;                            // added to probabilities that are divided by
 
 // --- functions ------------------------------------------------------------------------------------------------------
 

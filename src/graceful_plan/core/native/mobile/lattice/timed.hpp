@@ -144,7 +144,8 @@ class Timed {
 
  private:
   static constexpr float kNone = std::numeric_limits<float>::infinity();
-  static constexpr int64_t kClockEvery = 1024, kMost = 2'000'000;
+  static constexpr int64_t kClockEvery = 1024;  // expansions between looks at the clock
+  static constexpr int64_t kMost = 2'000'000;   // most expansions
   struct Known {
     float cost = kNone;
     int16_t came = -1;
