@@ -1,6 +1,8 @@
 // Python bindings of the core, by topic: they own the tables, select the instruction set and release the GIL.
 #pragma once
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/string.h>
 
 #include "bindings/ndarrays.hpp"
 

@@ -1,7 +1,6 @@
 // Bindings of scene tables: kinematics, collision, capacities of the core.
 #include "core.hpp"
 
-#include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 

@@ -1,9 +1,7 @@
 // Bindings of the impact models.
 #include "impact/impact.hpp"
 
-#include <nanobind/stl/map.h>
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 

@@ -1,8 +1,6 @@
 // Bindings of the coast model: harm of a failing base.
 #include "mobile/coast/moving_coast.hpp"
 
-#include <nanobind/stl/map.h>
-
 #include "mobile/bindings/mobile.hpp"
 
 using namespace nb::literals;

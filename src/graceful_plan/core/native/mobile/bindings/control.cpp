@@ -1,5 +1,4 @@
 // Bindings of base controllers.
-#include <nanobind/stl/map.h>
 #include <nanobind/stl/tuple.h>
 
 #include "mobile/bindings/mobile.hpp"

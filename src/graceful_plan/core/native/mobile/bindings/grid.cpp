@@ -5,7 +5,6 @@
 #include <chrono>
 
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
 
 #include "mobile/bindings/mobile.hpp"
 #include "core.hpp"

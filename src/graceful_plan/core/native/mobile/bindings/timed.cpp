@@ -1,8 +1,6 @@
 // Bindings of paths of a base over cells, headings and time.
 #include "mobile/lattice/timed.hpp"
 
-#include <nanobind/stl/map.h>
-
 #include "mobile/bindings/mobile.hpp"
 #include "checks.hpp"
 #include "named.hpp"
