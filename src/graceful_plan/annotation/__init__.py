@@ -1,1 +1,1 @@
-"""Class, fragility, significance and severity of entities, as a language or vision-language model estimates them."""
+"""Class, fragility, significance and severity of entities, estimated by a language or vision-language model."""

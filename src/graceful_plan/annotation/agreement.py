@@ -1,4 +1,4 @@
-"""How far annotations agree with the classes and severities that a scene has already."""
+"""Agreement of annotations with the existing classes and severities of a scene."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from graceful_plan.scene.scene import Scene
 @final
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """How far annotations agree with a scene: shares from 0 to 1.
+    """Agreement of annotations with a scene, as shares from 0 to 1.
 
     Args:
-        entities: How many were compared.
-        pairs: How many severities, of an entity and a component class that both define.
-        same_class: Share of the entities that have the same class.
-        same_row: Share of the entities whose severities are the same, all of them.
+        entities: Number of compared entities.
+        pairs: Number of compared severities: pairs of entity and component class that both sides define.
+        same_class: Share of the entities with the same class.
+        same_row: Share of the entities with identical severities.
         within_two: Share of the severities that differ by a factor of at most 2, or are both 0.
-        rank_correlation: Spearman's, of all severities; None if one side has the same everywhere.
+        rank_correlation: Spearman's coefficient over all severities; None if one side is constant.
     """
 
     entities: int
@@ -36,7 +36,7 @@ class Agreement:
     rank_correlation: float | None
 
     def to_document(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the values as a dictionary for JSON."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __str__(self) -> str:
@@ -48,10 +48,10 @@ class Agreement:
 
 
 def compared(annotations: Annotations, scene: Scene) -> Agreement:
-    """Compare annotations with what a scene says of the same entities.
+    """Compare annotations with the classes and severities of the same entities in a scene.
 
     Raises:
-        UnknownNameError: If the scene has no such entity.
+        UnknownNameError: If an annotated entity is not in the scene.
     """
     said: list[float] = []
     known: list[float] = []
@@ -78,7 +78,10 @@ def compared(annotations: Annotations, scene: Scene) -> Agreement:
 
 
 def severity_row(scene: Scene, name: str) -> dict[str, float]:
-    """Return the severities of an entity by component class, whatever is carried: its own, else those of its class."""
+    """Return the severities of an entity by component class: its own, else those of its class.
+
+    All component classes are listed, regardless of the carried object.
+    """
     notes = scene.notes
     own_class = notes.entities[name].category
     by_class = {key: value for key, value in notes.overrides.items() if key in notes.severity.classes}
@@ -90,7 +93,7 @@ def severity_row(scene: Scene, name: str) -> dict[str, float]:
             row = dict.fromkeys(notes.severity.components, float(declared))
             continue
         for component in notes.severity.components:
-            for key in (component, _component_of(component)):  # what is said of a component covers its classes
+            for key in (component, _component_of(component)):  # a severity of a component holds for all its classes
                 row |= {component: float(declared[key])} if key in declared else {}
     return row
 

@@ -1,4 +1,4 @@
-"""What was said of entities: a YAML file for a person to read and to change, and what it makes of a scene."""
+"""Annotations of entities: a YAML file for a person to review, and its application to a scene."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from graceful_plan.scene.scene import Scene
 from graceful_plan.yaml_file import Block, read_yaml
 
 _HEAD = """\
-# How bad it is if a failing robot reaches these entities, as a model estimates it. It may be wrong: read it, change
-# what you know better, then `Annotations.load(file).apply(scene)`.
-# class: row of the severity table. fragility: energy at which half are damaged [J]. significance: of its loss, 0 to 1.
-# severity: by what reaches it; 0 none, 2 minor, 5 moderate or pain, 10 high or first aid, 50 a serious, 100 a severe
-# injury.
+# Severity of the harm if a failing robot reaches these entities, estimated by a model. It may be wrong: review and
+# correct it, then `Annotations.load(file).apply(scene)`.
+# class: row of the severity table. fragility: energy that damages half [J]. significance: of its loss, 0 to 1.
+# severity: by the component that reaches it; 0 none, 2 minor, 5 moderate or pain, 10 high or first aid, 50 a serious,
+# 100 a severe injury.
 """
 _KEYS = ("class", "fragility", "significance", "severity", "reason")
 
@@ -33,14 +33,14 @@ _KEYS = ("class", "fragility", "significance", "severity", "reason")
 @final
 @dataclass(frozen=True, kw_only=True)
 class Annotation:
-    """What was said of one entity.
+    """Annotation of one entity.
 
     Args:
-        category: Its class in the severity table.
-        fragility: Kinetic energy of a touch at which half of such entities are damaged [J].
-        significance: What its loss means, from 0 to 1; for people to read, nothing is computed from it.
-        severity: By component class.
-        reason: Why.
+        category: Class in the severity table.
+        fragility: Kinetic energy of a contact that damages half of such entities [J].
+        significance: Significance of its loss, from 0 to 1. For information only: nothing is computed from it.
+        severity: Severity by component class.
+        reason: Reason for these values.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -64,14 +64,14 @@ class Annotation:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Annotations:
-    """What was said of the entities of a scene.
+    """Annotations of the entities of a scene.
 
     Args:
         scene: Name of the scene.
-        model: Name of the model that said it.
-        endpoint: Where it was asked.
-        pictures: Whether it was shown pictures.
-        rows: By entity.
+        model: Name of the model that answered.
+        endpoint: URL of its server.
+        pictures: Whether the question had pictures.
+        rows: Annotation by entity.
     """
 
     scene: str
@@ -84,7 +84,7 @@ class Annotations:
         object.__setattr__(self, "rows", MappingProxyType(dict(self.rows)))
 
     def to_document(self) -> dict[str, Any]:
-        """Return plain values, as in the file."""
+        """Return the content of the file as a dictionary."""
         rows = {
             name: {
                 "class": row.category,
@@ -107,14 +107,14 @@ class Annotations:
 
     @classmethod
     def load(cls, file: str | Path, table: SeverityTable | None = None) -> Annotations:
-        """Read a YAML file as `save` writes it; severities may be left out.
+        """Read a YAML file written by `save`; severities may be missing.
 
         Args:
             file: The file.
-            table: Whose classes and component classes it uses; the shipped one by default.
+            table: Severity table with the valid classes and component classes; the shipped one by default.
 
         Raises:
-            SceneError: If it is broken, or a name or number in it makes no sense; with the line.
+            SceneError: If the file is malformed, or a name or number in it is invalid; with the line.
         """
         root = read_yaml(path_of(file))
         root.only("version", "scene", "model", "endpoint", "pictures", "entities")
@@ -129,10 +129,10 @@ class Annotations:
         )
 
     def apply(self, scene: Scene) -> Scene:
-        """Return a scene whose entities have these classes and severities; those that are not listed stay as they are.
+        """Return a scene whose annotated entities have these classes and severities.
 
         Raises:
-            UnknownNameError: If the scene has no such entity, or its severity table no such class or component class.
+            UnknownNameError: If the scene lacks an entity, or its severity table a class or component class.
         """
         table, notes = scene.notes.severity, scene.notes
         for name, row in self.rows.items():
@@ -147,10 +147,10 @@ class Annotations:
     def fragility(self, table: FragilityTable | None = None) -> FragilityTable:
         """Return a table with these fragilities, for `ImpactCost(consequence=...)`.
 
-        Tables are by class: of the entities of one class, the most fragile one counts.
+        A table has one row per class, so the most fragile entity of a class determines it.
 
         Args:
-            table: What the rest comes from; the shipped one by default.
+            table: Table for all other classes and values; the shipped one by default.
         """
         table = table or FragilityTable.shipped()
         least: dict[str, float] = {}
@@ -161,10 +161,10 @@ class Annotations:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes rows of severities on a line each, and long texts without breaking them up."""
+    """Dumper that writes each row of severities on one line and does not wrap long texts."""
 
     def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> yaml.MappingNode:
-        """Write mappings of numbers only on one line."""
+        """Write a mapping that contains only numbers on one line."""
         numbers = bool(mapping) and all(isinstance(value, float) for value in mapping.values())
         return super().represent_mapping(tag, mapping, flow_style=numbers or flow_style)
 

@@ -1,4 +1,4 @@
-"""Whether an answer is what was asked for: every complaint names what it is about."""
+"""Parsing and validation of a model's answer; every problem names the entity and the field."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from graceful_plan.scene.harm.severity import SeverityTable
 
 _FIELDS = ("class", "fragility", "significance", "severity", "reason")
 _REASON = 1000
-"""Characters."""
+"""Maximum length of a reason [characters]."""
 
 
 def read_answer(text: str, names: Sequence[str], table: SeverityTable) -> dict[str, Annotation]:
-    """Return what an answer says of entities, in the order in which they were asked about.
+    """Parse an answer into annotations, in the order of the question.
 
     Args:
-        text: What the model said: a JSON object, alone, in a fenced block or with words around it.
-        names: The entities that it was asked about.
-        table: Whose classes and component classes it has to use.
+        text: Answer of the model: a JSON object, alone, in a fenced block or with text around it.
+        names: Entities in the question.
+        table: Severity table with the valid classes and component classes.
 
     Raises:
-        AnnotationError: If it is not what was asked for; with all that is wrong with it.
+        AnnotationError: If the answer is unusable; lists all problems.
     """
     rows = _entities(text)
     problems = [f"entity {name!r} is missing" for name in names if name not in rows]
@@ -64,7 +64,7 @@ def _entities(text: str) -> dict[str, Any]:
 
 
 class _Twice(Exception):
-    """A key that stands twice."""
+    """Duplicate key in a JSON object."""
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def _no_constant(name: str) -> float:
 
 
 def _problems(row: Any, table: SeverityTable) -> Iterator[str]:
-    """Yield what is wrong with what is said of an entity."""
+    """Yield the problems of the answer for one entity."""
     if not isinstance(row, dict):
         yield "it has to be an object"
         return
@@ -130,5 +130,5 @@ def _short(value: Any) -> str:
 
 
 def _line(text: str) -> str:
-    """Return text on one line, without what cannot be printed."""
+    """Return text on one line, without unprintable characters."""
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())

@@ -1,4 +1,4 @@
-"""The front door: ask a model about the entities of a scene."""
+"""Entry point: ask a model about the entities of a scene."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.entity_views import entity_views
 
 _REPEATED = 20_000
-"""Characters of an answer that cannot be used that are sent back with what is wrong with it."""
+"""Maximum number of characters of an unusable answer that are sent back with its problems."""
 
 
 def annotate(
@@ -26,28 +26,28 @@ def annotate(
     timeout: float = 60.0,
     together: int = 8,
 ) -> Annotations:
-    """Ask a language or vision-language model how bad it is if the entities of a scene are reached.
+    """Ask a language or vision-language model for the severities of the entities of a scene.
 
-    Names, sizes and pictures of the entities, and the description of the scene, go to the endpoint, and nothing goes
-    anywhere unless this is called. What comes back is an estimate: save it, read it, change it, then apply it.
+    Names, sizes and pictures of the entities, and the description of the scene, are sent to the endpoint. Nothing is
+    sent unless this function is called. The answer is an estimate: save it, review it, correct it, then apply it.
 
     Args:
-        scene: Whose entities; those that move, and what is in the gripper, are not asked about.
+        scene: Scene with the entities. Moving entities and the carried object are left out.
         model: Name of the model at the endpoint.
         endpoint: Base URL of an OpenAI-compatible server, such as "http://localhost:8000/v1".
-        key_variable: Name of the environment variable with the API key, if the server asks for one.
-        pictures: Whether the model is shown pictures; where OpenGL does not work off-screen it is not, and
-            `Annotations.pictures` says so.
-        timeout: How long to wait for each answer [s].
-        together: How many entities are asked about at once.
+        key_variable: Name of the environment variable with the API key, if the server needs one.
+        pictures: Whether to send pictures. Without off-screen OpenGL none are sent, and `Annotations.pictures` is
+            False.
+        timeout: Time limit for each answer [s].
+        together: Number of entities per request.
 
     Returns:
         Class, fragility, significance and severities of every entity, with reasons.
 
     Raises:
-        EndpointError: If the model cannot be asked.
-        AnnotationError: If an answer is not what was asked for, and the second one, after the complaint, neither.
-        SettingError: If a setting makes no sense.
+        EndpointError: If a request fails.
+        AnnotationError: If an answer is unusable, and so is the second one after a list of its problems.
+        SettingError: If a setting is invalid.
         SceneError: If the scene has no entities.
     """
     server = Endpoint(url=endpoint, model=model, key_variable=key_variable, timeout=timeout)
@@ -66,7 +66,7 @@ def annotate(
 def _asked(
     server: Endpoint, scene: Scene, names: Sequence[str], views: Mapping[str, Sequence[bytes]] | None
 ) -> dict[str, Annotation]:
-    """Ask about some entities, and once again if the answer cannot be used."""
+    """Ask about some entities, and repeat the question once if the answer is unusable."""
     messages = question(scene, names, views)
     answer = server.ask(messages)
     try:

@@ -1,7 +1,7 @@
-"""A language model behind an OpenAI-compatible endpoint: one question, one answer, both bounded.
+"""Client of a language model with an OpenAI-compatible endpoint, bounded in time and size.
 
-Only HTTP and HTTPS are spoken, and no redirection is followed: a key goes to the server that was named and to no other.
-The key is read when it is needed, from an environment variable; it is in no object, message or file.
+Only HTTP and HTTPS are supported, and redirections are not followed, so a key reaches only the named server. The key is
+read from an environment variable at each request; no object, message or file contains it.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from graceful_plan._version import __version__
 from graceful_plan.exceptions import EndpointError, SettingError
 
 MAX_ANSWER = 2_000_000
-"""Bytes of an answer that are read."""
+"""Maximum size of an answer [bytes]."""
 _SHOWN = 300
-"""Characters of what a server says that are passed on in an error."""
+"""Number of characters of a server's response that an error message quotes."""
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 _HIDDEN = "***"
 
@@ -31,17 +31,17 @@ _HIDDEN = "***"
 @final
 @dataclass(frozen=True, kw_only=True)
 class Endpoint:
-    """Where a model is asked.
+    """Endpoint and name of a model.
 
     Args:
         url: Base URL; "/chat/completions" is added to its path.
-        model: Name of the model there.
-        key_variable: Environment variable with the API key; None if the server asks for none.
-        timeout: How long to wait for an answer [s].
+        model: Name of the model.
+        key_variable: Environment variable with the API key; None if the server needs no key.
+        timeout: Time limit for an answer [s].
 
     Raises:
-        SettingError: If the URL is not of HTTP or HTTPS or has a password in it, a key would go over plain HTTP to
-            another machine, or another setting makes no sense.
+        SettingError: If the URL is not HTTP or HTTPS or contains a password, a key would be sent over plain HTTP to
+            another machine, or another setting is invalid.
     """
 
     url: str
@@ -63,15 +63,15 @@ class Endpoint:
 
     @property
     def name(self) -> str:
-        """Where it is, without the query, for people to read."""
+        """URL without the query, for display."""
         parts = _split(self.url)
         return urlunsplit((parts.scheme, parts.netloc, parts.path.rstrip("/"), "", ""))
 
     def ask(self, messages: Sequence[Mapping[str, Any]]) -> str:
-        """Send messages and return what the model says.
+        """Send messages and return the text of the model's answer.
 
         Raises:
-            EndpointError: If there is no answer in time, the server refuses, or what it sends is no answer of a model.
+            EndpointError: If the answer is late, refused, too long, or not a chat completion.
             SettingError: If the environment variable holds no key.
         """
         key = self._key()
@@ -96,13 +96,13 @@ class Endpoint:
         if self.key_variable is None:
             return ""
         key = os.environ.get(self.key_variable, "").strip()
-        # Anything else would end a header line, and the error about it would show the key.
+        # Other characters would break the header line, and the resulting error would show the key.
         if not key or not key.isascii() or not key.isprintable() or " " in key:
             raise SettingError(f"environment variable {self.key_variable}", _HIDDEN, "an API key: letters, no spaces")
         return key
 
     def _bounded(self, response: HTTPResponse) -> bytes:
-        """Read an answer that may come slowly or never end."""
+        """Read a response with limits on time and size."""
         until, content = time.monotonic() + self.timeout, b""
         while part := response.read1(65_536):
             content += part
@@ -113,7 +113,7 @@ class Endpoint:
         return content
 
     def _said(self, text: str) -> str:
-        """Return what the model says in the document that a server sent."""
+        """Extract the text of the answer from the response."""
         try:
             document = json.loads(text)
         except (ValueError, RecursionError):
@@ -128,10 +128,10 @@ class Endpoint:
 
 
 def _split(url: object) -> SplitResult:
-    """Take a URL apart.
+    """Split a URL.
 
     Raises:
-        SettingError: If it is none that may be asked.
+        SettingError: If the URL is not allowed as an endpoint.
     """
     expected = "a base URL such as https://host/v1: http or https, without user, password and fragment"
     if not isinstance(url, str) or not url.isascii() or not url.isprintable() or " " in url:
@@ -150,7 +150,7 @@ def _split(url: object) -> SplitResult:
 
 
 def _opener(parts: SplitResult) -> urllib.request.OpenerDirector:
-    """Return what opens HTTP and HTTPS, and neither files nor what a redirection leads to."""
+    """Return an opener for HTTP and HTTPS that opens no files and follows no redirections."""
     opener = urllib.request.OpenerDirector()
     handlers: list[urllib.request.BaseHandler] = [
         urllib.request.HTTPHandler(),
@@ -183,7 +183,7 @@ def _reason(error: Exception, timeout: float) -> str:
 
 
 def _without(text: str, key: str) -> str:
-    """Take the key out of what a server sent back."""
+    """Remove the key from a response."""
     return text.replace(key, _HIDDEN) if key else text
 
 

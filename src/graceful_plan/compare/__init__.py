@@ -1,4 +1,4 @@
-"""Comparing planners on suites of problems: `graceful-plan bench`. Imported only on demand."""
+"""Comparison of planners on suites of problems (`graceful-plan bench`). Imported only on demand."""
 
 from graceful_plan.compare.problems.suite import Suite, load_suite, suites
 from graceful_plan.compare.reports.in_space import in_space

@@ -1,1 +1,1 @@
-"""Programs: the command line and what only it needs."""
+"""The command line and its helpers."""

@@ -1,4 +1,4 @@
-"""The command that compares planners: bench."""
+"""Command `bench`, which compares planners."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from graceful_plan.tools.progress import RunCounter
 
 
 def add_to(commands: Any) -> None:
-    """Add these commands to those of the parser."""
+    """Add the commands of this module to the parser."""
     bench = add_command(commands, "bench", _bench, "compare planners on a suite of problems, at equal time")
-    bench.add_argument("--suite", default="quick", help="bundled suite, suite file, problem file or folder of those")
+    bench.add_argument("--suite", default="quick", help="bundled suite, suite file, problem file or folder of these")
     bench.add_argument(
         "--planners",
         nargs="+",
@@ -29,15 +29,14 @@ def add_to(commands: Any) -> None:
         action="append",
         default=[],
         metavar="MODULE:NAME",
-        help="planner of your own, by the name of its class, as package.module:Class or "
-        "package.module:Class:setting=value, or of a function that asks another library; repeat for more. Its module "
-        "is imported, also from the current directory",
+        help="custom planner: a class, as package.module:Class or package.module:Class:setting=value, or a function "
+        "that calls another library; may be repeated. Its module is imported, also from the current directory",
     )
     bench.add_argument(
         "--refine",
         choices=("off", "on", "both"),
         default="off",
-        help="whether planners without +refine are compared by their own paths, by refined ones, or both (default off)",
+        help="whether to compare planners without +refine by their raw paths, by refined ones, or both (default off)",
     )
     bench.add_argument("--seeds", metavar="N|S,S", help="number of seeds, or seeds with commas (default: the suite's)")
     add_time_limit(bench, "for every call (default: the suite's)")
@@ -47,9 +46,9 @@ def add_to(commands: Any) -> None:
         "--out",
         type=FilePath,
         default=FilePath("graceful_plan_bench"),
-        help="folder; a comparison that was interrupted there goes on (default graceful_plan_bench)",
+        help="folder; an interrupted comparison in it is resumed (default graceful_plan_bench)",
     )
-    bench.add_argument("--processes", type=int, default=1, help="runs at a time (default 1)")
+    bench.add_argument("--processes", type=int, default=1, help="number of parallel runs (default 1)")
     bench.add_argument(
         "--known",
         type=FilePath,
@@ -57,7 +56,7 @@ def add_to(commands: Any) -> None:
         help="best_known.yaml of another comparison, or a folder of best motions",
     )
     bench.add_argument("--export", default="", metavar="csv,parquet,arena", help="tables, and OMPL's Planner Arena")
-    bench.add_argument("--report-only", action="store_true", help="run nothing; report what --output holds")
+    bench.add_argument("--report-only", action="store_true", help="run nothing; report the runs in --output")
 
 
 def _bench(args: argparse.Namespace) -> int:
@@ -101,10 +100,10 @@ def _compared(args: argparse.Namespace, suite: Any) -> Any:
         )
     except KeyboardInterrupt:
         if counter.total:
-            # The journal knows better than the counter, which may not have heard of the last run.
+            # The journal is more accurate than the counter, which may have missed the last run.
             kept = bench.load_comparison(args.output)
             counter.end()
-            words = f"{len(kept.runs)} of {kept.expected} runs are kept in {args.output}; the same command goes on"
+            words = f"{len(kept.runs)} of {kept.expected} runs are kept in {args.output}; the same command resumes"
             note(words)
         raise
     finally:
@@ -115,4 +114,4 @@ def _seeds(text: str) -> int | list[int]:
     try:
         return [int(word) for word in text.split(",") if word] if "," in text else int(text)
     except ValueError:
-        raise SettingError("--seeds", text, "a number of seeds, or seeds with commas between them") from None
+        raise SettingError("--seeds", text, "a number of seeds, or seeds separated by commas") from None

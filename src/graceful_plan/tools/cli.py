@@ -1,7 +1,7 @@
-"""The command line, `graceful-plan`. Thin: it calls the public API, prints, and turns outcomes into exit codes.
+"""The command line `graceful-plan`: calls the public API, prints results and returns exit codes.
 
-0: done. 1: no verified trajectory, or a check failed. 2: misuse. 130: interrupted. With `--json`, what goes wrong is a
-document on standard output as well, with the exit code in it.
+0: done. 1: no verified trajectory, or a check failed. 2: misuse. 130: interrupted. With `--json`, an error is also
+printed as a document on standard output, with the exit code.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     name, as_json = NAME, "--json" in words
-    if words == ["--version"]:  # before anything is imported that plans
+    if words == ["--version"]:  # before the slow imports of the planners
         program(NAME, ABOUT).parse_args(words)
     try:
         args = parser().parse_args(words)
@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UsageError as error:
         return _complain(name, error, MISUSE, as_json, before=error.usage)
     except BrokenPipeError:
-        # The reader went away, as `head` does; a second complaint at shutdown is kept from it.
+        # The reader closed the pipe, as `head` does. This avoids a second error at shutdown.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except (GracefulPlanError, OSError) as error:

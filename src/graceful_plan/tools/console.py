@@ -1,4 +1,4 @@
-"""What all commands of the command line share: options, the task they name, output and exit codes."""
+"""Shared code of all commands: options, the selected task, output and exit codes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DEFAULT_SCENE = "tabletop"
 def add_command(
     commands: Any, name: str, run: Callable[[argparse.Namespace], int], text: str
 ) -> argparse.ArgumentParser:
-    """Add a command that `run` carries out."""
+    """Add a command implemented by `run`."""
     parser: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     parser.set_defaults(run=run)
@@ -52,11 +52,11 @@ def add_budget(parser: argparse.ArgumentParser, seconds: float) -> None:
     """Add the options that limit a search."""
     add_time_limit(parser, f"of search (default {seconds:g}, none with --iterations)")
     parser.add_argument("--iterations", type=int, help="planner iterations: reproducible, unlike a time limit")
-    parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
 
 
 def budget(args: argparse.Namespace) -> dict[str, Any]:
-    """Return these as arguments of `plan`, which knows the defaults."""
+    """Return the budget as arguments of `plan`, which has the defaults."""
     return {"time_limit": args.time_limit, "iterations": args.iterations, "seed": args.seed}
 
 
@@ -71,27 +71,27 @@ def add_planner(parser: argparse.ArgumentParser, text: str) -> None:
 
 
 def chosen_planner(args: argparse.Namespace) -> gp.Planner:
-    """Make the planner that was asked for, with its settings."""
+    """Create the selected planner with its settings."""
     from graceful_plan.compare.runs.planner_notes import read_planners
 
     return read_planners([args.planner])[0].make()
 
 
 def add_speed(parser: argparse.ArgumentParser) -> None:
-    """Add the option that slows motions down."""
+    """Add the option that limits the speed."""
     parser.add_argument("--speed", type=float, default=1.0, help="fraction of the velocity limits (default 1)")
 
 
 def add_validation(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add the option that asks for failures."""
+    """Add the option for the number of simulated failures."""
     parser.add_argument("--validate", type=int, default=0, metavar="N", help=text)
 
 
-# --- what they name ---------------------------------------------------------------------------------------------------
+# --- values of options ------------------------------------------------------------------------------------------------
 
 
 def chosen_task(args: argparse.Namespace) -> tuple[Scene, gp.Task | None]:
-    """Return the scene to plan in and the task whose object it holds, if one was asked for."""
+    """Return the selected scene and task; no task if start and goal are given without one."""
     scene = gp.load_scene(args.scene)
     own_ends = getattr(args, "start", None) is not None and getattr(args, "goal", None) is not None
     name = args.task
@@ -106,7 +106,7 @@ def chosen_task(args: argparse.Namespace) -> tuple[Scene, gp.Task | None]:
 
 
 def chosen_problem(args: argparse.Namespace) -> tuple[Scene, Any, Any]:
-    """Return scene, start and goal: those that were given, else those of the task."""
+    """Return scene, start and goal from the options, else from the task."""
     scene, task = chosen_task(args)
     ends = []
     for option, words, default in (
@@ -122,7 +122,7 @@ def chosen_problem(args: argparse.Namespace) -> tuple[Scene, Any, Any]:
 
 
 def joint_values(scene: Scene, option: str, words: Sequence[str]) -> Any:
-    """Read a configuration; a keyframe is looked up in the scene."""
+    """Parse a configuration: joint values, or a keyframe of the scene."""
     given = _configuration(option, words)
     if isinstance(given, str) and given not in scene.keyframes:
         raise UnknownNameError("keyframe", given, scene.keyframes)
@@ -130,7 +130,7 @@ def joint_values(scene: Scene, option: str, words: Sequence[str]) -> Any:
 
 
 def _configuration(option: str, words: Sequence[str]) -> str | list[float]:
-    """Read a keyframe's name, or one number a joint."""
+    """Parse the name of a keyframe, or one number per joint."""
     try:
         return [float(word) for word in words]
     except ValueError:
@@ -140,11 +140,11 @@ def _configuration(option: str, words: Sequence[str]) -> str | list[float]:
 
 
 def check_file(file: FilePath | None, endings: Sequence[str]) -> None:
-    """Refuse a file that could not be written, before any work is done.
+    """Check before any work that a file can be written.
 
     Raises:
-        SettingError: If its name has another ending than those that are known.
-        OSError: If its folder does not exist or may not be written to, or it is a folder itself.
+        SettingError: If its extension is unknown.
+        OSError: If its folder does not exist or is not writable, or it is a folder itself.
     """
     if file is None:
         return
@@ -159,10 +159,10 @@ def check_file(file: FilePath | None, endings: Sequence[str]) -> None:
 
 
 def check_folder(folder: FilePath) -> None:
-    """Refuse a folder that could not be made or written to, before any work is done.
+    """Check before any work that a folder can be created or written to.
 
     Raises:
-        OSError: If that is so.
+        OSError: If it cannot.
     """
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not there.is_dir():
@@ -177,10 +177,10 @@ def _check_writable(place: FilePath) -> None:
 
 
 def motion_in(file: FilePath, scene: Scene) -> gp.Path | gp.Trajectory:
-    """Read a motion that is to be one of a scene's robot.
+    """Read a motion of a scene's robot.
 
     Raises:
-        FormatError: If it is none, or of other joints; with the name of the file.
+        FormatError: If the file contains no motion, or one of other joints; with the name of the file.
     """
     motion = documents.read_motion(file)
     if isinstance(motion, gp.Trajectory) and motion.joints != scene.joints:
@@ -194,10 +194,10 @@ def motion_in(file: FilePath, scene: Scene) -> gp.Path | gp.Trajectory:
 
 @contextmanager
 def blamed_on(file: FilePath) -> Generator[None]:
-    """Name the file in complaints about the motion that it holds.
+    """Add the name of a file to errors about its motion.
 
     Raises:
-        FormatError: In place of what was said of the motion.
+        FormatError: In place of an error about the motion.
     """
     try:
         yield
@@ -211,7 +211,7 @@ def blamed_on(file: FilePath) -> Generator[None]:
 
 
 def sentence(result: gp.PlanResult) -> str:
-    """Say how planning ended."""
+    """Return a sentence with the outcome of planning."""
     text = f"{result.status.name}: {result.status.value}" + (f" ({result.detail})" if result.detail else "")
     if result.trajectory is not None:
         text += f" {result.trajectory.duration:.2f} s long."
@@ -219,19 +219,19 @@ def sentence(result: gp.PlanResult) -> str:
 
 
 def show(args: argparse.Namespace, document: Any, text: str) -> None:
-    """Print the document if JSON was asked for, else the text."""
+    """Print the document with `--json`, else the text."""
     print(documents.to_json(document) if args.json else text, flush=True)
 
 
 def complain(command: str, error: BaseException, code: int, *, as_json: bool, before: str = "") -> int:
-    """Say what went wrong on standard error, and as a document on standard output if JSON was asked for.
+    """Print an error on standard error, and with `--json` as a document on standard output.
 
     Args:
-        command: The program and its command.
-        error: What went wrong.
-        code: The exit code, which is returned.
-        as_json: Whether JSON was asked for.
-        before: What to say first.
+        command: Program and command.
+        error: The error.
+        code: Exit code, which is returned.
+        as_json: Whether `--json` was given.
+        before: Text to print first.
     """
     if before:
         note(before)
@@ -242,5 +242,5 @@ def complain(command: str, error: BaseException, code: int, *, as_json: bool, be
 
 
 def note(text: str) -> None:
-    """Print a line that is no part of what was asked for."""
+    """Print a line on standard error."""
     print(text, file=sys.stderr)

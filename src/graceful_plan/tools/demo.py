@@ -1,4 +1,4 @@
-"""The demo: one task, planned without and with regard for failures."""
+"""Demo: one task, planned with w = 0 and with the default safety weight."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from graceful_plan.result import TracePoint
 SCENE = "tabletop"
 WEIGHTS = {"w = 0 (shortest)": 0.0, f"w = {DEFAULT_WEIGHT:g} (fails gracefully)": DEFAULT_WEIGHT}
 SPEED = 0.3
-"""Fraction of the velocity limits: as slowly as a robot moves near people."""
+"""Fraction of the velocity limits, a usual speed near people."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoResults:
-    """What was planned, by label, and the files that were written."""
+    """Planning results by label, and the written files."""
 
     results: Mapping[str, gp.PlanResult]
     files: tuple[Path, ...]
@@ -30,18 +30,18 @@ class DemoResults:
         return all(result.status is gp.PlanStatus.SOLVED for result in self.results.values())
 
     def comparison(self) -> str:
-        """Say what the second motion costs and what it buys, in the figures measured in this run."""
+        """Compare motion, impact and duration of the two motions of this run."""
         shortest, graceful = (result.cost for result in self.results.values())
         before, after = (result.unwrap().duration for result in self.results.values())
         return (
-            f"Beside the shortest motion, the one planned with w = {graceful.w:g} has"
+            f"Compared with the shortest motion, the one planned with w = {graceful.w:g} has"
             f" {_change(shortest.motion, graceful.motion, 'joint motion', ' rad')} and"
             f" {_change(shortest.impact, graceful.impact, 'impact')}; it takes {after:.3g} s for {before:.3g} s."
         )
 
 
 def _change(before: float, after: float, what: str, unit: str = "") -> str:
-    """Put a change in words: 83 % more joint motion (7.7 rad for 4.2 rad)."""
+    """Format a change, such as 83 % more joint motion (7.7 rad for 4.2 rad)."""
     figures = f"({after:.3g}{unit} for {before:.3g}{unit})"
     if not before > 0.0:
         return f"another {what} {figures}"
@@ -52,8 +52,8 @@ def run(output: Path, *, callback: Callable[[TracePoint], None] | None = None, *
     """Plan the first task of `tabletop` with w = 0 and the default w; write trajectories and pictures into `output`.
 
     Args:
-        output: Folder; made if it does not exist.
-        callback: Told of every improvement.
+        output: Folder; created if missing.
+        callback: Called with every improvement.
         budget: `time_limit`, `iterations` and `seed` of `plan`.
     """
     from graceful_plan.viz import figures, render

@@ -1,4 +1,4 @@
-"""`graceful-plan doctor`: versions, the instruction set in use, and whether the kernels agree with slower judges."""
+"""Command `doctor`: versions, instruction sets, and a test of the kernels against slower reference code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     name: str
     ok: bool = False
@@ -37,7 +37,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Look at versions and instruction sets, then test every instruction set that this machine can run."""
+    """List versions and instruction sets, and test every instruction set that this machine supports."""
     findings = [*_versions(), *_instruction_sets()]
     task = next(iter(gp.load_scene(_SCENE).tasks.values()))
     scene = task.scene
@@ -74,7 +74,7 @@ def _instruction_sets() -> list[Finding]:
 
 
 def _tried(name: str, test: Callable[[], tuple[bool, str, str]]) -> Finding:
-    """Run a self-test; whatever it raises is a finding, since finding out is what it is for."""
+    """Run a self-test; an exception counts as a failed check."""
     try:
         ok, value, detail = test()
     except Exception as error:
@@ -83,7 +83,7 @@ def _tried(name: str, test: Callable[[], tuple[bool, str, str]]) -> Finding:
 
 
 def _in_contact(scene: Scene, q: Float[Array, "n nq"]) -> Array:
-    """Tell by MuJoCo's exact geometry which configurations collide."""
+    """Return the configurations that collide by MuJoCo's exact geometry."""
     judge = Judge(scene)
     colliding = np.zeros(len(q), dtype=bool)
     for touch in judge.touches(q):
@@ -95,7 +95,7 @@ def _compare_collision(kernels: Kernels, q: Float[Array, "n nq"], in_contact: Ar
     free = kernels.free(q)
     optimistic = int(np.sum(free & in_contact))
     cautious = int(np.sum(~free & ~in_contact))
-    detail = f"MuJoCo: {int(in_contact.sum())} of {len(q)} collide; called colliding though free: {cautious}"
+    detail = f"MuJoCo: {int(in_contact.sum())} of {len(q)} collide; free but reported as colliding: {cautious}"
     return optimistic == 0, f"{optimistic} missed", detail
 
 

@@ -1,4 +1,4 @@
-"""Commands that look into impacts: explain and map; and the one that lets a model estimate severities: annotate."""
+"""Commands about impact: explain, map and annotate."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ _PICTURES = (".png", ".pdf", ".svg")
 
 
 def add_to(commands: Any) -> None:
-    """Add these commands to those of the parser."""
-    explain = add_command(commands, "explain", _explain, "say where the impact of a path or trajectory comes from")
+    """Add the commands of this module to the parser."""
+    explain = add_command(commands, "explain", _explain, "explain the sources of the impact of a path or trajectory")
     explain.add_argument(
         "motion",
         type=FilePath,
@@ -38,35 +38,35 @@ def add_to(commands: Any) -> None:
     add_scene(explain)
     add_model(explain, gp.ImpactCost().model)
     explain.add_argument(
-        "--exposure", default="time", help="what the impact is integrated over: time (default), length, waypoints"
+        "--exposure", default="time", help="variable of the integral of the impact: time (default), length, waypoints"
     )
     explain.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
 
-    impact_map = add_command(commands, "map", _map, "map what it would do to let the carried object go")
+    impact_map = add_command(commands, "map", _map, "map the impact of releasing the carried object")
     add_scene(impact_map)
     add_model(impact_map, "footprint")
-    impact_map.add_argument("--height", type=float, required=True, metavar="M", help="of its lowest point [m]")
-    impact_map.add_argument("--speed", type=float, default=0.0, help="horizontal [m/s] (default 0)")
+    impact_map.add_argument("--height", type=float, required=True, metavar="M", help="height of its lowest point [m]")
+    impact_map.add_argument("--speed", type=float, default=0.0, help="horizontal speed [m/s] (default 0)")
     impact_map.add_argument(
-        "--direction", type=float, metavar="RAD", help="of the speed, from x towards y; default: all"
+        "--direction", type=float, metavar="RAD", help="direction of the speed, from x towards y; default: all"
     )
     impact_map.add_argument(
-        "--at", nargs="+", metavar="Q", help="configuration that says how it is turned; default: upright"
+        "--at", nargs="+", metavar="Q", help="configuration that sets its orientation; default: upright"
     )
     impact_map.add_argument(
-        "--surface", type=float, metavar="Z", help="that the height counts from; default: the table's top"
+        "--surface", type=float, metavar="Z", help="reference of the height; default: the table top"
     )
     impact_map.add_argument(
         "--resolution", type=float, default=0.02, metavar="M", help="width of a cell (default 0.02)"
     )
     impact_map.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
 
-    annotate = add_command(commands, "annotate", _annotate, "let a language model estimate severities of entities")
+    annotate = add_command(commands, "annotate", _annotate, "estimate severities of entities with a language model")
     annotate.add_argument(
         "--scene", default=DEFAULT_SCENE, help=f"bundled scene or scene file (default {DEFAULT_SCENE})"
     )
     annotate.add_argument("--endpoint", metavar="URL", help="base URL of an OpenAI-compatible server")
-    annotate.add_argument("--model", help="name of the model there")
+    annotate.add_argument("--model", help="name of the model")
     annotate.add_argument(
         "--key-variable", metavar="NAME", help="environment variable with the API key, if it needs one"
     )
@@ -74,7 +74,7 @@ def add_to(commands: Any) -> None:
     annotate.add_argument(
         "--timeout", type=float, default=60.0, metavar="S", help="seconds for each answer (default 60)"
     )
-    annotate.add_argument("--output", type=FilePath, metavar="FILE", help="where they are written: FILE.yaml")
+    annotate.add_argument("--output", type=FilePath, metavar="FILE", help="file to write: FILE.yaml")
     annotate.add_argument(
         "--dry-run", action="store_true", help="print what would be sent, without pictures; send nothing"
     )
@@ -147,9 +147,9 @@ def _annotate(args: argparse.Namespace) -> int:
     said.save(args.output)
     agreement = compared(said, scene)
     lines = [f"{name}: {row.category}. {row.reason}" for name, row in said.rows.items()]
-    lines += ["", f"beside what {scene.name} says: {agreement}"]
+    lines += ["", f"compared with {scene.name}: {agreement}"]
     if not said.pictures and not args.no_pictures:
-        lines.append("without pictures: no OpenGL works here without a window")
+        lines.append("without pictures: off-screen OpenGL does not work here")
     lines.append(f"wrote {args.output}: read it before you use it")
     show(args, {"annotations": said.to_document(), "agreement": agreement.to_document()}, "\n".join(lines))
     return DONE

@@ -1,4 +1,4 @@
-"""Commands that say what there is: scenes, planners and doctor."""
+"""Commands that list scenes and planners, and the self-test: scenes, planners and doctor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from graceful_plan.tools.parsing import DONE, FAILED
 
 
 def add_to(commands: Any) -> None:
-    """Add these commands to those of the parser."""
+    """Add the commands of this module to the parser."""
     add_command(commands, "scenes", _scenes, "list the bundled scenes and their tasks")
     add_command(commands, "planners", _planners, "list the planners and their settings")
     add_command(commands, "doctor", _doctor, "versions, instruction set in use, self-test")

@@ -1,4 +1,4 @@
-"""Commands about single motions: demo, plan and evaluate."""
+"""Commands for single motions: demo, plan and evaluate."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from graceful_plan.tools.validation import Validation, check_failures, validate_
 
 
 def add_to(commands: Any) -> None:
-    """Add these commands to those of the parser."""
+    """Add the commands of this module to the parser."""
     demo = add_command(commands, "demo", _demo, "plan 'tabletop' with w = 0 and the default w, compare, draw")
-    demo.add_argument("--output", type=FilePath, default=FilePath("graceful_plan_demo"), help="folder for what is made")
+    demo.add_argument("--output", type=FilePath, default=FilePath("graceful_plan_demo"), help="folder for the files")
     add_budget(demo, 1.0)
 
     plan = add_command(commands, "plan", _plan, "plan one motion")
@@ -55,24 +55,24 @@ def add_to(commands: Any) -> None:
     plan.add_argument("--goal", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     weight = f"safety weight; 0 is an ordinary planner (default {DEFAULT_WEIGHT:g})"
     plan.add_argument("--w", type=float, default=DEFAULT_WEIGHT, help=weight)
-    add_planner(plan, "who searches")
+    add_planner(plan, "planner")
     add_speed(plan)
     plan.add_argument(
         "--output",
         type=FilePath,
         metavar="FILE",
-        help="write the trajectory to FILE.json, .csv, .parquet, or .yaml, a message of ROS",
+        help="write the trajectory to FILE.json, .csv, .parquet, or .yaml (a ROS message)",
     )
-    add_validation(plan, "let FailBench fail N times along the motion")
+    add_validation(plan, "simulate N failures along the motion in FailBench")
     add_budget(plan, 1.0)
     plan.add_argument(
         "--stop",
         choices=STOPS,
-        help="end with the first verified motion, once more work hardly improves it (the default without a limit), or "
-        "with the time limit and iterations",
+        help="end with the first verified motion, on convergence (the default without a limit), or with the time limit "
+        "or iterations",
     )
     plan.add_argument(
-        "--no-refine", dest="refine", action="store_false", help="follow the planner's own path, its corners rounded"
+        "--no-refine", dest="refine", action="store_false", help="follow the planner's raw path with rounded corners"
     )
 
     evaluate = add_command(commands, "evaluate", _evaluate, "judge a path or trajectory from any planner")
@@ -118,7 +118,7 @@ def _plan(args: argparse.Namespace) -> int:
         raise SettingError("--picture", str(args.picture), "none: this robot does not drive; see `graceful-plan view`")
     task = None if args.map is not None else chosen_task(args)[1]
     if args.validate and task is None:
-        raise SettingError("--validate", args.validate, "a task, by --task: without one nothing is carried")
+        raise SettingError("--validate", args.validate, "a task, by --task: without one there is no carried object")
     settings: dict[str, Any] = {"w": args.w, "planner": planner, "speed": args.speed, **budget(args)}
     settings |= {"stop": args.stop, "refine": args.refine}
     validation = None

@@ -1,6 +1,6 @@
-"""The parser of command lines, and the codes that programs end with. Importing it imports nothing that plans.
+"""Parser of command lines, and exit codes. Importing this module does not import the planners.
 
-Its complaints are raised, so that whoever asked for JSON gets them as JSON; and it can be asked what it takes.
+Errors are raised instead of printed, so that `--json` can report them as JSON. The parser records its arguments.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
 
 @final
 class UsageError(GracefulPlanError, ValueError):
-    """A command line that cannot be understood.
+    """An invalid command line.
 
     Args:
-        problem: What is wrong with it.
-        usage: How the command is used.
+        problem: Description of the error.
+        usage: Usage of the command.
     """
 
     def __init__(self, problem: str, usage: str) -> None:
@@ -31,7 +31,7 @@ class UsageError(GracefulPlanError, ValueError):
 
 @final
 class Parser(argparse.ArgumentParser):
-    """A parser that raises `UsageError` where others end the program, and that knows what was added to it."""
+    """A parser that raises `UsageError` instead of ending the program, and records its arguments and commands."""
 
     def __init__(self, **settings: Any) -> None:
         self.arguments: list[argparse.Action] = []
@@ -46,16 +46,16 @@ class Parser(argparse.ArgumentParser):
     def add_subparsers(self, **settings: Any) -> Any:
         """Add commands."""
         made = super().add_subparsers(**settings)
-        self.commands = made.choices  # type: ignore[assignment]  # a view of all that will be added
+        self.commands = made.choices  # type: ignore[assignment]  # a live view of all commands
         return made
 
     def error(self, message: str) -> NoReturn:
-        """Complain."""
+        """Raise the error."""
         raise UsageError(message, self.format_usage().rstrip())
 
 
 def program(name: str, description: str) -> Parser:
-    """Return the parser of a program that has no commands yet and can only say its version."""
+    """Return the parser of a program without commands, with the option `--version`."""
     made = Parser(prog=name, description=description)
     made.add_argument("--version", action="version", version=__version__)
     return made

@@ -1,4 +1,4 @@
-"""How commands show at a terminal how far they have come, and only there."""
+"""Progress of commands, shown only at a terminal."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import Any
 from graceful_plan.result import TracePoint
 
 _TICK = 0.5
-"""Seconds between two looks at the clock."""
+"""Interval between updates [s]."""
 
 
 class ProgressLine:
-    """A line that says what a command is at, if somebody sits at a terminal; it counts seconds while nothing is new.
+    """Status line of a command at a terminal, with the elapsed seconds.
 
     Args:
-        quiet: Show nothing.
-        stage: What is done first.
+        quiet: Whether to show nothing.
+        stage: Text of the first stage.
     """
 
     def __init__(self, quiet: bool, stage: str = "loading") -> None:
@@ -43,15 +43,15 @@ class ProgressLine:
 
     @property
     def callback(self) -> Callable[[Any], None] | None:
-        """What `plan` and `pareto` are to tell of improvements; None if nobody looks."""
+        """Callback for `plan` and `pareto`; None without a terminal."""
         return self.show if self.shown else None
 
     def stage(self, text: str) -> None:
-        """Say what is done from here on."""
+        """Set the text of the stage that begins."""
         self.text = text
 
     def show(self, point: Any) -> None:
-        """Show the newest improvement, or how far a search for a front has come."""
+        """Show the latest improvement, or the progress of a search for a front."""
         if isinstance(point, TracePoint):
             self.text = f"total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
         else:
@@ -68,25 +68,25 @@ class ProgressLine:
 
 
 class RunCounter:
-    """Shows at a terminal how many runs of a comparison are done."""
+    """Counter of the finished runs of a comparison, at a terminal."""
 
     def __init__(self, quiet: bool) -> None:
         self.shown = sys.stderr.isatty() and not quiet
         self.total = 0
 
     def show(self, done: int, total: int, run: Any) -> None:
-        """Overwrite the line with how many are done, and with the newest."""
+        """Overwrite the line with the number of finished runs and the latest run."""
         self.total = total
         if self.shown:
             _overwrite(f"{done}/{total} runs" + (f": {run.problem}, {run.planner}, {run.status}" if run else ""))
 
     def end(self) -> None:
-        """Leave the line."""
+        """Clear the line."""
         if self.shown:
             _overwrite("")
 
 
 def _overwrite(text: str) -> None:
-    """Overwrite the line that the cursor is in."""
+    """Overwrite the current line."""
     sys.stderr.write(f"\r\x1b[K{text}")
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""The command that shows what each safety weight costs and buys: tune."""
+"""Command `tune`, which shows the trade-off of motion against impact."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from graceful_plan.tuning.fronts import ChoiceStatus
 
 
 def add_to(commands: Any) -> None:
-    """Add this command to those of the parser."""
+    """Add the command to the parser."""
     tune = add_command(commands, "tune", _tune, "find the front of motion against impact, to choose a safety weight")
     add_scene(tune)
-    tune.add_argument("place", nargs="*", metavar="SCENE TASK", help="the same without the names of the options")
-    tune.add_argument("--points", type=int, default=30, help="most motions on the front (default 30)")
+    tune.add_argument("place", nargs="*", metavar="SCENE TASK", help="scene and task without option names")
+    tune.add_argument("--points", type=int, default=30, help="maximum number of motions on the front (default 30)")
     add_budget(tune, 10.0)
-    add_planner(tune, "what minimises for single weights")
+    add_planner(tune, "planner for single weights")
     add_speed(tune)
     tune.add_argument("--target-impact", type=float, metavar="S", help="choose the shortest with at most this impact")
-    tune.add_argument("--max-detour", type=float, metavar="R", help="choose among those so much longer, 0.05 is 5 %%")
-    add_validation(tune, "let FailBench fail N times along each")
+    tune.add_argument("--max-detour", type=float, metavar="R", help="choose among detours up to this; 0.05 is 5 %%")
+    add_validation(tune, "simulate N failures along each motion in FailBench")
     tune.add_argument(
         "--output",
         "--out",
         type=FilePath,
         default=FilePath("graceful_plan_front"),
-        help="folder for front.html and the like",
+        help="folder for front.html and the other files",
     )
 
 
@@ -78,7 +78,7 @@ def _tune(args: argparse.Namespace) -> int:
 
 
 def _take_place(args: argparse.Namespace) -> None:
-    """Take scene and task from where they stand without the names of their options."""
+    """Read scene and task from the positional arguments."""
     named = args.task is not None or args.scene != DEFAULT_SCENE
     if len(args.place) > 2 or (args.place and named):
         raise SettingError("SCENE TASK", " ".join(args.place), "a scene and a task of it, once: --scene, --task")

@@ -1,4 +1,4 @@
-"""What `graceful-plan tune` makes: the front of a task, a choice from it, files to look at, and what FailBench says."""
+"""Report of `graceful-plan tune`: the front of a task, a choice from it, files, and the validation by FailBench."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from graceful_plan.viewer.report_view import report_view
 
 @dataclass(frozen=True, kw_only=True)
 class TuneReport:
-    """What was found, and the files that were written.
+    """Front, choice, validation and written files.
 
     Args:
         front: The front.
-        choice: What was chosen from it.
-        validation: The document of `failbench validate-front`, if there was a validation.
-        files: What was written.
+        choice: The choice from it.
+        validation: Document of `failbench validate-front`; None without a validation.
+        files: Written files.
     """
 
     front: gp.ParetoFront
@@ -31,7 +31,7 @@ class TuneReport:
     files: tuple[Path, ...] = ()
 
     def to_document(self) -> dict[str, Any]:
-        """Return everything but the motions themselves, which are in front.json, as a document of plain values."""
+        """Return the report as a dictionary for JSON; the motions are in front.json."""
         points = [
             {
                 "motion": point.motion,
@@ -113,15 +113,15 @@ def run(
     """Find the front of a task, choose from it, and write front.json, front.png, front.html and chosen.json.
 
     Args:
-        scene_name: Bundled scene or scene file, as FailBench is told.
+        scene_name: Bundled scene or scene file, for FailBench.
         task: The task.
-        output: Folder; made if it does not exist.
-        target_impact: As of `ParetoFront.choose`.
-        max_detour: As of `ParetoFront.choose`.
-        failures: How often FailBench lets the robot fail along each motion; 0: it is not asked.
-        callback: Told how far the search has come.
-        told: Told what is done after it.
-        settings: Of `gp.pareto`.
+        output: Folder; created if missing.
+        target_impact: As in `ParetoFront.choose`.
+        max_detour: As in `ParetoFront.choose`.
+        failures: Number of simulated failures along each motion; 0 disables the validation.
+        callback: Called with the progress of the search.
+        told: Called with the text of each later stage.
+        settings: Arguments of `gp.pareto`.
 
     Raises:
         ValidationError: If FailBench is not installed, or cannot judge the front.
@@ -154,7 +154,7 @@ def run(
 
 
 def _in_space(front: gp.ParetoFront, choice: Choice, scene: gp.Scene) -> Mapping[str, str]:
-    """Return the chosen motion, or that of the knee, in 3-D."""
+    """Return a 3-D view of the chosen motion, or else of the knee."""
     point = choice.point or front.knee or front.points[0]
     document, why = report_view(point.trajectory, scene, front.points[0].trajectory, "shortest")
     name = "the chosen motion" if choice.point is not None else "the motion at the knee"

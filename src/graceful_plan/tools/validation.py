@@ -1,4 +1,4 @@
-"""FailBench, asked in a process of its own: this library does not import it."""
+"""Validation by FailBench in a subprocess, because this library does not import it."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from graceful_plan.exceptions import GracefulPlanError, SettingError
 
 
 class ValidationError(GracefulPlanError, RuntimeError):
-    """A validation that could not be done."""
+    """A failed validation."""
 
 
 class Validation(NamedTuple):
-    """What FailBench found: its document if that was asked for, else its text."""
+    """Result of FailBench: its document or its text, as requested."""
 
     document: Mapping[str, Any]
     text: str
 
 
 def check_failures(failures: int) -> None:
-    """Refuse a number of failures that cannot be, or failures without FailBench.
+    """Check the number of failures to simulate.
 
     Raises:
         SettingError: If it is negative.
@@ -42,18 +42,18 @@ def check_failures(failures: int) -> None:
 def validate_motion(
     trajectory: gp.Trajectory, scene: str, task: str, failures: int, *, seed: int, as_json: bool
 ) -> Validation:
-    """Let the robot fail along a motion of a task.
+    """Simulate failures along a motion of a task.
 
     Args:
         trajectory: The motion.
         scene: Bundled scene or scene file.
         task: Task of the scene.
-        failures: How often.
-        seed: Of everything random.
-        as_json: Whether its document is asked for, or its text.
+        failures: Number of failures.
+        seed: Seed of all random numbers.
+        as_json: Whether to return the document instead of the text.
 
     Raises:
-        ValidationError: With what it said, if it failed.
+        ValidationError: If FailBench fails; with its output.
     """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "trajectory.json"
@@ -64,10 +64,10 @@ def validate_motion(
 
 
 def validate_front(front: Path, scene: str, task: str, failures: int) -> Mapping[str, Any]:
-    """Let the robot fail along every motion of a front in a file; return FailBench's document.
+    """Simulate failures along every motion of a front in a file and return FailBench's document.
 
     Raises:
-        ValidationError: With what it said, if it failed.
+        ValidationError: If FailBench fails; with its output.
     """
     argv = ["validate-front", str(front), "--scene", scene, "--task", task, "-n", str(failures), "--json"]
     return json.loads(_failbench(argv))

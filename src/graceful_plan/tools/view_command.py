@@ -1,4 +1,4 @@
-"""The command that opens the viewer."""
+"""Command `view`, which opens the viewer."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from graceful_plan.viewer.opening import HOST, PORT
 
 
 def add_to(commands: Any) -> None:
-    """Add this command to those of the parser."""
-    parser = add_command(commands, "view", _view, "look at a scene and its motions, or at failures, in a browser")
+    """Add the command to the parser."""
+    parser = add_command(commands, "view", _view, "show a scene with its motions or failures in a browser")
     what = (
-        "bundled scene or scene file, a JSON file with a motion, as `plan --json` prints it, or the folder of a dataset"
-        " of FailBench (default tabletop)"
+        "bundled scene or scene file, a JSON file with a motion, such as the output of `plan --json`, or the folder of"
+        " a FailBench dataset (default tabletop)"
     )
     parser.add_argument("what", nargs="?", default="tabletop", metavar="SCENE|RESULT.json|DATASET", help=what)
-    parser.add_argument("--scene", default="tabletop", help="of a motion: bundled scene or scene file")
+    parser.add_argument("--scene", default="tabletop", help="scene of a motion: bundled scene or scene file")
     parser.add_argument("--task", help="task of the scene; default: its first")
     parser.add_argument(
-        "--w", type=float, default=DEFAULT_WEIGHT, help=f"safety weight to begin with (default {DEFAULT_WEIGHT:g})"
+        "--w", type=float, default=DEFAULT_WEIGHT, help=f"initial safety weight (default {DEFAULT_WEIGHT:g})"
     )
     parser.add_argument("--time-limit", type=float, metavar="S", help="seconds for each motion (default 1; driving 5)")
-    parser.add_argument("--host", default=HOST, help=f"address to listen at (default {HOST}: this machine alone)")
+    parser.add_argument("--host", default=HOST, help=f"address to listen at (default {HOST}: this machine only)")
     parser.add_argument("--port", type=int, default=PORT, help=f"port (default {PORT}, or the next free one)")
-    parser.add_argument("--dark", action="store_true", help="light on dark")
+    parser.add_argument("--dark", action="store_true", help="dark theme")
     parser.add_argument("--open", action="store_true", help="open the page in the default browser")
 
 

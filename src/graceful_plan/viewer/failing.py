@@ -1,6 +1,6 @@
-"""Failures on demand: FailBench breaks the robot at a moment of a motion; what it hits stands beside what is expected.
+"""Simulated failures for the viewer: FailBench breaks the robot at a moment of a motion.
 
-FailBench builds on this library, so it is imported only when somebody asks for a failure.
+FailBench depends on this library, so it is imported only when a failure is requested.
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ from graceful_plan.viewer.shown import ShownMotion, impact_by_entity
 Array = np.ndarray
 
 _HORIZON, _COASTING = 1.5, 4.0
-"""How long is simulated after the failure of an arm, and of a base [s]."""
+"""Simulated time after the failure of an arm and of a base [s]."""
 _STEP = 1.0 / 60.0
 """Time between frames [s]."""
 _DEGREE = "severe"
-"""What `shipped_effects` are of by default."""
+"""Default degree of `shipped_effects`."""
 _SAME_HARM = 1e-6
-"""By how much harm may differ that is the same."""
+"""Tolerance for equal harm."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Failure:
-    """What fails, how badly and when.
+    """A fault with its degree and onset.
 
     Args:
         fault: One of `faults_of(scene)`.
-        degree: One of `DEGREES`; of no account for bases.
-        moment: Share of the motion that is done by then, in [0, 1].
-        seed: Of what is random about it.
+        degree: One of `DEGREES`; ignored for bases.
+        moment: Onset as a fraction of the duration of the motion, in [0, 1].
+        seed: Seed of the random numbers.
 
     Raises:
-        SettingError: If the moment is not a share.
-        UnknownNameError: If there is no such degree.
+        SettingError: If the moment is out of range.
+        UnknownNameError: If the degree does not exist.
     """
 
     fault: str
@@ -69,19 +69,19 @@ class Failure:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replay:
-    """A failure to look at: the motion up to it, then what was simulated.
+    """A simulated failure for display: the motion up to the onset, then the simulation.
 
     | field     | meaning                                                               | unit | shape |
     |-----------|-----------------------------------------------------------------------|------|-------|
-    | failure   | what failed                                                           |      |       |
-    | label     | of the motion                                                         |      |       |
-    | onset     | when, after the start of the motion                                   | s    |       |
+    | failure   | the failure                                                           |      |       |
+    | label     | label of the motion                                                   |      |       |
+    | onset     | failure onset after the start of the motion                           | s    |       |
     | t         | time of each frame, after the start of the motion                     | s    | frame |
-    | poses     | of each drawn part                                                    |      |       |
-    | predicted | harm to expect of such a failure then, by entity; none is left out    |      |       |
-    | observed  | harm in this simulation, by entity; none is left out                  |      |       |
-    | hits      | what touched whom, when [s after the onset] and where, in W           |      |       |
-    | notes     | what else there is to say                                             |      |       |
+    | poses     | poses of each drawn part                                              |      |       |
+    | predicted | expected harm of this failure, by entity                              |      |       |
+    | observed  | harm in this simulation, by entity                                    |      |       |
+    | hits      | striker, entity, time after the onset [s] and position in W [m]       |      |       |
+    | notes     | further remarks                                                       |      |       |
     """
 
     failure: Failure
@@ -96,16 +96,16 @@ class Replay:
 
     @property
     def duration(self) -> float:
-        """When the last frame is [s]."""
+        """Time of the last frame [s]."""
         return float(self.t[-1])
 
     def frame(self, t: float) -> int:
-        """Return the frame that is nearest to a time [s]."""
+        """Return the frame nearest to a time [s]."""
         return int(np.argmin(np.abs(self.t - t)))
 
 
 def faults_of(scene: Scene) -> tuple[str, ...]:
-    """Name what can fail in a scene: faults of FailBench; of a base that drives, the ways in which it comes to rest."""
+    """Return the faults for a scene: those of FailBench, or for a base that drives its failure modes."""
     if scene.base is not None:
         return tuple(CoastSettings.shipped().ways)
     names = tuple(name for name in shipped_effects() if name not in REACTIONS)
@@ -115,17 +115,17 @@ def faults_of(scene: Scene) -> tuple[str, ...]:
 
 @final
 class FailureBench:
-    """Simulates failures of motions; the healthy execution of the last motion is kept."""
+    """Simulator of failures, which caches the healthy execution of the last motion."""
 
     def __init__(self) -> None:
         self._kept: tuple[ShownMotion, Any, tuple[str, ...]] | None = None
 
     def replay(self, failure: Failure, motion: ShownMotion) -> Replay:
-        """Let the robot fail once along a motion.
+        """Simulate one failure along a motion.
 
         Raises:
-            UnknownNameError: If there is no such fault.
-            SettingError: If nothing can come of the fault in this scene.
+            UnknownNameError: If the fault does not exist.
+            SettingError: If the fault has no effect in this scene.
             GracefulPlanError: If FailBench cannot simulate the robot.
         """
         known = faults_of(motion.scene)
@@ -149,10 +149,10 @@ class FailureBench:
 
 
 def recorded_replay(rollouts: RecordedRollouts, number: int) -> Replay:
-    """Let a rollout of a dataset happen once more, as it was simulated for it.
+    """Repeat the simulation of a rollout of a dataset.
 
     Raises:
-        SettingError: If its fault is in a file of somebody's own, which is not run here.
+        SettingError: If its fault is defined in a custom file, which is not run here.
     """
     work, row = importlib.import_module("failbench.sweeps.work"), rollouts[number]
     motion_index, fault_index, i = rollouts.sweep.place(number)
@@ -178,7 +178,7 @@ def _failbench() -> Any:
 
 
 def _executed(motion: ShownMotion) -> tuple[Any, tuple[str, ...]]:
-    """Carry the motion out; by a constraint in the gripper if friction alone does not hold the object."""
+    """Execute the healthy motion, with a constraint in the gripper if friction does not hold the object."""
     fb = _failbench()
     try:
         return fb.execute(motion.trajectory, fb.build_world(motion.scene)), ()
@@ -190,7 +190,7 @@ def _executed(motion: ShownMotion) -> tuple[Any, tuple[str, ...]]:
 def _arm_replay(
     failure: Failure, motion: ShownMotion, simulated: tuple[Any, Any, float], notes: tuple[str, ...]
 ) -> Replay:
-    """Simulate a job of an execution for so many seconds after its onset."""
+    """Simulate a job of an execution for a time after its onset [s]."""
     fb, scene = _failbench(), motion.scene
     execution, job, horizon = simulated
     (rollout,) = fb.run(execution, [job], horizon=horizon)
@@ -214,16 +214,16 @@ def _arm_replay(
 
 
 def _effects(degree: str) -> tuple[Any, tuple[str, ...]]:
-    """Return what faults of a degree act like, and what there is to say if that is known of another degree only."""
+    """Return the effects of faults of a degree, with a note if they are fitted for another degree only."""
     try:
         return shipped_effects(degree), ()
     except UnknownNameError:
-        return shipped_effects(), (f"Predicted as for {_DEGREE} ones: what {degree} faults act like was not fitted.",)
+        return shipped_effects(), (f"Predicted as for {_DEGREE} ones: effects of {degree} faults were not fitted.",)
 
 
 def _said(rollout: Any, scene: Scene) -> tuple[str, ...]:
     if rollout.status != "completed":
-        return ("The simulation blew up; nothing of it counts.",)
+        return ("The simulation diverged; its harm does not count.",)
     said = []
     if rollout.dropped and scene.carried is not None:
         said.append(f"{scene.carried.body} left the gripper.")
@@ -233,7 +233,7 @@ def _said(rollout: Any, scene: Scene) -> tuple[str, ...]:
 
 
 def _base_replay(failure: Failure, motion: ShownMotion) -> Replay:
-    """Let a base fail on its wheels; of what it carries nothing is simulated."""
+    """Simulate the failure of a base on its wheels, without its carried object."""
     coasting = importlib.import_module("failbench.mobile.coasting")
     wheeled = importlib.import_module("failbench.mobile.wheeled")
     scene = motion.scene if motion.scene.carried is None else motion.scene.detach()
@@ -261,12 +261,12 @@ def _base_replay(failure: Failure, motion: ShownMotion) -> Replay:
             for hit, share in zip(hits, worth, strict=True)
         },
         hits=tuple(("body", entities[hit.entity].name, hit.time, None) for hit in hits),
-        notes=() if motion.scene.carried is None else ("What the base carries is left out of the simulation.",),
+        notes=() if motion.scene.carried is None else ("The carried object is left out of the simulation.",),
     )
 
 
 def _predicted(motion: ShownMotion, onset: float, impact: ImpactCost) -> dict[str, float]:
-    """Return the harm to expect of a failure at a time by entity, without those whom it spares."""
+    """Return the expected harm of a failure at a time by entity, without entities that are safe."""
     values = impact_by_entity(motion.trajectory, motion.scene, np.array([onset]), impact)[0]
     found = zip(impact.hazards(motion.scene), values.tolist(), strict=True)
     return {name: value for name, value in found if value > 1e-6}
@@ -288,7 +288,7 @@ def _frames(
     for i, (xpos, xquat) in enumerate(frames, start=first):
         position[i, here], quaternion[i, here] = xpos[bodies], xquat[bodies]
     for k, part in enumerate(drawn):
-        if part.body < 0:  # what walks goes on as predicted
+        if part.body < 0:  # moving entities follow their prediction
             place = motion.scene.moving[part.name].at(t)
             position[:, k] = place.position
     return {"t": t, "poses": Poses(position, quaternion)}

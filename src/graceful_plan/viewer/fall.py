@@ -1,4 +1,4 @@
-"""The footprint of a failure at one moment: where what is carried comes down, and how far a base goes on."""
+"""Footprint of a failure at one moment: landing place of the carried object, and coasting distance of a base."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ Array = np.ndarray
 
 _POINTS = 16
 _REACHED = (50.0, 95.0)
-"""Percentiles of how far a failing base goes."""
+"""Percentiles of the coasting distance."""
 _STANDS = 0.01
-"""Speed below which a base stands [m/s]."""
+"""Speed below which a base counts as standing [m/s]."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fall:
-    """What becomes of the carried object if the gripper lets go now, by the drop model.
+    """Fall of the carried object after a release, by the drop model.
 
     | field    | meaning                                                             | unit | shape   |
     |----------|---------------------------------------------------------------------|------|---------|
-    | flight   | the way of its centre of mass until it comes down                   | m    | point 3 |
-    | centre   | where it comes down, on average, on the height of what it hits      | m    | 3       |
-    | radius   | of the object, and one standard deviation of where it comes down    | m    |         |
-    | far      | of the object, and two deviations of where it ends after a fall     | m    |         |
-    | leaves   | probability that it does not stay where it comes down               |      |         |
+    | flight   | path of its centre of mass until landing                            | m    | point 3 |
+    | centre   | mean landing place, at the height of the surface                    | m    | 3       |
+    | radius   | of the object plus one standard deviation of the landing place      | m    |         |
+    | far      | of the object plus two deviations of the final place after a fall   | m    |         |
+    | leaves   | probability that it does not stay at the landing place              |      |         |
     """
 
     flight: Float[Array, "point 3"]
@@ -51,13 +51,13 @@ class Fall:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GoingOn:
-    """How far a base goes on that fails now, by the coast model: its arc, as far as half and nearly all of them go.
+    """Coasting of a base that fails now, by the coast model: its arc, with the median and 95 % distance.
 
     | field | meaning                                                | unit | shape   |
     |-------|--------------------------------------------------------|------|---------|
-    | arc   | the way of its middle, up to where 95 % have stopped   | m    | point 3 |
-    | half  | length after which half of them have stopped           | m    |         |
-    | width | half of it                                             | m    |         |
+    | arc   | path of its middle, up to the 95 % distance            | m    | point 3 |
+    | half  | median distance                                        | m    |         |
+    | width | half of its width                                      | m    |         |
     """
 
     arc: Float[Array, "point 3"]
@@ -66,7 +66,7 @@ class GoingOn:
 
 
 def fall_at(trajectory: Trajectory, scene: Scene, t: float) -> Fall | None:
-    """Return the footprint of a drop at a time after the start [s]; None if nothing is carried or can be hit."""
+    """Return the footprint of a drop at a time after the start [s]; None without a carried object or surfaces."""
     if scene.carried is None:
         return None
     tables = drop_tables(scene)
@@ -90,7 +90,7 @@ def fall_at(trajectory: Trajectory, scene: Scene, t: float) -> Fall | None:
 
 
 def going_on_at(trajectory: Trajectory, scene: Scene, t: float) -> GoingOn | None:
-    """Return how far a base goes on that fails at a time after the start [s]; None if it stands or there is none."""
+    """Return the coasting of a base that fails at a time after the start [s]; None if it stands or there is none."""
     if scene.base is None:
         return None
     state = trajectory.at(trajectory.t[0] + t)
@@ -109,7 +109,7 @@ def going_on_at(trajectory: Trajectory, scene: Scene, t: float) -> GoingOn | Non
 
 
 def _distances(v: float) -> tuple[float, float]:
-    """How far half and nearly all failing bases go that drive at a speed [m]."""
+    """Return the median and 95 % coasting distance from a speed [m]."""
     probability, a, k, delay = CoastSettings.shipped().stops()[:, :4].T
     drag = np.maximum(k, 1e-9)
     rolls = np.where(k > 0.0, v / drag - a / drag**2 * np.log1p(drag * v / a), v * v / (2.0 * a))

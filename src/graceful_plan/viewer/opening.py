@@ -1,4 +1,4 @@
-"""Opening the viewer: what is to be shown becomes a question and, if a motion is given, its answer."""
+"""Opening of the viewer: converts its arguments to a request and, for a given motion, an answer."""
 
 from __future__ import annotations
 
@@ -44,23 +44,23 @@ class ViewerMissing(GracefulPlanError, ImportError):
 
 @final
 class Viewer:
-    """A page that is being served until it is closed, or the program ends."""
+    """A page, served until it is closed or the program ends."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return self._page.url
 
     def wait(self) -> None:
-        """Serve it until somebody interrupts."""
+        """Serve the page until interrupted."""
         while True:
             time.sleep(1.0)
 
     def close(self) -> None:
-        """Stop serving it."""
+        """Stop serving the page."""
         self._page.close()
 
     def __enter__(self) -> Viewer:
@@ -84,30 +84,30 @@ def view(
     port: int = PORT,
     dark: bool = False,
 ) -> Viewer:
-    """Open a page with a scene and its motions: risk along them, replanning while things are dragged, failures.
+    """Open a page with a scene and its motions: impact along them, interactive replanning, failures.
 
     Args:
-        what: A scene, its name or file, a task; a motion, such as the result of `plan`; or the folder of a dataset of
-            FailBench, of which a rollout is chosen on the page. Everything but `time_limit` is the dataset's then.
-        scene: Where, for a motion.
-        task: Which task of the scene; its first one by default.
-        start: Configuration or keyframe to begin at; the task's by default.
-        goal: Where to go, as for `plan`; the task's by default.
-        w: Safety weight to begin with. Beside it there is always the motion for w = 0.
-        objective: Whose impact counts, if not the default one; its `w` and motion cost are not used.
-        time_limit: Seconds for each motion; 1 by default, 5 for robots that drive.
-        host: Address to listen at; only this machine can see the page by default.
+        what: A scene, its name or file, a task; a motion, such as the result of `plan`; or the folder of a FailBench
+            dataset, whose rollouts are selected on the page. All settings but `time_limit` then come from the dataset.
+        scene: Scene of a motion.
+        task: Task of the scene; its first one by default.
+        start: Start configuration or keyframe; that of the task by default.
+        goal: Goal, as in `plan`; that of the task by default.
+        w: Initial safety weight. The motion for w = 0 is always shown, too.
+        objective: Objective with the impact cost, if not the default one; its `w` and motion cost are not used.
+        time_limit: Time limit for each motion [s]; 1 by default, 5 for robots that drive.
+        host: Address to listen at; by default, only this machine can open the page.
         port: Port to listen at; the next free one if it is taken.
         dark: Whether the page is dark.
 
     Returns:
-        The viewer, which has the page's address as `url`. It goes on until `close()`, or until the program ends.
+        The viewer, with the address of the page as `url`. It runs until `close()` or the end of the program.
 
     Raises:
-        ViewerMissing: If viser is not installed; the extra "viz" has it.
-        UnknownNameError: If there is no such scene, task or keyframe.
-        SettingError: If there is neither a task nor start and goal, or a motion without its scene.
-        PlanningFailed: If `what` is the result of a plan that failed.
+        ViewerMissing: If viser is not installed; it is in the extra "viz".
+        UnknownNameError: If the scene, task or keyframe does not exist.
+        SettingError: If there is neither a task nor start and goal, or a motion comes without its scene.
+        PlanningFailed: If `what` is the result of a failed plan.
         FormatError: If a dataset is unfinished or damaged.
     """
     if importlib.util.find_spec("viser") is None:
@@ -136,10 +136,10 @@ def asked(
     objective: Objective | None = None,
     time_limit: float | None = None,
 ) -> tuple[Question, PlanAnswer | None]:
-    """Return what `view` asks first, and the answer if it is given."""
+    """Return the initial request of `view`, and the answer if a motion is given."""
     objective = (objective or Objective()).with_weight(w)
     if not isinstance(objective.impact, ImpactCost):
-        raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
+        raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs name no entities")
     if isinstance(what, PlanResult | Trajectory | Path):
         if scene is None:
             raise SettingError("scene", None, "the scene of the motion")
@@ -182,7 +182,7 @@ def _limit(given: float | None, scene: Scene) -> float:
 def _ends(
     what: str | FilePath | Scene | Task, task: str | None, start: ArrayLike | str | None, goal: Goal | None
 ) -> tuple[Scene, np.ndarray, Goal]:
-    """Return the scene with what is carried, a start and a goal."""
+    """Return the scene with the carried object, a start and a goal."""
     chosen = what if isinstance(what, Task) else None
     scene = chosen.scene if chosen is not None else what if isinstance(what, Scene) else load_scene(str(what))
     if chosen is None and scene.tasks and (task is not None or start is None or goal is None):

@@ -1,4 +1,4 @@
-"""Where everything that is drawn is, at many configurations at once."""
+"""Poses of all drawn parts for a batch of configurations."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ Array = np.ndarray
 
 
 class Poses(NamedTuple):
-    """Poses of parts in W, at each of some moments."""
+    """Poses of parts in W at several moments."""
 
     position: Float[Array, "n part 3"]
-    """[m]."""
+    """Positions [m]."""
     quaternion: Float[Array, "n part 4"]
-    """wxyz."""
+    """Quaternions wxyz."""
 
 
 def poses_along(
     scene: Scene, drawn: Sequence[Part], q: Float[Array, "n nq"], t: Float[Array, " n"]
 ) -> tuple[Poses, Float[Array, "n 4 4"]]:
-    """Return where parts are while the robot is in each configuration, and the poses of the tool, X_WT.
+    """Return the poses of parts for each configuration, and the poses of the tool X_WT.
 
     Args:
         scene: Robot and surroundings.
-        drawn: Its parts.
+        drawn: Parts of the scene.
         q: Configurations [rad or m].
-        t: When it is in them, on the clock of the scene's predictions [s].
+        t: Times of the configurations, on the clock of the scene's predictions [s].
     """
     placement = Placement(scene)
     bodies = [part.body for part in drawn if part.body >= 0]
@@ -54,7 +54,7 @@ def poses_along(
 
 
 def quaternion_of(R: Float[Array, "3 3"]) -> Float[Array, " 4"]:
-    """Return a rotation as quaternion wxyz."""
+    """Return the quaternion wxyz of a rotation matrix."""
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(R, dtype=float).ravel())
     return quaternion

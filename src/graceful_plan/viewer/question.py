@@ -1,4 +1,4 @@
-"""What is asked of the planner, and how somebody at the page changes it. Nothing is changed in place."""
+"""Planning requests of the viewer and their changes by the user. All objects are immutable."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ Array = np.ndarray
 ORDINARY, CHOSEN = "w = 0", "chosen w"
 """Labels of the two motions."""
 TIME_LIMIT, DRIVING_LIMIT = 1.0, 5.0
-"""Seconds of a plan by default, for arms and for bases that drive."""
+"""Default time limits for arms and for bases that drive [s]."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Question:
-    """Where from, where to, among what, and how much a spared harm is worth.
+    """A planning request of the viewer.
 
     Args:
-        scene: Robot, surroundings, what is carried.
-        start: Configuration [rad or m].
-        goal: As for `plan`.
-        w: Safety weight of the chosen motion; the ordinary one beside it has 0.
-        impact: What a failure costs.
-        time_limit: Seconds for each motion.
-        seed: Of the random numbers.
-        way: Number that changes with whatever the ordinary motion depends on.
+        scene: Robot, surroundings and carried object.
+        start: Start configuration [rad or m].
+        goal: Goal, as in `plan`.
+        w: Safety weight of the chosen motion; the ordinary one has w = 0.
+        impact: Impact cost.
+        time_limit: Time limit for each motion [s].
+        seed: Seed of the random numbers.
+        way: Version number, which increases with every change that affects the ordinary motion.
     """
 
     scene: Scene
@@ -58,51 +58,51 @@ class Question:
     seed: int = 0
     way: int = 0
 
-    # --- what was changed ---------------------------------------------------------------------------------------------
+    # --- changes ------------------------------------------------------------------------------------------------------
 
     def weighted(self, w: float) -> Question:
-        """Return the question with another safety weight."""
+        """Return the request with another safety weight."""
         return replace(self, w=w)
 
     def going_to(self, X_W: Float[Array, "4 4"]) -> Question:
-        """Return the question with a goal for the tool, or for the base if the robot drives (see `handle_pose`)."""
+        """Return the request with a goal for the tool, or for the base if the robot drives (see `handle_pose`)."""
         goal = _base_pose(X_W) if self.scene.base is not None else PoseGoal(X_W)
         return replace(self, goal=goal, way=self.way + 1)
 
     def starting_at(self, X_W: Float[Array, "4 4"]) -> Question:
-        """Return the question with the start nearest to the present one that has the tool, or the base, at a pose.
+        """Return the request with the start nearest to the present one that has the tool, or the base, at a pose.
 
         Raises:
-            SettingError: If no configuration without collision does, or the base would not be free there.
+            SettingError: If no collision-free configuration reaches the pose, or the base is not free there.
         """
         if self.scene.base is not None:
             pose = _base_pose(X_W)
             q = np.array([pose.x, pose.y, pose.yaw, *self.start[3:]])
             if not self._free(q[None])[0]:
-                raise SettingError("start", [round(x, 3) for x in q[:3].tolist()], "a place that is free")
+                raise SettingError("start", [round(x, 3) for x in q[:3].tolist()], "a position that is free")
             return replace(self, start=q, way=self.way + 1)
         found = solve_ik(PoseGoal(X_W), self.scene, self.start, free=self._free, count=1, seed=self.seed)
         if not len(found.q):
             problem = "collide" if found.colliding else "are out of reach"
             place = [round(x, 3) for x in X_W[:3, 3].tolist()]
-            raise SettingError("start", place, f"a pose that the tool can have: all configurations {problem}")
+            raise SettingError("start", place, f"a pose that the tool can reach: all configurations {problem}")
         return replace(self, start=found.q[0], way=self.way + 1)
 
     def with_moved(self, name: str, X_WB: Float[Array, "4 4"]) -> Question:
-        """Return the question with an entity elsewhere.
+        """Return the request with an entity moved.
 
         Raises:
-            UnknownNameError: If there is no such entity.
+            UnknownNameError: If the entity does not exist.
             SceneError: If it cannot be moved.
         """
         self._check_entity(name)
         return replace(self, scene=self.scene.edit(move={name: X_WB}), way=self.way + 1)
 
     def with_severity(self, name: str, severity: float) -> Question:
-        """Return the question with one severity of an entity, whatever hits it.
+        """Return the request with one severity of an entity for all components.
 
         Raises:
-            UnknownNameError: If there is no such entity.
+            UnknownNameError: If the entity does not exist.
             SettingError: If the severity is not a finite number of at least 0.
         """
         self._check_entity(name)
@@ -116,10 +116,10 @@ class Question:
         low, high = self.scene.limits.position.T
         return (np.asarray(clearance(self.scene, q)) > 0.0) & ((q >= low) & (q <= high)).all(axis=1)
 
-    # --- what is to be dragged ----------------------------------------------------------------------------------------
+    # --- handles ------------------------------------------------------------------------------------------------------
 
     def handle_pose(self, q: Float[Array, " nq"]) -> Float[Array, "4 4"]:
-        """Return where what is dragged is in a configuration: the tool, or the base of a robot that drives; in W."""
+        """Return the pose in W of the handle for a configuration: that of the tool, or of a base that drives."""
         if self.scene.base is not None:
             yaw = 0.5 * float(q[2])
             return pose_of(np.array([q[0], q[1], 0.0]), np.array([np.cos(yaw), 0.0, 0.0, np.sin(yaw)]))
@@ -128,7 +128,7 @@ class Question:
         return X_WT
 
     def goal_pose(self) -> Float[Array, "4 4"]:
-        """Return where the goal has what is dragged, of several configurations the first."""
+        """Return the pose of the handle for the goal, the first one of several."""
         goal = self.goal
         if isinstance(goal, PoseGoal):
             return np.array(goal.X_WT)
@@ -140,15 +140,15 @@ class Question:
         return self.handle_pose(first)
 
     def entity_pose(self, name: str) -> Float[Array, "4 4"]:
-        """Return where the body of an entity is in W."""
+        """Return the pose of the body of an entity in W."""
         self._check_entity(name)
         body = self.scene.data_at(self.start).body(name)
         return pose_of(body.xpos, body.xquat)
 
-    # --- the answer ---------------------------------------------------------------------------------------------------
+    # --- answer -------------------------------------------------------------------------------------------------------
 
     def plan(self, w: float, cancelled: Callable[[], bool], known: ShownMotion | None = None) -> PlanResult:
-        """Plan one motion; an arm begins with one that is known: in little time it might find nothing as good."""
+        """Plan one motion; an arm starts from a known one, which a short search might not match."""
         return plan(
             self.start,
             self.goal,
@@ -164,32 +164,34 @@ class Question:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanAnswer:
-    """The motions for a question, as far as there are any, and a sentence about each."""
+    """The motions found for a request, and a sentence about each."""
 
     question: Question
     chosen: ShownMotion | None
     ordinary: ShownMotion | None
     said: tuple[str, str]
-    """How planning went, of the chosen and of the ordinary motion."""
+    """Outcome of planning the chosen and the ordinary motion."""
 
     @property
     def motions(self) -> tuple[ShownMotion, ...]:
-        """Those that were found, the chosen one first."""
+        """Motions that were found, the chosen one first."""
         return tuple(motion for motion in (self.chosen, self.ordinary) if motion is not None)
 
     def among(self, question: Question) -> PlanAnswer:
-        """Return the same motions among the things of another question, which they may hit: it is not answered yet."""
+        """Return the same motions evaluated in the scene of a new request, until that is answered."""
         chosen, ordinary = (one and _again(one, question) for one in (self.chosen, self.ordinary))
         return replace(self, chosen=chosen, ordinary=ordinary)
 
 
 def answered(question: Question, known: PlanAnswer | None, cancelled: Callable[[], bool]) -> PlanAnswer:
-    """Plan both motions, but for what is known: the chosen one of the same question, the ordinary one of the same way.
+    """Plan both motions, except for those known from an earlier answer.
+
+    The chosen motion is reused for the identical request, the ordinary one for an equal `way`.
 
     Args:
-        question: What is asked.
+        question: The request.
         known: An earlier answer.
-        cancelled: Whether somebody has asked something else meanwhile.
+        cancelled: Whether a newer request has arrived.
     """
     if known is not None and known.ordinary is not None and known.question.way == question.way:
         ordinary, of_ordinary = _again(known.ordinary, question), known.said[1]
@@ -212,7 +214,7 @@ def _shown(label: str, question: Question, result: PlanResult) -> tuple[ShownMot
 
 
 def _again(motion: ShownMotion, question: Question) -> ShownMotion:
-    """Return a motion that stays, with what it risks if things are elsewhere or severities are others."""
+    """Return an unchanged motion with its impact in the scene of a new request."""
     if motion.scene is question.scene:
         return motion
     cost = Objective(impact=question.impact, w=0.0).bind(question.scene).breakdown(motion.trajectory)

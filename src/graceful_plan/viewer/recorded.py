@@ -1,6 +1,6 @@
-"""Rollouts of a dataset of FailBench: which there are, and the motion and the failure of each.
+"""Rollouts of a FailBench dataset, with the motion and failure of each.
 
-FailBench builds on this library, so it is imported only when somebody opens a dataset.
+FailBench depends on this library, so it is imported only when a dataset is opened.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from graceful_plan.viewer.shown import shown_motion
 Array = np.ndarray
 
 _READ = ("motion", "fault", "degree", "onset", "status", "observed_impact", "dropped", "spilled", "contacts")
-"""Columns that are looked at; poses would be most of the memory."""
+"""Columns that are read, without the poses, which would take most of the memory."""
 
 
 class Recorded(NamedTuple):
-    """A rollout as the dataset has it."""
+    """Record of a rollout in a dataset."""
 
     number: int
     motion: str
     fault: str
     degree: str
     onset: float
-    """When it failed, after the start of the motion [s]."""
+    """Failure onset after the start of the motion [s]."""
     diverged: bool
     impact: float | None
-    """Observed; None if the simulation blew up."""
+    """Observed harm; None if the simulation diverged."""
     dropped: bool
     spilled: float
     contacts: int
@@ -44,15 +44,15 @@ class Recorded(NamedTuple):
 
 @final
 class RecordedRollouts:
-    """The rollouts of a dataset, and for each of its motions what the viewer shows.
+    """The rollouts of a dataset, with a request and answer for each of its motions.
 
     Args:
-        folder: Of the dataset.
-        time_limit: Seconds for the ordinary motion that is planned beside one of the dataset's.
+        folder: Folder of the dataset.
+        time_limit: Time limit for planning the ordinary motion shown with one of the dataset [s].
 
     Raises:
-        FormatError: If it is unfinished or damaged; the message names the file.
-        GracefulPlanError: If pyarrow is not installed; the extra "data" has it.
+        FormatError: If the dataset is unfinished or damaged; the message names the file.
+        GracefulPlanError: If pyarrow is not installed; it is in the extra "data".
     """
 
     def __init__(self, folder: FilePath, time_limit: float) -> None:
@@ -70,12 +70,12 @@ class RecordedRollouts:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What broke in them."""
+        """Names of the faults in the dataset."""
         return tuple(sorted(set(self._columns["fault"])))
 
     @property
     def motions(self) -> tuple[str, ...]:
-        """Names of the motions along which it broke."""
+        """Names of the motions in the dataset."""
         return tuple(motion.name for motion in self.sweep.motions)
 
     def __getitem__(self, number: int) -> Recorded:
@@ -96,14 +96,14 @@ class RecordedRollouts:
         )
 
     def worst_first(self, motions: Sequence[str] = (), faults: Sequence[str] = ()) -> Int[Array, " n"]:
-        """Return the numbers of rollouts, the most harmful first and those that blew up last.
+        """Return the numbers of rollouts, the most harmful first and diverged ones last.
 
         Args:
-            motions: Along which motions; all by default.
-            faults: What broke; anything by default.
+            motions: Motions to include; all by default.
+            faults: Faults to include; all by default.
 
         Raises:
-            UnknownNameError: If there is no such motion or fault.
+            UnknownNameError: If a motion or fault does not exist.
         """
         wanted = np.ones(len(self), dtype=bool)
         for kind, names, valid in (("motion", motions, self.motions), ("fault", faults, self.faults)):
@@ -116,10 +116,10 @@ class RecordedRollouts:
         return order[wanted[order]]
 
     def shown(self, number: int) -> tuple[Question, PlanAnswer]:
-        """Return the motion of a rollout, as an answer: one of the same motion is the same object.
+        """Return the motion of a rollout as an answer, the same object for rollouts of the same motion.
 
         Raises:
-            UnknownNameError: If its scene or task is not here.
+            UnknownNameError: If its scene or task does not exist.
         """
         index = self.sweep.place(number)[0]
         if index not in self._shown:

@@ -1,4 +1,4 @@
-"""The 3-D view of a report: one motion, with a plain one beside it, as a document that opens from a disk."""
+"""3-D view for a report: a motion with an ordinary one as a ghost, as a self-contained HTML document."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from graceful_plan.viewer.question import CHOSEN, ORDINARY, PlanAnswer, Question
 from graceful_plan.viewer.shown import ShownMotion, shown_motion
 
 MOST = 12e6
-"""Characters of a document, at most: scenes with large meshes would make reports that no one can send."""
+"""Maximum number of characters of a document; large meshes would make reports too large to send."""
 
 
 def report_view(
     motion: Trajectory, scene: Scene, ordinary: Trajectory | None = None, label: str = ORDINARY
 ) -> tuple[str, str]:
-    """Return a document with the motion in 3-D, or nothing, and then why.
+    """Return a document with a motion in 3-D and an empty text, or else an empty document and the reason.
 
     Args:
-        motion: What is shown.
-        scene: Where, with what is carried attached.
-        ordinary: Shown as a ghost beside it.
-        label: Of the ghost.
+        motion: The motion.
+        scene: Its scene, with the carried object attached.
+        ordinary: Motion shown as a ghost.
+        label: Label of the ghost.
     """
     if importlib.util.find_spec("viser") is None:
         return "", "the extra 'viz' shows it in 3-D: pip install 'graceful-plan[viz]'"

@@ -1,4 +1,4 @@
-"""The risk map as a layer: what a failure would do at other places, at the speed and height of a moment."""
+"""Risk map: the impact of a failure at other places, at the speed and height of a moment."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from graceful_plan.viz.style import HEAT
 Array = np.ndarray
 
 _CELL, _FLOOR_CELL = 0.025, 0.1
-"""Width of a cell over a table and on a floor [m]."""
+"""Cell width over a table and on a floor [m]."""
 _OPACITY, _SEEN, _FAINT = 0.8, 0.3, 0.1
-"""Opacity, from which share of the highest impact on, and the share of it that is left where there is no impact."""
+"""Opacity, the fraction of the highest impact from which it applies, and its factor at zero impact."""
 _ABOVE = 0.004
-"""How far above the surface it is drawn [m]."""
+"""Height of the layer above the surface [m]."""
 _LEAST = 0.3
-"""Impact that has the darkest colour at least: a map on which nothing is at stake is white."""
+"""Minimum impact of the darkest colour, so that a map without impact is white."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RiskLayer:
-    """A picture that lies in the scene.
+    """A horizontal picture in the scene.
 
     | field   | meaning                                                     | unit | shape  |
     |---------|-------------------------------------------------------------|------|--------|
@@ -49,15 +49,15 @@ class RiskLayer:
 
 
 def risk_layer(trajectory: Trajectory, scene: Scene, t: float, impact: ImpactCost) -> RiskLayer | None:
-    """Return the map for the speed of a moment: of a base, of failing elsewhere; else, of letting the object go there.
+    """Return the map of the impact of a failing base, or of releasing the object, at the speed of a moment.
 
-    None if nothing is carried, or nothing is in reach that can be hit.
+    None without a carried object, or without entities in reach.
 
     Args:
         trajectory: The motion.
-        scene: Where.
+        scene: Scene of the motion.
         t: Time after the start [s].
-        impact: What a failure costs.
+        impact: Impact cost.
     """
     if scene.base is not None and scene.entities:
         return _of_base(trajectory, scene, t, impact)
@@ -78,7 +78,7 @@ def risk_layer(trajectory: Trajectory, scene: Scene, t: float, impact: ImpactCos
             q=state.q,
             resolution=_CELL,
         )
-    except GracefulPlanError:  # nothing stands on anything, or in reach: there is no map to be drawn
+    except GracefulPlanError:  # no surface or no entity in reach, so no map
         return None
     step = np.array([_step(found.x), _step(found.y)])
     low = np.array([found.x[0] - 0.5 * step[0], found.y[0] - 0.5 * step[1], found.surface + _ABOVE])
@@ -86,7 +86,7 @@ def risk_layer(trajectory: Trajectory, scene: Scene, t: float, impact: ImpactCos
 
 
 def _of_base(trajectory: Trajectory, scene: Scene, t: float, impact: ImpactCost) -> RiskLayer:
-    """Return what a failure does with the base at other places, its heading and speed as at this moment."""
+    """Return the map of the impact of a failing base, at its present heading and speed."""
     state = trajectory.at(trajectory.t[0] + t)
     places = _places(scene)
     low, high = np.minimum(places.min(axis=0), trajectory.q[:, :2].min(axis=0)), places.max(axis=0)
@@ -113,7 +113,7 @@ def _centre(scene: Scene, q: Float[Array, " nq"]) -> Float[Array, " 3"]:
 
 
 def _lowest(scene: Scene, q: Float[Array, " nq"]) -> float:
-    """Height in W of the lowest point of the carried object [m]: that of the box around each of its geoms."""
+    """Return the lowest height in W of the boxes around the geoms of the carried object [m]."""
     model, data = scene.model, Placement(scene).place(q)
     bottoms = []
     for geom in scene.components["carried"].geoms:
@@ -132,14 +132,14 @@ def _layer(impact: Float[Array, "y x"], low: Float[Array, " 3"], step: Float[Arr
     known = ~np.isnan(impact)
     pixels = np.zeros((*impact.shape, 4), dtype=np.uint8)
     pixels[..., :3] = heat_colours(np.where(known, impact, 0.0) / highest)
-    # Clear where the object cannot be, and nearly so where nothing is at stake: what is underneath is to be seen.
+    # Transparent where the object cannot be, and nearly so without impact, to keep the scene below visible.
     opacity = _OPACITY * np.clip(np.where(known, impact, 0.0) / (_SEEN * highest), _FAINT, 1.0)
     pixels[..., 3] = np.where(known, np.round(255 * opacity), 0)
     return RiskLayer(pixels=pixels, low=low, size=step * np.array(impact.shape[::-1]), highest=highest)
 
 
 def heat_colours(share: Float[Array, "*shape"]) -> UInt8[Array, "*shape 3"]:
-    """Return the colours of `HEAT` for shares of the greatest impact, in [0, 1]."""
+    """Return the colours of `HEAT` for fractions of the maximum impact, in [0, 1]."""
     stops = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in HEAT], dtype=float)
     place = np.clip(share, 0.0, 1.0) * (len(stops) - 1)
     channels = [np.interp(place, np.arange(len(stops)), channel) for channel in stops.T]

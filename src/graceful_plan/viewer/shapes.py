@@ -1,4 +1,4 @@
-"""What bodies look like: triangles of their geoms, merged by colour, in the body's frame B."""
+"""Geometry of bodies: triangles of their geoms, merged by colour, in the body frame B."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
 _SEEN = 3
-"""Geoms of this group and above are not drawn, as in MuJoCo's own viewer: contents, spaces to keep out of."""
+"""First geom group that is not drawn, as in MuJoCo's viewer: contents, keep-out spaces."""
 _AROUND, _ACROSS = 20, 6
-"""Corners around a round shape, and rings from a pole of a ball to its equator."""
+"""Number of corners around a round shape, and of rings from a pole of a ball to its equator."""
 _ENDLESS = 3.0
-"""Half size at which a plane without one is drawn [m]."""
+"""Half size for drawing an infinite plane [m]."""
 _ROBOT, _FLOOR = (0.80, 0.82, 0.85, 1.0), (0.90, 0.91, 0.93, 1.0)
-"""Colours of a robot's geoms, and of planes, that have none of their own."""
+"""Default colours of a robot's geoms and of planes."""
 _HARMLESS, _PRECIOUS, _GREATEST = np.array([0.62, 0.70, 0.62]), np.array([0.72, 0.10, 0.12]), 20.0
-"""Colours of entities that have none: for severity 0, and from this severity on; evenly by the logarithm between."""
+"""Default colours of entities for severity 0 and from `_GREATEST` on, interpolated by the logarithm."""
 _UNCOLOURED = np.full(4, 0.5)
 _UNCOLOURED[3] = 1.0
 _MOVING = (0.78, 0.35, 0.55, 0.8)
@@ -35,7 +35,7 @@ _MOVING = (0.78, 0.35, 0.55, 0.8)
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """Triangles of one colour; corners at edges are there once a face, so that edges look sharp.
+    """Triangles of one colour; corners are duplicated for each face at an edge, so that edges look sharp.
 
     | field    | meaning                            | unit | shape      |
     |----------|------------------------------------|------|------------|
@@ -54,18 +54,18 @@ class Mesh:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
-    """Something that is drawn and moves as one: a body of the scene, or an entity whose motion is predicted."""
+    """A rigid drawn part: a body of the scene, or a moving entity."""
 
     name: str
     meshes: tuple[Mesh, ...]
     body: int
-    """Its id in the scene's model; -1 for an entity that moves by itself."""
+    """Body id in the model of the scene; -1 for a moving entity."""
     entity: str | None
-    """Which entity it is part of."""
+    """Name of its entity, if any."""
 
 
 def parts(scene: Scene) -> tuple[Part, ...]:
-    """Return everything that is drawn of a scene, bodies first."""
+    """Return all drawn parts of a scene, bodies first."""
     model = scene.model
     owner = {int(geom): name for name, entity in scene.entities.items() for geom in entity.geoms}
     found: list[Part] = []
@@ -83,7 +83,7 @@ def parts(scene: Scene) -> tuple[Part, ...]:
 
 
 def _plain_colour(scene: Scene, body: int, entity: str | None) -> tuple[float, ...] | None:
-    """Return the colour of geoms of a body that have none of their own; None for that which MuJoCo gives them."""
+    """Return the default colour of the geoms of a body; None for that of MuJoCo."""
     if body in scene.robot_bodies:
         return _ROBOT
     if entity is None:
@@ -94,7 +94,7 @@ def _plain_colour(scene: Scene, body: int, entity: str | None) -> tuple[float, .
 
 
 def _merged(scene: Scene, geoms: list[int], plain: tuple[float, ...] | None) -> tuple[Mesh, ...]:
-    """Return the geoms of one body, those of one colour as one mesh."""
+    """Return the geoms of one body as one mesh per colour."""
     by_colour: dict[tuple[float, ...], list[tuple[Array, Array]]] = defaultdict(list)
     for geom in geoms:
         rgba = tuple(scene.model.geom_rgba[geom].tolist())
@@ -129,7 +129,7 @@ def _moving_mesh(entity: MovingEntity) -> Mesh:
 
 
 def geom_triangles(model: mujoco.MjModel, geom: int) -> tuple[Float[Array, "vertex 3"], Int[Array, "face 3"]]:
-    """Return the triangles of a geom in the frame of its body; none for types that cannot be drawn."""
+    """Return the triangles of a geom in the frame of its body; none for unsupported types."""
     kind, size = _GEOM(int(model.geom_type[geom])), model.geom_size[geom]
     if kind == _GEOM.mjGEOM_BOX:
         vertices, faces = _box(size)
@@ -152,7 +152,7 @@ def geom_triangles(model: mujoco.MjModel, geom: int) -> tuple[Float[Array, "vert
 
 
 def _box(half: Float[Array, " 3"]) -> tuple[Array, Array]:
-    """Six sides with corners of their own."""
+    """Return six sides with separate corners."""
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     sides = []
     for axis in range(3):
@@ -160,7 +160,7 @@ def _box(half: Float[Array, " 3"]) -> tuple[Array, Array]:
         for sign in (1.0, -1.0):
             side = np.zeros((4, 3))
             side[:, axis] = sign
-            side[:, u], side[:, v] = square[:, 0] * sign, square[:, 1]  # turned about, so that it looks outwards
+            side[:, u], side[:, v] = square[:, 0] * sign, square[:, 1]  # reversed, so that it faces outwards
             sides.append(side)
     faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * i for i in range(6)])
     return np.concatenate(sides) * half, faces
@@ -172,7 +172,7 @@ def _rectangle(a: float, b: float) -> tuple[Array, Array]:
 
 
 def _cylinder_profile(radius: float, half: float) -> list[Array]:
-    """Bottom, wall and top, as lines of radius and height."""
+    """Return bottom, wall and top as lines of radius and height."""
     return [
         np.array([[0.0, -half], [radius, -half]]),
         np.array([[radius, -half], [radius, half]]),
@@ -181,7 +181,7 @@ def _cylinder_profile(radius: float, half: float) -> list[Array]:
 
 
 def _ball_profile(half: float) -> list[Array]:
-    """Return a ball of radius 1 that is drawn out along z by a straight part."""
+    """Return the profile of a capsule of radius 1 along z."""
     low = np.linspace(-0.5 * np.pi, 0.0, _ACROSS + 1)
     angle = np.concatenate([low, -low[::-1]]) if half else np.concatenate([low, -low[-2::-1]])
     shift = np.where(np.arange(len(angle)) <= _ACROSS, -half, half)
@@ -189,7 +189,7 @@ def _ball_profile(half: float) -> list[Array]:
 
 
 def _turned(profile: list[Array]) -> tuple[Array, Array]:
-    """Turn lines of (radius, height) about z; each line is smooth, and between two there is an edge."""
+    """Revolve lines of (radius, height) about z; each line is smooth, with an edge between two."""
     angle = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
     vertices, faces, start = [], [], 0
     for line in profile:
@@ -203,7 +203,7 @@ def _turned(profile: list[Array]) -> tuple[Array, Array]:
         start += len(line) * _AROUND
     points, triangles = np.concatenate(vertices), np.concatenate(faces)
     a, b, c = (points[triangles[:, k]] for k in range(3))
-    return points, triangles[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12]  # none at the poles
+    return points, triangles[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12]  # none with zero area
 
 
 def _of_mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array]:

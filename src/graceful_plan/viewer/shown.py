@@ -1,4 +1,4 @@
-"""What is known of a motion at every moment: where things are, and whom a failure would hit how hard."""
+"""Display data of a motion over time: poses of all parts, and the impact of a failure by entity."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ Array = np.ndarray
 
 _STEP = 1.0 / 60.0
 _MOST_FRAMES = 1800
-"""Time between frames, and how many there are at most: half a minute, longer motions have longer steps."""
+"""Time between frames [s], and their maximum number (half a minute); longer motions have longer steps."""
 _RISKS = 160
-"""Moments at which the impact is known."""
+"""Number of moments with a computed impact."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShownMotion:
-    """A motion, sampled for a picture that moves.
+    """A motion sampled for display.
 
     | field      | meaning                                                             | unit | shape          |
     |------------|---------------------------------------------------------------------|------|----------------|
-    | label      | what it is called                                                   |      |                |
-    | scene      | where                                                               |      |                |
+    | label      | label of the motion                                                 |      |                |
+    | scene      | scene of the motion                                                 |      |                |
     | trajectory | the motion                                                          |      |                |
-    | cost       | of it                                                               |      |                |
+    | cost       | cost of the motion                                                  |      |                |
     | t          | time of each frame, from 0 on                                       | s    | frame          |
-    | poses      | of each drawn part                                                  |      |                |
-    | tool       | where the tool is                                                   | m    | frame 3        |
-    | risk_t     | times at which the impact is known                                  | s    | moment         |
-    | entities   | names of all that may be hit, the carried object itself last        |      | entity         |
+    | poses      | poses of each drawn part                                            |      |                |
+    | tool       | positions of the tool                                               | m    | frame 3        |
+    | risk_t     | times with a computed impact                                        | s    | moment         |
+    | entities   | names of all entities, the carried object last                      |      | entity         |
     | by_entity  | P S of each of them, given a failure then                           |      | moment entity  |
     """
 
@@ -58,7 +58,7 @@ class ShownMotion:
 
     @property
     def duration(self) -> float:
-        """How long it takes [s]."""
+        """Duration [s]."""
         return float(self.t[-1])
 
     @property
@@ -67,11 +67,11 @@ class ShownMotion:
         return self.by_entity.sum(axis=1)
 
     def frame(self, t: float) -> int:
-        """Return the frame that is nearest to a time [s]; before the start the first one, after the end the last."""
+        """Return the frame nearest to a time [s]; the first one before the start, the last one after the end."""
         return int(np.argmin(np.abs(self.t - t)))
 
     def impact_at(self, t: float) -> Mapping[str, float]:
-        """Return the impact of a failure at a time [s] by entity, the worst first; those that are safe are left out."""
+        """Return the impact of a failure at a time [s] by entity, the worst first, without safe entities."""
         values = [float(np.interp(t, self.risk_t, column)) for column in self.by_entity.T]
         found = sorted(zip(self.entities, values, strict=True), key=lambda pair: -pair[1])
         return {name: value for name, value in found if value > 0.0}
@@ -81,7 +81,7 @@ class ShownMotion:
         return np.interp(t, self.risk_t, self.risk)
 
     def worst(self, count: int) -> tuple[str, ...]:
-        """Name those who are in most danger at some moment, at most so many; whoever is never in danger is not."""
+        """Return at most `count` entities with the highest impact at some moment, without safe entities."""
         peak = self.by_entity.max(axis=0, initial=0.0)
         order = np.argsort(-peak, kind="stable")[:count]
         return tuple(self.entities[k] for k in order if peak[k] > 0.0)
@@ -93,11 +93,11 @@ def shown_motion(
     """Sample a motion.
 
     Args:
-        label: What to call it.
+        label: Label of the motion.
         trajectory: The motion.
-        scene: Where.
-        impact: What a failure costs.
-        cost: Of the motion.
+        scene: Scene of the motion.
+        impact: Impact cost.
+        cost: Cost of the motion.
     """
     frames = min(max(2, int(np.ceil(trajectory.duration / _STEP)) + 1), _MOST_FRAMES)
     t = np.linspace(0.0, trajectory.duration, frames)

@@ -1,4 +1,4 @@
-"""What is shown, without saying how: the answer, the moment, the replay, and all that somebody may ask for."""
+"""State of the viewer, independent of its display: request, answer, time, replay and user actions."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from graceful_plan.viewer.worker import LatestWins
 Array = np.ndarray
 
 MOST_KEPT = 4
-"""Motions that are kept at the same time."""
+"""Maximum number of kept motions."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShownMoment:
-    """Everything that is shown at one time.
+    """Displayed data at one time.
 
     | field    | meaning                                                                    | unit | shape  |
     |----------|----------------------------------------------------------------------------|------|--------|
     | t        | time after the start                                                       | s    |        |
-    | position | of each part: of the chosen motion or of the replay                        | m    | part 3 |
-    | turned   | of each part, quaternion wxyz                                              |      | part 4 |
-    | beside   | position and quaternion of each part, of each of the other motions         |      |        |
-    | impact   | of a failure now, by entity, the worst first                               |      |        |
+    | position | position of each part, in the chosen motion or the replay                  | m    | part 3 |
+    | turned   | quaternion wxyz of each part                                               |      | part 4 |
+    | beside   | position and quaternion of each part, for each of the other motions        |      |        |
+    | impact   | impact of a failure now, by entity, the worst first                        |      |        |
     | fall     | footprint of a drop now; None during a failure                             |      |        |
-    | going_on | how far the base goes on if it fails now; None during a failure            |      |        |
+    | going_on | coasting of the base if it fails now; None during a failure                |      |        |
     | failed   | whether the failure of the replay has begun                                |      |        |
     """
 
@@ -56,15 +56,15 @@ class ShownMoment:
 
 @final
 class ViewerState:
-    """Question, answer, replay and time. Changes of the question are planned in a worker, the latest wins.
+    """Request, answer, replay and time. A worker plans for the latest request only.
 
-    Threads share it: whoever changes it, or reads more than one thing of it, holds its `lock`.
+    Threads share the state: hold its `lock` to change it, or to read several values consistently.
 
     Args:
-        question: What is asked first.
-        changed: Called when there is a new answer, in the worker's thread, which holds the lock then.
-        failed: Called with what went wrong with one, in the same thread.
-        answer: What is known already; nothing is planned then until somebody asks.
+        question: Initial request.
+        changed: Called after a new answer, in the worker's thread, with the lock held.
+        failed: Called with the exception of a failed request, in the same thread.
+        answer: Known answer; nothing is planned until the next request.
     """
 
     def __init__(
@@ -80,12 +80,12 @@ class ViewerState:
         self._changed, self._bench = changed, FailureBench()
         self.worker: LatestWins[Question, PlanAnswer] = LatestWins(self._work, self._done, failed)
 
-    # --- what is asked ------------------------------------------------------------------------------------------------
+    # --- requests -----------------------------------------------------------------------------------------------------
 
     def ask(self, question: Question) -> None:
-        """Ask the planner; the answer comes later, unless something else is asked before.
+        """Submit a request; its answer arrives later, unless a newer request replaces it.
 
-        Among other things, the motions that are known stay until then, with what they risk there; a replay does not.
+        In a changed scene, known motions remain until then with their impact in that scene; a replay is removed.
         """
         if self.answer is not None and question.scene is not self.question.scene:
             self._take(self.answer.among(question))
@@ -93,10 +93,10 @@ class ViewerState:
         self.worker.ask(question)
 
     def fail(self, failure: Failure) -> Replay:
-        """Simulate a failure of the chosen motion; it is shown until `forget`.
+        """Simulate a failure of the chosen motion, shown until `forget`.
 
         Raises:
-            SettingError: If there is no motion yet.
+            SettingError: If there is no motion.
             GracefulPlanError: If FailBench cannot simulate it.
         """
         motion = self.motion
@@ -106,11 +106,11 @@ class ViewerState:
         return self.replay
 
     def happen_again(self, rollouts: RecordedRollouts, number: int) -> Replay:
-        """Show a rollout of a dataset on its motion; of another motion than before, the ordinary one is planned beside.
+        """Simulate and show a rollout of a dataset on its motion; plan the ordinary motion if the motion changed.
 
         Raises:
-            SettingError: If there is no such rollout, or its fault is in a file of somebody's own.
-            UnknownNameError: If its scene or task is not here.
+            SettingError: If the rollout does not exist, or its fault is defined in a custom file.
+            UnknownNameError: If its scene or task does not exist.
         """
         replay, (question, answer) = recorded_replay(rollouts, number), rollouts.shown(number)
         if question is not self.question:
@@ -125,10 +125,10 @@ class ViewerState:
         self.replay = None
 
     def keep(self) -> ShownMotion:
-        """Keep the chosen motion in sight while others are planned.
+        """Keep the chosen motion on display while others are planned.
 
         Raises:
-            SettingError: If there is none, it is kept already, or there are `MOST_KEPT`.
+            SettingError: If there is no motion, it is already kept, or the number of kept motions is `MOST_KEPT`.
         """
         motion = self.motion
         if motion is None or any(one.trajectory is motion.trajectory for one in self.kept):
@@ -140,7 +140,7 @@ class ViewerState:
         return kept
 
     def let_go(self) -> None:
-        """Keep no motions any more."""
+        """Remove all kept motions."""
         self.kept = ()
 
     @property
@@ -152,7 +152,7 @@ class ViewerState:
 
     def _done(self, answer: PlanAnswer) -> None:
         with self.lock:
-            if answer.question is self.question:  # nothing else was asked at the last moment
+            if answer.question is self.question:  # no newer request has arrived
                 self._take(answer)
                 self._changed()
 
@@ -161,30 +161,30 @@ class ViewerState:
         if self.motion is not before:
             self.replay = None
 
-    # --- what is shown ------------------------------------------------------------------------------------------------
+    # --- display ------------------------------------------------------------------------------------------------------
 
     @property
     def motion(self) -> ShownMotion | None:
-        """The chosen motion, or the ordinary one where no other was found."""
+        """The chosen motion, or else the ordinary one."""
         motions = () if self.answer is None else self.answer.motions
         return motions[0] if motions else None
 
     @property
     def others(self) -> tuple[ShownMotion, ...]:
-        """The ordinary motion, if that is another one, and those that are kept."""
+        """The ordinary motion, if different, and the kept ones."""
         motion, ordinary = self.motion, None if self.answer is None else self.answer.ordinary
         return tuple(one for one in (ordinary, *self.kept) if one is not None and one is not motion)
 
     @property
     def duration(self) -> float:
-        """Time of the last frame that is shown [s]: of the longest motion, or of the replay."""
+        """Time of the last displayed frame [s], of the longest motion or of the replay."""
         if self.replay is not None:
             return self.replay.duration
         shown = (*(self.answer.motions if self.answer else ()), *self.kept)
         return max((motion.duration for motion in shown), default=0.0)
 
     def at(self, t: float) -> ShownMoment | None:
-        """Return what is shown at a time [s]; None before the first answer."""
+        """Return the displayed data at a time [s]; None before the first answer."""
         motion, replay = self.motion, self.replay
         if motion is None:
             return None
@@ -216,5 +216,5 @@ class ViewerState:
 
 
 def _same_parts(first: Scene, second: Scene) -> bool:
-    """Whether motions in two scenes can be shown side by side."""
+    """Return whether motions in two scenes can be shown side by side."""
     return [part.name for part in parts(first)] == [part.name for part in parts(second)]

@@ -1,4 +1,4 @@
-"""One thread that answers the latest question: an older one is cancelled, and its answer dropped."""
+"""Worker thread for the latest request: older ones are cancelled and their answers dropped."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ A = TypeVar("A")
 
 
 class LatestWins(Generic[Q, A]):
-    """Works on one question at a time.
+    """Worker that processes one request at a time.
 
     Args:
-        work: Answers a question; it is told by a function whether it may stop since nobody waits any more.
-        done: Called with an answer nobody has overtaken, in the worker's thread.
-        failed: Called with what `work` or `done` raised, in the same thread.
+        work: Answers a request; its second argument is a function that returns whether it is cancelled.
+        done: Called with an answer that is still current, in the worker's thread.
+        failed: Called with an exception of `work` or `done`, in the same thread.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class LatestWins(Generic[Q, A]):
         self._thread = threading.Thread(target=self._run, name="viewer-planner", daemon=True)
 
     def ask(self, question: Q) -> None:
-        """Ask something; whatever is being worked on is cancelled."""
+        """Submit a request and cancel the current one."""
         with self._changed:
             if self._closed:
                 return
@@ -45,17 +45,17 @@ class LatestWins(Generic[Q, A]):
 
     @property
     def idle(self) -> bool:
-        """Whether nothing waits and nothing is worked on."""
+        """Whether no request is waiting or in progress."""
         with self._changed:
             return not self._waiting and not self._busy
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it is idle [s]; return whether it is."""
+        """Wait at most a time [s] until the worker is idle; return whether it is."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._waiting and not self._busy, timeout)
 
     def close(self) -> None:
-        """Cancel what is going on and end the thread."""
+        """Cancel the current request and end the thread."""
         with self._changed:
             self._closed = True
             self._waiting.clear()
@@ -78,6 +78,6 @@ class LatestWins(Generic[Q, A]):
                 answer = self._work(question, cancel.is_set)
                 if not cancel.is_set():
                     self._done(answer)
-            except Exception as error:  # a thread without anybody above it: whoever asked is told
+            except Exception as error:  # no caller above this thread: report to the requester
                 if not cancel.is_set():
                     self._failed(error)

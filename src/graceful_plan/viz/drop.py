@@ -1,4 +1,4 @@
-"""Where it would do how much harm if the carried object fell: the default impact of a drop, over a plane."""
+"""Impact of dropping the carried object, by the default model, over a horizontal plane."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Array = np.ndarray
 def drop_impact(
     scene: Scene, q: Float[Array, " nq"], x: Float[Array, " nx"], y: Float[Array, " ny"]
 ) -> Float[Array, "ny nx"]:
-    """Compute the impact of a drop with the carried object at every (x, y), turned and as high as it is at `q`.
+    """Compute the impact of a drop at every (x, y), with the orientation and height of the carried object at `q`.
 
     Args:
-        scene: With an object in the gripper.
-        q: Configuration that says how the object is held.
-        x: Where the origin of the object's body is [m].
-        y: Where the origin of the object's body is [m].
+        scene: Scene with an object in the gripper.
+        q: Configuration that determines orientation and height of the object.
+        x: Position of the origin of the object's body [m].
+        y: Position of the origin of the object's body [m].
     """
     if scene.carried is None:
         return np.zeros((len(y), len(x)))

@@ -1,4 +1,4 @@
-"""What each entity looks like: pictures in which it is outlined, from where most of it is seen."""
+"""Pictures of each entity with its outline marked, from the camera pose that shows most of it."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ Array = np.ndarray
 _WIDTH, _HEIGHT = 384, 288
 _AZIMUTHS = tuple(45.0 * i for i in range(8))
 _ELEVATIONS = (-20.0, -50.0)
-"""Where a camera may stand [degrees]: at each elevation the azimuth counts from which most of the entity is seen."""
+"""Camera angles [degrees]: for each elevation, the azimuth that shows most of the entity is used."""
 _NEAR, _FAR = 3.0, 0.3
-"""Distance of the camera: so many half diagonals of the entity, and at least so far [m]."""
+"""Distance of the camera in half diagonals of the entity, and its minimum [m]."""
 _SCOUTED = 4
-"""Pixels a side for one pixel of the pictures by which places are compared."""
+"""Factor by which images for comparing camera angles are smaller on each side."""
 _OUTLINE = 2
 """Width of the outline [pixels]."""
 _RED = (255, 0, 0)
 
 
 def entity_views(scene: Scene, names: Iterable[str]) -> dict[str, tuple[bytes, ...]] | None:
-    """Take two pictures of each entity, from its side and from above, where all stands as the scene has it.
+    """Render two pictures of each entity, from the side and from above.
 
     Args:
-        scene: Where they are; the robot is at its first keyframe, if it has one.
-        names: Of the entities.
+        scene: Scene with the entities; the robot is at its first keyframe, if there is one.
+        names: Names of the entities.
 
     Returns:
-        PNG files by name, none of an entity that something hides from all sides; None where EGL does not work.
+        PNG files by name, none for an entity hidden from all sides; None if EGL does not work.
     """
     data = scene.data_at(next(iter(scene.keyframes.values()), scene.home_qpos[scene.qpos_adr]))
     with canvas(scene.model, _WIDTH, _HEIGHT) as opened:
@@ -45,7 +45,7 @@ def entity_views(scene: Scene, names: Iterable[str]) -> dict[str, tuple[bytes, .
 
 
 def entity_box(scene: Scene, data: mujoco.MjData, name: str) -> Float[Array, "2 xyz"]:
-    """Return lower and upper corner of the box along the axes of W around an entity [m]; planes have no box."""
+    """Return lower and upper corner of the axis-aligned box of an entity in W [m]; unbounded for a plane."""
     corners = []
     for geom in scene.entities[name].geoms:
         R_WG = data.geom_xmat[geom].reshape(3, 3)
@@ -59,7 +59,7 @@ def _views(opened: Canvas, scene: Scene, data: mujoco.MjData, name: str) -> tupl
     box, geoms = entity_box(scene, data, name), scene.entities[name].geoms
     most = max(1.0, float(scene.model.stat.extent))
     middle = np.clip(box.mean(axis=0), scene.model.stat.center - most, scene.model.stat.center + most)
-    # A floor is larger than everything that stands on it: it is seen from as far as the whole scene is.
+    # A floor is larger than the scene: view it from the distance of the whole scene.
     distance = min(max(_FAR, _NEAR * float(np.linalg.norm(np.diff(box, axis=0))) / 2.0), 2.0 * most)
     found = []
     for elevation in _ELEVATIONS:
@@ -74,7 +74,7 @@ def _views(opened: Canvas, scene: Scene, data: mujoco.MjData, name: str) -> tupl
 def _outlined(
     pixels: UInt8[Array, "height width 3"], inside: Bool[Array, "height width"]
 ) -> UInt8[Array, "height width 3"]:
-    """Return a picture with a line around what is inside."""
+    """Return a picture with a line around a region."""
     grown = inside.copy()
     for _ in range(_OUTLINE):
         padded = np.pad(grown, 1)

@@ -1,4 +1,4 @@
-"""A picture of an explanation: the impact along a motion by entity, and the stretches that carry its largest parts."""
+"""Picture of an explanation: the impact along a motion by entity, and the intervals of its largest parts."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from graceful_plan.viz.style import ENTITY_COLOURS, OTHERS_COLOUR, STYLE
 Array = np.ndarray
 
 _ROWS = 8
-"""Parts whose stretches are drawn."""
+"""Maximum number of parts with drawn intervals."""
 _LEAST = 0.005
-"""Share of the impact from which an entity has a colour of its own."""
+"""Share of the impact above which an entity has a separate colour."""
 _LABELS = {
-    "length": ("length of the path so far [rad]", "impact if it fails here"),
+    "length": ("path length [rad]", "impact if it fails here"),
     "time": ("time [s]", "impact if it fails then"),
-    "waypoints": ("length of the path so far [rad]", "impact if it fails here"),
+    "waypoints": ("path length [rad]", "impact if it fails here"),
 }
 
 
 def draw_explanation(explanation: Explanation, file: str | FilePath) -> None:
-    """Draw the impact along a motion, stacked by entity, over the stretches of its largest parts.
+    """Draw the impact along a motion, stacked by entity, above the intervals of its largest parts.
 
     Args:
-        explanation: What `graceful_plan.explain` returned.
-        file: Where the picture goes; the ending says the format (png, pdf, svg).
+        explanation: Result of `graceful_plan.explain`.
+        file: Picture to write; its extension selects the format (png, pdf, svg).
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -50,14 +50,14 @@ def draw_explanation(explanation: Explanation, file: str | FilePath) -> None:
 
 
 def _shown_entities(explanation: Explanation) -> list[str]:
-    """Return the entities with the largest impact, as many as there are colours."""
+    """Return the entities with the largest impact, at most one per colour."""
     parts, least = explanation.cost.impact_by_entity, _LEAST * explanation.cost.impact
     ordered = sorted((name for name in parts if parts[name] > least), key=lambda name: -parts[name])
     return ordered[: len(ENTITY_COLOURS)]
 
 
 def _axis(explanation: Explanation) -> Float[Array, " n"]:
-    """Place along the motion that the picture goes by: time if the impact is integrated over it."""
+    """Return the abscissa: time if the impact is integrated over time, else path length."""
     by_time = explanation.exposure == "time" and explanation.time is not None
     return explanation.time if by_time and explanation.time is not None else explanation.place
 
@@ -76,7 +76,7 @@ def _draw_along(axes: Any, explanation: Explanation, names: list[str], colours: 
     if explanation.exposure == "waypoints" or len(at) < 2:
         _draw_bars(axes, at, stack, labels, paint)
     else:
-        # Between two samples: the mean is what the integral takes, and evens out the two velocities that it stands for.
+        # The integral uses the mean of two neighbouring samples, which also averages over their two velocities.
         apart = np.diff(at) > 0.0
         middle = [0.5 * (layer[1:] + layer[:-1])[apart] for layer in stack]
         axes.stackplot(0.5 * (at[1:] + at[:-1])[apart], middle, labels=labels, colors=paint, linewidth=0.0)
@@ -112,4 +112,4 @@ def _draw_stretches(
     axes.set_yticks(range(len(rows)), [f"{row.event} {row.share:.0%}" for row in rows], fontsize=7.5)
     axes.set_ylim(max(len(rows), 1) - 0.5, -0.5)
     axes.set(xlabel=_LABELS[explanation.exposure if by_time else "length"][0])
-    axes.set_title(f"Where {STRETCH:.0%} of the largest parts accrues; line: where it is most likely")
+    axes.set_title(f"Intervals with {STRETCH:.0%} of the largest parts; line: where it is most likely")

@@ -1,4 +1,4 @@
-"""Figures for papers and reports, with matplotlib and without a display."""
+"""Figures for papers and reports, drawn by matplotlib without a display."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _GRID = 0.005
 _MARGIN = 0.14
 _STEP = 0.02
 _NARROWEST, _WIDEST = 1.2, 1.8
-"""Width of the view from above over its height."""
+"""Limits of the aspect ratio (width over height) of the view from above."""
 
 
 def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath, *, speed: float = 1.0) -> None:
-    """Draw what different paths risk: seen from above over the impact of a drop, and along the way.
+    """Draw paths from above over the impact of a drop, and their impact and height along the path.
 
     Args:
-        scene: With an object in the gripper and at least one entity.
-        paths: Geometry by label, the first one dashed; at most four.
-        file: Where the picture goes; the ending says the format (png, pdf, svg).
-        speed: Fraction of the velocity limits at which the paths are travelled, as in `plan`.
+        scene: Scene with an object in the gripper and at least one entity.
+        paths: At most four paths by label, the first one dashed.
+        file: Picture to write; its extension selects the format (png, pdf, svg).
+        speed: Fraction of the velocity limits, as in `plan`.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -64,13 +64,13 @@ def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath,
         impact.set(title="Impact if it falls now, in motion", ylabel="impact", ylim=(0, None))
         impact.tick_params(labelbottom=False)
         _draw_along(height, dense, {label: p[:, 2] for label, p in positions.items()})
-        height.set(title="Height of the object", xlabel="length of the path so far [rad]", ylabel="height [m]")
+        height.set(title="Height of the object", xlabel="path length [rad]", ylabel="height [m]")
         height.sharex(impact)
         figure.savefig(file)
 
 
 def _impact_along(falling: SceneObjective, path: Path) -> Float[Array, " n"]:
-    """Impact at each vertex, the mean over the two paces that the objective is charged at."""
+    """Return the impact at each vertex, averaged over the two speeds of the objective."""
     ahead = np.gradient(path.q, axis=0) if len(path) > 1 else np.zeros_like(path.q)
     limit = np.max(np.abs(ahead) / falling.scene.limits.velocity, axis=1, keepdims=True)
     fastest = ahead / np.where(limit > 0.0, limit, 1.0)
@@ -117,7 +117,7 @@ def _draw_from_above(
 
 
 def _window(positions: Mapping[str, Float[Array, "n 3"]]) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
-    """Grid that shows the paths and a margin around them [m]."""
+    """Return the grid around the paths and their margin [m]."""
     points = np.concatenate(list(positions.values()))[:, :2]
     low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
     wanted = np.array([_NARROWEST, 1.0 / _WIDEST]) * (high - low)[::-1]
@@ -133,7 +133,7 @@ def _draw_path(axes: Any, index: int, label: str, position: Float[Array, "n 3"])
 
 
 def _draw_object(axes: Any, scene: Scene, path: Path, index: int) -> None:
-    """Outline the carried object at a few places along the way."""
+    """Draw outlines of the carried object at a few points of a path."""
     from matplotlib.patches import Polygon
 
     if scene.carried is None:

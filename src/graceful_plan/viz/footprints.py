@@ -1,4 +1,4 @@
-"""What a scene looks like from above: outlines of geoms, and the way of the carried object."""
+"""A scene from above: outlines of geoms, and the path of the carried object."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 
 
 def surface_points(scene: Scene, data: mujoco.MjData, geom: int) -> Float[Array, "point 3"]:
-    """Return points in W whose convex hull looks like the geom; none for a plane."""
+    """Return points in W [m] whose convex hull approximates a geom; none for a plane."""
     model, kind = scene.model, _GEOM(int(scene.model.geom_type[geom]))
     size = model.geom_size[geom]
     R, p = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
@@ -44,7 +44,7 @@ def surface_points(scene: Scene, data: mujoco.MjData, geom: int) -> Float[Array,
 
 
 def outline(points: Float[Array, "point 3"]) -> Float[Array, "corner 2"]:
-    """Return the convex outline of points as seen from above, counter-clockwise (Andrew's monotone chain)."""
+    """Compute the convex outline of points from above, counter-clockwise (Andrew's monotone chain)."""
     flat = [tuple(p) for p in np.unique(points[:, :2], axis=0)]
 
     def half(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -59,12 +59,12 @@ def outline(points: Float[Array, "point 3"]) -> Float[Array, "corner 2"]:
 
 
 def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    """Twice the signed area of a triangle; positive to the left."""
+    """Return twice the signed area of a triangle, positive for a left turn."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def object_positions(scene: Scene, path: Path) -> Float[Array, "n 3"]:
-    """Where the carried object's body is in W at each vertex; the tool, if nothing is carried [m]."""
+    """Return the position in W of the carried object, or else of the tool, at each vertex [m]."""
     positions = []
     for q in path.q:
         data = scene.data_at(q)
@@ -74,7 +74,7 @@ def object_positions(scene: Scene, path: Path) -> Float[Array, "n 3"]:
 
 
 def entity_outlines(scene: Scene, names: Sequence[str]) -> Mapping[str, list[Float[Array, "_ 2"]]]:
-    """Return the outline of each geom of each named entity, seen from above."""
+    """Return the outlines from above of the geoms of each named entity."""
     data = scene.data_at(np.zeros(len(scene.joints)))
     points = {name: [surface_points(scene, data, geom) for geom in scene.entities[name].geoms] for name in names}
     return {name: [outline(p) for p in parts if len(p)] for name, parts in points.items()}

@@ -1,4 +1,4 @@
-"""A picture of a Pareto front: on plain and on logarithmic axes, with the knee, the weights, and what was chosen."""
+"""Picture of a Pareto front on linear and logarithmic axes, with knee, weights and chosen point."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from graceful_plan.viz.style import HALO, PATH_COLOURS, STYLE
 
 _LINE, _CHOSEN, _KNEE = PATH_COLOURS[1], PATH_COLOURS[3], PATH_COLOURS[2]
 _LABELS = 6
-"""Points whose weight is written beside them."""
+"""Maximum number of points labelled with their weight."""
 
 
 def draw_front(
@@ -24,10 +24,10 @@ def draw_front(
     """Draw motion against impact.
 
     Args:
-        front: With at least one point.
-        file: Where the picture goes; the ending says the format (png, pdf, svg).
-        choice: What was chosen, if that is to be marked.
-        reference: Of the hypervolume in the title; the front's own by default.
+        front: Front with at least one point.
+        file: Picture to write; its extension selects the format (png, pdf, svg).
+        choice: Chosen point to mark.
+        reference: Reference point of the hypervolume in the title; that of the front by default.
 
     Raises:
         SettingError: If the front is empty.
@@ -49,7 +49,7 @@ def draw_front(
         plain.legend(loc="upper right")
         if front.costs[-1, 1] > 0.0:
             logarithmic.set_yscale("log")
-        logarithmic.set_title("The same, impact on a logarithmic axis")
+        logarithmic.set_title("Logarithmic impact axis")
         figure.savefig(file)
 
 
@@ -57,9 +57,9 @@ def _draw(axes: Any, front: ParetoFront, choice: Choice | None) -> None:
     motion, impact = front.costs.T
     axes.step(motion, impact, where="post", color=_LINE, linewidth=1.0, alpha=0.5)
     by_weight = np.array([point.weights is not None for point in front.points])
-    axes.plot(motion[by_weight], impact[by_weight], "o", color=_LINE, markersize=5, label="a weight leads there")
+    axes.plot(motion[by_weight], impact[by_weight], "o", color=_LINE, markersize=5, label="best for a weight")
     axes.plot(
-        *front.costs[~by_weight].T, "o", color=_LINE, markerfacecolor="white", markersize=5, label="no weight does"
+        *front.costs[~by_weight].T, "o", color=_LINE, markerfacecolor="white", markersize=5, label="best for none"
     )
     marks: list[tuple[str, ParetoPoint | None, str, str]] = [("knee", front.knee, "D", _KNEE)]
     if choice is not None and choice.point is not None:

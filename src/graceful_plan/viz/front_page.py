@@ -1,4 +1,4 @@
-"""A page to look at the motions along a Pareto front: one HTML file that needs no network and no server."""
+"""HTML page with the motions of a Pareto front: one file, without network or server."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Array = np.ndarray
 
 _TEMPLATE = FilePath(__file__).with_name("front_page.html")
 _SAMPLES = 60
-"""Places along each motion that are drawn."""
+"""Number of drawn samples of each motion."""
 _OBJECTS = 5
-"""Of these, at which the carried object is outlined."""
+"""Number of samples at which the carried object is outlined."""
 _VIEWS: Mapping[str, tuple[int, int, int]] = {"top": (0, 1, 2), "side": (0, 2, 1)}
-"""Axes of W that each view shows, to the right and up, and the one that it looks along."""
+"""Axes of W for each view: to the right, upwards, and the viewing direction."""
 
 
 def write_front_page(
@@ -41,16 +41,17 @@ def write_front_page(
 
     Args:
         front: With at least one point.
-        scene: The scene, with what is carried attached.
-        file: Where the page goes.
-        choice: What was chosen, if that is to be marked.
-        observed: For each point what FailBench saw: predicted and observed impact of a failure, the latter with an
-            interval (`predicted`, `observed`, `low`, `high`); None where the simulated robot could not do it.
-        title: Of the page; the scene's name by default.
-        space: A motion in 3-D: whose (`of`), the document (`page`), and `why` there is none if it is empty.
+        scene: Scene with the carried object attached.
+        file: HTML file to write.
+        choice: Chosen point to mark.
+        observed: FailBench's result for each point: predicted and observed impact of a failure, the latter with an
+            interval (`predicted`, `observed`, `low`, `high`); None if the simulated robot could not execute the motion.
+        title: Title of the page; the name of the scene by default.
+        space: 3-D view of a motion: its name (`of`), the HTML document (`page`), and the reason for an empty one
+            (`why`).
 
     Raises:
-        SettingError: If the front is empty, or there is an observation too many or too few.
+        SettingError: If the front is empty, or the number of observations differs from that of points.
     """
     if not len(front):
         raise SettingError("front", front.status.name, "a front with at least one point")
@@ -67,7 +68,7 @@ def write_front_page(
         "hypervolume": front.hypervolume(),
         "space": None if space is None else dict(space),
     }
-    # A name must not end the script that it stands in.
+    # A name must not end the script element that contains it.
     text = json.dumps(_plain(data), allow_nan=False).replace("<", "\\u003c")
     page = _TEMPLATE.read_text(encoding="utf-8")
     FilePath(file).write_text(page.replace("/*DATA*/null", text), encoding="utf-8")
@@ -96,7 +97,7 @@ def _point(point: ParetoPoint, scene: Scene) -> dict[str, Any]:
 
 
 def _carried(scene: Scene, q: Float[Array, " nq"]) -> dict[str, list[list[float]]]:
-    """Outlines of the carried object, by view."""
+    """Return the outlines of the carried object by view."""
     if scene.carried is None:
         return {}
     data = scene.data_at(q)
@@ -130,7 +131,7 @@ def _outline(points: Float[Array, "point 3"], view: str) -> list[list[float]]:
 
 
 def _plain(value: Any) -> Any:
-    """Replace numbers that are not finite by None."""
+    """Replace non-finite numbers by None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Pictures of a scene without a window, where OpenGL works off-screen; it is never required."""
+"""Off-screen pictures of a scene; optional, because they need OpenGL with EGL."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from graceful_plan.array_types import Float, Int, UInt8
 Array = np.ndarray
 
 _MOST = 10_000
-"""Geoms in a picture."""
+"""Maximum number of geoms in a picture."""
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _SEGMENT = (int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR))
 
 
 class Canvas:
-    """What pictures of a model are taken with; `canvas` opens one."""
+    """Off-screen renderer of a model, opened by `canvas`."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self._model = copy.copy(model)
@@ -36,14 +36,14 @@ class Canvas:
     def picture(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, mark: Callable[[Any], None] | None = None
     ) -> UInt8[Array, "height width 3"]:
-        """Take a picture; `mark` may add to the MjvScene what the model does not have."""
+        """Render a picture; `mark` may add geoms to the MjvScene."""
         self._place(data, camera)
         if mark is not None:
             mark(self._view)
         return self._pixels()
 
     def geoms(self, data: mujoco.MjData, camera: mujoco.MjvCamera, shrink: int = 1) -> Int[Array, "height width"]:
-        """Return which geom is seen at each pixel, -1 where there is none; `shrink` times fewer pixels a side."""
+        """Return the visible geom at each pixel, -1 for none, at a resolution divided by `shrink`."""
         self._place(data, camera)
         self._view.flags[list(_SEGMENT)] = 1
         try:
@@ -78,7 +78,7 @@ class Canvas:
 
 @contextmanager
 def canvas(model: mujoco.MjModel, width: int, height: int) -> Generator[Canvas | None]:
-    """Give something to take pictures with [pixels]; None where EGL does not work."""
+    """Open an off-screen renderer of a size [pixels]; None if EGL does not work."""
     context = _context(width, height)
     if context is None:
         yield None
@@ -95,7 +95,7 @@ def canvas(model: mujoco.MjModel, width: int, height: int) -> Generator[Canvas |
 
 
 def camera_at(point: Float[Array, " xyz"], distance: float, azimuth: float, elevation: float) -> mujoco.MjvCamera:
-    """Return a camera that looks at a point in W [m] from a distance [m] and angles [degrees]."""
+    """Return a camera aimed at a point in W [m], from a distance [m] and angles [degrees]."""
     camera = mujoco.MjvCamera()
     camera.lookat[:] = point
     camera.distance, camera.azimuth, camera.elevation = distance, azimuth, elevation

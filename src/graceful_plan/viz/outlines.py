@@ -1,4 +1,4 @@
-"""Entities drawn from above, with how bad it is to drop the carried object on them."""
+"""Outlines of entities from above, with the severity of a drop on them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = np.ndarray
 
 
 def draw_entities(axes: Any, scene: Scene) -> None:
-    """Outline every entity with the severity of whatever falls on it."""
+    """Draw the outline of every entity and the severity of the carried object and contents on it."""
     from matplotlib.patches import Polygon
 
     falling = [name for name in FALLING if name in scene.components]
@@ -42,7 +42,7 @@ def _extent(polygons: Sequence[Float[Array, "_ 2"]]) -> tuple[Float[Array, " 2"]
 
 
 def _visible(polygons: Sequence[Float[Array, "_ 2"]]) -> list[Float[Array, "_ 2"]]:
-    """Leave out outlines inside of the extent of another one, such as the legs of a table."""
+    """Remove outlines within the extent of another one, such as the legs of a table."""
     extents = [_extent([polygon]) for polygon in polygons]
     return [
         polygon

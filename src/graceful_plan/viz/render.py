@@ -1,4 +1,4 @@
-"""A view of scene and paths as a camera would see them, where off-screen rendering works; it is never required."""
+"""Camera view of a scene and paths; optional, because it needs off-screen rendering."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ Array = np.ndarray
 
 _WIDTH, _HEIGHT = 1600, 1000
 _DISTANCE, _AZIMUTH, _ELEVATION = 1.35, 65.0, -42.0
-"""Camera: metres and degrees, around the middle of the paths."""
+"""Camera pose around the centroid of the paths [m, degrees]."""
 _RADIUS = 0.006
 _STEP = 0.05
 
 
 def render_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath) -> bool:
-    """Render the robot at the start, with the ways of the carried object as tubes.
+    """Render the robot at the start, with the paths of the carried object as tubes.
 
     Args:
-        scene: Where.
-        paths: Geometry by label, coloured as in `figures.compare_paths`.
+        scene: Scene of the paths.
+        paths: Paths by label, coloured as in `figures.compare_paths`.
         file: PNG file to write.
 
     Returns:
-        Whether there is a picture: False where EGL does not work.
+        Whether the picture was written; False if EGL does not work.
     """
     from matplotlib.image import imsave
 
@@ -55,7 +55,7 @@ def render_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath) 
 
 
 def _add_tube(view: Any, position: Float[Array, "n 3"], colour: str) -> None:
-    """Append capsules between neighbouring points to what is rendered."""
+    """Append capsules between neighbouring points to the rendered scene."""
     rgba = np.array([int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] + [1.0], dtype=np.float32)
     kind = mujoco.mjtGeom.mjGEOM_CAPSULE
     for a, b in pairwise(position):

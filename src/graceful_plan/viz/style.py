@@ -1,16 +1,16 @@
-"""What all pictures share."""
+"""Colours and styles of all pictures."""
 
 from __future__ import annotations
 
 from typing import Any
 
 PATH_COLOURS = ("#111111", "#0b62c4", "#00805a", "#a3408f")
-"""Apart from each other and from the heat map for colour-blind eyes too; in print, the line styles tell them apart."""
+"""Distinct from each other and from the heat map, also with colour blindness; line styles distinguish them in print."""
 ENTITY_COLOURS = ("#e69f00", "#56b4e9", "#009e73", "#d55e00", "#0072b2", "#cc79a7", "#f0e442")
-"""For stacked areas; told apart by colour-blind eyes (Okabe and Ito)."""
+"""Colours of stacked areas, distinguishable with colour blindness (Okabe and Ito)."""
 OTHERS_COLOUR = "#9a9a9a"
 HEAT = ("#ffffff", "#fff3c4", "#fed976", "#fd8d3c", "#e31a1c", "#8c0d26")
-"""White where nothing is at stake, darker with the impact."""
+"""Colours from white (no impact) to dark red."""
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": 9.5,

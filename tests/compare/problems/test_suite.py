@@ -107,7 +107,7 @@ def test_a_scene_file_stands_beside_the_suite_and_its_change_is_seen(tmp_path):
         ("version: 1\nproblems:\n  - {scene: desk, tasks: 1, start: ready, goal: ready}\n", "one or the other"),
         ("version: 1\nproblems:\n  - {analytic: [hope]}\n", "unknown analytic problem 'hope'"),
         ("version: 1\nproblems:\n  - {file: nowhere.yaml}\n", "there is no .*nowhere.yaml"),
-        ("version: 1\nproblems:\n  - {scene: desk}\n  - {scene: desk, tasks: 1}\n", "under a name of its own"),
+        ("version: 1\nproblems:\n  - {scene: desk}\n  - {scene: desk, tasks: 1}\n", "a unique name for every problem"),
         ("version: 1\nseeds: []\nproblems: [{analytic: [disc]}]\n", "at least one seed"),
         ("version: 1\nseeds: [1, 1]\nproblems: [{analytic: [disc]}]\n", "none twice"),
         ("version: 1\nseeds: 0\nproblems: [{analytic: [disc]}]\n", "whole number in .1, 1000000."),

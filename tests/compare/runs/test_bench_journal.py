@@ -187,7 +187,7 @@ def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path)
     interrupted = bench.load_comparison(out)
     assert 2 <= len(killed.runs) < len(interrupted.runs) < 40
     assert code == 130
-    assert f"{len(interrupted.runs)} of 40 runs are kept in {out}; the same command goes on" in told
+    assert f"{len(interrupted.runs)} of 40 runs are kept in {out}; the same command resumes" in told
     assert "Traceback" not in told
     (tmp_path / "slow").unlink()
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, cwd=tmp_path)

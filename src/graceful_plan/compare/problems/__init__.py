@@ -1,1 +1,1 @@
-"""Problems that planners are compared on."""
+"""Problems for the comparison of planners."""

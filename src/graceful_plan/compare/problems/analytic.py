@@ -1,8 +1,8 @@
-"""Small planning problems made of plain functions, some with an exactly known optimum.
+"""Small planning problems defined by functions, some with an exactly known optimum.
 
-They let a planner be tried, tested and compared without a robot: planners see nothing of the world but `Problem`
-and `BoundObjective`, so whatever solves these solves an arm. Every analytic instance has the form of the real
-objective, J = length + w * integral of the impact along the length, with impact >= 0.
+They serve to test and compare planners without a robot. Planners access only `Problem` and `BoundObjective`, so a
+planner that solves these can also plan for an arm. Every analytic problem has the form of the real objective,
+J = length + w * integral of the impact along the length, with impact >= 0.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from graceful_plan.planners.planner import Problem
 
 Array = np.ndarray
 StateTest = Callable[[Array], Array]
-"""Which of the configurations [n, nq] are free: bool [n]."""
+"""Whether configurations [n, nq] are free: bool [n]."""
 EdgeTest = Callable[[Array, Array], Array]
-"""Which of the straight edges between configurations [n, nq] are free: bool [n]."""
+"""Whether straight edges between configurations [n, nq] are free: bool [n]."""
 Density = Callable[[Array], Array]
 """Impact per unit of joint-space length at configurations [n, nq]: float [n], >= 0."""
 DensityGradient = Callable[[Array], Array]
 """Derivative of a density at configurations [n, nq]: float [n, nq]."""
 Clearance = Callable[[Array], tuple[Array, Array]]
-"""Signed distance from the obstacles at configurations [n, nq], positive outside, and its gradient: [n], [n, nq]."""
+"""Signed distance from obstacles at configurations [n, nq], positive outside, and its gradient: [n], [n, nq]."""
 
 
 class _Pieces(NamedTuple):
@@ -36,17 +36,17 @@ class _Pieces(NamedTuple):
 
     q: Float[Array, "points nq"]
     t: Float[Array, " points"]
-    """Share of the edge before each."""
+    """Fraction of the edge before each point."""
     weight: Float[Array, " points"]
-    """Trapezoid weight, as a share of the edge's length."""
+    """Trapezoid weight, as a fraction of the edge's length."""
     edge: Int[Array, " points"]
-    """Which edge it is on."""
+    """Index of the edge of each point."""
     begin: Int[Array, " n"]
-    """Where each edge's points begin."""
+    """Index of the first point of each edge."""
 
 
 def _pieces(q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float) -> _Pieces:
-    """Subdivide each edge on its own, so that its points do not depend on the batch it came in."""
+    """Subdivide each edge independently of the others in the batch."""
     count = np.maximum(1, np.ceil(np.linalg.norm(q1 - q0, axis=1) / step).astype(int))
     begin = np.concatenate([[0], np.cumsum(count + 1)[:-1]]) if len(count) else np.zeros(0, dtype=int)
     edge = np.repeat(np.arange(len(count)), count + 1)
@@ -58,7 +58,7 @@ def _pieces(q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float) -> 
 
 
 def _sums(values: Float[Array, "points ..."], pieces: _Pieces) -> Float[Array, "n ..."]:
-    """Sum over each edge's points."""
+    """Sum values over the points of each edge."""
     return np.add.reduceat(values, pieces.begin, axis=0) if len(pieces.begin) else values[:0]
 
 
@@ -68,16 +68,16 @@ def _everywhere(q: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FunctionProblem(Problem):
-    """A problem whose obstacles are given by functions.
+    """A problem with obstacles defined by functions.
 
     Args:
-        start: Where the path begins.
-        goals: Where it may end, at least one.
+        start: Start of the path.
+        goals: Goals of the path, at least one.
         lower: Lower limit per joint.
         upper: Upper limit per joint.
-        free: Which configurations are free; all of them by default.
+        free: Test of configurations; all are free by default.
         edge_free: Exact test of straight edges. By default edges are sampled at `step` with `free`.
-        clearance: Signed distance from the obstacles, if it is known; planners that push paths away need it.
+        clearance: Signed distance from the obstacles, if known; needed by planners that use its gradient.
         step: Distance between checked points of an edge [rad].
     """
 
@@ -104,11 +104,11 @@ class FunctionProblem(Problem):
             raise SettingError("step", self.step, "a number > 0 [rad]")
 
     def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which configurations are free of obstacles."""
+        """Return whether configurations are free of obstacles."""
         return np.asarray(self.free(q), dtype=bool)
 
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        """Tell which straight edges are free of obstacles."""
+        """Return whether straight edges are free of obstacles."""
         if self.edge_free is not None:
             return np.asarray(self.edge_free(q0, q1), dtype=bool)
         if self.free is _everywhere:
@@ -118,7 +118,7 @@ class FunctionProblem(Problem):
         return np.logical_and.reduceat(free, pieces.begin) if len(pieces.begin) else free
 
     def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]] | None:
-        """Return the signed distance from the obstacles and its gradient, None if it is not known."""
+        """Return the signed distance from the obstacles and its gradient, None if unknown."""
         return None if self.clearance is None else self.clearance(q)
 
 
@@ -128,9 +128,9 @@ class DensityObjective:
 
     Args:
         density: Impact per unit of length, >= 0.
-        gradient: Derivative of the density, if it is known.
+        gradient: Derivative of the density, if known.
         w: Safety weight, >= 0.
-        step: Longest piece of the trapezoid rule [rad].
+        step: Largest step of the trapezoid rule [rad].
     """
 
     density: Density
@@ -145,18 +145,18 @@ class DensityObjective:
             raise SettingError("step", self.step, "a number > 0 [rad]")
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
-        """Length V and impact S of each straight edge."""
+        """Return length V and impact S of each straight edge."""
         pieces, length = _pieces(q0, q1, self.step), np.linalg.norm(q1 - q0, axis=1)
         return np.stack([length, length * _sums(pieces.weight * self.states(pieces.q), pieces)], axis=1)
 
     def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Impact density at each configuration."""
+        """Return the impact density at each configuration."""
         return np.asarray(self.density(q), dtype=np.float64)
 
     def edge_gradients(
         self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]
     ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """`edges`, with the derivatives of V + w S of each edge with respect to both ends, if the density has one."""
+        """Return `edges` and the derivatives of V + w S by both ends; None if the density has no gradient."""
         if self.gradient is None:
             return None
         pieces, length = _pieces(q0, q1, self.step), np.linalg.norm(q1 - q0, axis=1)
@@ -170,7 +170,7 @@ class DensityObjective:
 
 
 def mechanical_work(density: Density, path: Path, step: float = 0.01) -> float:
-    """Sum the climbs of `density` along a path: what T-RRT keeps low.
+    """Sum the increases of `density` along a path, the quantity that T-RRT keeps low.
 
     References:
         [Jaillet2010] Sampling-based path planning on configuration-space costmaps, Sec. III.
@@ -181,14 +181,14 @@ def mechanical_work(density: Density, path: Path, step: float = 0.01) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AnalyticProblem:
-    """A problem with a known least total cost.
+    """A problem with a known optimum.
 
     Args:
-        name: The word that selects it.
+        name: Name of the problem.
         problem: Start, goals, limits and obstacles.
-        objective: The cost.
+        objective: Cost function.
         optimum: Least total cost J*, exact.
-        note: Why it is exact.
+        note: Reason why the optimum is exact.
     """
 
     name: str
@@ -203,7 +203,7 @@ def _free_of_impact(q: Array) -> Array:
 
 
 def free_space(dimension: int = 2, density: float = 0.0, w: float = 1.0) -> AnalyticProblem:
-    """Nothing in the way and the same impact everywhere: a straight line, J* = (1 + w density) |goal - start|."""
+    """Return a problem without obstacles and with constant impact: J* = (1 + w density) |goal - start|."""
     start, goal = np.full(dimension, -1.0), np.full(dimension, 0.5)
     problem = FunctionProblem(
         start=start, goals=goal[None], lower=np.full(dimension, -2.0), upper=np.full(dimension, 2.0)
@@ -218,7 +218,7 @@ def free_space(dimension: int = 2, density: float = 0.0, w: float = 1.0) -> Anal
 
 
 def _segments_miss_ball(q0: Array, q1: Array, radius: float) -> Array:
-    """Tell which segments keep out of the open ball around the origin, exactly."""
+    """Return whether segments avoid the open ball around the origin, exactly."""
     direction = q1 - q0
     squared = np.einsum("ij,ij->i", direction, direction)
     t = np.clip(-np.einsum("ij,ij->i", q0, direction) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
@@ -226,13 +226,13 @@ def _segments_miss_ball(q0: Array, q1: Array, radius: float) -> Array:
 
 
 def _outside_ball(q: Array, radius: float) -> tuple[Array, Array]:
-    """Distance from a ball around the origin, and its gradient."""
+    """Return the distance from a ball around the origin, and its gradient."""
     distance = np.linalg.norm(q, axis=1)
     return distance - radius, q / np.where(distance > 0.0, distance, 1.0)[:, None]
 
 
 def disc(dimension: int = 2) -> AnalyticProblem:
-    """Go around a unit ball from -2 to 2 on the first axis: two tangents and an arc."""
+    """Return the problem of a path around a unit ball, from -2 to 2 on the first axis: two tangents and an arc."""
     distance, radius = 2.0, 1.0
     start = np.zeros(dimension)
     start[0] = -distance
@@ -257,7 +257,7 @@ def disc(dimension: int = 2) -> AnalyticProblem:
 
 
 def two_media(dimension: int = 2) -> AnalyticProblem:
-    """Cross from a medium of cost 1 (y >= 0) into one of cost 3, from (0, 1) to (2, -1): Snell's law."""
+    """Return the problem from (0, 1) to (2, -1), from a medium of cost 1 (y >= 0) to one of cost 3: Snell's law."""
     start, goal = np.zeros(dimension), np.zeros(dimension)
     start[:2], goal[:2] = (0.0, 1.0), (2.0, -1.0)
     problem = FunctionProblem(
@@ -273,15 +273,15 @@ def two_media(dimension: int = 2) -> AnalyticProblem:
 
 
 def _along_y(slope: Array) -> Array:
-    """Gradient in the plane of what depends on y alone."""
+    """Return the gradient in the plane of a function of y."""
     return np.stack([np.zeros_like(slope), slope], axis=1)
 
 
 def hyperbolic() -> AnalyticProblem:
-    """Cost 1/y, the hyperbolic half-plane, from (0, 1/2) to (1, 1/2): an arc of a circle.
+    """Return the problem from (0, 1/2) to (1, 1/2) for the cost 1/y, the hyperbolic half-plane: a circular arc.
 
-    The metric does not change with scale, so this is (0, 1) to (2, 1) at half size; at this size 1/y >= 1 holds
-    in all of the domain, so that the impact 1/y - 1 is never negative.
+    The metric is invariant to scale, so this is (0, 1) to (2, 1) at half size. At this size 1/y >= 1 holds in the
+    whole domain, so the impact 1/y - 1 is never negative.
     """
     problem = FunctionProblem(
         start=np.array([0.0, 0.5]),
@@ -303,7 +303,7 @@ def hyperbolic() -> AnalyticProblem:
 
 
 def catenary() -> AnalyticProblem:
-    """Cost y, from (-1, 2) to (1, 2): the curve of a hanging chain."""
+    """Return the problem from (-1, 2) to (1, 2) for the cost y: a catenary."""
     problem = FunctionProblem(
         start=np.array([-1.0, 2.0]),
         goals=np.array([[1.0, 2.0]]),
@@ -323,7 +323,7 @@ def catenary() -> AnalyticProblem:
 
 
 def saddle_density(q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-    """Impact of `saddle`: a ridge of height 4 along x = 0 with a pass of height 1 at y = 1."""
+    """Return the impact of `saddle`: a ridge of height 4 along x = 0 with a pass of height 1 at y = 1."""
     ridge = np.exp(-0.5 * (q[:, 0] / 0.35) ** 2)
     gate = np.exp(-0.5 * ((q[:, 1] - 1.0) / 0.3) ** 2)
     return ridge * (4.0 - 3.0 * gate)
@@ -341,7 +341,7 @@ class SaddleProblem:
     """Two basins joined by a pass: the least mechanical work is known, the least total cost is not.
 
     Args:
-        problem: From one basin to the other.
+        problem: Problem from one basin to the other.
         objective: Length plus impact.
         least_work: Height of the pass above the start.
     """
@@ -352,13 +352,13 @@ class SaddleProblem:
 
 
 def saddle(scale: float = 1.0, offset: float = 0.0) -> SaddleProblem:
-    """Cross a ridge from (-1.5, 0) to (1.5, 0); the pass lies off the straight line.
+    """Return the problem across a ridge from (-1.5, 0) to (1.5, 0), with the pass off the straight line.
 
-    Every path meets x = 0, where the impact is at least 1, so none does less work than 1 - impact(start).
+    Every path crosses x = 0, where the impact is at least 1, so its work is at least 1 - impact(start).
 
     Args:
-        scale: Multiplies the impact.
-        offset: Is added to it.
+        scale: Factor of the impact.
+        offset: Constant added to the impact.
     """
     start = np.array([-1.5, 0.0])
     problem = FunctionProblem(start=start, goals=-start[None], lower=np.array([-2.0, -2.0]), upper=np.array([2.0, 2.0]))

@@ -1,6 +1,6 @@
-"""A planning problem for the bundled Panda among primitive obstacles: what problem files hold.
+"""Planning problem for the bundled Panda among primitive obstacles, as read from problem files.
 
-The robot's base is at the origin of W and nothing is carried. Poses of the hand are those of the manufacturer's frames:
+The robot's base is at the origin of W, and there is no carried object. Hand poses use the manufacturer's frames:
 `panda_hand` is the bundled model's body "hand", 0.1034 m behind its tool along z.
 """
 
@@ -33,14 +33,14 @@ _KINDS = MappingProxyType({"box": _GEOM.mjGEOM_BOX, "sphere": _GEOM.mjGEOM_SPHER
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Obstacle:
-    """A primitive that stands still.
+    """A fixed primitive obstacle.
 
     | field | meaning                                                          |
     |-------|------------------------------------------------------------------|
-    | name  | what it is called in messages                                    |
+    | name  | name in messages                                                 |
     | kind  | "box", "sphere" or "cylinder"                                    |
     | size  | three half lengths; radius; radius and half length along z [m]   |
-    | X_WO  | its pose in W                                                    |
+    | X_WO  | pose in W                                                        |
     """
 
     name: str
@@ -55,16 +55,16 @@ class Obstacle:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProblemFile:
-    """One problem from a file. Nothing says that it can be solved: `plan` finds out.
+    """One problem from a file; it may be infeasible.
 
     | field     | meaning                                                    | unit | shape   |
     |-----------|------------------------------------------------------------|------|---------|
     | name      | "group/number", unique in its file                         |      |         |
     | group     | the kind of problem, e.g. "bookshelf_small_panda"          |      |         |
-    | start     | where the motion begins                                    | rad  | nq      |
+    | start     | start of the motion                                        | rad  | nq      |
     | goals     | configurations to choose from; no row if only a pose is given | rad | goal nq |
     | pose      | pose for the tool, if the file has one                     |      |         |
-    | obstacles | what stands around                                         |      |         |
+    | obstacles | obstacles                                                  |      |         |
     | fingers   | position of each finger joint                              | m    |         |
     """
 
@@ -78,15 +78,15 @@ class ProblemFile:
 
     @property
     def goal(self) -> Float[Array, "goal nq"] | PoseGoal:
-        """What to give to `plan`: the goal configurations if there are some, else the pose."""
+        """Return the goal for `plan`: the goal configurations if there are any, else the pose."""
         return self.goals if len(self.goals) or self.pose is None else self.pose
 
     @cached_property
     def scene(self) -> Scene:
-        """The robot among the obstacles. Made at the first use, since a file has hundreds of them.
+        """Return the robot among the obstacles; built at first use, because a file has hundreds of problems.
 
         Raises:
-            SceneError: If obstacles have no size or one name.
+            SceneError: If an obstacle has no size, or two have the same name.
         """
         spec = _robot(self.fingers).spec.copy()
         for obstacle in self.obstacles:
@@ -103,7 +103,7 @@ def _notes(name: str, fingers: float) -> Notes:
 
 @cache
 def _robot(fingers: float) -> Scene:
-    """Return the robot alone; reading its file costs more than adding a bookshelf to it."""
+    """Return the robot alone, cached because reading its file is slower than adding obstacles."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.attach(mujoco.MjSpec.from_file(str(robot_file("panda"))), prefix=ROBOT, frame=spec.worldbody.add_frame())

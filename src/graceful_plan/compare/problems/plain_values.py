@@ -1,4 +1,4 @@
-"""Look into a parsed document from strangers with strict types, so that every complaint names file and key."""
+"""Strictly typed access to a parsed, untrusted document; every error names file and key."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from graceful_plan.exceptions import FormatError
 
 @dataclass(frozen=True)
 class Value:
-    """A value of a document: a mapping, a list, a number, a text or nothing.
+    """A value of a document: a mapping, list, number, text or null.
 
-    For large documents of JSON or YAML; `yaml_file` knows lines, too, and is ten times as slow.
+    For large JSON or YAML documents; `yaml_file` also records lines, and is ten times slower.
     """
 
     source: str
-    """The file."""
+    """Name of the file."""
     key: str
-    """Where in it, e.g. "box[3].start"; empty for all of it."""
+    """Key of the value, e.g. "box[3].start"; empty for the whole document."""
     plain: object
 
     def error(self, problem: str) -> FormatError:
-        """Return the error that complains about this value."""
+        """Return an error about this value."""
         return FormatError(self.source, f"{self.key or 'the document'} {problem}")
 
     @property
@@ -43,7 +43,7 @@ class Value:
         return value
 
     def items(self) -> Iterator[tuple[str, Value]]:
-        """Iterate over a mapping whose keys are texts."""
+        """Iterate over a mapping with text keys."""
         for name, value in self._mapping().items():
             if not isinstance(name, str) or not name:
                 raise self.error(f"has the key {name!r}, which is not a text")
@@ -71,7 +71,7 @@ class Value:
         return number
 
     def numbers(self, count: int, *, above: float = -math.inf) -> tuple[float, ...]:
-        """Return a list of so many finite numbers."""
+        """Return a list of `count` finite numbers."""
         if not isinstance(self.plain, list):
             raise self.error(f"has to be a list of {count} numbers")
         if len(self.plain) != count:
@@ -85,7 +85,7 @@ class Value:
 
 
 def _number(value: object) -> float | None:
-    """Read a number; also from text, since YAML 1.1 takes 1e-3 for text."""
+    """Parse a number, also from text, because YAML 1.1 reads 1e-3 as text."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:

@@ -1,9 +1,9 @@
 """Read problem files of other planners: `load_problems`.
 
-Three formats of problems for the Panda among primitives are known, described in `problem_formats`; lengths are in m,
+`problem_formats` describes the three supported formats of problems for the Panda among primitives. Lengths are in m,
 angles in rad, and the robot's base is at the origin.
 
-Pickled files are never loaded: unpickling runs whatever their author wrote.
+Pickled files are never loaded, because unpickling runs their author's code.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ MAX_FILES = 20_000
 _WIDEST = 0.04
 """Greatest opening of each finger [m]."""
 _REQUEST = re.compile(r"request_?(\d+)\.ya?ml")
-# libyaml reads ten times as fast where PyYAML was built with it.
+# libyaml is ten times as fast, if PyYAML was built with it.
 _Loader: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def load_problems(
     path: str | Path, *, groups: Sequence[str] | None = None, fingers: float = _WIDEST
 ) -> tuple[ProblemFile, ...]:
-    """Read every problem of a file or folder, in the file's order.
+    """Read all problems of a file or folder, in the order of the file.
 
     Args:
-        path: A robometrics file (.yaml), a file in VAMP's JSON (.json), or a folder of MotionBenchMaker's, whose name
-            is then the group; a folder of such folders is read as a whole.
-        groups: The kinds of problems to keep; all by default.
-        fingers: Position of both finger joints [m]; what the files say about them is ignored. Open by default, since
-            goals of the MotionBenchMaker type reach around what is to be grasped.
+        path: A robometrics file (.yaml), a VAMP file (.json), or a folder of MotionBenchMaker, whose name becomes the
+            group. A folder of such folders is read as a whole.
+        groups: Groups of problems to keep; all by default.
+        fingers: Position of both finger joints [m]; positions in the files are ignored. Open by default, because
+            goals of the MotionBenchMaker type reach around the object to grasp.
 
     Raises:
-        FormatError: If a file is not what it should be, with file and key.
+        FormatError: If a file is malformed; with file and key.
         UnknownNameError: If there is no such group.
         SettingError: If `fingers` is not in [0, 0.04].
     """
@@ -78,7 +78,7 @@ def _file(file: Path, fingers: float) -> list[ProblemFile]:
 
 
 def _folder(folder: Path, fingers: float) -> list[ProblemFile]:
-    """Read pairs of scene and request in a folder, or in the folders in it."""
+    """Read pairs of scene and request from a folder or its subfolders."""
     requests = sorted(file for file in folder.iterdir() if _REQUEST.fullmatch(file.name))
     if not requests:
         below = sorted(child for child in folder.iterdir() if child.is_dir())
@@ -124,7 +124,7 @@ def _read_yaml(file: Path) -> Value:
 
 
 def _screen(text: str, file: Path) -> None:
-    """Refuse anchors, which can explode, and nesting that would exhaust libyaml's stack: that ends the process."""
+    """Refuse anchors, which may expand exponentially, and nesting deep enough to overflow libyaml's stack."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         if getattr(event, "anchor", None) is not None:

@@ -1,6 +1,6 @@
-"""The formats of problem files: documents as they were parsed -> problems. Unknown kinds of obstacles are refused.
+"""Conversion of parsed problem files to problems. Unknown kinds of obstacles are refused.
 
-* robometrics (the YAML sets of MotionBenchMaker and MPiNets problems): by kind of problem, a list of
+* robometrics (the YAML sets of MotionBenchMaker and MPiNets problems): for each kind of problem, a list of
   {start: [7], goal_ik: [[7]...], goal_pose: {frame: panda_hand, position_xyz, quaternion_wxyz},
   world_frame: panda_link0, obstacles: {cuboid: {name: {dims: [3], pose}}, cylinder: {name: {radius, height, pose}},
   sphere: {name: {radius, pose or position}}}} with pose = [x y z qw qx qy qz]. Other keys of a problem are ignored.
@@ -32,9 +32,9 @@ Array = np.ndarray
 NQ = 7
 MAX_OBSTACLES = 2000
 _BASE_FRAMES = ("panda_link0", "base_link", "world", "")
-"""Names that the files use for the base of the robot, which is where W is."""
+"""Names of the robot's base frame in the files; it coincides with W."""
 _FRAMES = {"panda_hand": 0.0, "panda_link8": -np.pi / 4.0}
-"""Frames of goal poses, and the angle about z by which the hand is turned on them [rad]; the origins are the same."""
+"""Frames of goal poses, with the rotation of the hand about z in them [rad]; the origins coincide."""
 _TOOL = 0.1034
 """Distance of the tool from the hand's origin, along z [m]."""
 _PRIMITIVES = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
@@ -92,8 +92,8 @@ def _robometrics_obstacles(obstacles: Value) -> Iterator[Obstacle]:
 
 
 def _goal_pose(given: Value, *, needed: bool) -> PoseGoal | None:
-    """Turn a pose of the hand into one of the tool; None if its frame is unknown and nobody needs it."""
-    if given.is_list:  # older files: a bare pose of the hand
+    """Convert a pose of the hand into one of the tool; None if its frame is unknown and the pose is not needed."""
+    if given.is_list:  # older files: a plain pose of the hand
         X_WH, angle = _pose(given), 0.0
     else:
         frame = given["frame"]
@@ -260,7 +260,7 @@ def _moveit_pose(given: Value) -> Float[Array, "4 4"]:
 
 
 def _joint_order(names: list[str], place: Value) -> list[int]:
-    """Return where each joint of the arm stands among names such as "panda_joint1"; those of fingers are ignored."""
+    """Return the index of each arm joint among names such as "panda_joint1"; fingers are ignored."""
     order = []
     for joint in range(1, NQ + 1):
         known = (f"panda_joint{joint}", f"joint{joint}")
@@ -296,7 +296,7 @@ def _pose(given: Value) -> Float[Array, "4 4"]:
 
 
 def _unit(given: Value, quaternion: tuple[float, ...] | None = None, *, wxyz: bool) -> tuple[float, ...]:
-    """Return a quaternion wxyz of length 1; files round theirs to three digits."""
+    """Return a unit quaternion wxyz; files round to three digits."""
     q = np.array(given.numbers(4) if quaternion is None else quaternion)
     norm = float(np.linalg.norm(q))
     if not 0.99 < norm < 1.01:

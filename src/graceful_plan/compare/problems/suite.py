@@ -1,24 +1,24 @@
-"""Suites: which problems planners are compared on, as data.
+"""Suites: sets of problems for the comparison of planners, as data.
 
 A suite file is YAML:
 
     version: 1
-    description: what a reader of the report should know     # optional
+    description: one line for the report                     # optional
     seconds: 1.0          # time limit of every run, w, seeds: defaults, which a caller may replace
     w: 1.0
-    seeds: 3              # how many (0, 1, 2), or a list
+    seeds: 3              # their number (0, 1, 2), or a list
     problems:
       - scene: tabletop   # bundled scene or scene file beside this file; "*" stands for every bundled scene
-        tasks: [right_to_left]                  # default: all of them; a number stands for the first so many
+        tasks: [right_to_left]                  # default: all; a number n selects the first n
       - scene: kitchen.yaml
-        start: home       # keyframe or joint values; nothing is carried
+        start: home       # keyframe or joint values; no carried object
         goal: [0.0, 0.5, 0.0, -1.2, 0.0, 1.6, 0.7]
         name: kitchen/home_to_sink
       - analytic: [disc, catenary]              # problems of compare.problems.analytic; "*" stands for all
       - file: bookshelf.yaml                    # problem file or folder (see problem_files)
         groups: [bookshelf_small_panda]         # default: all
-        limit: 20                               # only the first so many; default: all
-    best_known: {tabletop/right_to_left: 3.21}  # least total costs known, at the suite's w
+        limit: 20                               # only the first 20; default: all
+    best_known: {tabletop/right_to_left: 3.21}  # best-known total costs, at the suite's w
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from graceful_plan.yaml_file import Block, read_yaml
 
 VERSION = 1
 MOST = 1_000_000
-"""Of seeds, problems and tasks in a suite."""
+"""Maximum number of seeds, problems and tasks in a suite."""
 _FOLDER = Path(__file__).parent / "suites"
 _ALL = "*"
 _KEYS = ("version", "description", "seconds", "w", "seeds", "problems", "best_known")
@@ -49,17 +49,17 @@ End = str | tuple[float, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemNote:
-    """Where a problem comes from: plain data, so that it can go to another process.
+    """Source of a problem, as plain data that can be sent to another process.
 
     Args:
-        name: What it is called in reports, unique in its suite.
+        name: Name in reports, unique in the suite.
         kind: "task" or "motion" of a scene, "analytic" or "file".
-        source: Bundled scene, or path of the scene or problem file; nothing if it is analytic.
+        source: Bundled scene, or path of the scene or problem file; empty for an analytic problem.
         item: Task, analytic problem, or name in the problem file.
-        group: Problems of one kind: a scene, or a group of a problem file.
+        group: Kind of the problem: its scene, or its group in a problem file.
         start: Start of a motion.
         goal: Goal of a motion.
-        digest: Checksum of the source, if that is a file.
+        digest: Checksum of the source, if it is a file.
     """
 
     name: str
@@ -72,7 +72,7 @@ class ProblemNote:
     digest: str = ""
 
     def to_document(self) -> dict[str, Any]:
-        """Return what makes this problem what it is; not where its file lies."""
+        """Return a dictionary that identifies the problem, without the location of its file."""
         source = Path(self.source).name if self.digest else self.source
         ends = [list(end) if isinstance(end, tuple) else end for end in (self.start, self.goal)]
         named = {"name": self.name, "kind": self.kind, "source": source, "item": self.item, "group": self.group}
@@ -81,16 +81,16 @@ class ProblemNote:
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Problems, and how to run them unless somebody says otherwise.
+    """Problems, with default settings of their runs.
 
     Args:
-        name: What it is called.
-        problems: At least one, of different names.
+        name: Name of the suite.
+        problems: Problems with unique names, at least one.
         description: One line for the report.
         seconds: Time limit of a run [s].
         w: Safety weight.
         seeds: Seeds of the runs.
-        best_known: Least total cost known of problems at `w`, by name.
+        best_known: Best-known total cost at `w`, by problem.
     """
 
     name: str
@@ -105,7 +105,7 @@ class Suite:
         names = [problem.name for problem in self.problems]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            raise SettingError("name", twice, f"every problem of suite {self.name!r} under a name of its own")
+            raise SettingError("name", twice, f"a unique name for every problem of suite {self.name!r}")
         if not self.problems:
             raise SettingError("problems", [], f"at least one problem in suite {self.name!r}")
         for name in self.best_known:
@@ -114,7 +114,7 @@ class Suite:
 
 
 def suites() -> tuple[str, ...]:
-    """Names of the bundled suites."""
+    """Return the names of the bundled suites."""
     return tuple(sorted(file.stem for file in _FOLDER.glob("*.yaml")))
 
 
@@ -122,12 +122,12 @@ def load_suite(source: str | Path) -> Suite:
     """Load a suite: a bundled one by name, a suite file (.yaml with `problems` and `version`), or problem files.
 
     Args:
-        source: Name, or path of a suite file, of a problem file or of a folder of those.
+        source: Name, or path of a suite file, of a problem file or of a folder of problem files.
 
     Raises:
-        UnknownNameError: If there is no bundled suite of that name, nor such a file.
-        SceneError: If the suite file is broken, with file and line.
-        FormatError: If a problem file is broken.
+        UnknownNameError: If there is neither a bundled suite nor a file of that name.
+        SceneError: If the suite file is malformed; with file and line.
+        FormatError: If a problem file is malformed.
     """
     if str(source) in suites():
         return _read_suite(_FOLDER / f"{source}.yaml")
@@ -140,7 +140,7 @@ def load_suite(source: str | Path) -> Suite:
 
 
 def _is_suite(file: Path) -> bool:
-    """Tell a suite file from a problem file, which can be too large to be read twice."""
+    """Return whether a file is a suite, from its head: problem files may be too large to read twice."""
     try:
         with open_regular(file) as stream:
             head = stream.read(65536).decode("utf-8", errors="replace")
@@ -195,7 +195,7 @@ def _seeds(block: Block) -> tuple[int, ...]:
 
 
 def _problems(block: Block, folder: Path) -> Iterator[ProblemNote]:
-    """Read an entry of the list of problems, which may stand for many."""
+    """Read an entry of the list of problems; it may expand to many."""
     if block.get("scene") is not None:
         yield from _of_scene(block, folder)
     elif block.get("analytic") is not None:
@@ -235,7 +235,7 @@ def _of_scene(block: Block, folder: Path) -> Iterator[ProblemNote]:
         yield from _tasks(label, source, digest, block.get("tasks"))
         return
     if block.get("tasks") is not None:
-        raise block.error(f"{block.name} has tasks, and a start or goal besides; expected one or the other")
+        raise block.error(f"{block.name} has both tasks and a start or goal; expected one or the other")
     ends = [_end(block[key]) for key in ("start", "goal")]
     scene = load_scene(source)
     for end, key in zip(ends, ("start", "goal"), strict=True):
@@ -254,7 +254,7 @@ def _end(block: Block) -> End:
 
 
 def _tasks(label: str, source: str, digest: str, wanted: Block | None) -> Iterator[ProblemNote]:
-    """Name tasks of a scene: all, the first few, or those listed."""
+    """Yield tasks of a scene: all, the first few, or those listed."""
     known = list(load_scene(source).tasks)
     if wanted is None:
         chosen = known
@@ -294,7 +294,7 @@ def _of_problem_file(
 
 
 def _digest(path: Path) -> str:
-    """Checksum of a file, or of everything in a folder."""
+    """Return the checksum of a file, or of all files in a folder."""
     files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     total = hashlib.sha256()
     for file in files:

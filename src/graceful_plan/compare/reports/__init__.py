@@ -1,1 +1,1 @@
-"""What a comparison says, in numbers, tables and pictures."""
+"""Reports of a comparison: numbers, tables and figures."""

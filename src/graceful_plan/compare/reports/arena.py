@@ -1,10 +1,10 @@
-"""Export to the database of OMPL's Planner Arena, an SQLite file that plannerarena.org shows.
+"""Export to the database of OMPL's Planner Arena, an SQLite file for plannerarena.org.
 
-Tables: `experiments` (here one for each problem), `plannerConfigs`, `enums` (words for the values of columns of type
-ENUM), `runs` and `progress`. Planner Arena takes the first twelve columns of `experiments` and the first three of
-`runs` for granted, shows all the others of `runs` by their declared type, and needs `best_cost` in `progress`. It joins
-these tables, so that no other column of `progress` may have the name of one of `runs`; and it fits curves to the rows
-of `progress`, which are therefore as many at all times: the best path so far at regular times, as OMPL writes it.
+Tables: `experiments` (here one per problem), `plannerConfigs`, `enums` (names of the values of ENUM columns), `runs`
+and `progress`. Planner Arena requires the first twelve columns of `experiments`, the first three of `runs`, and
+`best_cost` in `progress`. It shows all other columns of `runs` by their declared type. It joins these tables, so no
+other column of `progress` may have the name of one of `runs`. It fits curves to the rows of `progress`, which therefore
+contain the best path at regular times, as written by OMPL.
 
 References:
     Moll, Sucan and Kavraki, "Benchmarking motion planning algorithms: an extensible infrastructure for analysis and
@@ -51,7 +51,7 @@ _RUN_COLUMNS: Mapping[str, tuple[str, Callable[[Run, float], Any]]] = {
 }
 _PROGRESS_COLUMNS = ("best_cost", "best_motion_cost", "best_impact")
 _UPDATES = 100
-"""Rows of progress of a run that has a path from the start."""
+"""Number of progress rows of a run that has a path from the start."""
 
 _TABLES = (
     "CREATE TABLE experiments (id INTEGER PRIMARY KEY AUTOINCREMENT, name VARCHAR(512), totaltime REAL, timelimit REAL,"
@@ -70,7 +70,7 @@ _TABLES = (
 
 
 def write_arena(comparison: Comparison, folder: Path) -> Path:
-    """Write the database; one that is there is replaced, once the new one is whole."""
+    """Write the database; an existing file is replaced once the new one is complete."""
     file = folder / NAME
     partial = file.with_suffix(".partial")
     partial.unlink(missing_ok=True)
@@ -136,7 +136,7 @@ def _add_run(
 
 
 def _progress(run: Run, seconds: float) -> Iterator[tuple[float, float, float, float]]:
-    """Yield time and costs of the best path so far, at regular times from the first path on."""
+    """Yield time and costs of the best path at regular times, from the first path on."""
     times = [point.time for point in run.trace]
     for i in range(1, _UPDATES + 1):
         time = seconds * i / _UPDATES

@@ -1,4 +1,4 @@
-"""What calls of `plan` are like, by kind of problem: refusals, time to a path and to a motion, lateness, lengths."""
+"""Statistics of calls of `plan` by kind of problem: refusals, times to path and motion, lateness, lengths."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from graceful_plan.result import PlanStatus
 ALL = "all"
 _REFUSED = (PlanStatus.INVALID_START.name, PlanStatus.INVALID_GOAL.name)
 _NO_CALL = "analytic"
-"""Problems in the plane are solved without a call of `plan`."""
+"""Kind of the analytic problems, which are solved without a call of `plan`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CallSummary:
-    """How a planner's calls went on one kind of problem. Medians, of two middle ones the worse.
+    """Statistics of a planner's calls on one kind of problem; medians take the worse of two middle values.
 
     | field       | meaning                                                                              |
     |-------------|--------------------------------------------------------------------------------------|
     | group       | kind of problem; `ALL` for all together                                              |
     | planner     | label of the planner                                                                 |
     | runs        | number of calls                                                                      |
-    | solved      | of which a verified motion was returned                                              |
-    | refused     | of which start or goal was refused                                                   |
-    | search      | median time until the first path was there [s]                                       |
+    | solved      | number of calls with a verified motion                                               |
+    | refused     | number of calls with an invalid start or goal                                        |
+    | search      | median time until the first path [s]                                                 |
     | motion_wall | median time of a call that ends with its first path, to its verified motion [s]      |
     | motion_cpu  | the same in processor time [s]                                                       |
     | slow        | the same in processor time, 95th percentile [s]                                      |
@@ -85,5 +85,5 @@ def _summary(group: str, planner: str, runs: Sequence[Run], comparison: Comparis
 
 
 def _share(values: Sequence[float], share: float) -> float:
-    """Return a quantile, between two values the upper one, so that an infinity stays one; NaN of nothing."""
+    """Return a quantile without interpolation, the upper of two values, so that infinity remains; NaN if empty."""
     return sorted(values)[math.ceil(share * (len(values) - 1) - 1e-9)] if len(values) else math.nan

@@ -1,4 +1,4 @@
-"""Figures of a comparison, as SVG text to put into a page."""
+"""Figures of a comparison as SVG text, for embedding in a page."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#111111", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d31")
-"""Okabe and Ito's, without yellow; told apart by colour-blind eyes. Beyond eight, lines change their style."""
+"""Okabe and Ito's colours without yellow, distinguishable with colour blindness; beyond eight, line styles differ."""
 LINES = ("-", "--", ":", "-.")
 MARKERS = "osD^vP*X<>hp"
 BANDS = 5
-"""Planners whose bands can be seen in one picture; more get a picture each besides."""
+"""Maximum number of planners with bands in one figure; with more, each also gets a panel."""
 _LEAST_GAP, _GREATEST_GAP = 1e-3, 10.0
 _WIDTH = 7.2
 _DOTS = 300
@@ -31,12 +31,12 @@ _Draw = Callable[["Figure"], None]
 
 
 def look(index: int) -> dict[str, Any]:
-    """Return colour and line style of a planner by its place."""
+    """Return colour and line style of a planner by its index."""
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index // len(COLOURS) % len(LINES)]}
 
 
 def solved_figure(summary: Summary) -> str:
-    """Draw the share of runs that had a path, over time."""
+    """Draw the share of runs with a path over time."""
     comparison = summary.comparison
 
     def draw(figure: Figure) -> None:
@@ -53,7 +53,7 @@ def solved_figure(summary: Summary) -> str:
 
 
 def gap_figure(summary: Summary) -> str:
-    """Draw the median gap over time, with quartiles where there are few planners."""
+    """Draw the median gap over time, with quartiles if there are few planners."""
     comparison = summary.comparison
 
     def draw(figure: Figure) -> None:
@@ -69,7 +69,7 @@ def gap_figure(summary: Summary) -> str:
 
 
 def gap_panels(summary: Summary) -> str:
-    """Draw the gap of each planner in a panel of its own, the medians of the others in grey behind it."""
+    """Draw the gap of each planner in a separate panel, with the medians of the others in grey."""
     comparison = summary.comparison
     columns = 3
     rows = -(-len(comparison.planners) // columns)
@@ -94,7 +94,7 @@ def gap_panels(summary: Summary) -> str:
 
 
 def share_figure(summary: Summary) -> str:
-    """Draw motion against impact, each in units of the problem's best known total."""
+    """Draw motion against impact, both in units of the problem's best-known total."""
     comparison = summary.comparison
 
     def draw(figure: Figure) -> None:
@@ -122,7 +122,7 @@ def share_figure(summary: Summary) -> str:
 
 
 def spread_figure(summary: Summary) -> str:
-    """Draw jerk, clearance and duration of every solved run, planner by planner."""
+    """Draw jerk, clearance and duration of every solved run by planner."""
     comparison = summary.comparison
     count = len(comparison.planners)
     what = (
@@ -147,7 +147,7 @@ def spread_figure(summary: Summary) -> str:
 
 
 def svg(draw: _Draw, name: str, height: float) -> str:
-    """Return a figure as an SVG element whose ids clash with no other figure's on the page."""
+    """Return a figure as an SVG element with ids that are unique on the page."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -163,7 +163,7 @@ def svg(draw: _Draw, name: str, height: float) -> str:
     used = set(re.findall(r"[\"(]#([\w.-]+)", text))
     text = re.sub(r' id="([\w.-]+)"', lambda found: found[0] if found[1] in used else "", text)
     text = re.sub(r'(id="|["(]#)([\w.-]+)(?=[")])', rf"\1{name}-\2", text)
-    # The page says how wide it is.
+    # The page sets the width.
     return re.sub(r'^<svg[^>]*?viewBox="([^"]+)"[^>]*>', r'<svg role="img" viewBox="\1">', text, count=1).strip()
 
 
@@ -173,7 +173,7 @@ def _gap_lines(axes: Axes, summary: Summary, planner: str, index: int, *, band: 
     style = look(index)
     axes.plot(times, _drawn(middle), label=planner, **style)
     if band:
-        # Where the upper quartile is infinite, the band reaches to the top.
+        # With an infinite upper quartile, the band extends to the top.
         known = np.isfinite(lower)
         top = np.where(np.isfinite(upper), upper, 10.0 * _GREATEST_GAP)
         axes.fill_between(
@@ -216,11 +216,11 @@ def _plain_log(axis: Any) -> None:
 
 
 def _strip(axes: Axes, values: Sequence[float], index: int) -> None:
-    """Draw values as dots, and a bar from quartile to quartile with a mark at the median."""
+    """Draw values as dots, with a bar between the quartiles and a mark at the median."""
     if not values:
         return
     colour = COLOURS[index % len(COLOURS)]
-    # More dots than these only fill the page; the bar is of all of them.
+    # More dots would only clutter the figure; the bar uses all values.
     dots = np.sort(values)[:: -(-len(values) // _DOTS)]
     offsets = 0.22 * np.sin(2.4 * np.arange(len(dots)))
     axes.plot(dots, index + offsets, ".", color=colour, alpha=0.45, markersize=3, markeredgewidth=0)

@@ -1,4 +1,4 @@
-"""The 3-D view of a comparison's page: the problem on which planners differ most, the best result and the worst one."""
+"""3-D view on the page of a comparison: the best and the worst result on the problem with the largest difference."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _SCRIPT = """<script>
 
 
 def in_space(summary: Summary, problems: Sequence[ProblemNote] = ()) -> Mapping[str, str] | None:
-    """Return what a page shows in 3-D: whose motions (`of`), the document (`page`), and `why` there is none.
+    """Return the 3-D view for a page: its motions (`of`), the document (`page`), and `why` there is none.
 
     Args:
-        summary: Of the comparison.
-        problems: Of its suite. Without them problems of bundled scenes are found, those of files are not: a journal
-            does not say where they lie.
+        summary: Summary of the comparison.
+        problems: Problems of the suite. Without them, only problems of bundled scenes are found, because a journal does
+            not contain the location of files.
 
     Returns:
-        Nothing if no planner has a timed motion, as on analytic problems.
+        The view; None if no planner has a timed motion, as on analytic problems.
     """
     found = _most_different(summary)
     if found is None:
@@ -44,9 +44,9 @@ def in_space(summary: Summary, problems: Sequence[ProblemNote] = ()) -> Mapping[
         return {"of": of, "page": "", "why": "its scene is in a file; run the comparison again without --report-only"}
     try:
         problem = loaded_problem(note)
-        assert isinstance(problem, SceneQuery), "what was timed has a scene"
+        assert isinstance(problem, SceneQuery), "timed motions have a scene"
         motion, other = (run.trajectory(problem.scene.joints) for run in found)
-    except (GracefulPlanError, KeyError) as error:  # a task that is not there any more
+    except (GracefulPlanError, KeyError) as error:  # a task that no longer exists
         return {"of": of, "page": "", "why": f"its scene cannot be shown: {error}"}
     assert motion is not None
     page, why = report_view(motion, problem.scene, None if worst is best else other, worst.planner)
@@ -54,21 +54,21 @@ def in_space(summary: Summary, problems: Sequence[ProblemNote] = ()) -> Mapping[
 
 
 def section(space: Mapping[str, str] | None) -> Iterator[str]:
-    """Yield the part of the page with the 3-D view."""
+    """Yield the section of the page with the 3-D view."""
     if space is None:
         return
     yield "<h2>In 3-D</h2>"
-    yield f'<p class="note">{html.escape(space["of"])}. Drag to turn. Blue: a failure does little, red: most.</p>'
+    yield f'<p class="note">{html.escape(space["of"])}. Drag to turn. Blue: little harm by a failure, red: most.</p>'
     if not space["page"]:
         yield f"<p>{html.escape(space['why'])}</p>"
         return
     yield '<iframe id="space" title="Two motions in 3-D" sandbox="allow-scripts"></iframe>'
-    # Nothing in the document may end the script that it stands in.
+    # The document must not end the script element that contains it.
     yield _SCRIPT % json.dumps(space["page"]).replace("<", "\\u003c")
 
 
 def _most_different(summary: Summary) -> tuple[Run, Run] | None:
-    """Return the best run of the best and of the worst planner, of the problem on which they are farthest apart."""
+    """Return the best runs of the best and worst planner, on the problem with the largest difference."""
     found: list[tuple[float, Run, Run]] = []
     for problem in summary.comparison.problems:
         solved = [run for run in summary.comparison.of(problem=problem) if run.solved and run.times]

@@ -1,4 +1,4 @@
-"""Everything that a comparison leaves in its folder besides the journal, and the table for the terminal."""
+"""Output files of a comparison other than the journal, and the table for the terminal."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ EXPORTS: Mapping[str, Callable[[Summary, Path], tuple[Path, ...]]] = {
 
 
 def check_exports(names: Sequence[str]) -> None:
-    """Check before hours of running that what is asked for can be written.
+    """Check before long runs that the requested exports are possible.
 
     Raises:
-        UnknownNameError: If there is no such export.
-        MissingArrow: If Parquet is asked for without pyarrow.
+        UnknownNameError: If an export does not exist.
+        MissingArrow: If Parquet is requested without pyarrow.
     """
     for name in names:
         if name not in EXPORTS:
@@ -41,16 +41,16 @@ def check_exports(names: Sequence[str]) -> None:
 def write(
     summary: Summary, folder: str | Path, exports: Sequence[str] = (), *, space: Mapping[str, str] | None = None
 ) -> tuple[Path, ...]:
-    """Write the report, what is known now, and exports; return the files.
+    """Write the report, best-known costs and exports; return the files.
 
     Args:
-        summary: What to write about.
-        folder: Where.
-        exports: Of "csv", "parquet" and "arena" (see `tables` and `arena`).
-        space: What the page shows in 3-D, from `in_space`; nothing by default.
+        summary: Summary of the comparison.
+        folder: Output folder.
+        exports: Any of "csv", "parquet" and "arena" (see `tables` and `arena`).
+        space: 3-D view of the page, from `in_space`; none by default.
 
     Raises:
-        GracefulPlanError: As for `check_exports`.
+        GracefulPlanError: As in `check_exports`.
     """
     check_exports(exports)
     folder = Path(folder)
@@ -86,7 +86,7 @@ def text(summary: Summary) -> str:
 
 def _calls(calls: Sequence[CallSummary]) -> str:
     header = ["kind", "planner", "solved", "refused", "first [ms]", "motion [ms]", "CPU [ms]", "over p99 [ms]"]
-    early = EARLY if any(row.early for row in calls) else ()  # a planner that solves nothing has none
+    early = EARLY if any(row.early for row in calls) else ()  # empty for a planner without solutions
     rows = [
         [row.group, row.planner, f"{row.solved}/{row.runs}", str(row.refused)]
         + [number(1e3 * t) for t in (row.search, row.motion_wall, row.motion_cpu, max(row.over, 0.0))]

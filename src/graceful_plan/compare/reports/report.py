@@ -1,4 +1,4 @@
-"""A comparison as one HTML page that needs nothing else: no network, figures inline, scripts for the 3-D view alone."""
+"""Report of a comparison: one self-contained HTML page with inline figures and scripts only for the 3-D view."""
 
 from __future__ import annotations
 
@@ -18,46 +18,46 @@ from graceful_plan.compare.runs.records import EARLY
 NAME = "report.html"
 _SIGNIFICANT = 0.05
 _DETAILS = 40
-"""Outcomes other than SOLVED that are listed one by one, at most."""
+"""Maximum number of listed outcomes other than SOLVED."""
 _DENSE = 12
-"""Columns of a table; one with more is set tighter, so that it fits a page of 1,300 pixels."""
+"""Number of columns above which a table is set more tightly, to fit a page of 1,300 pixels."""
 _OVERVIEW_NOTE = (
-    "Medians over problems and seeds, of two middle values the worse; a run that was not solved counts as "
-    "infinite (∞) in times and gaps, and not at all to the right of them. The best of each column is bold. Motion "
-    "and impact are in units of the best known total. Jerk in rad/s³. Closest: least clearance of all runs."
+    "Medians over problems and seeds, with the worse of two middle values. Unsolved runs count as infinite (∞) in "
+    "times and gaps, and are left out of the columns to the right. The best of each column is bold. Motion and "
+    "impact are in units of the best-known total. Jerk in rad/s³. Closest: least clearance of all runs."
 )
 _GAP_NOTE = (
-    "Median over problems and seeds of how much more the best so far costs than the best known. The last value of a "
-    "run is that of its motion. Those before are paths, at the paces a search assumes; paths that promised more than "
-    "the motion has kept are left out. A line begins once half of the runs have something to show."
+    "Median over problems and seeds of the relative excess of the best cost found over the best-known cost. The last "
+    "value of a run is the cost of its motion. Earlier values are costs of paths as estimated by the search; estimates "
+    "below the cost of the motion are left out. A line begins once half of the runs have a value."
 )
-_BAND_NOTE = "The band reaches from quartile to quartile."
+_BAND_NOTE = "The band lies between the quartiles."
 _SHARE_NOTE = (
-    "What the results are made of: a dot is a problem, its motion and its weighted impact in units of the best "
-    "known total, so that all problems share a picture and dots on one grey line cost the same. What costs "
-    "more than four times the best known lies outside."
+    "Composition of the results: each dot is a problem, with motion and weighted impact in units of the best-known "
+    "total. Dots on the same grey line have the same cost. Costs above four times the best-known one are outside of "
+    "the figure."
 )
 _SPREAD_NOTE = (
-    "Solved runs, a dot each unless they are many; bars from quartile to quartile, with the median. Jerk: third "
-    "difference of positions every 20 ms of the timed trajectory. Clearance: least exact distance of the robot "
-    "and what it carries to the surroundings, but for what a carried object stands on at the ends."
+    "Solved runs, one dot each unless there are many; bars between the quartiles, with the median. Jerk: third "
+    "difference of positions every 20 ms of the timed trajectory. Clearance: least exact distance of robot and "
+    "carried object to the surroundings, except for the supports of the object at the ends."
 )
 _CALLS_NOTE = (
-    "First path: from the call to the first path of its search. Motion, CPU, 95 %: another call, which ends with its "
-    "first path, until the verified motion is there, by the clock, and in processor time of all threads. Over: how "
-    "long after its time limit a call returned. Path at: motion cost of the best path by then, as a search charges "
-    "it. Refused: calls whose start or goal is invalid."
+    "First path: time from the call to the first path of its search. Motion, CPU, 95 %: time of a separate call, which "
+    "ends with its first path, until the verified motion; wall time, and processor time of all threads. Over: delay "
+    "of the return after the time limit. Path at: motion cost of the best path at that time, as estimated by the "
+    "search. Refused: calls with an invalid start or goal."
 )
 _PAIRS_NOTE = (
-    "Of each problem, the median over its seeds of the total cost of the result, infinite if most seeds were not "
-    f"solved. A ratio below 1 and wins are in favour of the planner; differences below {100 * TIE:g} % are ties. "
-    "p: Wilcoxon's signed-rank test over the problems, two-sided; corrected by Holm's method for all the pairs "
-    f"that were tested, bold below {_SIGNIFICANT:g}. The interval is a bootstrap over problems."
+    "For each problem, the median over its seeds of the total cost of the result; infinite if most seeds were not "
+    f"solved. A ratio below 1 and wins favour the planner; differences below {100 * TIE:g} % are ties. p: Wilcoxon's "
+    "signed-rank test over the problems, two-sided; corrected by Holm's method for all tested pairs, "
+    f"bold below {_SIGNIFICANT:g}. The interval is a bootstrap over problems."
 )
 
 
 def write_report(summary: Summary, folder: Path, space: Mapping[str, str] | None = None) -> Path:
-    """Write the page, with what `in_space` returned; one that is there is replaced, once the new one is whole."""
+    """Write the page, with a view from `in_space`; an existing file is replaced once the new one is complete."""
     file = folder / NAME
     partial = file.with_suffix(".partial")
     partial.write_text(page(summary, space), encoding="utf-8")
@@ -94,12 +94,12 @@ def _lead(summary: Summary) -> str:
 def _warnings(summary: Summary) -> Iterator[str]:
     c = summary.comparison
     if len(c.runs) < c.expected:
-        yield f'<p class="warn">{len(c.runs)} of {c.expected} runs are done: figures are of those only.</p>'
+        yield f'<p class="warn">{len(c.runs)} of {c.expected} runs are done; all figures are of these.</p>'
     late = [f"{planner.planner} {planner.late} of {planner.runs}" for planner in summary.planners if planner.late]
     if late:
         yield (
             f'<p class="warn">Calls that returned long after their time limit: {_text(", ".join(late))}. '
-            "Their results had more time than those of the others.</p>"
+            "Their results had more time than the others.</p>"
         )
     unsolved = [problem for problem in c.problems if not math.isfinite(summary.best[problem])]
     if c.runs and unsolved:
@@ -107,7 +107,7 @@ def _warnings(summary: Summary) -> Iterator[str]:
     if c.runs and len(c.problems) < 6:
         yield (
             f'<p class="warn">With {_count(len(c.problems), "problem")}, no test on pairs can reach p &lt; 0.05; '
-            "differences show, but not that they are no accident. Six problems are the least, 20 are useful.</p>"
+            "differences may be due to chance. Use at least six problems, better 20.</p>"
         )
 
 
@@ -118,7 +118,7 @@ def _sections(summary: Summary) -> Iterator[str]:
     yield "<h2>Success and time to first path</h2>"
     yield _figure(
         figures.solved_figure(summary),
-        "Share of runs that had a path by then. A run whose result was not verified in the end never counts.",
+        "Share of runs with a path at that time. Runs without a verified result never count.",
     )
     yield "<h2>Gap to best known over time</h2>"
     many = len(summary.comparison.planners) > figures.BANDS
@@ -129,7 +129,7 @@ def _sections(summary: Summary) -> Iterator[str]:
     if many:
         yield _figure(
             figures.gap_panels(summary),
-            f"The same, planner by planner, the others in grey. {_BAND_NOTE}",
+            f"The same gap for each planner, with the others in grey. {_BAND_NOTE}",
         )
     if summary.comparison.w > 0.0:
         yield "<h2>Motion and impact</h2>"
@@ -212,7 +212,7 @@ def _calls(calls: Sequence[CallSummary]) -> Iterator[str]:
 
 def _pairs(pairs: Sequence[Paired]) -> Iterator[str]:
     if not pairs:
-        yield "<p>One planner has nothing to be compared with.</p>"
+        yield "<p>There is only one planner.</p>"
         return
     header = ["reference", "planner", "wins", "ties", "losses", "median cost ratio"]
     header += [f"{100 * CONFIDENCE:g} % interval", "p", "p (Holm)", "problems"]
@@ -249,7 +249,7 @@ def _problems(summary: Summary) -> Iterator[str]:
         marked = [_cell(percent(v), "best" if v <= least + 1e-3 else "" if math.isfinite(v) else "bad") for v in cells]
         rows.append([_cell(_text(problem)), _cell(number(best, 5)), *marked])
     yield _table(["problem", "best known", *comparison.planners], rows)
-    yield _note("Median gap of the result over seeds. Best known: of all these runs and of what was known before.")
+    yield _note("Median gap of the result over seeds. Best known: from all these runs and from earlier knowledge.")
 
 
 def _outcomes(summary: Summary) -> Iterator[str]:
@@ -285,7 +285,7 @@ def _machine(summary: Summary) -> Iterator[str]:
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table; headers stand over their columns, and may be broken where names have an underscore."""
+    """Return a table; headers may break at underscores."""
     kinds = [' class="text"' if rows and "text" in rows[0][i][:20] else "" for i in range(len(header))]
     names = (_text(name).replace("_", "_<wbr>") for name in header)
     top = "".join(f"<th{kind}>{name}</th>" for kind, name in zip(kinds, names, strict=True)) if any(header) else ""
@@ -295,7 +295,7 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _cell(content: str, kind: str = "") -> str:
-    """Return a cell; its content is HTML already."""
+    """Return a cell with HTML content."""
     return f'<td class="{kind}">{content}</td>' if kind else f"<td>{content}</td>"
 
 
@@ -316,7 +316,7 @@ def _text(value: str) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number in words fit for a table; NaN is a dash."""
+    """Format a number for a table; NaN becomes a dash."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -325,14 +325,14 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def percent(value: float) -> str:
-    """Return a fraction as a percentage; NaN is a dash."""
+    """Format a fraction as a percentage; NaN becomes a dash."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞"
     return f"{100.0 * value:.1f} %" if value < 10.0 else f"{100.0 * value:.0f} %"
 
 
 def p_value(value: float) -> str:
-    """Return a p-value; NaN is a dash."""
+    """Format a p-value; NaN becomes a dash."""
     return "–" if math.isnan(value) else f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"
 
 

@@ -1,4 +1,4 @@
-"""What the page of a comparison looks like, on light and on dark paper."""
+"""Style sheet of the page of a comparison, light and dark."""
 
 from __future__ import annotations
 

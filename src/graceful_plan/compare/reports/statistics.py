@@ -1,8 +1,8 @@
-"""Paired statistics of planners: who wins how often, by how much, and whether that could be chance.
+"""Paired statistics of planners: wins, cost ratios and significance.
 
-The unit is a problem: of its seeds the median counts, since seeds of one problem tell little about other problems. A
-problem that a planner does not solve counts as infinitely costly; where neither solves it, the pair is left out of the
-ratios and is a tie.
+The unit is a problem, represented by the median over its seeds, because seeds of one problem say little about other
+problems. An unsolved problem has infinite cost. A problem that neither planner solves is a tie and is left out of the
+ratios.
 
 References:
     [Wilcoxon1945] Individual comparisons by ranking methods.
@@ -28,29 +28,29 @@ Array = np.ndarray
 TIE = 1e-3
 """Relative difference below which two costs are a tie."""
 EXACT = 200
-"""Differences up to which the test of ranks is exact."""
+"""Number of differences up to which the rank test is exact."""
 RESAMPLES = 2000
 CONFIDENCE = 0.95
 _FAR = 1e6
-"""Stands for an infinite log ratio where only ranks count."""
+"""Substitute for an infinite log ratio if only ranks count."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Paired:
-    """One planner against another over the same problems.
+    """Comparison of two planners on the same problems.
 
     Args:
-        first: Label of the planner that is compared with.
-        second: Label of the planner that is compared.
-        wins: Problems on which the second costs less.
-        ties: Problems on which they differ by less than `TIE`, or that neither solves.
-        losses: Problems on which the second costs more.
-        ratio: Median of the cost of the second over that of the first; NaN if there is no problem that one solves.
+        first: Label of the reference.
+        second: Label of the other planner.
+        wins: Number of problems on which the second costs less.
+        ties: Number of problems with a difference below `TIE`, or that neither solves.
+        losses: Number of problems on which the second costs more.
+        ratio: Median of the cost of the second over that of the first; NaN if no problem is solved by either.
         low: Lower end of the bootstrap interval of that median.
         high: Upper end.
-        p: Of Wilcoxon's signed-rank test on the logarithms of the ratios, two-sided.
-        p_holm: The same, corrected for all the pairs that were looked at.
-        n: Problems that at least one of the two solves.
+        p: Two-sided p-value of Wilcoxon's signed-rank test on the logarithms of the ratios.
+        p_holm: p, corrected for all compared pairs.
+        n: Number of problems that at least one of the two solves.
     """
 
     first: str
@@ -67,17 +67,17 @@ class Paired:
 
 
 def compare_pair(first: str, second: str, a: ArrayLike, b: ArrayLike, *, seed: int = 0) -> Paired:
-    """Compare costs of two planners problem by problem.
+    """Compare costs of two planners by problem.
 
     Args:
         first: Label of the first planner.
         second: Label of the second.
-        a: Costs of the first, one a problem, > 0 or 0; infinite if it was not solved.
+        a: Costs of the first by problem, >= 0; infinite if unsolved.
         b: Costs of the second on the same problems.
-        seed: Of the bootstrap.
+        seed: Seed of the bootstrap.
 
     Raises:
-        ShapeError: If there are not as many of both.
+        ShapeError: If the numbers of costs differ.
         SettingError: If a cost is negative or NaN.
     """
     costs = [_costs(name, x) for name, x in (("a", a), ("b", b))]
@@ -102,12 +102,12 @@ def compare_pair(first: str, second: str, a: ArrayLike, b: ArrayLike, *, seed: i
 
 
 def compare_all(labels: Sequence[str], costs: Float[Array, "planner problem"], *, seed: int = 0) -> tuple[Paired, ...]:
-    """Compare every pair of planners, those with the first one first; Holm's correction is for all of them.
+    """Compare every pair of planners, pairs with the first one first, with Holm's correction for all of them.
 
     Args:
-        labels: Of the planners, the reference first.
-        costs: Infinite where not solved.
-        seed: Of the bootstrap.
+        labels: Labels of the planners, the reference first.
+        costs: Costs by planner and problem; infinite if unsolved.
+        seed: Seed of the bootstrap.
     """
     pairs = [
         compare_pair(labels[i], labels[j], costs[i], costs[j], seed=seed)
@@ -119,10 +119,10 @@ def compare_all(labels: Sequence[str], costs: Float[Array, "planner problem"], *
 
 
 def signed_rank(log_ratio: ArrayLike) -> float:
-    """Return the two-sided p-value of Wilcoxon's signed-rank test; 1 if there is no difference at all.
+    """Compute the two-sided p-value of Wilcoxon's signed-rank test; 1 if all differences are 0.
 
-    Exact up to `EXACT` differences, also with ties in rank, of which there are many where problems are not solved: the
-    normal approximation claims too much there if problems are few. Zeros are dropped.
+    The test is exact up to `EXACT` differences, also with tied ranks, which unsolved problems cause: for few problems
+    the normal approximation is then too optimistic. Zeros are dropped.
     """
     difference = np.clip(np.asarray(log_ratio, dtype=float), -_FAR, _FAR)
     difference = difference[difference != 0.0]
@@ -137,9 +137,9 @@ def signed_rank(log_ratio: ArrayLike) -> float:
 
 
 def _exact_signed_rank(difference: Float[Array, " n"]) -> float:
-    """Count which of all the assignments of signs to these ranks are as extreme."""
+    """Compute the share of all assignments of signs to these ranks that are at least as extreme."""
     _, place, count = np.unique(np.abs(difference), return_inverse=True, return_counts=True)
-    # Twice the mean rank of each group of equals, a whole number.
+    # Twice the mean rank of each group of ties, an integer.
     doubled = (2 * np.cumsum(count) - count + 1)[place]
     probability = np.zeros(int(doubled.sum()) + 1)
     probability[0] = 1.0
@@ -153,7 +153,7 @@ def _exact_signed_rank(difference: Float[Array, " n"]) -> float:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Correct p-values for having looked at all of them, by Holm's step-down method."""
+    """Correct p-values for multiple tests by Holm's step-down method."""
     order = np.argsort(p, kind="stable")
     corrected, least = [1.0] * len(p), 0.0
     for rank, i in enumerate(order.tolist()):
@@ -172,13 +172,13 @@ def _costs(name: str, values: ArrayLike) -> Float[Array, " n"]:
 
 
 def _log_ratio(a: Float[Array, " n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Logarithm of b / a; 0 where both are 0, infinite where one of them is 0 or infinite."""
+    """Compute the logarithm of b / a: 0 if both are equal, infinite if one of them is 0 or infinite."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(a == b, 0.0, np.log(b) - np.log(a))
 
 
 def _interval(log: Float[Array, " n"], seed: int) -> tuple[float, float]:
-    """Return the percentile interval of the median, drawing problems with replacement."""
+    """Compute the bootstrap percentile interval of the median over problems."""
     if not len(log):
         return math.nan, math.nan
     rng = np.random.default_rng(seed)
@@ -188,7 +188,7 @@ def _interval(log: Float[Array, " n"], seed: int) -> tuple[float, float]:
 
 
 def _median(values: Float[Array, "n m"]) -> Float[Array, " n"]:
-    """Medians of rows; of two middle ones the mean, which is infinite if one of them is, and 0 of both infinities."""
+    """Compute medians of rows as the mean of two middle values; 0 for opposite infinities."""
     ordered = np.sort(values, axis=1)
     m = ordered.shape[1]
     below, above = ordered[:, (m - 1) // 2], ordered[:, m // 2]
@@ -197,5 +197,5 @@ def _median(values: Float[Array, "n m"]) -> Float[Array, " n"]:
 
 
 def _ratio(log: float) -> float:
-    # The logarithms that stand for infinity and for nothing at all pass.
+    # Infinite logarithms are valid here.
     return math.inf if log > 700.0 else math.exp(log)

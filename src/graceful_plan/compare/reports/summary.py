@@ -1,4 +1,4 @@
-"""What a comparison says: gaps to the best known, over time and in the end, by planner and problem."""
+"""Summary of a comparison: gaps to the best-known cost, over time and at the end, by planner and problem."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from graceful_plan.compare.runs.records import Run
 Array = np.ndarray
 
 CHECKPOINTS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
-"""When gaps are tabulated [s], as far as the time limit goes."""
+"""Times of tabulated gaps [s], up to the time limit."""
 LATE = (1.1, 0.1)
-"""A call is late if it takes longer than so many times its limit and so many seconds."""
+"""A call is late if it exceeds its limit by this factor and by this many seconds."""
 GRID = 120
-"""Points of the curves over time."""
+"""Number of points of curves over time."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerSummary:
-    """How a planner did. Medians are over its runs; of two middle ones the worse, so that a failure never hides.
+    """Results of a planner. Medians over its runs take the worse of two middle values, so that failures show.
 
     | field     | meaning                                                                                 |
     |-----------|-----------------------------------------------------------------------------------------|
-    | planner   | its label                                                                               |
+    | planner   | label                                                                                   |
     | runs      | number of runs                                                                          |
-    | solved    | of which a verified result was returned                                                 |
+    | solved    | number of runs with a verified result                                                   |
     | outcomes  | number of runs by status                                                                |
-    | first     | median time to the first path [s]; runs not solved count as infinite                    |
-    | seconds   | median time of the whole call, until the verified result was there [s]                  |
+    | first     | median time to the first path [s]; unsolved runs count as infinite                      |
+    | seconds   | median time of the whole call, until the verified result [s]                            |
     | slowest   | longest call [s]                                                                        |
-    | late      | number of calls that took more than `LATE` allows                                       |
+    | late      | number of late calls, see `LATE`                                                        |
     | gap       | median gap of the result to the best known                                              |
-    | gap_at    | median gap of the best path so far, by seconds                                          |
+    | gap_at    | median gap of the best path at a time, by seconds                                       |
     | motion    | median over problems of the motion cost over the best known total                       |
-    | impact    | the same of the weighted impact                                                         |
+    | impact    | median over problems of the weighted impact over the best known total                   |
     | jerk_peak | median of the peak waypoint jerk of solved runs [rad/s^3]                               |
     | jerk_rms  | median of its root mean square [rad/s^3]                                                |
     | duration  | median duration of the trajectories of solved runs [s]                                  |
@@ -72,14 +72,14 @@ class PlannerSummary:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Summary:
-    """Everything that a report shows besides single runs.
+    """Statistics for a report.
 
     Args:
-        comparison: What it is of.
-        best: Least total cost known of each problem; infinite if nothing solved it.
-        planners: By planner, in the order of the comparison.
-        pairs: Every pair of planners, those with the reference first.
-        calls: What calls are like, by kind of problem.
+        comparison: The comparison.
+        best: Best-known total cost of each problem; infinite if it was never solved.
+        planners: Results by planner, in the order of the comparison.
+        pairs: Every pair of planners, pairs with the reference first.
+        calls: Statistics of calls by kind of problem.
     """
 
     comparison: Comparison
@@ -89,7 +89,7 @@ class Summary:
     calls: tuple[CallSummary, ...] = ()
 
     def to_document(self) -> dict[str, Any]:
-        """Return it as a document of plain values."""
+        """Return the summary as a dictionary for JSON."""
         comparison = self.comparison
         return {
             "schema": "graceful_plan.bench.summary",
@@ -109,7 +109,7 @@ class Summary:
 
 
 def summarise(comparison: Comparison) -> Summary:
-    """Work out gaps and statistics of what is done so far."""
+    """Compute gaps and statistics of all finished runs."""
     best = best_known(comparison)
     return Summary(
         comparison=comparison,
@@ -121,7 +121,7 @@ def summarise(comparison: Comparison) -> Summary:
 
 
 def best_known(comparison: Comparison) -> dict[str, float]:
-    """Return the least total cost of each problem: of what is known from elsewhere and of all the runs."""
+    """Return the best-known total cost of each problem, from all runs and from earlier knowledge."""
     return {
         problem: min(
             [
@@ -134,7 +134,7 @@ def best_known(comparison: Comparison) -> dict[str, float]:
 
 
 def gap(total: float, best: float) -> float:
-    """How much a total lies above the best known, relative to it (absolute where that is 0); infinite if either is."""
+    """Compute the relative excess of a total over the best-known one (absolute if that is 0); may be infinite."""
     return float(_gaps(np.array([total]), best)[0])
 
 
@@ -151,7 +151,7 @@ def _gaps(totals: Float[Array, " n"], best: float) -> Float[Array, " n"]:
 
 
 def time_grid(comparison: Comparison) -> Float[Array, " time"]:
-    """Return times for curves [s], evenly spread on a logarithmic axis, from the first path of any run to the limit."""
+    """Return times for curves [s], log-spaced from the first path of any run to the limit."""
     firsts = [run.first for run in comparison.runs if 0.0 < run.first < comparison.seconds]
     begin = max(1e-4, min([*firsts, 0.1 * comparison.seconds]))
     return np.geomspace(begin, comparison.seconds, GRID)
@@ -169,25 +169,25 @@ def gap_curve(
 
 
 def solved_curve(comparison: Comparison, planner: str, times: Float[Array, " time"]) -> Float[Array, " time"]:
-    """Return the share of a planner's runs that had a path by then and were solved in the end."""
+    """Return the share of a planner's runs with a path at each time and a verified result at the end."""
     runs = comparison.of(planner=planner)
     first = np.array([run.first if run.solved else np.inf for run in runs])
     return (first[None] <= times[:, None]).mean(axis=1) if runs else np.zeros(len(times))
 
 
 def quantile(values: Float[Array, "n m"], share: float) -> Float[Array, " n"]:
-    """Return quantiles of rows; between two values the upper one, so that infinities stay what they are."""
+    """Compute quantiles of rows without interpolation, the upper of two values, so that infinity remains."""
     ordered = np.sort(values, axis=1)
     return ordered[:, math.ceil(share * (ordered.shape[1] - 1) - 1e-9)]
 
 
 def median(values: Sequence[float]) -> float:
-    """Return the median, of two middle values the greater; NaN of nothing."""
+    """Compute the median as the greater of two middle values; NaN if empty."""
     return float(quantile(np.array([values], dtype=float), 0.5)[0]) if len(values) else math.nan
 
 
 def problem_costs(comparison: Comparison) -> Float[Array, "planner problem"]:
-    """Return the median over seeds of the total cost reached; infinite if most were not solved, or there were none."""
+    """Return the median over seeds of the total cost; infinite if most seeds are unsolved or missing."""
     return np.array(
         [
             [
@@ -201,7 +201,7 @@ def problem_costs(comparison: Comparison) -> Float[Array, "planner problem"]:
 
 
 def shares(comparison: Comparison, best: Mapping[str, float], planner: str) -> Float[Array, "problem 2"]:
-    """Return motion and weighted impact over the best known total, medians over solved seeds, of problems solved."""
+    """Return motion and weighted impact over the best-known total of solved problems, as medians over solved seeds."""
     found = []
     for problem in comparison.problems:
         runs = [run for run in comparison.of(planner=planner, problem=problem) if run.solved]

@@ -35,7 +35,7 @@ _INTEGERS, _TEXTS = ("seed",), ("problem", "planner", "status", "detail")
 
 
 def run_rows(comparison: Comparison) -> list[dict[str, Any]]:
-    """Return a row for every run; what is not finite is None."""
+    """Return a row for every run; non-finite values are None."""
     best = best_known(comparison)
     return [
         {
@@ -70,7 +70,7 @@ def trace_rows(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def write_csv(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
-    """Write runs.csv and trace.csv. What is not finite is empty."""
+    """Write runs.csv and trace.csv; cells of non-finite values are empty."""
     return _write(comparison, folder, "csv", _to_csv)
 
 

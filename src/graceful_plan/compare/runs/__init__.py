@@ -1,1 +1,1 @@
-"""Running planners on suites of problems."""
+"""Runs of planners on suites of problems."""

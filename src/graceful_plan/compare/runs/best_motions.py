@@ -1,9 +1,9 @@
-"""The best motion known for each task of a scene, one JSON file a task; judged again whenever it is read.
+"""Best-known motion for each task of a scene, one JSON file per task, verified at every reading.
 
-A file counts only while its motion still starts and ends where the task does, keeps the limits, is free by exact
-geometry, keeps what plans keep unless they are told otherwise, and costs what the file says; else the scene, the task
-or the cost has changed and `BestMotions.load` refuses it. A motion is stored as its samples, a row each: time,
-positions, velocities. The cubics between them are all of it.
+A file is valid only while its motion starts and ends as the task does, satisfies limits and default constraints, is
+free by exact geometry, and has the stored cost. Otherwise the scene, the task or the cost function has changed, and
+`BestMotions.load` refuses it. A motion is stored as samples, one per row: time, positions, velocities. Cubics between
+them define the motion completely.
 """
 
 from __future__ import annotations
@@ -30,37 +30,37 @@ from graceful_plan.timing.trajectory import Trajectory
 
 SCHEMA = 2
 _COST_TOLERANCE = 1e-6
-"""Relative: a stored total is written to full precision and evaluated by the same rule."""
+"""Relative tolerance of a stored total, which is written with full precision and evaluated by the same rule."""
 _BETTER = 1e-9
-"""Relative gain below which a motion is the same motion."""
+"""Relative improvement below which a motion counts as unchanged."""
 _SAME = 2e-6
-"""Distance [rad] between the ends of a motion and of its task: a start outside a limit is moved onto it."""
+"""Tolerance of the ends of a motion [rad]: a start outside a limit is moved onto the limit."""
 
 _BROKEN = (OSError, AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError)
-"""What reading a broken file raises."""
+"""Exceptions from reading a malformed file."""
 
 
 @final
 class StaleBestMotion(FormatError):
-    """A stored motion that is no solution of the task as it is now, or does not cost what its file says."""
+    """A stored motion that does not solve the present task, or whose cost differs from the stored one."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One run and what it reached."""
+    """One run and its result."""
 
     planner: str
     seed: int
     seconds: float
     total: float | None
-    """None if it found no motion."""
+    """Total cost; None without a motion."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class BestMotion:
-    """The best motion known for a task."""
+    """The best-known motion for a task."""
 
     task: str
     total: float
@@ -71,15 +71,15 @@ class BestMotion:
     seconds: float
     """Time limit of the run that found it."""
     samples: tuple[tuple[float, ...], ...]
-    """A row each: time [s], positions [rad or m], velocities [rad/s or m/s]."""
+    """Rows of time [s], positions [rad or m] and velocities [rad/s or m/s]."""
     runs: tuple[Attempt, ...] = ()
-    """Runs that it is the best of; others may have been asked besides."""
+    """Runs that were compared; may be incomplete."""
 
     def trajectory(self, joints: tuple[str, ...]) -> Trajectory:
-        """Return the motion of these joints.
+        """Return the motion as a trajectory of the joints.
 
         Raises:
-            GracefulPlanError: If the samples are no motion of theirs.
+            GracefulPlanError: If the samples are not a motion of these joints.
         """
         nq = len(joints)
         rows = [(row[0], row[1 : nq + 1], row[nq + 1 :]) for row in self.samples if row]
@@ -90,11 +90,11 @@ class BestMotion:
 @final
 @dataclass(frozen=True)
 class BestMotions:
-    """A folder of best known motions.
+    """A folder of best-known motions.
 
     Args:
-        folder: Where the files are.
-        w: Safety weight of the default objective that they are the best for.
+        folder: Folder of the files.
+        w: Safety weight of the default objective.
     """
 
     folder: Path
@@ -102,24 +102,24 @@ class BestMotions:
 
     @classmethod
     def in_folder(cls, folder: Path) -> BestMotions:
-        """Take the weight from the files that are there, all of which have to be for the same one.
+        """Read the weight from the files, which must agree on it.
 
         Raises:
-            StaleBestMotion: If a file has none.
+            StaleBestMotion: If a file has no weight.
         """
         for file in sorted(folder.glob("*.json")):
             return cls(folder, _weight(file))
         return cls(folder)
 
     def file_of(self, task: str) -> Path:
-        """Where the best motion of a task, "scene/task", is kept."""
+        """Return the file of the best motion of a task, "scene/task"."""
         return self.folder / (task.replace("/", ".") + ".json")
 
     def read(self, file: Path) -> BestMotion:
-        """Read a file without judging its motion.
+        """Read a file without verifying its motion.
 
         Raises:
-            StaleBestMotion: If it is not of this format.
+            StaleBestMotion: If the format is wrong.
         """
         try:
             data = json.loads(read_content(file))
@@ -137,10 +137,10 @@ class BestMotions:
             raise StaleBestMotion(file.name, f"{type(error).__name__}: {error}") from error
 
     def load(self, name: str, task: Task) -> BestMotion | None:
-        """Read and judge the best motion of a task; None if there is no file.
+        """Read and verify the best motion of a task; None if there is no file.
 
         Raises:
-            StaleBestMotion: If the file does not hold what it says.
+            StaleBestMotion: If the motion does not solve the task, or has another cost than stored.
         """
         file = self.file_of(name)
         if not file.exists():
@@ -151,7 +151,7 @@ class BestMotions:
         return best
 
     def renewed(self, name: str, task: Task) -> BestMotion | None:
-        """Like `load`, but keep a stored motion that still solves the task at what it costs now, its runs forgotten."""
+        """Like `load`, but update the cost of a motion that still solves the task, and drop its runs."""
         try:
             return self.load(name, task)
         except StaleBestMotion:
@@ -167,13 +167,13 @@ class BestMotions:
         return replace(best, total=cost.total, motion=cost.motion, impact=cost.impact, runs=())
 
     def offer(self, task: Task, best: BestMotion | None, run: Run, seconds: float) -> BestMotion | None:
-        """Return the better of what is known and the motion of a run, which must be a solution to count.
+        """Return the better of the best-known motion and that of a run, if the latter is a solution.
 
         Args:
-            task: What was to be done.
-            best: What is known, None if nothing is.
+            task: The task.
+            best: Best-known motion, or None.
             run: A run on that task.
-            seconds: Its time limit [s].
+            seconds: Time limit of the run [s].
         """
         trajectory = run.trajectory(task.scene.joints)
         if not run.solved or trajectory is None:
@@ -195,7 +195,7 @@ class BestMotions:
         )
 
     def write(self, best: BestMotion) -> None:
-        """Write the file of a task, whole or not at all."""
+        """Write the file of a task atomically."""
         data = {"schema": SCHEMA, "w": self.w, **asdict(replace(best, samples=(), runs=()))}
         del data["samples"], data["runs"]
         rows = ",\n  ".join(json.dumps(row) for row in best.samples)
@@ -208,10 +208,10 @@ class BestMotions:
         partial.replace(file)
 
     def totals(self) -> dict[str, float]:
-        """Return the least total cost of every task of bundled scenes that has a file.
+        """Return the best-known total cost of every task of bundled scenes that has a file.
 
         Raises:
-            StaleBestMotion: If a file does not hold what it says.
+            StaleBestMotion: If a file is invalid.
         """
         found: dict[str, float] = {}
         for file in sorted(self.folder.glob("*.json")):
@@ -223,11 +223,11 @@ class BestMotions:
         return found
 
     def cost_of(self, trajectory: Trajectory, task: Task) -> CostBreakdown:
-        """Cost of a motion under the default objective."""
+        """Evaluate a motion under the default objective."""
         return evaluate(trajectory, task.scene, Objective(w=self.w))
 
     def _problems(self, best: BestMotion, task: Task) -> list[str]:
-        """Say why a stored motion does not count, nothing if it does."""
+        """List the reasons why a stored motion is invalid."""
         try:
             trajectory = best.trajectory(task.scene.joints)
         except GracefulPlanError as error:
@@ -247,12 +247,12 @@ def _weight(file: Path) -> float:
 
 
 def _not_a_solution(trajectory: Trajectory, task: Task) -> list[str]:
-    """Say what keeps a motion from solving a task."""
+    """List the reasons why a motion does not solve a task."""
     found: list[str] = []
     if np.abs(trajectory.q[0] - task.start).max() > _SAME:
         found.append("does not begin at the start")
     if np.abs(task.goal - trajectory.q[-1]).max(axis=1).min() > _SAME:
         found.append("ends at no goal")
-    # Who plans keeps what is carried in the grasp, too; a motion that does not is no better one.
+    # Plans also satisfy the default constraints on grasp and contents, so a better motion must, too.
     verdict = verify(trajectory, task.scene, constraints=default_constraints(task.scene))
     return found + [f"{name}: {verdict.checks[name].detail}" for name in verdict.failures]

@@ -1,4 +1,4 @@
-"""Comparing planners: every planner on every problem with every seed, at equal time, written down as it goes."""
+"""Comparison of planners: every planner on every problem with every seed, at equal time, with a journal."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.regular_file import path_of
 
 Progress = Callable[[int, int, Run | None], None]
-"""Called with the runs that are done, those there are in all, and the newest."""
+"""Called with the number of finished runs, the total number, and the latest run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What is compared.
+    """Settings of a comparison.
 
     Args:
         suite: The problems.
@@ -37,7 +37,7 @@ class Settings:
         seeds: Seeds of the runs.
         seconds: Time limit of every call [s].
         w: Safety weight.
-        processes: Runs at a time, none of which shares a process with another.
+        processes: Number of parallel runs, each in a separate process.
     """
 
     suite: Suite
@@ -58,12 +58,12 @@ class Settings:
         cores = os.cpu_count() or 1
         if not 0 <= self.processes <= cores:
             raise SettingError(
-                "processes", self.processes, f"at most the {cores} cores there are, or times mean nothing"
+                "processes", self.processes, f"at most the {cores} available cores, or times are meaningless"
             )
 
     @property
     def jobs(self) -> list[PlannerJob]:
-        """Every run. Planners take turns, at being first too, so that what else the machine does meets all alike."""
+        """Return all runs. The order of planners rotates, so that other load on the machine affects all alike."""
         rounds = [(seed, problem) for seed in self.seeds for problem in self.suite.problems]
         return [
             PlannerJob(problem=problem, planner=planner, seed=seed, seconds=self.seconds, w=self.w)
@@ -73,7 +73,7 @@ class Settings:
         ]
 
     def to_document(self, machine: Mapping[str, str]) -> dict[str, Any]:
-        """Return all that figures depend on: two runs are comparable if this is the same for both."""
+        """Return all settings that affect results; runs with equal documents are comparable."""
         return {
             "suite": self.suite.name,
             "seconds": self.seconds,
@@ -90,7 +90,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:
-    """Runs, and what they are runs of.
+    """Runs of a comparison with its settings.
 
     | field      | meaning                                                                |
     |------------|------------------------------------------------------------------------|
@@ -100,12 +100,12 @@ class Comparison:
     | seeds      | seeds                                                                  |
     | seconds    | time limit of every call [s]                                           |
     | w          | safety weight                                                          |
-    | machine    | what it was made on                                                    |
-    | begun      | when, in UTC                                                           |
-    | runs       | the runs that are done, in the order of problems, planners and seeds   |
-    | known      | least total costs known from elsewhere, by problem                     |
-    | groups     | the kind of every problem, by its name                                 |
-    | settings   | everything that figures depend on, as a document                       |
+    | machine    | description of the machine                                             |
+    | begun      | begin of the comparison, in UTC                                        |
+    | runs       | finished runs, in the order of problems, planners and seeds            |
+    | known      | best-known total costs from other sources, by problem                  |
+    | groups     | kind of every problem, by name                                         |
+    | settings   | all settings that affect results, as a document                        |
     """
 
     suite: str
@@ -132,7 +132,7 @@ class Comparison:
 
     @cached_property
     def _grouped(self) -> dict[tuple[str | None, str | None], list[Run]]:
-        """Runs by problem and planner, by either alone, and all: a report asks thousands of times."""
+        """Runs by problem and planner, by either alone, and all; cached because a report needs them often."""
         found: dict[tuple[str | None, str | None], list[Run]] = {}
         for run in self.runs:
             for key in product((run.problem, None), (run.planner, None)):
@@ -152,22 +152,22 @@ def compare(
     known: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Compare planners; go on with a comparison that was interrupted.
+    """Compare planners, or resume an interrupted comparison.
 
     Args:
-        suite: Bundled suite, suite file, problem file or folder of those, or a `Suite`.
-        planners: Names with settings, as "rrt_star:range=0.4", or classes of one's own, as "package.module:Class"; the
-            first is the reference. All of the library's if None.
-        seeds: How many, or which.
+        suite: Bundled suite, suite file, problem file or folder of problem files, or a `Suite`.
+        planners: Names with settings, such as "rrt_star:range=0.4", or custom classes, such as "package.module:Class";
+            the first is the reference. All planners of the library if None.
+        seeds: Number of seeds, or the seeds.
         seconds: Time limit of every call [s].
         w: Safety weight.
-        out: Folder of the journal. Runs that are in it already are not repeated.
-        processes: Runs at a time, in processes of their own; 0 uses this very process, which a planner can then crash.
-        known: Least total costs known from elsewhere at this weight, by problem.
+        out: Folder of the journal. Runs in the journal are not repeated.
+        processes: Number of parallel runs in separate processes; 0 uses this process, which a planner can then crash.
+        known: Best-known total costs at this weight from other sources, by problem.
         progress: Called before the first run and after every run.
 
     Returns:
-        Everything that is done, which is all of it.
+        The complete comparison.
 
     Raises:
         GracefulPlanError: For misuse: unknown names, settings out of range, a folder with another comparison.
@@ -197,7 +197,7 @@ def settle(
     w: float | None = None,
     processes: int = 1,
 ) -> Settings:
-    """Return settings, with the suite's own for those that are None. Arguments as for `compare`."""
+    """Return settings with defaults from the suite. Arguments as in `compare`."""
     loaded = suite if isinstance(suite, Suite) else load_suite(suite)
     if isinstance(seeds, int):
         if isinstance(seeds, bool) or seeds < 1:
@@ -214,7 +214,7 @@ def settle(
 
 
 def load_comparison(folder: str | Path, known: Mapping[str, float] | None = None) -> Comparison:
-    """Read what a folder holds, however much of it is done.
+    """Read the finished runs of a comparison from its folder.
 
     Raises:
         FormatError: If there is no journal, or a damaged one.
@@ -226,7 +226,7 @@ def load_comparison(folder: str | Path, known: Mapping[str, float] | None = None
 
 
 def _known(settings: Settings) -> dict[str, float]:
-    """Return what the suite knows of least costs; it knows them at its own weight only."""
+    """Return the best-known costs in the suite, which hold for the weight of the suite only."""
     exact = analytic_problems()
     known = dict(settings.suite.best_known) if settings.w == settings.suite.w else {}
     for problem in settings.suite.problems:

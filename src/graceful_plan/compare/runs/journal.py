@@ -1,8 +1,8 @@
-"""The journal of a comparison: a file of JSON lines that is only ever appended to.
+"""Journal of a comparison: an append-only file of JSON lines.
 
-The first line says what is compared and on what machine; every other line is a run. A line is written whole and synced
-to disk, so that a kill loses at most the runs in progress. A last line without its end is cut off when the journal is
-opened again; damage anywhere else is refused.
+The first line contains the settings and the machine; every other line is a run. Each line is written at once and synced
+to disk, so a kill loses at most the runs in progress. An incomplete last line is truncated when the journal is opened
+again; any other damage is refused.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from graceful_plan.regular_file import check_regular, read_content
 
 NAME = "journal.jsonl"
 VERSION = 3
-"""Of the journal; it grows when a field of a run is added, removed or changes its meaning."""
+"""Version of the journal, increased when a field of a run is added, removed or changes its meaning."""
 _SCHEMA = {"schema": "graceful_plan.bench", "version": VERSION}
 _SETTINGS = {
     "suite": str,
@@ -33,22 +33,22 @@ _SETTINGS = {
     "seconds": float,
     "w": float,
 }
-"""What is read of the settings; a list is one of such items."""
+"""Required settings with their types; a list stands for a list of such items."""
 
 
 class OtherSettings(GracefulPlanError, ValueError):
-    """A folder with a comparison that was begun with other settings."""
+    """A folder contains a comparison with other settings."""
 
     def __init__(self, folder: Path, differences: tuple[str, ...]) -> None:
         self.folder, self.differences = folder, differences
         super().__init__(
             f"{folder} holds a comparison made with other settings: {'; '.join(differences)}. "
-            "Repeat those to go on with it, or choose another folder."
+            "Repeat those to resume it, or choose another folder."
         )
 
 
 class RunJournalBusy(GracefulPlanError, RuntimeError):
-    """A journal that another process is writing."""
+    """Another process is writing the journal."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -56,16 +56,16 @@ class RunJournalBusy(GracefulPlanError, RuntimeError):
 
 
 class RunJournal:
-    """An open journal, begun if there was none. Use it in a `with` statement.
+    """An open journal, created if missing. Use it in a `with` statement.
 
     Args:
-        folder: Where it is or will be.
-        settings: What is compared; it must be what it was begun with.
-        machine: On what.
-        known: Least total costs that the suite knows, by problem.
+        folder: Folder of the journal.
+        settings: Settings of the comparison; must equal those in an existing journal.
+        machine: Description of the machine.
+        known: Best-known total costs in the suite, by problem.
 
     Raises:
-        FormatError: If the file is something else, or damaged other than at its end.
+        FormatError: If the file is not a journal, or damaged other than at its end.
         OtherSettings: If it was begun with other settings.
         RunJournalBusy: If another process has it open.
     """
@@ -104,7 +104,7 @@ class RunJournal:
             raise RunJournalBusy(self.file) from None
 
     def _cut(self) -> None:
-        """Cut off what a kill left of a last line; of a file that is something else, nothing."""
+        """Truncate an incomplete last line; leave a file that is not a journal unchanged."""
         self._stream.seek(0)
         content = self._stream.read()
         begin = json.dumps(_SCHEMA).encode().split(b",")[0]
@@ -128,7 +128,7 @@ class RunJournal:
         self._stream.close()
 
     def add(self, run: Run) -> None:
-        """Write down a run; it is on disk when this returns."""
+        """Append a run; it is on disk when this returns."""
         self._append(run.to_json())
         self.runs.append(run)
 
@@ -139,12 +139,12 @@ class RunJournal:
 
 
 def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
-    """Read a journal: its first line, and the runs. A last line without its end is left out.
+    """Read the first line and the runs of a journal, without an incomplete last line.
 
-    What runs of earlier versions did not record is as if it had not been measured.
+    Fields that earlier versions did not record count as not measured.
 
     Raises:
-        FormatError: If it is something else, of another version, or damaged.
+        FormatError: If the file is not a journal, of an unsupported version, or damaged.
     """
     try:
         content = read_content(file)
@@ -160,7 +160,7 @@ def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
     if type(version) is not int or not 1 <= version <= VERSION:
         raise FormatError(str(file), f"version {version!r}; this version reads 1 to {VERSION}")
     if version == 1:
-        head = {"begun": "", "known": {}, **head}  # the first ones did not say
+        head = {"begun": "", "known": {}, **head}  # missing in the first version
     kinds = {"begun": str, "settings": dict, "machine": dict, "known": dict}
     for key, kind in kinds.items():
         if not isinstance(head.get(key), kind):
@@ -174,15 +174,15 @@ def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
 
 
 def check_head(head: Mapping[str, Any], file: Path) -> None:
-    """Raise FormatError if the first line of a journal lacks something that results are told with."""
+    """Raise FormatError if the first line of a journal lacks a field needed for reports."""
     if missing := next(_lacks(head["settings"], _SETTINGS), None):
         raise FormatError(f"{file}:1", f"damaged: settings have no {missing}")
     if not all(map(_is_number, head["known"].values())):
-        raise FormatError(f"{file}:1", "damaged: what is known has to be numbers")
+        raise FormatError(f"{file}:1", "damaged: known costs have to be numbers")
 
 
 def _lacks(document: Any, shape: Any, name: str = "") -> Iterator[str]:
-    """Name what a document does not have of a shape: types by key, and in lists the shape of each item."""
+    """Yield the names of fields that a document lacks: types by key, and in lists the shape of each item."""
     if isinstance(shape, Mapping):
         for key, inside in shape.items():
             there = document.get(key) if isinstance(document, Mapping) else None
@@ -206,7 +206,7 @@ def _document(line: bytes, where: str) -> Any:
 
 
 def differences(there: Any, here: Any, name: str = "") -> Iterator[str]:
-    """Say in words where two documents differ."""
+    """Yield descriptions of the differences of two documents."""
     if isinstance(there, Mapping) and isinstance(here, Mapping):
         for key in [*there, *(key for key in here if key not in there)]:
             yield from differences(there.get(key), here.get(key), f"{name}.{key}" if name else str(key))

@@ -1,4 +1,4 @@
-"""Least total costs that are known of problems, as a file that one comparison writes and another one reads."""
+"""Files of best-known total costs, written by one comparison and read by another."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ _VERSION = 1
 
 
 def read_known(file: str | Path, w: float | None = None) -> dict[str, float]:
-    """Read least total costs by problem.
+    """Read best-known total costs by problem.
 
     Args:
         file: YAML with `version`, `w` and `best_known`, a mapping from problems to costs; or a folder of best
-            motions, each of which is judged (see `best_motions`).
-        w: Safety weight that they have to be for, if that is to be checked.
+            motions, each of which is verified (see `best_motions`).
+        w: Expected safety weight, or None to accept any.
 
     Raises:
-        SceneError: If the file is broken, with the line.
-        SettingError: If they are for another weight.
-        StaleBestMotion: If a motion of a folder is for another weight, or does not hold what its file says.
+        SceneError: If the file is malformed; with the line.
+        SettingError: If the costs are for another weight.
+        StaleBestMotion: If a motion in a folder is invalid or for another weight.
     """
     place = path_of(file)
     if place.is_dir():
@@ -42,9 +42,9 @@ def read_known(file: str | Path, w: float | None = None) -> dict[str, float]:
 
 
 def write_known(best: Mapping[str, float], w: float, folder: Path) -> Path:
-    """Write what is finite of least total costs."""
+    """Write the finite best-known total costs."""
     file = folder / NAME
-    # JSON strings are YAML, whatever a problem is called.
+    # JSON strings are valid YAML for any name of a problem.
     lines = [f"  {json.dumps(name)}: {total!r}" for name, total in best.items() if math.isfinite(total)]
     text = "\n".join([f"version: {_VERSION}", f"w: {w!r}", "best_known:" + ("" if lines else " {}"), *lines])
     partial = file.with_suffix(".partial")
@@ -54,7 +54,7 @@ def write_known(best: Mapping[str, float], w: float, folder: Path) -> Path:
 
 
 def known_costs(*sources: Mapping[str, float]) -> dict[str, float]:
-    """Return the least cost that any source knows, by problem."""
+    """Return the least cost over all sources, by problem."""
     found: dict[str, float] = {}
     for source in sources:
         for name, total in source.items():

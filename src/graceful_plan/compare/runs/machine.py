@@ -1,4 +1,4 @@
-"""What a figure was measured on: processor, memory, instruction sets, versions."""
+"""Description of the machine: processor, memory, instruction sets, versions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PACKAGES = ("numpy", "mujoco", "ompl", "toppra", "mink", "scipy", "casadi")
 
 
 def describe() -> dict[str, str]:
-    """Return what times depend on, by name; nothing of it tells whose machine this is."""
+    """Return the properties that times depend on, by name; none identifies the owner of the machine."""
     return {
         "processor": processor(),
         "cores": str(os.cpu_count()),
@@ -32,14 +32,14 @@ def describe() -> dict[str, str]:
 
 
 def described() -> str:
-    """Return the same in one line."""
+    """Return the description in one line."""
     about = describe()
     hardware = f"{about['processor']}, {about['cores']} cores, {about['memory']}"
     return f"{hardware}; {about['system']}; kernels: {about['kernels']}; {about['versions']}"
 
 
 def processor() -> str:
-    """Model of the processor."""
+    """Return the model of the processor."""
     info = Path("/proc/cpuinfo")
     if not info.exists():
         return platform.processor() or platform.machine()
@@ -51,7 +51,7 @@ def processor() -> str:
 
 
 def memory_gb() -> float:
-    """Memory of the machine [GB]; NaN if the system does not tell."""
+    """Return the memory of the machine [GB]; NaN if unknown."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     except (ValueError, OSError):
@@ -59,12 +59,12 @@ def memory_gb() -> float:
 
 
 def resident_megabytes() -> float:
-    """Memory that this process holds [MB]."""
+    """Return the resident memory of this process [MB]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def version(package: str) -> str:
-    """Version of an installed package."""
+    """Return the version of an installed package."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

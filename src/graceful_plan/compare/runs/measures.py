@@ -1,4 +1,4 @@
-"""What is measured of a motion besides its cost: jerk and exact clearance. Nothing of it is in any time."""
+"""Measures of a motion other than its cost: jerk and exact clearance, computed outside of the timed calls."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 JERK_STEP = 0.02
-"""Time between the waypoints that jerk is computed from [s], a usual rate of commands to an arm."""
+"""Time between waypoints for the jerk [s], a usual command period of an arm."""
 CLEARANCE_STEP = 0.01
-"""No point of the robot moves farther than this between two measurements of clearance [m]."""
+"""Maximum travel of any point of the robot between two measurements of clearance [m]."""
 FARTHEST = 1.0
-"""Clearances are not measured beyond this [m]."""
+"""Maximum measured clearance [m]."""
 
 
 def jerk(trajectory: Trajectory) -> tuple[float, float]:
-    """Return the peak and the root mean square of the waypoint jerk [rad/s^3].
+    """Compute the peak and the root mean square of the waypoint jerk [rad/s^3].
 
-    The acceleration of a timed path may jump, so its jerk has no greatest value. What an arm is sent are waypoints:
-    positions every `JERK_STEP`. Their third difference over the cube of the step is taken, from rest before the start
-    to rest after the end; of its vectors the lengths count.
+    The acceleration of a timed path may jump, so its exact jerk is unbounded. The waypoint jerk is the third difference
+    of positions every `JERK_STEP`, as sent to an arm, divided by the cube of the step. The motion is extended by rest
+    at both ends; the measure is the norm of the jerk vector.
     """
     steps = int(np.ceil(trajectory.duration / JERK_STEP)) + 6
     q = trajectory.at(trajectory.t[0] + JERK_STEP * (np.arange(steps + 1) - 3.0)).q
@@ -36,10 +36,10 @@ def jerk(trajectory: Trajectory) -> tuple[float, float]:
 
 
 def exact_clearance(motion: Path | Trajectory, scene: Scene) -> tuple[float, float]:
-    """Return least distances [m] of what must not touch, by MuJoCo's geometry: to the surroundings, and to itself.
+    """Compute the least clearance to the surroundings and the least self-clearance [m], by MuJoCo's geometry.
 
-    The robot and what it carries count; what a carried object may stand on at the ends of a motion does not. At most
-    `FARTHEST`; negative if something overlaps.
+    Robot and carried object count; supports of the carried object at the ends of a motion do not. At most `FARTHEST`;
+    negative for an overlap.
     """
     at_ends = scene.allowed_pairs("ends")
     pairs = np.array([pair for pair in scene.collision_pairs().tolist() if tuple(sorted(pair)) not in at_ends])
@@ -56,9 +56,9 @@ def exact_clearance(motion: Path | Trajectory, scene: Scene) -> tuple[float, flo
 
 
 def _nearest(model: mujoco.MjModel, data: mujoco.MjData, pairs: Int[Array, "pair 2"], least: float) -> float:
-    """Return the least distance of pairs in one configuration, or `least` if nothing is nearer."""
+    """Return the minimum of `least` and the distances of pairs in one configuration [m]."""
     first, second = pairs.T
-    # Bounding spheres say which pairs can matter; a plane has none.
+    # Bounding spheres preselect pairs; a plane has none.
     radius = model.geom_rbound[first] + model.geom_rbound[second]
     apart = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1) - radius
     unbounded = (model.geom_rbound[first] == 0.0) | (model.geom_rbound[second] == 0.0)

@@ -1,9 +1,8 @@
-"""Which planners are compared: names with settings, of the library's planners and of classes that are imported.
+"""Planners of a comparison: names with settings, for planners of the library and imported classes.
 
-A planner is written `name` or `name:setting=value,setting=value`, with `+refine` at its end if `plan` is to refine its
-paths. The name is one of `PLANNERS`, the class of one's own as `package.module:Class`, or a function as
-`package.module:function` (see `PlainProblem`). Importing that
-module runs it, in this process and in every worker.
+A planner is written `name` or `name:setting=value,setting=value`, followed by `+refine` if `plan` shall refine its
+paths. The name is one of `PLANNERS`, a custom class `package.module:Class`, or a function `package.module:function`
+(see `PlainProblem`). Importing that module runs its code in this process and in every worker.
 """
 
 from __future__ import annotations
@@ -26,16 +25,16 @@ from graceful_plan.planners import PLANNERS, Planner
 from graceful_plan.planners.external import adapted
 
 REFINED = "+refine"
-"""Ends the words for a planner whose paths `plan` refines."""
+"""Suffix of a planner whose paths `plan` refines."""
 
 
 @final
 class PlannerImportError(GracefulPlanError, ImportError):
-    """A class that cannot be imported, or is no planner.
+    """A class that cannot be imported, or is not a planner.
 
     Args:
-        planner: The class as it was asked for, "package.module:Class".
-        problem: What is wrong with it.
+        planner: The class, as "package.module:Class".
+        problem: Description of the error.
     """
 
     def __init__(self, planner: str, problem: str) -> None:
@@ -46,14 +45,14 @@ class PlannerImportError(GracefulPlanError, ImportError):
 @final
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlannerNote:
-    """A planner as it was asked for: plain data, so that it can go to another process.
+    """A requested planner, as plain data that can be sent to another process.
 
     Args:
-        label: What it is called in reports.
+        label: Name in reports.
         name: Name in `PLANNERS`, or "package.module:Class".
         settings: Settings other than the defaults.
-        digest: Checksum of the module's file; nothing if the planner is one of the library's.
-        refine: Whether `plan` refines its paths, which makes motions of most planners alike; see `plan`.
+        digest: Checksum of the module's file; empty for a planner of the library.
+        refine: Whether `plan` refines its paths, which makes the motions of most planners similar.
     """
 
     label: str
@@ -63,10 +62,10 @@ class PlannerNote:
     refine: bool = False
 
     def make(self) -> Planner:
-        """Make the planner.
+        """Create the planner.
 
         Raises:
-            GracefulPlanError: If it does not exist or refuses its settings.
+            GracefulPlanError: If the planner does not exist or rejects its settings.
         """
         if self.name in PLANNERS:
             return PLANNERS[self.name](**dict(self.settings))
@@ -77,22 +76,22 @@ class PlannerNote:
         return dataclasses.replace(made, **dict(self.settings)) if self.settings else made  # type: ignore[type-var]
 
     def to_document(self) -> dict[str, Any]:
-        """Return what makes this planner what it is; not where its module lies."""
+        """Return a dictionary that identifies the planner, without the location of its module."""
         document = {"label": self.label, "name": self.name, "settings": dict(self.settings)}
         digest = {"digest": self.digest} if self.digest else {}
         return document | digest | ({"refine": True} if self.refine else {})
 
 
 def read_planners(words: Sequence[str] | None) -> tuple[PlannerNote, ...]:
-    """Read what the command line says about planners.
+    """Parse planners with settings.
 
     Args:
-        words: Planners with settings, the reference first; all that the library has if None.
+        words: Planners with settings, the reference first; all planners of the library if None.
 
     Raises:
-        PlannerImportError: If a class cannot be imported or is no planner.
+        PlannerImportError: If a class cannot be imported or is not a planner.
         UnknownNameError: If a planner or a setting does not exist.
-        SettingError: If a setting has a wrong value, or two planners have one label.
+        SettingError: If a setting has an invalid value, or two planners have the same label.
     """
     notes = [_parsed(word) for word in (PLANNERS if words is None else words)]
     labels = [note.label for note in notes]
@@ -107,7 +106,7 @@ def read_planners(words: Sequence[str] | None) -> tuple[PlannerNote, ...]:
 
 
 def _check(note: PlannerNote) -> None:
-    """Make a planner once, so that its complaints come early."""
+    """Create a planner once, to report its errors early."""
     try:
         note.make()
     except GracefulPlanError:
@@ -141,7 +140,7 @@ def _parsed(label: str) -> PlannerNote:
 
 
 def _split(word: str) -> tuple[str, str | None]:
-    """Tell the name of a planner from its settings, None if there is no colon before any."""
+    """Split a planner into name and settings; the latter are None without a colon."""
     name, colon, rest = word.partition(":")
     cls, *settings = rest.split(":", 1)
     if name not in PLANNERS and cls.isidentifier():
@@ -164,7 +163,7 @@ def _settings(word: str, text: str) -> Iterator[tuple[str, Any]]:
 
 
 def _number(text: str) -> float | str:
-    """Read what YAML 1.1 takes for text, as 1e-3."""
+    """Parse numbers that YAML 1.1 reads as text, such as 1e-3."""
     try:
         return float(text)
     except ValueError:
@@ -172,23 +171,22 @@ def _number(text: str) -> float | str:
 
 
 def imported_planner(name: str) -> type[Planner]:
-    """Import a planner's class, or make one of a function.
+    """Import a planner's class, or create a class from a function.
 
     Args:
-        name: "package.module:Class" or "package.module:function", found as Python finds modules, and in the current
-            directory.
+        name: "package.module:Class" or "package.module:function", on the module path or in the current directory.
 
     Raises:
-        PlannerImportError: If there is no such module, it cannot be imported, or the class is no planner.
+        PlannerImportError: If the module does not exist or cannot be imported, or the class is not a planner.
         UnknownNameError: If the module has no such class.
     """
     module_name, _, cls_name = name.partition(":")
     here = os.getcwd()
     if here not in sys.path:
-        # Last, so that no file here takes the place of a module that is installed.
+        # Last, so that no file here shadows an installed module.
         sys.path.append(here)
     try:
-        with redirect_stdout(sys.stderr):  # what it prints is no part of what the command prints
+        with redirect_stdout(sys.stderr):  # keeps its output out of that of the command
             module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:
         missing = str(error.name) if isinstance(error, ModuleNotFoundError) else ""
@@ -232,7 +230,7 @@ def _with_defaults(name: str, planner: type[Planner]) -> Planner:
 
 
 def _line_of(error: BaseException) -> str:
-    """Return where an error was raised, as " (mine.py:12)"."""
+    """Return the location of an error, such as " (mine.py:12)"."""
     if isinstance(error, SyntaxError) and error.filename and error.lineno is not None:
         return f" ({Path(error.filename).name}:{error.lineno})"
     trace, line = error.__traceback__, ""

@@ -1,4 +1,4 @@
-"""What is recorded of a run, and its form as a line of JSON."""
+"""Record of a run, and its JSON format."""
 
 from __future__ import annotations
 
@@ -22,47 +22,47 @@ Array = np.ndarray
 
 SOLVED = "SOLVED"
 EARLY = (0.01, 0.1)
-"""When a call's paths are looked at before it ends [s]."""
+"""Times at which the path of a running call is recorded [s]."""
 _LATER = frozenset(
     {"self_clearance", "certified", "times", "velocities", "motion_wall", "motion_cpu", "early", "path_cost"}
 )
-"""Fields that the first runs did not have."""
+"""Fields missing in the first version of the format."""
 RAISED, CRASHED, HUNG = "RAISED", "CRASHED", "HUNG"
-"""Outcomes besides those of `PlanStatus`: an exception, the end of the process, and no end at all."""
+"""Outcomes in addition to `PlanStatus`: an exception, a crashed process, and a process that did not end."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One run of a planner on a problem. Pessimistic until filled in: infinite cost, nothing measured.
+    """One run of a planner on a problem; by default with infinite cost and without measurements.
 
     | field      | meaning                                                                                          |
     |------------|--------------------------------------------------------------------------------------------------|
     | problem    | name of the problem                                                                              |
     | planner    | label of the planner                                                                             |
-    | seed       | of its random numbers                                                                            |
+    | seed       | seed of the random numbers                                                                       |
     | status     | name of a `PlanStatus`; RAISED, CRASHED or HUNG if it did not end with one                       |
-    | detail     | what the status means here                                                                       |
-    | seconds    | the whole call: when the verified result was there [s]                                           |
-    | first      | when the first path was there [s]; infinite if the call was not solved in the end                |
-    | motion_wall | a call that ends with its first path, until its verified motion was there [s]; none: infinite   |
-    | motion_cpu | processor time of the same call, of all threads [s]                                              |
+    | detail     | explanation of the status                                                                        |
+    | seconds    | time of the whole call, until the verified result [s]                                            |
+    | first      | time until the first path [s]; infinite if the call was not solved in the end                    |
+    | motion_wall | time of a call that ends with its first path, until its verified motion [s]; none: infinite     |
+    | motion_cpu | processor time of that call, of all threads [s]                                                  |
     | total      | least total cost J reached, of the verified result                                               |
     | motion     | its motion cost                                                                                  |
     | impact     | its impact                                                                                       |
     | jerk_peak  | greatest joint jerk of the timed trajectory [rad/s^3], see `measures.jerk`                       |
     | jerk_rms   | root of the mean square over time [rad/s^3]                                                      |
-    | duration   | of the timed trajectory [s]                                                                      |
+    | duration   | duration of the timed trajectory [s]                                                             |
     | length     | joint-space length of the motion [rad]                                                           |
     | clearance  | least exact distance of robot and carried object to the surroundings [m], see `measures`         |
-    | self_clearance | the same to each other [m]                                                                   |
-    | certified  | clearance that is proven between samples, self-collision included [m]; see `Certificate`         |
-    | iterations | of the planner                                                                                   |
+    | self_clearance | least exact self-clearance of robot and carried object [m]                                   |
+    | certified  | clearance proven between samples, including self-collision [m]; see `Certificate`                |
+    | iterations | iterations of the planner                                                                        |
     | path_cost  | total of the planner's own best path, as its search estimates it                                 |
-    | early      | motion cost of the best path, as a search charges it, by the times `EARLY`; infinite: none      |
-    | trace      | improvements: time [s], total, motion, impact; paths as a search charges them, last the result   |
-    | path       | configurations of the result; of a motion, its samples                                           |
-    | times      | times of these [s]; none in the plane, where nothing is timed                                    |
-    | velocities | joint velocities there [rad/s or m/s]                                                            |
+    | early      | motion cost of the best path, as estimated by the search, at the times `EARLY`; infinite: none  |
+    | trace      | improvements: time [s], total, motion, impact; paths by search estimate, the result last         |
+    | path       | configurations of the result; samples of a motion                                                |
+    | times      | times of the samples [s]; none for analytic problems, which are not timed                        |
+    | velocities | joint velocities at the samples [rad/s or m/s]                                                   |
     """
 
     problem: str
@@ -99,45 +99,45 @@ class Run:
 
     @property
     def key(self) -> tuple[str, str, int]:
-        """What tells runs apart."""
+        """Unique key of the run."""
         return self.problem, self.planner, self.seed
 
     def trajectory(self, joints: tuple[str, ...]) -> Trajectory | None:
-        """Return the motion of these joints, None if nothing was timed.
+        """Return the motion as a trajectory of the joints, None if it is not timed.
 
         Raises:
-            GracefulPlanError: If it is no motion of theirs.
+            GracefulPlanError: If it is not a motion of these joints.
         """
         return cubics(self.times, self.path, self.velocities, joints) if self.times else None
 
     def totals_at(self, seconds: ArrayLike) -> Float[Array, "*time"]:
-        """Total cost of the best path by then; infinite if there was none or the call was not solved in the end."""
+        """Return the total cost of the best path at times; infinite without a path or a verified result."""
         trace = self.trace if self.solved else ()
         times = np.array([point.time for point in trace])
         totals = np.minimum.accumulate([math.inf, *(point.total for point in trace)])
         return totals[np.searchsorted(times, seconds, side="right")]
 
     def total_at(self, seconds: float) -> float:
-        """Total cost of the best path by one time; see `totals_at`."""
+        """Return the total cost of the best path at one time; see `totals_at`."""
         return float(self.totals_at([seconds])[0])
 
     def to_json(self) -> str:
-        """Return one line of strict JSON; numbers that are not finite become null."""
+        """Return one line of strict JSON; non-finite numbers become null."""
         document = asdict(self)
         document["trace"] = [[p.time, p.total, p.motion, p.impact] for p in self.trace]
         return json.dumps(finite(document), allow_nan=False, separators=(",", ":"))
 
     @classmethod
     def from_document(cls, document: Any, source: str, *, complete: bool = True) -> Run:
-        """Read what `to_json` wrote.
+        """Read a run written by `to_json`.
 
         Args:
             document: JSON values.
-            source: What to call them in messages.
-            complete: Whether no field may be absent; else those that came later may.
+            source: Name of the source in messages.
+            complete: Whether all fields must be present; else those of later versions may be missing.
 
         Raises:
-            FormatError: If it is something else.
+            FormatError: If the document is not a run.
         """
         defaults = {item.name: item.default for item in fields(cls)}
         if isinstance(document, Mapping) and not complete:
@@ -168,16 +168,16 @@ def cubics(
     velocities: Sequence[Sequence[float]],
     joints: tuple[str, ...],
 ) -> Trajectory:
-    """Return the motion through samples: the cubics that meet positions and velocities are all of it.
+    """Return the trajectory of cubics through the positions and velocities of samples.
 
     Args:
-        times: Of the samples [s].
+        times: Times of the samples [s].
         path: Positions [rad or m].
-        velocities: [rad/s or m/s].
+        velocities: Velocities [rad/s or m/s].
         joints: Names of the joints.
 
     Raises:
-        GracefulPlanError: If they are no motion of these joints.
+        GracefulPlanError: If the samples are not a motion of these joints.
     """
     q, qd = (
         finite_array(name, [list(row) for row in rows], ndim=2, last=len(joints))

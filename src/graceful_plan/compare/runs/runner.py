@@ -1,4 +1,4 @@
-"""One run: a planner on a problem with a time limit, everything loaded, imported and compiled before."""
+"""One run of a planner on a problem with a time limit, after loading, imports and compilation."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from graceful_plan.scene.scene import Scene
 
 _SAME = 1e-9
 _WORDS = 1000
-"""Characters of an exception's message that are kept."""
+"""Maximum number of recorded characters of an exception's message."""
 _WARM_UP = 0.25
-"""Seconds that a planner gets at most to import and compile what it needs, not counted."""
+"""Maximum time for imports and compilation before the run, which is not counted [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerJob:
-    """A run that is to be done.
+    """A run to execute.
 
     Args:
-        problem: What to solve.
-        planner: With what.
-        seed: Of its random numbers.
+        problem: The problem.
+        planner: The planner.
+        seed: Seed of the random numbers.
         seconds: Time limit of the call [s].
         w: Safety weight.
-        measured: Whether jerk and clearance are measured, which takes longer than many a run.
+        measured: Whether to measure jerk and clearance, which takes longer than many runs.
     """
 
     problem: ProblemNote
@@ -58,7 +58,7 @@ class PlannerJob:
 
     @property
     def key(self) -> tuple[str, str, int]:
-        """What tells runs apart."""
+        """Unique key of the run."""
         return self.problem.name, self.planner.label, self.seed
 
     def outcome(self, status: str, detail: str = "") -> Run:
@@ -68,7 +68,7 @@ class PlannerJob:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneQuery:
-    """A motion to plan in a scene."""
+    """Start, goal and scene of a planning problem."""
 
     start: Configuration
     goal: Goal
@@ -76,34 +76,34 @@ class SceneQuery:
 
 
 def run(job: PlannerJob) -> Run:
-    """Plan. Whatever is raised is an outcome."""
+    """Execute a run; exceptions are outcomes."""
     try:
         problem = loaded_problem(job.problem)
         planner = job.planner.make()
         warm_up(job.problem, job.planner, min(job.seconds, _WARM_UP), job.w)
-        # Garbage of the run before is not this one's.
+        # Collect the garbage of the previous run outside of this one.
         gc.collect()
         if isinstance(problem, AnalyticProblem):
             return _run_analytic(job, problem, planner)
         return _run_scene(job, problem, planner)
     except Exception as error:
-        # Whatever is in it, it has to go into files and on a page.
+        # The message may contain anything, but has to fit into files and the page.
         words = f"{type(error).__name__}: {error}"[:_WORDS].encode(errors="replace").decode()
         return job.outcome(RAISED, words)
 
 
 def load(job: PlannerJob) -> None:
-    """Load a problem, which may take a while and is the fault of no planner. What is wrong with it, `run` will meet."""
+    """Load a problem outside of the time of the planner; `run` reports its errors."""
     with suppress(Exception):
         loaded_problem(job.problem)
 
 
 @lru_cache(maxsize=64)
 def loaded_problem(note: ProblemNote) -> SceneQuery | AnalyticProblem:
-    """Load a problem, once in a process.
+    """Load a problem, cached per process.
 
     Raises:
-        GracefulPlanError: If its scene or file is not here, or is broken.
+        GracefulPlanError: If its scene or file is missing or malformed.
     """
     if note.kind == "analytic":
         return analytic_problems()[note.item]
@@ -130,7 +130,7 @@ def _problem_file(path: str) -> dict[str, ProblemFile]:
 
 @lru_cache(maxsize=1024)
 def warm_up(note: ProblemNote, planner: PlannerNote, seconds: float = _WARM_UP, w: float = 0.0) -> None:
-    """Let a planner plan in this scene up to its first path, so that imports and compiled scenes are in no figure.
+    """Plan up to a first path, so that measured times exclude imports and the compilation of the scene.
 
     Args:
         note: The problem.
@@ -157,7 +157,7 @@ def warm_up(note: ProblemNote, planner: PlannerNote, seconds: float = _WARM_UP, 
                 stop="first",
             )
     except Exception:
-        return  # The run itself will meet it again, and record it.
+        return  # The run itself reports the error again.
 
 
 def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
@@ -216,7 +216,7 @@ def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
 
 
 def _best_by(seconds: float, seen: Sequence[TracePoint]) -> float:
-    """Return the motion cost of the path of the least total that was there by then; infinite if none was."""
+    """Return the motion cost of the path of least total cost at a time; infinite without a path."""
     there = [(point.total, point.motion) for point in seen if point.time <= seconds]
     return min(there, default=(math.inf, math.inf))[1]
 
@@ -240,7 +240,7 @@ def _first_motion(job: PlannerJob, problem: SceneQuery, planner: Planner) -> tup
 
 
 def _run_analytic(job: PlannerJob, instance: AnalyticProblem, planner: Planner) -> Run:
-    """Let a planner solve a problem in the plane; every path is checked, none is timed."""
+    """Run a planner on an analytic problem; paths are checked but not timed."""
     objective = replace(instance.objective, w=job.w)
     budget, trace, best = Budget(job.seconds), [], None
     for path in planner.solve(instance.problem, objective, budget, np.random.default_rng(job.seed)):

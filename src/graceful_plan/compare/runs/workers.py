@@ -1,7 +1,7 @@
-"""Worker processes that survive what is done in them: an exception, the end of the process, or no end at all.
+"""Worker processes that tolerate exceptions, crashes and jobs that do not end.
 
-Every worker does one job at a time. One that dies is replaced, and what it was doing becomes an outcome, as does what
-takes far longer than it may; so a planner in native code can neither end a comparison nor hold it up.
+Every worker executes one job at a time. A crashed worker is replaced and its job gets an outcome, and so does a job far
+beyond its time limit. A planner in native code can therefore neither end a comparison nor block it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from graceful_plan.compare.runs.runner import PlannerJob, load, run
 from graceful_plan.exceptions import GracefulPlanError
 
 TIMES, PATIENCE = 10.0, 60.0
-"""A run is given up after so many times its limit plus so many seconds: compiling may take a while."""
+"""Factor of the time limit, and additional seconds, after which a run is abandoned; compiling may take long."""
 
 _BEGUN, _DONE, _RAISED = "begun", "done", "raised"
-"""What a worker says: that it is a job's turn, and how that ended."""
+"""Messages of a worker: the job has started, and its outcome."""
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -35,7 +35,7 @@ R = TypeVar("R")
 
 @final
 class WorkerLostError(GracefulPlanError, RuntimeError):
-    """A worker that died, or did not end, over a job whose loss is no outcome."""
+    """A worker crashed or did not end, and the job has no outcome for that."""
 
     def __init__(self, job: object, status: str, detail: str) -> None:
         self.job, self.status, self.detail = job, status, detail
@@ -47,19 +47,19 @@ def _refuse(job: object, status: str, detail: str) -> Any:
 
 
 def _nothing(job: object) -> None:
-    """Prepare nothing."""
+    """Do nothing."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Work(Generic[J, R]):
-    """What is done with jobs in workers; its functions are found by name in another process.
+    """Functions for jobs in workers; other processes import them by name.
 
     Args:
-        do: Does a job. What it raises is raised where results are awaited.
-        prepare: Is called before, without a deadline.
-        allowed: Seconds that `do` may take.
-        lost: Makes a result of a job whose worker died (CRASHED) or did not end (HUNG); raises by default.
+        do: Executes a job. Its exceptions are raised in the process that awaits the results.
+        prepare: Called before `do`, without a deadline.
+        allowed: Time limit of `do` [s].
+        lost: Returns the result of a job whose worker crashed (CRASHED) or did not end (HUNG); raises by default.
     """
 
     do: Callable[[J], R]
@@ -69,12 +69,12 @@ class Work(Generic[J, R]):
 
 
 def done(jobs: Sequence[PlannerJob], processes: int, patience: float = PATIENCE) -> Iterator[Run]:
-    """Do runs of planners and yield what came of them as they end.
+    """Execute runs of planners and yield their records as they end.
 
     Args:
-        jobs: What to do, in this order.
-        processes: Workers; 0 does everything in this very process, with no protection from crashes.
-        patience: Seconds that a run may take beyond `TIMES` its limit.
+        jobs: Runs, in this order.
+        processes: Number of workers; 0 uses this process, without protection from crashes.
+        patience: Time that a run may take beyond `TIMES` its limit [s].
     """
     work = Work(do=run, prepare=load, allowed=lambda job: TIMES * job.seconds + patience, lost=_lost)
     return spread(work, jobs, processes)
@@ -86,12 +86,12 @@ def _lost(job: PlannerJob, status: str, detail: str) -> Run:
 
 
 def spread(work: Work[J, R], jobs: Sequence[J], processes: int) -> Iterator[R]:
-    """Do jobs and yield results as they come.
+    """Execute jobs and yield results as they arrive.
 
     Args:
-        work: What to do with them.
-        jobs: In this order.
-        processes: Workers; 0 does everything in this very process.
+        work: Functions for the jobs.
+        jobs: Jobs, in this order.
+        processes: Number of workers; 0 uses this process.
     """
     if not jobs:
         return
@@ -108,10 +108,10 @@ def spread(work: Work[J, R], jobs: Sequence[J], processes: int) -> Iterator[R]:
 
 
 class _Helper(Generic[J, R]):
-    """A process and the pipe to it."""
+    """A worker process and its pipe."""
 
     def __init__(self, work: Work[J, R]) -> None:
-        # Spawned, not forked: libraries below have threads.
+        # Spawn instead of fork, because native libraries have threads.
         context = multiprocessing.get_context("spawn")
         self.work = work
         self.pipe, theirs = context.Pipe()
@@ -123,13 +123,13 @@ class _Helper(Generic[J, R]):
         self.deadline = math.inf
 
     def give(self, job: J) -> None:
-        # Starting up and loading the problem are not the planner's doing: until then there is no deadline.
+        # The deadline starts only after start-up and loading, which are not the planner's time.
         self.job, self.deadline = job, math.inf
-        with suppress(OSError):  # It is dead, which `results` will notice.
+        with suppress(OSError):  # The process is dead; `results` reports it.
             self.pipe.send(job)
 
     def results(self) -> list[R]:
-        """Return what came of the job, nothing if it is not done yet; raise what it raised."""
+        """Return the result of the job, empty if it is not finished; raise its exception."""
         assert self.job is not None
         job = self.job
         try:
@@ -143,7 +143,7 @@ class _Helper(Generic[J, R]):
                     raise answer
                 return [answer]
         except (EOFError, OSError):
-            if self.job is None:  # The job raised it, not the pipe.
+            if self.job is None:  # Raised by the job, not by the pipe.
                 raise
             self.lost = True
             self.process.join(5.0)
@@ -163,7 +163,7 @@ class _Helper(Generic[J, R]):
 
 
 class _Helpers(Generic[J, R]):
-    """As many workers as wanted, always."""
+    """A constant number of workers."""
 
     def __init__(self, work: Work[J, R], count: int) -> None:
         self.work = work
@@ -184,7 +184,7 @@ class _Helpers(Generic[J, R]):
         return [worker for worker in self.all if worker.job is None]
 
     def results(self) -> Iterator[R]:
-        """Wait until something ends, or for a second; yield what ended and replace the dead."""
+        """Wait up to a second for results; yield them and replace dead workers."""
         busy = [worker for worker in self.all if worker.job is not None]
         wait([worker.pipe for worker in busy], timeout=1.0)
         for worker in busy:
@@ -196,10 +196,10 @@ class _Helpers(Generic[J, R]):
 
 
 def _serve(pipe: Connection, do: Callable[[Any], Any], prepare: Callable[[Any], None]) -> None:
-    """Do jobs until the other end of the pipe is gone."""
-    # Ctrl-C reaches the whole group of processes; the parent decides what it means.
+    """Execute jobs until the other end of the pipe closes."""
+    # Ctrl-C reaches all processes of the group; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Standard output may be one JSON document; what planners print is no part of it.
+    # Standard output may be one JSON document; keep planners' output out of it.
     os.dup2(2, 1)
     with suppress(EOFError, OSError):
         while True:

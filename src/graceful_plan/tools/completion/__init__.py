@@ -1,1 +1,1 @@
-"""Completion of command lines by shells."""
+"""Shell completion."""

@@ -1,4 +1,4 @@
-"""The command that lets shells complete the others: completion."""
+"""Command `completion`, which prints scripts for shell completion."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from graceful_plan.tools.parsing import DONE, Parser
 
 
 def add_to(commands: Any, program: Parser) -> None:
-    """Add this command to those of a program."""
+    """Add the command to the parser of a program."""
 
     def run(args: argparse.Namespace) -> int:
         script = SHELLS[args.shell](program, _values())
         show(args, {"shell": args.shell, "script": script}, script.rstrip("\n"))
         return DONE
 
-    text = "print what lets a shell complete all this"
+    text = "print a completion script for a shell"
     made = add_command(commands, "completion", run, text)
     made.add_argument("shell", choices=tuple(SHELLS), help="which shell")
 
 
 def _values() -> dict[str, Offer]:
-    """Return what is offered as values, by the names of options."""
+    """Return the completions of values by name of the option."""
     from graceful_plan.compare.problems.suite import suites
 
     planners = Offer(tuple(sorted(gp.PLANNERS)))

@@ -1,4 +1,4 @@
-"""What shells complete, as scripts that are made from a parser: nothing is asked when a key is pressed."""
+"""Static completion scripts for shells, generated from a parser."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from graceful_plan.tools.parsing import Parser
 
 
 class Argument(NamedTuple):
-    """An argument as a shell sees it."""
+    """An argument for a completion script."""
 
     names: tuple[str, ...]
-    """Of an option; none if the argument has to be given by its place."""
+    """Names of an option; empty for a positional argument."""
     text: str
     takes_value: bool
     words: tuple[str, ...]
-    """Values to offer."""
+    """Completions of the value."""
     files: bool
-    """Whether files are offered, too."""
+    """Whether to complete file names, too."""
 
 
 class Offer(NamedTuple):
-    """What to offer as the value of an argument."""
+    """Completions of the value of an argument."""
 
     words: tuple[str, ...]
     files: bool = False
 
 
 Values = Mapping[str, Offer]
-"""By the names of arguments, as {"scene": ...}, beside what their parser knows itself."""
+"""Completions by name of the argument, such as {"scene": ...}, in addition to the choices in the parser."""
 
 
 def arguments(parser: Parser, values: Values) -> list[Argument]:
-    """List what a command takes."""
+    """List the arguments of a command."""
     return [_argument(action, values) for action in parser.arguments if action.help != argparse.SUPPRESS]
 
 
@@ -52,7 +52,7 @@ def bash(parser: Parser, values: Values) -> str:
     lines = [
         f"{function}() {{",
         '    local current="${COMP_WORDS[COMP_CWORD]}" words="" files="" last="" i',
-        "    # The option that the word belongs to: the last one before it.",
+        "    # The option of the word: the last one before it.",
         "    for ((i = COMP_CWORD - 1; i > 1; i--)); do",
         '        if [[ "${COMP_WORDS[i]}" == -* ]]; then last="${COMP_WORDS[i]}"; break; fi',
         "    done",
@@ -106,14 +106,14 @@ def zsh(parser: Parser, values: Values) -> str:
     for name, command in parser.commands.items():
         specs = " ".join(shlex.quote(spec) for a in arguments(command, values) for spec in _zsh_specs(a))
         lines.append(f"        {name}) _arguments {specs} ;;")
-    # Whether it is sourced, or found by compinit and run.
+    # The script may be sourced, or found by compinit and run.
     lines += ["    esac", "}", f'if [[ "${{funcstack[1]}}" == "{function}" ]]; then {function} "$@"; fi']
     lines += [f"if (($+functions[compdef])); then compdef {function} {parser.prog}; fi"]
     return "\n".join(lines) + "\n"
 
 
 def _zsh_function(words: Sequence[str]) -> str:
-    """Name the function that offers words and files; the first word tells whose they are."""
+    """Return the name of the function that completes words and files; the first word makes it unique."""
     return f"_graceful_plan_{words[0]}_or_file"
 
 
@@ -149,7 +149,7 @@ def _fish(argument: Argument) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return a text without what shells take for something else."""
+    """Return a text without characters that are special to shells."""
     return " ".join("".join(c for c in text if c not in "'\"`$\\[]():{}").split())
 
 

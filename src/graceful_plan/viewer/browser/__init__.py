@@ -1,1 +1,1 @@
-"""The page: draws a `ViewerState`. Only these modules know of viser, which is imported when a page is opened."""
+"""The page, which draws a `ViewerState`. Only these modules use viser, imported when a page is opened."""

@@ -1,4 +1,4 @@
-"""Where the page is looked at from: first of all, and while a second copy of the scene stands beside the first one."""
+"""Cameras of the page: the initial view, and the view of two copies of the scene side by side."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from graceful_plan.viewer.question import Question
 Array = np.ndarray
 
 _GAP = 0.4
-"""Between two copies of the scene [m]."""
+"""Distance between two copies of the scene [m]."""
 _ASIDE = 0.35
-"""How far the camera stands beside the line from the robot to what it does, as an angle [rad]; also a distance [m]."""
+"""Angle of the camera to the line from the robot to its workspace [rad]; also used as a distance [m]."""
 
 
 @final
 class Cameras:
-    """The cameras of all browsers that show a page, or will.
+    """Cameras of all present and future browsers of a page.
 
     Args:
         server: viser's server.
-        question: Whose start and goal, and what stands between them, are to be seen first.
+        question: Request whose start and goal determine the initial view.
     """
 
     def __init__(self, server: Any, question: Question) -> None:
@@ -32,7 +32,7 @@ class Cameras:
         ends = np.stack([question.handle_pose(question.start)[:3, 3], question.goal_pose()[:3, 3]])
         middle, way = ends.mean(axis=0), ends[1] - ends[0]
         length = float(np.linalg.norm(way))
-        if question.scene.base is not None:  # from above the walls, the way from left to right
+        if question.scene.base is not None:  # from above the walls, with the path from left to right
             yaw, out, up, far = float(np.arctan2(way[1], way[0])) - 0.5 * np.pi, 0.45, 0.9, 2.0 + 0.75 * length
         else:
             ahead = middle - _first_joint(question)
@@ -44,12 +44,12 @@ class Cameras:
         self._right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
 
     def beside(self, scene: Scene) -> Float[Array, " 3"]:
-        """Return where a second copy of the scene stands [m]: along x or y, as seen first to the right."""
+        """Return the offset of a second copy of the scene [m], along x or y, to the right in the initial view."""
         axis = int(np.argmax(np.abs(self._right)))
         return (_extent(scene)[axis] + _GAP) * np.sign(self._right[axis]) * np.eye(3)[axis]
 
     def take_in(self, shift: Float[Array, " 3"]) -> None:
-        """Move so that a copy of the scene there is seen too; back if there is none any more, for a shift of 0."""
+        """Move the cameras to include a copy of the scene at an offset [m]; an offset of 0 moves them back."""
         more, farther = shift - self._shifted, float(np.linalg.norm(shift) - np.linalg.norm(self._shifted))
         self._shifted = shift
         if not more.any():
@@ -62,13 +62,13 @@ class Cameras:
 
 
 def _first_joint(question: Question) -> Float[Array, " 3"]:
-    """Where the robot's first joint is at the start, in W [m]."""
+    """Return the position of the robot's first joint at the start, in W [m]."""
     scene = question.scene
     return np.array(scene.data_at(question.start).joint(scene.joints[0]).xanchor)
 
 
 def _extent(scene: Scene) -> Float[Array, " 2"]:
-    """Extent along x and y of what stands around [m], planes left out."""
+    """Return the extent of the scene along x and y without planes [m]."""
     model, data = scene.model, scene.data_at(scene.model.qpos0[scene.qpos_adr])
     geoms = np.flatnonzero((model.geom_rbound > 0.0) & (model.geom_group < 3))
     R = data.geom_xmat[geoms].reshape(-1, 3, 3)

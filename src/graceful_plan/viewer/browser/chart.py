@@ -1,4 +1,4 @@
-"""The chart of the impact by entity over time, with a line where the moment is that is shown."""
+"""Chart of the impact by entity over time, with a line at the present moment."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ Array = np.ndarray
 
 _ENTITIES = 4
 _SERIES = _ENTITIES + 3
-"""The time, those in most danger, all others, and the line that says when."""
+"""Number of series: time, most endangered entities, all others, and the line of the present moment."""
 _NOW = 1e-6
-"""Width of that line [s]."""
+"""Width of the line of the present moment [s]."""
 _UNUSED = {"label": "", "width": 0, "points": {"show": False}}
 
 
 @final
 class ImpactChart:
-    """A chart on the page: one for as long as the page is there, whatever motion it is of.
+    """Chart on the page, which exists as long as the page and is reused for all motions.
 
-    A browser applies what is written to elements of the panel after everything else that came at the same time. An
-    element that is written to and then taken away is gone by then, which is an error; so this one never is. It always
-    has as many series, since a browser may draw between the data and what they are called.
+    A browser applies updates of panel elements after all other messages of the same time. Updating an element and then
+    removing it is therefore an error, so this chart is never removed. The number of series is constant, because a
+    browser may draw between the updates of data and labels.
 
     Args:
-        server: viser's server; the chart is put where the panel is at, out of sight until there is a motion.
+        server: viser's server; the chart is added at the present place of the panel, hidden until there is a motion.
     """
 
     def __init__(self, server: Any) -> None:
@@ -48,7 +48,7 @@ class ImpactChart:
         )
 
     def draw(self, motion: ShownMotion | None) -> None:
-        """Draw another motion; without one there is no chart to be seen."""
+        """Draw another motion; hide the chart for None."""
         self._motion = motion
         if motion is None:
             self._handle.visible = False

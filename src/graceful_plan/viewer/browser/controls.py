@@ -1,4 +1,4 @@
-"""The controls of the page, in the order in which they stand there. They know nothing of what they do."""
+"""Controls of the page in their order, without their actions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from graceful_plan.viewer.browser.recorded_tab import RecordedTab
 from graceful_plan.viewer.recorded import RecordedRollouts
 
 HIDDEN, GHOST, BESIDE = "hidden", "as a ghost", "beside it"
-"""How the other motions are shown."""
+"""Display modes of the other motions."""
 _MOST_WEIGHT = 2.0
 _NONE = ("none",)
 
@@ -19,7 +19,7 @@ _NONE = ("none",)
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Controls:
-    """Handles of everything that can be set, and of all texts."""
+    """Handles of all inputs and texts."""
 
     time: Any
     play: Any
@@ -51,7 +51,7 @@ class Controls:
     recorded: RecordedTab | None
 
     def offer(self, entities: Sequence[str], faults: Sequence[str]) -> None:
-        """Offer the entities and faults of a scene to choose from."""
+        """Set the entities and faults to choose from."""
         for handle, names in ((self.entity, tuple(entities) or _NONE), (self.fault, tuple(faults))):
             if tuple(handle.options) != names:
                 handle.options = names
@@ -68,7 +68,7 @@ def build(
     dark: bool,
     rollouts: RecordedRollouts | None = None,
 ) -> Controls:
-    """Put all controls on the page."""
+    """Create all controls on the page."""
     gui = server.gui
     found: dict[str, Any] = {
         "play": gui.add_button("Play"),

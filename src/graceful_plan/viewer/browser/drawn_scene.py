@@ -1,4 +1,4 @@
-"""One copy of the scene on the page: a node for each part, moved from frame to frame."""
+"""A copy of the scene on the page: one node per part, moved with each frame."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from graceful_plan.viewer.shapes import parts
 Array = np.ndarray
 
 STRUCK = (255, 200, 0)
-"""Colour of what a failure has hit."""
+"""Colour of entities hit by a failure."""
 _WIDE = 1.2
-"""What is wider keeps its colour: floors, tables [m]."""
+"""Width above which entities keep their colour, such as floors and tables [m]."""
 _MOVED = 1e-6
-"""Smallest change that is sent [m, or of a quaternion]."""
+"""Smallest change of a pose that is sent [m, or in a quaternion]."""
 
 
 @final
@@ -28,10 +28,10 @@ class DrawnScene:
     Args:
         server: viser's server.
         root: Name of the node.
-        scene: What to draw.
-        opacity: Of everything.
-        shift: Where its origin is in W [m].
-        only_moving: Whether to leave out what stands still: a second robot among the same things.
+        scene: Scene to draw.
+        opacity: Opacity of all parts.
+        shift: Position of its origin in W [m].
+        only_moving: Whether to draw only parts moved by the robot, for a second robot in the same scene.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class DrawnScene:
                         mesh.faces,
                         color=mesh.colour,
                         opacity=None if opacity * mesh.opacity >= 1.0 else opacity * mesh.opacity,
-                        material="toon3",  # several times cheaper than the default where there is no graphics card
+                        material="toon3",  # several times faster than the default without a graphics card
                         cast_shadow=False,
                         receive_shadow=False,
                         side="double" if opacity * mesh.opacity < 1.0 else "front",
@@ -77,11 +77,11 @@ class DrawnScene:
         self._struck: frozenset[str] = frozenset()
 
     def put(self, position: Float[Array, "part 3"], turned: Float[Array, "part 4"]) -> None:
-        """Move the parts that are not yet there."""
+        """Move the parts whose poses changed."""
         for k, frame in enumerate(self._frames):
             if frame is None:
                 continue
-            if not np.abs(position[k] - self._position[k]).max() <= _MOVED:  # also if it was nowhere yet
+            if not np.abs(position[k] - self._position[k]).max() <= _MOVED:  # NaN before the first pose: also moves
                 frame.position = position[k]
                 self._position[k] = position[k]
             if not np.abs(turned[k] - self._turned[k]).max() <= _MOVED:
@@ -89,7 +89,7 @@ class DrawnScene:
                 self._turned[k] = turned[k]
 
     def strike(self, names: Collection[str]) -> None:
-        """Colour the entities that were hit; all others have their own colour."""
+        """Colour the entities that were hit, and restore the colour of all others."""
         if self._struck == frozenset(names):
             return
         for part, handles in zip(self._drawn, self._meshes, strict=True):
@@ -100,12 +100,12 @@ class DrawnScene:
         self._struck = frozenset(names)
 
     def remove(self) -> None:
-        """Take everything off the page."""
+        """Remove all parts from the page."""
         self._root.remove()
 
 
 def _mobile(scene: Scene) -> frozenset[str]:
-    """Names of the parts that the robot moves."""
+    """Return the names of the parts that the robot moves."""
     bodies = set(scene.robot_bodies)
     if scene.carried is not None:
         carried = scene.model.body(scene.carried.body).id

@@ -1,4 +1,4 @@
-"""A motion in 3-D as one HTML document that needs neither a network nor a server: to be put into reports."""
+"""3-D view of a motion as a self-contained HTML document for reports."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from graceful_plan.viewer.question import PlanAnswer
 _RATE = 20.0
 """Frames per second."""
 _REST = 1.0
-"""How long the goal is shown before the motion begins again [s]."""
+"""Pause at the goal before the motion restarts [s]."""
 _NEARER = 0.65
-"""Of the distance of the page's camera: a report has less room."""
+"""Camera distance relative to that of the page, because a report has less space."""
 _HOST, _PORT = "127.0.0.1", 8480
-"""viser draws for a server; nothing is fetched from this one, and it is gone when the document is there."""
+"""Address of a temporary server, which viser needs for drawing; the document does not use it."""
 
 
 def embedded(answer: PlanAnswer) -> str:
     """Return a document that plays the motions of an answer: the chosen one, and the ordinary one as a ghost.
 
-    It has viser's client in it, 0.8 MB; a scene without meshes adds some 0.1 MB. The text `{darkMode:false}` in it may
+    It contains viser's client, 0.8 MB; a scene without meshes adds some 0.1 MB. The text `{darkMode:false}` in it may
     be replaced by `{darkMode:true}`.
     """
     viser: Any = importlib.import_module("viser")
-    with contextlib.redirect_stdout(io.StringIO()):  # it greets, and says goodbye, on the terminal
+    with contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's messages on the terminal
         server = viser.ViserServer(host=_HOST, port=_PORT, verbose=False)
         try:
             return _recorded(server, answer)

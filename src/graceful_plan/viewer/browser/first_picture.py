@@ -1,4 +1,4 @@
-"""When a browser has drawn its first picture: until then the processor is for that."""
+"""Detection of the first picture in a browser; heavy work waits for it."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from collections.abc import Callable
 from typing import Any
 
 _ANSWERS = 3
-"""A browser answers at the beginning of a frame; the scene is in the second one at the latest."""
+"""Number of replies to wait for: a browser replies at the start of a frame, and draws the scene by the second."""
 _PATIENCE = 2.5
-"""Who has not answered by then [s], such as a page that nobody looks at, is not waited for."""
+"""Maximum waiting time [s], for browsers that do not reply, such as pages in the background."""
 _CHANGE = 1e-4
-"""Of the angle of view, so that the browser has something to answer [rad]; it is taken back."""
+"""Temporary change of the field of view that makes the browser reply [rad]."""
 
 
 def when_drawn(client: Any, act: Callable[[], None]) -> None:
-    """Call a function once a browser that has just come has drawn something, in a thread of its own.
+    """Call a function in a separate thread once a new browser has drawn its first picture.
 
     Args:
         client: viser's handle of the browser.
-        act: What is done then, once.
+        act: Function, called once.
     """
     done, left, angle = threading.Lock(), [_ANSWERS], float(client.camera.fov)
 

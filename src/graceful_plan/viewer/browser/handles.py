@@ -1,4 +1,4 @@
-"""What is dragged: start, goal, and one thing of the scene."""
+"""Handles for dragging start, goal and one entity."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from graceful_plan.viewer.question import Question
 Array = np.ndarray
 
 Change = Callable[[Question, Array], Question]
-"""Returns a question with something at another pose."""
+"""Function that returns a request with a changed pose."""
 _PAUSE = 0.7
-"""Who has typed nothing more for so long has typed all of a number [s]."""
+"""Pause after which a typed number counts as complete [s]."""
 
 
 @final
 class Handles:
-    """Handles in the scene, and the fields with the same places.
+    """Handles in the scene, and fields with the same positions.
 
     Args:
         server: viser's server.
-        controls: With the fields.
-        drives: Whether the robot does: its base is moved on the floor.
-        ask: Called with what is to change when somebody lets go of a handle or has typed a place.
+        controls: Controls with the fields.
+        drives: Whether the robot drives; its base is then moved on the floor.
+        ask: Called with the change after a handle is released or a position is typed.
     """
 
     def __init__(self, server: Any, controls: Controls, drives: bool, ask: Callable[[Change, Array], None]) -> None:
@@ -42,14 +42,14 @@ class Handles:
         self._dragged(self.goal, Question.going_to)
 
     def typed(self, which: str) -> None:
-        """Ask for the place in the field of "start" or "goal" once nothing more is typed: half of a number is none."""
+        """Apply the field of "start" or "goal" after a pause, so that partly typed numbers are ignored."""
         self.close(which)
         self._waiting[which] = timer = threading.Timer(_PAUSE, self._read, (which,))
         timer.daemon = True
         timer.start()
 
     def close(self, *names: str) -> None:
-        """Ask for nothing any more that was typed, for the names or at all."""
+        """Discard pending typed input, for some fields or for all."""
         for which in names or tuple(self._waiting):
             if which in self._waiting:
                 self._waiting.pop(which).cancel()
@@ -61,7 +61,7 @@ class Handles:
         self._ask(change, pose_of(np.asarray(field.value), np.asarray(handle.wxyz)))
 
     def place(self, question: Question, visible: bool) -> None:
-        """Put handles where start and goal of a question are, and their fields, unless somebody types there."""
+        """Set handles and fields to start and goal of a request, except for fields with pending input."""
         for which, X in (("start", question.handle_pose(question.start)), ("goal", question.goal_pose())):
             handle, field = getattr(self, which), getattr(self._controls, which)
             handle.position, handle.wxyz = X[:3, 3], quaternion_of(X[:3, :3])
@@ -70,12 +70,12 @@ class Handles:
         self.show(visible)
 
     def show(self, visible: bool) -> None:
-        """Show those of start and goal, or do not."""
+        """Show or hide the handles of start and goal."""
         for handle in (self.start, self.goal):
             handle.visible = visible
 
     def offer(self, name: str, X_WB: Float[Array, "4 4"] | None) -> None:
-        """Show a handle for a thing that is at a pose, or none any more."""
+        """Show a handle for an entity at a pose; hide it for None."""
         if X_WB is None:
             if self._thing is not None:
                 self._thing.visible = False

@@ -14,16 +14,16 @@ from graceful_plan.viewer.shown import ShownMotion
 Array = np.ndarray
 
 RISK = ("#2166ac", "#67a9cf", "#fddb6d", "#ef6548", "#b30000")
-"""Colours of a path, from no risk to the greatest; seen on white and on black."""
+"""Colours of a path from no to maximum impact, visible on white and on black."""
 _LEAST = 0.05
-"""Impact that has the last colour at least."""
+"""Minimum impact of the last colour."""
 _PIECES = 120
 _FALL, _FAR, _COAST = (214, 39, 40), (240, 140, 60), (180, 60, 160)
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 49)
 
 
 def risk_colours(share: Float[Array, " n"]) -> UInt8[Array, "n 3"]:
-    """Return colours for shares of the greatest impact, in [0, 1]."""
+    """Return colours for fractions of the maximum impact, in [0, 1]."""
     stops = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in RISK], dtype=float)
     place = np.clip(share, 0.0, 1.0) * (len(stops) - 1)
     channels = [np.interp(place, np.arange(len(stops)), channel) for channel in stops.T]
@@ -31,12 +31,12 @@ def risk_colours(share: Float[Array, " n"]) -> UInt8[Array, "n 3"]:
 
 
 def greatest_risk(motions: tuple[ShownMotion, ...]) -> float:
-    """Return the impact that has the last colour."""
+    """Return the impact of the last colour."""
     return max([_LEAST, *(float(motion.risk.max()) for motion in motions)])
 
 
 def add_path(server: Any, name: str, motion: ShownMotion, greatest: float, *, thickness: float) -> Any:
-    """Draw the way of the tool, coloured by the impact of a failure there."""
+    """Draw the path of the tool, coloured by the impact of a failure."""
     t = np.linspace(0.0, motion.duration, _PIECES + 1)
     at = np.array([motion.tool[motion.frame(x)] for x in t.tolist()])
     colours = risk_colours(motion.risk_at(t) / greatest)
@@ -50,7 +50,7 @@ def add_path(server: Any, name: str, motion: ShownMotion, greatest: float, *, th
 
 @final
 class Footprints:
-    """The footprint of a drop, or of a base that goes on, at the moment that is shown."""
+    """Footprint of a drop or of a coasting base at the present moment."""
 
     def __init__(self, server: Any) -> None:
         self._flight = self._lines(server, "/footprint/flight", 0.006, _FALL)
@@ -63,7 +63,7 @@ class Footprints:
         return server.scene.add_line_segments(name, np.zeros((1, 2, 3)), colour, thickness=thickness, visible=False)
 
     def show(self, fall: Fall | None, going_on: GoingOn | None) -> None:
-        """Draw them; what there is none of disappears."""
+        """Draw both footprints; None hides one."""
         for handle, points in (
             (self._flight, None if fall is None else fall.flight),
             (self._near, None if fall is None else _circle(fall.centre, fall.radius)),
@@ -81,7 +81,7 @@ def _circle(centre: Float[Array, " 3"], radius: float) -> Float[Array, "n 3"]:
 
 
 def _ribbon(going_on: GoingOn) -> Float[Array, "n 2 3"]:
-    """Both edges of the way, and a bar where half of the bases have stopped and one where nearly all have."""
+    """Return both edges of the coasting path, with bars where half and nearly all failing bases have stopped."""
     arc = going_on.arc + [0.0, 0.0, 0.02]
     along = np.gradient(arc[:, :2], axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
@@ -94,16 +94,16 @@ def _ribbon(going_on: GoingOn) -> Float[Array, "n 2 3"]:
 
 
 def add_layer(server: Any, layer: RiskLayer) -> Any:
-    """Lay the risk map into the scene."""
+    """Draw the risk map in the scene."""
     middle = layer.low + np.array([*(0.5 * layer.size), 0.0])
     return server.scene.add_image(
         "/risk_map",
-        layer.pixels[::-1],  # the first row of a picture is its top
+        layer.pixels[::-1],  # the first row of an image is its top
         float(layer.size[0]),
         float(layer.size[1]),
         format="png",
         cast_shadow=False,
         receive_shadow=False,
-        wxyz=(0.0, 1.0, 0.0, 0.0),  # a picture's y looks down
+        wxyz=(0.0, 1.0, 0.0, 0.0),  # the y axis of an image points down
         position=middle,
     )

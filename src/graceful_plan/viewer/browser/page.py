@@ -1,4 +1,4 @@
-"""The page: what is asked there goes to the state, and what the state says is drawn."""
+"""The page: passes input from browsers to the state, and draws the state."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ _log = logging.getLogger(__name__)
 
 @final
 class Page:
-    """A page that shows one state, to as many browsers as like to look.
+    """A page that shows one state to any number of browsers.
 
     Args:
-        question: What is asked first.
-        answer: What is known already; planned if None.
+        question: Initial request.
+        answer: Known answer; planned if None.
         host: Address to listen at.
         port: Port to listen at; the next free one if it is taken.
         dark: Whether the page is dark.
-        rollouts: Of a dataset, to choose from.
+        rollouts: Rollouts of a dataset to choose from.
     """
 
     def __init__(
@@ -55,10 +55,10 @@ class Page:
         rollouts: RecordedRollouts | None = None,
     ) -> None:
         viser: Any = importlib.import_module("viser")
-        with contextlib.redirect_stdout(io.StringIO()):  # it greets on the terminal
+        with contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's messages on the terminal
             self.server: Any = viser.ViserServer(host=host, port=port, label="graceful_plan", verbose=False)
         self.state = ViewerState(question, self._answered, self._not_answered, answer)
-        # Whoever draws holds it, too: what is drawn is always of one answer.
+        # Also held while drawing, so that a drawing shows a single answer.
         self.lock = self.state.lock
         self._asked_first = False
         self._theme(dark)
@@ -83,12 +83,12 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         host = self.server.get_host()
         return f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1') else host}:{self.server.get_port()}"
 
     def close(self) -> None:
-        """Stop serving the page; done at the end of the program, too."""
+        """Stop serving the page; also called at the end of the program."""
         atexit.unregister(self.close)
         self.handles.close()
         self.state.close()
@@ -97,16 +97,16 @@ class Page:
             self.server.stop()
 
     def begin(self) -> None:
-        """Plan, if nothing was asked yet: once somebody has seen the first picture."""
+        """Start the first planning request, after the first picture is drawn."""
         with self.lock:
             if not self._asked_first:
                 self._ask(self.state.question)
 
     def _theme(self, dark: bool) -> None:
-        # The button to share would send the scene to a server of others.
+        # The share button would send the scene to an external server.
         self.server.gui.configure_theme(dark_mode=dark, show_share_button=False, show_logo=False)
 
-    # --- what somebody does -------------------------------------------------------------------------------------------
+    # --- input --------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
         c = self.controls
@@ -134,7 +134,7 @@ class Page:
         self._pick()
 
     def _on(self, handle: Any, act: Callable[[], None]) -> None:
-        """Act on changes that come from a browser; those that the page itself makes are no wishes."""
+        """Act on changes from a browser, not on those made by the page itself."""
 
         def react(event: Any) -> None:
             if event.client is not None:
@@ -143,7 +143,7 @@ class Page:
         handle.on_update(react)
 
     def _guarded(self, act: Callable[..., None], *given: Any) -> None:
-        """Do what somebody asked for; if it cannot be, say why and show again what is."""
+        """Execute a user action; on an error, show it and restore the controls."""
         try:
             with self.lock:
                 act(*given)
@@ -167,7 +167,7 @@ class Page:
         self._say(busy=True)
 
     def _changed(self, change: Change, X_W: Array) -> None:
-        """Ask something with other ends or among other things."""
+        """Apply a change of start, goal or entity pose."""
         self._ask(change(self.state.question, X_W))
         self._place_handles()
 
@@ -179,10 +179,10 @@ class Page:
 
     @property
     def _handles_wanted(self) -> bool:
-        """Not before the first answer, so that the first picture comes sooner."""
+        """Whether to show handles; not before the first answer, so that the first picture appears sooner."""
         return bool(self.controls.handles.value) and self.state.answer is not None
 
-    # --- things -------------------------------------------------------------------------------------------------------
+    # --- entities -----------------------------------------------------------------------------------------------------
 
     def _set_scene(self) -> None:
         scene = self.state.question.scene
@@ -212,7 +212,7 @@ class Page:
         self._say(busy=False)
 
     def _draw(self) -> None:
-        """Draw everything anew that may have changed with an answer, or with what stands around."""
+        """Redraw everything that depends on the answer or the scene."""
         if self.state.question.scene is not self.stage.drawn:
             self._set_scene()
         self.controls.heal.visible = self.state.replay is not None
@@ -228,7 +228,7 @@ class Page:
             self._say(busy=False)
 
     def draw_plans(self) -> None:
-        """Draw the motions as they are to be shown."""
+        """Draw the motions in the selected display mode."""
         self.stage.set_plans(self.state)
         self._show(self.player.t)
 
@@ -241,7 +241,7 @@ class Page:
         self._kept_others()
 
     def _kept_others(self) -> None:
-        """Show which motions are kept."""
+        """Update the display of kept motions."""
         self.controls.let_go.visible = bool(self.state.kept)
         self.draw_plans()
         self._say(busy=not self.state.worker.idle)
@@ -269,7 +269,7 @@ class Page:
         self._watch(self.state.fail(failure))
 
     def _happen_again(self, number: int) -> None:
-        """Show a rollout of the dataset, on its own motion."""
+        """Simulate and show a rollout of the dataset on its motion."""
         recorded, before, c = self.controls.recorded, self.state.question, self.controls
         if recorded is None:
             return

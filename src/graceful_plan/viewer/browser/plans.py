@@ -1,4 +1,4 @@
-"""Motions in the scene: their paths, and the robots of the others."""
+"""Motions in the scene: all paths, and the robots of the other motions."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _CHOSEN, _OTHER = 0.012, 0.006
 
 @final
 class DrawnPlans:
-    """What is drawn of motions, besides the scene.
+    """Drawn paths and robots of motions.
 
     Args:
         server: viser's server.
-        cameras: Those that look at it.
+        cameras: Cameras of the page.
     """
 
     def __init__(self, server: Any, cameras: Cameras) -> None:
@@ -37,7 +37,7 @@ class DrawnPlans:
         self._others: list[DrawnScene] = []
 
     def draw(self, motion: ShownMotion | None, others: Sequence[ShownMotion], how: str) -> None:
-        """Draw motions from scratch, the others `how` they are to be shown."""
+        """Redraw all motions, the others in the display mode `how`."""
         for node in (*self._nodes, *self._others):
             node.remove()
         self._nodes, self._others = [], []
@@ -59,6 +59,6 @@ class DrawnPlans:
             self._nodes += [path, self._server.scene.add_label(f"{root}/label", other.label, position=middle)]
 
     def put(self, places: Sequence[tuple[Float[Array, "part 3"], Float[Array, "part 4"]]]) -> None:
-        """Move the robots of the other motions, if they are drawn, to position and quaternion of each part."""
+        """Move the robots of the other motions, if drawn, to positions and quaternions of their parts."""
         for other, place in zip(self._others, places, strict=False):
             other.put(*place)

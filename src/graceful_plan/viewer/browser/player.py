@@ -1,4 +1,4 @@
-"""The time that is shown: moved by somebody, or by itself while it plays."""
+"""Displayed time: set by the user, or advanced during playback."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from graceful_plan.viewer.browser.controls import Controls
 from graceful_plan.viewer.state import ViewerState
 
 RATE = 30.0
-"""Frames per second while it plays."""
+"""Frames per second during playback."""
 _WORDS_RATE = 6.0
-"""Times per second that text and chart change meanwhile: they cost the browser more than poses."""
+"""Updates of text and chart per second during playback, fewer because they cost the browser more than poses."""
 
 
 @final
 class Player:
-    """Shows one moment after the other.
+    """Plays the displayed motion or failure.
 
     Args:
-        state: How long what is shown takes.
-        controls: Where the time and the button are.
-        show: Shows a time [s], and says whether words are to change, too.
-        lock: Held while something is shown.
+        state: State with the duration.
+        controls: Controls with time slider and play button.
+        show: Shows a time [s]; the second argument says whether to update text and chart.
+        lock: Held while drawing.
     """
 
     def __init__(
@@ -36,21 +36,21 @@ class Player:
         self._thread = threading.Thread(target=self._play, name="viewer-player", daemon=True)
 
     def start(self) -> None:
-        """Begin to play whenever that is asked for."""
+        """Start the playback thread."""
         self._thread.start()
 
     def close(self) -> None:
-        """End it."""
+        """Stop the playback thread."""
         self._closed.set()
         self._thread.join(timeout=5.0)
 
     def toggle(self, playing: bool | None = None) -> None:
-        """Play if it does not, or as is said."""
+        """Toggle playback, or set it."""
         self.playing = not self.playing if playing is None else playing
         self._controls.play.label = "Pause" if self.playing else "Play"
 
     def seek(self, t: float) -> None:
-        """Show a time [s], or the end if that comes before it."""
+        """Show a time [s], at most the end."""
         c = self._controls
         c.time.max = max(0.01, round(self._state.duration, 2))
         self.t = min(max(t, 0.0), self._state.duration)
@@ -71,7 +71,7 @@ class Player:
         duration, c = self._state.duration, self._controls
         self.t += passed * float(c.speed.value)
         if self.t > duration:
-            # A failure stops where it ends, a motion begins again.
+            # A failure stops at its end; a motion restarts.
             self.t = duration if self._state.replay is not None else 0.0
             if self._state.replay is not None:
                 self.toggle(False)

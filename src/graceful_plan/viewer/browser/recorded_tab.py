@@ -1,4 +1,4 @@
-"""The tab on which somebody chooses a rollout of a dataset: filters, a place in the order of harm, what it was."""
+"""Tab for selecting a rollout of a dataset: filters, rank by harm, description."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _ANY = "any"
 
 @final
 class RecordedTab:
-    """Controls to choose a rollout with.
+    """Controls for selecting a rollout.
 
     Args:
-        tabs: The group of tabs that it is added to.
-        rollouts: To choose from.
+        tabs: Group of tabs to add it to.
+        rollouts: Rollouts to choose from.
     """
 
     def __init__(self, gui: Any, tabs: Any, rollouts: RecordedRollouts) -> None:
@@ -32,11 +32,11 @@ class RecordedTab:
         self._filter()
 
     def connect(self, guarded: Callable[..., None], chosen: Callable[[int], None]) -> None:
-        """Act on what somebody does.
+        """Connect user actions.
 
         Args:
-            guarded: Calls a function with what is given besides, alone: no two browsers at the same time.
-            chosen: Called with the number of the rollout that somebody wants to see.
+            guarded: Calls a function with arguments under a lock that excludes other browsers.
+            chosen: Called with the number of the selected rollout.
         """
         for handle, act in ((self._motion, self._filter), (self._fault, self._filter), (self._place, self._describe)):
             handle.on_update(lambda event, act=act: guarded(act) if event.client is not None else None)
@@ -47,12 +47,12 @@ class RecordedTab:
             chosen(self.number)
 
     def tell(self, text: str) -> None:
-        """Say what was predicted and observed of what is shown, in HTML."""
+        """Show the predicted and observed harm, as HTML."""
         self._told.content = text
 
     @property
     def number(self) -> int:
-        """Of the rollout that is described."""
+        """Number of the described rollout."""
         return int(self._order[min(int(self._place.value), len(self._order)) - 1])
 
     def _filter(self) -> None:
@@ -60,7 +60,7 @@ class RecordedTab:
         self._order = self.rollouts.worst_first(motions, faults)
         self._show.disabled = not len(self._order)
         self._place.disabled = len(self._order) < 2
-        self._place.max = max(2, len(self._order))  # a slider needs two places
+        self._place.max = max(2, len(self._order))  # a slider needs two positions
         self._place.value = 1
         self._describe()
 

@@ -1,4 +1,4 @@
-"""What is seen in the space of the page: scene, motions, names, footprint, risk map; and the chart of impact."""
+"""3-D content of the page (scene, motions, names, footprint, risk map), and the chart of impact."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from graceful_plan.viewer.state import ViewerState
 
 @final
 class DrawnStage:
-    """Draws what it is given; what that is, it does not decide.
+    """Drawing of given states.
 
     Args:
         server: viser's server.
-        controls: What is to be seen, and where words and chart are.
-        question: Drawn first.
+        controls: Display options, and elements for text and chart.
+        question: Initial request.
     """
 
     def __init__(self, server: Any, controls: Controls, question: Question) -> None:
@@ -42,7 +42,7 @@ class DrawnStage:
         self._draw_scene(question)
 
     def set_scene(self, question: Question) -> None:
-        """Draw the scene of a question from scratch, where its robot is at the start."""
+        """Redraw the scene of a request, with its robot at the start."""
         self._scene.remove()
         self._draw_scene(question)
 
@@ -57,7 +57,7 @@ class DrawnStage:
         self._scene.put(poses.position[0], poses.quaternion[0])
 
     def name_things(self, question: Question) -> None:
-        """Write names and severities on what may be hit, if they are wanted."""
+        """Show names and severities of entities, if enabled."""
         for label in self._labels:
             label.remove()
         self._labels = []
@@ -70,21 +70,21 @@ class DrawnStage:
             self._labels.append(self._server.scene.add_label(f"/names/{name}", f"{name}: {worst:g}", position=top))
 
     def set_plans(self, state: ViewerState) -> None:
-        """Draw the paths, and the other motions as they are to be shown."""
+        """Draw the paths, and the other motions in their display mode."""
         self._plans.draw(state.motion, state.others, self._controls.other.value)
 
     def set_chart(self, motion: ShownMotion | None) -> None:
-        """Draw the chart of a motion; of none, there is no chart."""
+        """Draw the chart of a motion; hide it for None."""
         self._chart.draw(motion)
 
     def lay(self, layer: RiskLayer | None) -> None:
-        """Lay a risk map into the scene instead of the one that is there."""
+        """Replace the risk map in the scene; None removes it."""
         if self.layer is not None:
             self.layer.remove()
         self.layer = None if layer is None else marks.add_layer(self._server, layer)
 
     def show(self, state: ViewerState, t: float, words_too: bool = True) -> None:
-        """Show a time [s]; without a motion, the robot at the start and nothing of what may become of it."""
+        """Show a time [s]; without a motion, only the robot at the start."""
         moment, replay = state.at(t), state.replay
         if moment is None:
             if words_too:

@@ -1,4 +1,4 @@
-"""What the page says, as HTML: names come from scene files, so all of them are escaped."""
+"""Texts of the page as HTML; names from scene files are escaped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SHOWN = 6
 
 
 def plan_words(answer: PlanAnswer | None, kept: Sequence[ShownMotion] = (), *, busy: bool) -> str:
-    """Say what the two motions and those that are kept cost, or why there is none."""
+    """Return a table of the costs of both motions and the kept ones, or the reason why a motion is missing."""
     if answer is None:
         return _page("planning …" if busy else "no plan yet")
     columns: list[tuple[str, ShownMotion | None]] = [
@@ -36,7 +36,7 @@ def plan_words(answer: PlanAnswer | None, kept: Sequence[ShownMotion] = (), *, b
 
 
 def _legend(motions: tuple[ShownMotion, ...]) -> str:
-    """Say what the colours of the paths mean."""
+    """Return the legend of the path colours."""
     if not motions:
         return ""
     colours = ",".join(RISK)
@@ -46,7 +46,7 @@ def _legend(motions: tuple[ShownMotion, ...]) -> str:
 
 
 def now_words(impact: Mapping[str, float], *, failed: bool) -> str:
-    """Say whom a failure would hit at this moment, with bars."""
+    """Return the impact of a failure at this moment by entity, with bars."""
     if failed:
         return _page("<b>The robot has failed.</b>")
     total = sum(impact.values())
@@ -62,7 +62,7 @@ def now_words(impact: Mapping[str, float], *, failed: bool) -> str:
 
 
 def failure_words(replay: Replay | None, motion: ShownMotion | None) -> str:
-    """Put what was observed beside what was predicted."""
+    """Return predicted and observed harm of a failure."""
     if replay is None:
         return _page("Choose what fails and when, then let it fail." if motion else "There is no motion yet.")
     names = sorted({*replay.predicted, *replay.observed}, key=lambda name: -_larger(replay, name))
@@ -80,11 +80,11 @@ def failure_words(replay: Replay | None, motion: ShownMotion | None) -> str:
 
 
 def recorded_words(row: Recorded | None, count: int) -> str:
-    """Say what became of a rollout of a dataset, as the dataset has it.
+    """Return the record of a rollout in a dataset.
 
     Args:
-        row: The rollout; None if none fits.
-        count: How many there are to choose from.
+        row: The rollout; None if none matches the filters.
+        count: Number of matching rollouts.
     """
     if row is None:
         return _page("There is no such rollout.")
