@@ -254,7 +254,7 @@ def situations() -> None:
     """Plan with every model, planner and kind of bound that has a kernel."""
     for name, faults in (("dining_table", "drop_only"), ("tabletop", "service_robot")):
         task = next(iter(gp.load_scene(name).tasks.values()))
-        impact = gp.ImpactCost(gp.Footprint(faults=faults))
+        impact = gp.ImpactCost(gp.FailureMixture(faults=faults))
         given = {"objective": gp.Objective(impact=impact), "iterations": 40}
         for planner in ("anytime", "rrt_connect", "prm"):
             gp.plan(task.start, task.goal, task.scene, planner=planner, **given)
@@ -273,7 +273,7 @@ def situations() -> None:
     person = gp.MovingEntity(
         "ann", "adult", size=[0.2, 0.8], t=[0.0, 4.0], position=[[1.0, -1.0, 0.8], [1.0, 1.0, 0.8]]
     )
-    fear = gp.ImpactCost(gp.Footprint(faults="service_robot"), components=("body", "carried"))
+    fear = gp.ImpactCost(gp.FailureMixture(faults="service_robot"), components=("body", "carried"))
     among = gp.Objective(impact=fear)
     gp.plan(task.start, task.goal, task.scene.with_moving(person), objective=among, iterations=20)
     plan_outside_of_scenes(task)

@@ -190,7 +190,7 @@ def scene_of(scene: gp.Scene) -> dict[str, Any]:
 
 def floor_of(file: Path) -> Any:
     """What a map of map_server says."""
-    floor = gp.FloorMap.from_map_server(file)
+    floor = gp.OccupancyGrid.from_map_server(file)
     return floor.occupancy, floor.resolution, floor.origin, floor.distance
 
 
@@ -310,7 +310,7 @@ READERS: Mapping[str, Reader] = {
     "map of map_server": Reader(("floor.yaml", "floor.pgm"), lambda f: floor_of(f / "floor.yaml")),
     "map of shares": Reader(("scale.yaml", "scale.pgm"), lambda f: floor_of(f / "scale.yaml")),
     "map as PNG": Reader(("grey.yaml", "grey.png"), lambda f: floor_of(f / "grey.yaml")),
-    "map of MovingAI": Reader(("floor.map",), lambda f: gp.FloorMap.from_moving_ai(f / "floor.map").distance),
+    "map of MovingAI": Reader(("floor.map",), lambda f: gp.OccupancyGrid.from_moving_ai(f / "floor.map").distance),
     "scenarios of MovingAI": Reader(("floor.scen",), lambda f: read_scenarios(f / "floor.scen")),
     "kept array": Reader((f"{'0' * 64}.npz",), kept_array),
 }
@@ -379,7 +379,7 @@ def write_valid(folder: Path) -> None:
 def write_maps(folder: Path) -> None:
     """Write a floor as map_server's files with a PGM, a plain one and a PNG, and as MovingAI's."""
     occupancy = np.where(np.random.default_rng(0).random((9, 12)) < 0.3, 100, 0)
-    floor = gp.FloorMap(occupancy=occupancy, resolution=0.1, origin=(1.0, -1.0, 0.3))
+    floor = gp.OccupancyGrid(occupancy=occupancy, resolution=0.1, origin=(1.0, -1.0, 0.3))
     floor.save(folder / "floor.yaml")
     floor.save_moving_ai(folder / "floor.map")
     write_scenarios(folder / "floor.scen", [MovingAIScenario((0, 0), (11, 8), 15.5)] * 9, "floor.map", (9, 12))

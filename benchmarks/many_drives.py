@@ -30,7 +30,7 @@ if str(ROOT) not in sys.path:
 
 import graceful_plan as gp  # noqa: E402
 from benchmarks.many_motions import Checker, cubics  # noqa: E402
-from failbench.mobile.driving import drive  # noqa: E402
+from failbench.mobile.driving import drive_base  # noqa: E402
 from graceful_plan.compare.runs import machine  # noqa: E402
 from graceful_plan.mobile.floor.generated import floor_plan  # noqa: E402
 
@@ -114,7 +114,7 @@ def judged(
         if problems:
             yield {"wrong": problems, "plan": number, "robot": robot, "w": w, "seed": seed}
         if seen["SOLVED"] % DRIVEN == 0:
-            rolled = drive(motion, scene)
+            rolled = drive_base(motion, scene)
             driven.setdefault(robot, []).append(round(float(rolled.error.max()), 5))
             seen["touched while driven"] += bool(rolled.touched)
 
@@ -124,7 +124,7 @@ def pairs(scene: gp.Scene, rng: np.random.Generator) -> Iterator[tuple[Array, Ar
     (lower, upper), n = scene.limits.position[:2].T, 400
     base = np.column_stack([rng.uniform(lower, upper, (n, 2)), rng.uniform(-np.pi, np.pi, n)])
     q = np.hstack([base, np.tile(TUCKED[: len(scene.joints) - 3], (n, 1))])
-    free = q[gp.clearance(scene, q) > ROOM]
+    free = q[gp.clearance(q, scene) > ROOM]
     for k in range(min(SAME_FLOOR, len(free) // 2)):
         yield free[2 * k], free[2 * k + 1]
 

@@ -91,7 +91,7 @@ def judged(bases: list[gp.Scene], rng: np.random.Generator, seen: Counter[str]) 
     checker = Checker(scene)
     lower, upper = scene.limits.position.T
     q = rng.uniform(lower, upper, (40 * SAME_SCENE, len(lower)))
-    free = q[gp.clearance(scene, q) > 0.0]
+    free = q[gp.clearance(q, scene) > 0.0]
     for i in range(min(SAME_SCENE, len(free) // 2)):
         start, goal = free[2 * i], free[2 * i + 1]
         planner, seed = str(rng.choice(PLANNERS)), int(rng.integers(2**31))
@@ -112,14 +112,14 @@ def judged(bases: list[gp.Scene], rng: np.random.Generator, seen: Counter[str]) 
             yield {"wrong": problems, "scene": scene.name, "planner": planner, "seed": seed, "index": i}
 
 
-def solid(rng: np.random.Generator, i: int) -> gp.Solid:
+def solid(rng: np.random.Generator, i: int) -> gp.StaticBody:
     """Return something within the reach of an arm."""
     place = rng.uniform((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2))
     kind = str(rng.choice(["box", "sphere", "cylinder", "capsule"]))
     size = rng.uniform(0.02, 0.15, {"box": 3, "sphere": 1}.get(kind, 2))
     if np.linalg.norm(place[:2]) < 0.3:
         place[0] += 0.5
-    return gp.Solid(name=f"random{i}", kind=kind, size=size, pose=place)
+    return gp.StaticBody(name=f"random{i}", kind=kind, size=size, pose=place)
 
 
 class Checker:

@@ -118,11 +118,11 @@ def measure(drops: int = DROPS, *, seed: int = 0, speed: float = 0.5, threads: i
         trajectory = gp.retime(gp.Path(np.stack(stops)), scene.limits, scene.joints, deviation=0.0, speed=speed)
         execution = failbench.execute(trajectory, world)
         jobs = failures(trajectory, stops, drops, seed)
-        rollouts = failbench.run(execution, jobs, threads=threads)
+        rollouts = failbench.run_rollouts(execution, jobs, threads=threads)
         times = (0.0, via_time(trajectory, stops), trajectory.duration)[:: 4 - len(stops)]
-        dropped = failbench.run(execution, [dataclasses.replace(jobs[0], onset=time) for time in times])
+        dropped = failbench.run_rollouts(execution, [dataclasses.replace(jobs[0], onset=time) for time in times])
         at_stops = _at_stops([first_contact(rollout, scene) for rollout in dropped])
-        protocol = failbench.run(execution, paper_failures(trajectory, seed), threads=threads)
+        protocol = failbench.run_rollouts(execution, paper_failures(trajectory, seed), threads=threads)
         rows.append(_row(name, scene, trajectory, stops, rollouts, protocol=protocol, at_stops=at_stops))
     return rows
 
@@ -171,7 +171,7 @@ def over_all_runs(harm: Sequence[float]) -> Array:
 
 def algorithm_1(trajectory: gp.Trajectory, scene: gp.Scene, times: Array) -> float:
     """Return the mean over some times of the severity that Algorithm 1 expects of the carried object."""
-    cost = gp.ImpactCost(model="aabb", components=("carried",))
+    cost = gp.ImpactCost(model="box_overlap", components=("carried",))
     return float(predicted_impact(trajectory, scene, times, cost).sum(axis=1).mean())
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from benchmarks import suite
 from graceful_plan.compare import BestMotions, Run
-from graceful_plan.compare.problems.suite import ProblemNote
+from graceful_plan.compare.problems.suite import ProblemSpec
 from graceful_plan.compare.runs import workers
-from graceful_plan.compare.runs.planner_notes import PlannerNote
+from graceful_plan.compare.runs.planner_specs import PlannerSpec
 from graceful_plan.compare.runs.runner import PlannerJob, warm_up
 
 W = 1.0
@@ -20,7 +20,7 @@ BEST = BestMotions(Path(__file__).parent / "best_known", W)
 
 def job(
     task: str,
-    planner: str | PlannerNote = "auto",
+    planner: str | PlannerSpec = "auto",
     *,
     seed: int = 0,
     w: float = W,
@@ -28,14 +28,14 @@ def job(
     refine: bool = True,
 ) -> PlannerJob:
     """Return the run of a planner on a task, "scene/task"; jerk and clearance are not measured."""
-    note = PlannerNote(label=planner, name=planner, refine=refine) if isinstance(planner, str) else planner
+    note = PlannerSpec(label=planner, name=planner, refine=refine) if isinstance(planner, str) else planner
     return PlannerJob(problem=problem(task), planner=note, seed=seed, seconds=seconds, w=w, measured=False)
 
 
-def problem(task: str) -> ProblemNote:
+def problem(task: str) -> ProblemSpec:
     """Return where a task comes from."""
     scene, name = task.split("/")
-    return ProblemNote(name=task, kind="task", source=scene, item=name)
+    return ProblemSpec(name=task, kind="task", source=scene, item=name)
 
 
 def runs(jobs: Sequence[PlannerJob], processes: int, label: str) -> Iterator[Run]:
@@ -45,5 +45,5 @@ def runs(jobs: Sequence[PlannerJob], processes: int, label: str) -> Iterator[Run
 
 def warm(planner: str, task: str | None = None) -> None:
     """Let a planner import and compile what it needs, once per process: on a task, or on a problem in the plane."""
-    disc = ProblemNote(name="analytic/disc", kind="analytic", item="disc")
-    warm_up(disc if task is None else problem(task), PlannerNote(label=planner, name=planner))
+    disc = ProblemSpec(name="analytic/disc", kind="analytic", item="disc")
+    warm_up(disc if task is None else problem(task), PlannerSpec(label=planner, name=planner))

@@ -213,9 +213,9 @@ def problems(scene: gp.Scene) -> list[str]:
     ]
 
 
-def _entities(base: gp.Scene, variant: Variant) -> dict[str, gp.EntityNote]:
+def _entities(base: gp.Scene, variant: Variant) -> dict[str, gp.EntityAnnotation]:
     kept = {key: note for key, note in base.notes.entities.items() if key not in variant.remove}
-    added = {key: gp.EntityNote(category=x.category, severity=x.severity) for key, x in variant.add.items()}
+    added = {key: gp.EntityAnnotation(category=x.category, severity=x.severity) for key, x in variant.add.items()}
     return kept | added
 
 
@@ -375,13 +375,13 @@ def _with_tasks(scene: gp.Scene, base: gp.Scene, variant: Variant, rng: np.rando
 
 def _end(scene: gp.Scene, q: Array, task: gp.Task, rng: np.random.Generator) -> tuple[float, ...]:
     """Return a configuration near one of a bundled task's ends that is as free as that was."""
-    room = min(_ROOM, float(gp.clearance(task.scene, q)))
+    room = min(_ROOM, float(gp.clearance(q, task.scene)))
     low, high = scene.limits.position.T
     for attempt in range(_TRIES):
         spread = _END_SPREAD * (1.0 + attempt // 200)
         near = np.clip(q + rng.normal(scale=spread, size=len(q)), low + 0.02, high - 0.02)
-        if room > 0.0 and float(gp.clearance(scene, near)) >= room:
+        if room > 0.0 and float(gp.clearance(near, scene)) >= room:
             return tuple(near.round(4).tolist())
-        if room <= 0.0 and gp.clearance(scene, near) >= _ROOM:  # a thing that stood is held in the air here
+        if room <= 0.0 and gp.clearance(near, scene) >= _ROOM:  # a thing that stood is held in the air here
             return tuple(near.round(4).tolist())
     raise SceneError(f"an end of {task.name!r} is not free")

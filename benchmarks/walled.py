@@ -65,7 +65,7 @@ def load(name: str) -> gp.Scene:
 
 
 def _with_wall(scene: gp.Scene, wall: str, name: str, rng: np.random.Generator) -> gp.Scene:
-    entities = {**scene.notes.entities, wall: gp.EntityNote(category="table")}
+    entities = {**scene.notes.entities, wall: gp.EntityAnnotation(category="table")}
     for _ in range(_TRIES):
         x = _drawn(scene, rng)
         if not _is_free(scene, x):
@@ -76,7 +76,7 @@ def _with_wall(scene: gp.Scene, wall: str, name: str, rng: np.random.Generator) 
         body.add_geom(name=wall, type=mujoco.mjtGeom.mjGEOM_BOX, size=x.half, condim=4)
         found = gp.Scene.build(spec, replace(scene.notes, name=name, file=None, entities=entities))
         ends = [(task, np.vstack([task.start, *task.goal])) for task in found.tasks.values()]
-        if all(np.min(gp.clearance(task.scene, q)) >= _ROOM for task, q in ends):
+        if all(np.min(gp.clearance(q, task.scene)) >= _ROOM for task, q in ends):
             return found
     raise SceneError(f"there is no room for {wall!r} in {name!r}")
 

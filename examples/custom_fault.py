@@ -28,7 +28,7 @@ class Runaway(failbench.Fault):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.1, "moderate": 0.3, "severe": 0.6, "critical": 1.0}
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 
-    def apply(self, plant: failbench.Plant, level: float) -> None:
+    def apply(self, plant: failbench.Simulation, level: float) -> None:
         """Replace the servo's torque by a constant one."""
         struck = plant.robot.actuators[plant.joints]
         torque = level * self.amount * plant["actuator_forcerange"][struck, 1]
@@ -51,7 +51,7 @@ def main(count: int = 20) -> list[failbench.Rollout]:
         )
         for i in range(count)
     ]
-    rollouts = failbench.run(healthy, jobs)
+    rollouts = failbench.run_rollouts(healthy, jobs)
     touched = sorted({event.entity for rollout in rollouts for event in rollout.events})
     print(f"{sum(bool(r.events) for r in rollouts)} of {count} failures touched something: {', '.join(touched)}")
     return rollouts

@@ -13,12 +13,12 @@ import graceful_plan as gp
 START, GOAL = [1.0, 1.0, 0.0], gp.BasePose(1.0, 4.0)
 
 
-def office() -> gp.FloorMap:
+def office() -> gp.OccupancyGrid:
     """Make a floor of 10 x 5 m: two rooms, the passage between them, and a person who stands beside it."""
     occupied = np.zeros((100, 200), dtype=bool)  # [row, column], cells of 5 cm
     occupied[48:52, :120] = occupied[20:30, 60:70] = occupied[70:85, 140:150] = True
-    ann = gp.Solid(name="ann", kind="cylinder", size=[0.25, 0.85], pose=[6.8, 1.4, 0.85], entity="adult")
-    return gp.FloorMap(occupancy=occupied, resolution=0.05, entities=(ann,), name="office")
+    ann = gp.StaticBody(name="ann", kind="cylinder", size=[0.25, 0.85], pose=[6.8, 1.4, 0.85], entity="adult")
+    return gp.OccupancyGrid(occupancy=occupied, resolution=0.05, entities=(ann,), name="office")
 
 
 def ben() -> gp.MovingEntity:

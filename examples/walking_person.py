@@ -6,7 +6,7 @@ an obstacle: see `docs/moving.md`.
 
 import graceful_plan as gp
 
-OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="footprint"))
+OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="mixture"))
 
 
 def walking_person() -> gp.MovingEntity:

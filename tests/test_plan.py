@@ -53,7 +53,7 @@ def test_compiling_is_told_of_where_it_takes_much_of_the_time(task, monkeypatch)
 
 
 def test_a_verdict_recomputes_the_cost_of_the_published_model_only(task):
-    result = _quick(task, w=1.0, objective=gp.Objective(impact=gp.ImpactCost(model="aabb")))
+    result = _quick(task, w=1.0, objective=gp.Objective(impact=gp.ImpactCost(model="box_overlap")))
     assert result.verdict.passed and "cost" in result.verdict.checks
     slow = reference_cost(result.trajectory, task.scene)
     assert result.cost.total == pytest.approx(slow.total, rel=0.01)
@@ -79,7 +79,7 @@ def test_w_trades_motion_for_impact(task):
 @pytest.mark.parametrize("name", _NAMES)
 def test_every_planner_solves_a_task(task, name):
     # A T-RRT climbs slowly where the impact has slopes everywhere; over boxes most of the space is flat.
-    model = "aabb" if name == "trrt" else "footprint"
+    model = "box_overlap" if name == "trrt" else "mixture"
     objective = gp.Objective(impact=gp.ImpactCost(model=model), w=1.0)
     result = _quick(task, planner=name, objective=objective, iterations=100_000, callback=lambda point: True)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
@@ -162,7 +162,7 @@ def test_start_is_goal(task):
 
 def test_an_object_on_its_support_is_lifted_first():
     task = gp.load_scene("dining_table").tasks["move_bottle"]
-    assert gp.clearance(task.scene, task.start) <= 0.0, "the fast checker sees the bottle touch the table"
+    assert gp.clearance(task.start, task.scene) <= 0.0, "the fast checker sees the bottle touch the table"
     result = _quick(task)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
     np.testing.assert_array_equal(result.path.q[0], task.start)
@@ -324,7 +324,7 @@ def test_without_an_object_there_is_no_impact():
     result = gp.plan("ready", "lift", scene, w=1.0, iterations=100)
     assert result.status is gp.PlanStatus.SOLVED
     assert result.cost.impact == 0.0
-    body = gp.Objective(impact=gp.ImpactCost(model="aabb", components=("body",)))
+    body = gp.Objective(impact=gp.ImpactCost(model="box_overlap", components=("body",)))
     with_body = gp.plan("ready", "lift", scene, objective=body, iterations=100)
     assert with_body.cost.impact > 0.0
 

@@ -72,7 +72,7 @@ def _matters(first: gp.PlanResult, second: gp.PlanResult) -> bool:
 def drive() -> None:
     """Draw the drive of a base through an apartment, with and without regard for failures."""
     task = gp.load_scene("apartment").tasks["bring_parcel"]
-    floor = gp.FloorMap.from_scene(task.scene, heights=(0.05, 1.0), resolution=0.05)
+    floor = gp.OccupancyGrid.from_scene(task.scene, heights=(0.05, 1.0), resolution=0.05)
     with _figure(IMAGES / "drive.png", 1, (7.0, 4.6)) as (axes,):
         _draw_map(axes, floor, distances=False)
         draw_entities(axes, task.scene)
@@ -178,7 +178,7 @@ def _figure(file: Path, count: int, size: tuple[float, float]) -> Iterator[Any]:
     plt.close(figure)
 
 
-def _draw_map(axes: Any, floor: gp.FloorMap, *, distances: bool) -> None:
+def _draw_map(axes: Any, floor: gp.OccupancyGrid, *, distances: bool) -> None:
     """Draw walls, and how far they are."""
     x, y = floor.origin[:2]
     rows, columns = floor.shape

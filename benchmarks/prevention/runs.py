@@ -34,9 +34,9 @@ SECONDS, OWN_SECONDS = 1.0, 5.0
 NONE, PUBLISHED, OURS, ALL_FAULTS = "w = 0", "Algorithm 1", "default", "service robot"
 MODELS: Mapping[str, gp.ImpactCost] = MappingProxyType(
     {
-        PUBLISHED: gp.ImpactCost(model="aabb"),
+        PUBLISHED: gp.ImpactCost(model="box_overlap"),
         OURS: gp.ImpactCost(),
-        ALL_FAULTS: gp.ImpactCost(model=gp.Footprint(faults="service_robot")),
+        ALL_FAULTS: gp.ImpactCost(model=gp.FailureMixture(faults="service_robot")),
     }
 )
 """Planned with at the default w; their weights are absolute."""

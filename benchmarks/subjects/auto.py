@@ -11,7 +11,7 @@ from benchmarks import planning, report, suite
 from benchmarks.subjects.planners import references
 from graceful_plan.compare import Run
 from graceful_plan.compare.reports.summary import gap
-from graceful_plan.compare.runs.planner_notes import PlannerNote
+from graceful_plan.compare.runs.planner_specs import PlannerSpec
 from graceful_plan.compare.runs.runner import PlannerJob
 
 TITLE = "The default planner: gap to the best known over time"
@@ -22,10 +22,10 @@ OTHERS_WITHIN, OTHERS_TASKS = 0.3, 20
 WANTED = {(0.3, 50): 0.02, (2.0, 50): 0.005, (1.0, 90): 0.05}
 """Greatest gap by time limit [s] and percentile."""
 PARTS = (
-    PlannerNote(label="everything", name="auto", refine=True),
-    PlannerNote(label="one search", name="auto", refine=True, settings=(("workers", 1),)),
-    PlannerNote(label="without roadmaps", name="auto", refine=True, settings=(("search", gp.Anytime(scouts=False)),)),
-    PlannerNote(label="without descents", name="auto", refine=True, settings=(("search", gp.Anytime(descents=False)),)),
+    PlannerSpec(label="everything", name="auto", refine=True),
+    PlannerSpec(label="one search", name="auto", refine=True, settings=(("workers", 1),)),
+    PlannerSpec(label="without roadmaps", name="auto", refine=True, settings=(("search", gp.Anytime(scouts=False)),)),
+    PlannerSpec(label="without descents", name="auto", refine=True, settings=(("search", gp.Anytime(descents=False)),)),
 )
 """The default planner, and what is left without some of it; roadmaps need descents."""
 MEASURED = """\

@@ -160,7 +160,7 @@ def _points(name: str) -> dict[str, Array]:
     return {key: np.concatenate(parts) for key, parts in found.items()}
 
 
-def _classes(scene: gp.Scene) -> dict[str, gp.EntityNote]:
+def _classes(scene: gp.Scene) -> dict[str, gp.EntityAnnotation]:
     return {name: note for name, note in scene.notes.entities.items() if name in scene.entities and note.category}
 
 

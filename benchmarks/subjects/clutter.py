@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.mobile import standing
-from failbench.mobile.driving import drive
+from failbench.mobile.driving import drive_base
 from graceful_plan.mobile.control.drive_state import DriveState
 from graceful_plan.mobile.control.dwa import DWA, seen
 from graceful_plan.mobile.floor.lattice import LatticeSettings, StateLattice
@@ -141,7 +141,7 @@ def cross(job: tuple[int, int, DWA]) -> Crossed:
     window = settings.bind(made.scene)
     length = float(np.linalg.norm(np.diff(made.path, axis=0), axis=1).sum())
     bound = length / SPEED + SPEED / known_base("jackal").a_max
-    driven = drive(made.path, made.scene, window, seconds=4.0 * bound)
+    driven = drive_base(made.path, made.scene, window, seconds=4.0 * bound)
     return Crossed(
         course=number,
         density=made.density,

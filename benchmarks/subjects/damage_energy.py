@@ -32,7 +32,7 @@ which it is predicted to arrive at the entity's height, the share is what was ob
 damage is the probability by the entity's class, predicted from E or computed from the observed energy. Tables, floors
 and things that nobody minds are left out. "Body": the same of touches by the robot's body after faults of drives,
 sensors and power; its predicted energy has one distribution. "Energy-weighted impact": severities of what was touched
-times the probability of damage, mean over the drops, and what `ImpactCost("footprint", consequence="energy")` predicts.
+times the probability of damage, mean over the drops, and what `ImpactCost("mixture", consequence="energy")` predicts.
 """
 IGNORED = ("table", "floor", "none")
 BODY_FAULTS = ("power_loss", "complete_shutdown", "loose_joint", "stuck_position", "bias_drift")
@@ -92,9 +92,9 @@ def measure(job: tuple[str, int, int]) -> TouchEnergies:
     else:
         return touches
     drop = faults()["gripper_failure"](degree="critical")
-    rollouts = failbench.run(execution, make_jobs([drop], execution.duration, n=drops, seed=0), threads=1)
+    rollouts = failbench.run_rollouts(execution, make_jobs([drop], execution.duration, n=drops, seed=0), threads=1)
     _add_carried(touches, task.scene, execution, rollouts)
-    cost = gp.ImpactCost("footprint", consequence="energy")
+    cost = gp.ImpactCost("mixture", consequence="energy")
     times = np.array([rollout.onset for rollout in rollouts])
     touches.impact = (
         float(predicted_impact(execution.trajectory, task.scene, times, cost).sum(axis=1).mean()),
@@ -102,7 +102,7 @@ def measure(job: tuple[str, int, int]) -> TouchEnergies:
     )
     broken = [faults()[kind](degree="severe") for kind in BODY_FAULTS]
     jobs = make_jobs(broken, execution.duration, n=failures, seed=0)
-    _add_body(touches, task.scene, failbench.run(execution, jobs, threads=1))
+    _add_body(touches, task.scene, failbench.run_rollouts(execution, jobs, threads=1))
     return touches
 
 

@@ -12,7 +12,7 @@ import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.mobile import standing
 from failbench.mobile.coasting import coasted, drawn
-from failbench.mobile.driving import drive
+from failbench.mobile.driving import drive_base
 from failbench.mobile.wheeled import wheeled
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.mobile.coast.coast import Coast
@@ -80,7 +80,7 @@ def room(seed: int) -> tuple[gp.Scene, Array, Array]:
             continue
         bodies = "".join([*_walls(half), *_boxes(rng, half), *_entities(rng, ends[0, :2], way)])
         scene = standing(bodies, entities={name: name for name in CLASSES})
-        if (gp.clearance(scene, ends) > 0.05).all():
+        if (gp.clearance(ends, scene) > 0.05).all():
             return scene, ends[0], ends[1]
 
 
@@ -117,7 +117,7 @@ def examine(job: tuple[int, float, int]) -> Driven:
     trajectory, wheels = result.trajectory, wheeled(scene)
     state = trajectory.at(np.linspace(0.0, trajectory.duration, 20_000))
     c, s = np.cos(state.q[:, 2]), np.sin(state.q[:, 2])
-    rolled = drive(trajectory, scene)
+    rolled = drive_base(trajectory, scene)
     rng = np.random.default_rng((SEED, number, 1))
     shipped = CoastSettings.shipped()
     model = Coast(shipped.only(*shipped.ways))  # what is drawn; nobody goes astray

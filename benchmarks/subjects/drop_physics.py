@@ -14,7 +14,7 @@ import failbench
 import graceful_plan as gp
 from benchmarks import materials, report, suite
 from failbench.fault.registry import GripperFailure
-from failbench.recording.closeup import Closeup
+from failbench.recording.contact_query import ContactQuery
 from failbench.rollouts.sampling import make_jobs
 from failbench.simulated.states import STATE
 
@@ -139,7 +139,7 @@ def flight(execution: failbench.Execution, job: failbench.Job) -> FreeFlight:
     mujoco.mj_setState(model, data, execution.states[execution.checkpoint(job.onset)], STATE)
     mujoco.mj_forward(model, data)
     released = touched = centre(model, data, body)
-    for _, now in failbench.steps(execution, job):
+    for _, now in failbench.rollout_steps(execution, job):
         # Contacts and centres of mass after a step are those before it; so is the velocity, but for gravity's part.
         pairs = now.contact.geom
         mine = own[pairs]
@@ -256,7 +256,7 @@ def alone(world: failbench.World, body: int) -> mujoco.MjModel:
 
 def _support(world: failbench.World, body: int) -> int:
     """Return the geom that a body stands on."""
-    closeup, qpos = Closeup(world), np.array(world.scene.home_qpos)
+    closeup, qpos = ContactQuery(world), np.array(world.scene.home_qpos)
     qpos[world.model.jnt_qposadr[world.model.body_jntadr[body]] + 2] -= _SUNK
     closeup.place(qpos, np.zeros(world.model.nv))
     contact = closeup.data.contact

@@ -16,7 +16,7 @@ from failbench.calibrations import skill
 from failbench.calibrations.calibrate import scenes_of
 from failbench.calibrations.failure_jobs import KINDS, FailureJob, failure_jobs
 from failbench.calibrations.failures import Failures
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 
 Array = np.ndarray
 
@@ -51,8 +51,8 @@ _SURFACES = {"table": "furniture", "floor": "floor"}
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "reliability.png"
 
 MODELS: Mapping[str, Callable[[gp.Scene, Array, Array], Array]] = {
-    "footprint": lambda scene, q, qd: _carried(scene, gp.interaction_probability(scene, q, Footprint(), qd)),
-    "Algorithm 1": lambda scene, q, qd: _carried(scene, gp.interaction_probability(scene, q, "aabb", qd)),
+    "mixture": lambda scene, q, qd: _carried(scene, gp.interaction_probability(q, scene, FailureMixture(), qd)),
+    "Algorithm 1": lambda scene, q, qd: _carried(scene, gp.interaction_probability(q, scene, "box_overlap", qd)),
     "Algorithm 1, aimed": landing.landed_probability,
 }
 SEVERITIES = (
@@ -70,7 +70,7 @@ def run(options: suite.Options) -> str:
     drops, refused = drop_all(options)
     events = events_of(drops)
     others, others_refused = drop_unseen(options)
-    unseen = events_of(others, {"footprint": MODELS["footprint"]}, suite.scene)
+    unseen = events_of(others, {"mixture": MODELS["mixture"]}, suite.scene)
     if not options.quick:
         draw(events, PICTURE, resamples)
     dropped = {name: sum(len(x) for x in drops if x.scene == name) for name in dict.fromkeys(x.scene for x in drops)}
@@ -177,7 +177,7 @@ _HEADER = ("", "model", "drops", *FIGURES)
 
 def _targets(events: Events, unseen: Events, dropped: Mapping[str, int], resamples: int) -> list[report.Target]:
     def estimate(statistic: Callable[[Array, Array], float], some: Events = events) -> skill.Estimate:
-        p, y = some.predicted["footprint"], some.happened
+        p, y = some.predicted["mixture"], some.happened
         return skill.bootstrap(statistic, p, y, some.motion, resamples=min(200, resamples))
 
     enough = len(dropped) >= SCENES and min(dropped.values()) >= DROPS
@@ -236,12 +236,12 @@ def _hit_rows(events: Mapping[str, Events]) -> list[Sequence[object]]:
     for scenes, made, what in product(events, ("optimised", "others"), ("", *HIT)):
         part = _part(events[scenes], made, what)
         if len(part.happened):
-            rows.append((scenes, made, what or "all", *part.figures("footprint")))
+            rows.append((scenes, made, what or "all", *part.figures("mixture")))
     for scenes, what in product(events, ("", *HIT)):
         part = _part(events[scenes], "optimised", what)
         part = part.only(part.labels["carried"] == "tall")
         if len(part.happened):
-            rows.append((f"{scenes}, tall things carried", "optimised", what or "all", *part.figures("footprint")))
+            rows.append((f"{scenes}, tall things carried", "optimised", what or "all", *part.figures("mixture")))
     return rows
 
 
@@ -252,7 +252,7 @@ def _part(events: Events, made: str, what: str = "") -> Events:
 
 
 def _curve_rows(events: Events, resamples: int) -> list[Sequence[object]]:
-    curve = _curve(events, "footprint", resamples)
+    curve = _curve(events, "mixture", resamples)
     return [(f"{p:.4f}", f"{y:.4f}", f"{low:.4f} to {high:.4f}", n) for p, y, low, high, n in zip(*curve, strict=True)]
 
 

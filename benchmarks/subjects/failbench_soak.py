@@ -21,7 +21,7 @@ TITLE = "FailBench: ten thousand rollouts"
 MEASURED = """\
 Scene `tabletop`, task `lift_to_goal`, all 19 faults at all four degrees, at times spread over the motion, one second
 simulated after each, two threads, in one process; rollouts are looked at and thrown away. "Memory": what the process
-holds after each call of `failbench.run`, above what it held after the first calls, whose rollouts count as warm-up.
+holds after each call of `failbench.run_rollouts`, above what it held after the first calls, whose rollouts count as warm-up.
 "Not finite": rollouts that are said to be complete but hold a number that is NaN or infinite. "Diverged": rollouts that
 MuJoCo warned about; they have to be recorded, with their state, not dropped.
 """
@@ -75,7 +75,7 @@ def run(options: suite.Options) -> str:
     while census.asked < rollouts:
         count = min(_CALL, -(-(rollouts - census.asked) // len(kinds)) * len(kinds))
         jobs = make_jobs(kinds, execution.duration, n=count, seed=len(memory))
-        census.add(len(jobs), failbench.run(execution, jobs, threads=2))
+        census.add(len(jobs), failbench.run_rollouts(execution, jobs, threads=2))
         gc.collect()
         memory.append(resident_megabytes())
     seconds = time.perf_counter() - started

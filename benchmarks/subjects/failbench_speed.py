@@ -59,10 +59,10 @@ def run(options: suite.Options) -> str:
     looped = mixed[:loop]
     still = dataclasses.replace(execution, world=_without_sleep(execution.world))
     work: dict[str, tuple[int, Callable[[], object]]] = {
-        "drops": (len(drops), lambda: failbench.run(execution, drops, horizon=HORIZON)),
-        "drops, 2 threads": (len(drops), lambda: failbench.run(execution, drops, horizon=HORIZON, threads=2)),
-        "mixed": (len(mixed), lambda: failbench.run(execution, mixed, horizon=HORIZON)),
-        "mixed, 2 threads": (len(mixed), lambda: failbench.run(execution, mixed, horizon=HORIZON, threads=2)),
+        "drops": (len(drops), lambda: failbench.run_rollouts(execution, drops, horizon=HORIZON)),
+        "drops, 2 threads": (len(drops), lambda: failbench.run_rollouts(execution, drops, horizon=HORIZON, threads=2)),
+        "mixed": (len(mixed), lambda: failbench.run_rollouts(execution, mixed, horizon=HORIZON)),
+        "mixed, 2 threads": (len(mixed), lambda: failbench.run_rollouts(execution, mixed, horizon=HORIZON, threads=2)),
         "plain loop, drops": (loop, lambda: _loop(execution, drops[:loop])),
         "plain loop, mixed": (loop, lambda: _loop(execution, looped)),
         "from the start, drops": (loop, lambda: _loop(still, drops[:loop], anew=True)),
@@ -100,7 +100,7 @@ def plain_rollout(execution: failbench.Execution, job: failbench.Job, *, anew: b
             mujoco.mj_step(model, data)
         mujoco.mj_setState(model, data, execution.states[checkpoint], mujoco.mjtState.mjSTATE_INTEGRATION)
     recorder = Recorder(execution.world, execution.baseline, data.qpos[None].copy(), data.qvel[None].copy())
-    for _, now in failbench.steps(execution, job, horizon=HORIZON):
+    for _, now in failbench.rollout_steps(execution, job, horizon=HORIZON):
         recorder.observe(now.sensordata[None, None], now.qpos[None, None], now.qvel[None, None])
     onset = checkpoint * CHECKPOINT * execution.dt
     return failbench.Rollout(job=job, onset=onset, **recorder.finish(0))
@@ -121,7 +121,7 @@ def _loop(execution: failbench.Execution, jobs: Sequence[failbench.Job], *, anew
 
 def _differing(execution: failbench.Execution, jobs: Sequence[failbench.Job]) -> int:
     """Return how many native rollouts differ from those of the plain loop."""
-    native = failbench.run(execution, jobs, horizon=HORIZON, threads=2)
+    native = failbench.run_rollouts(execution, jobs, horizon=HORIZON, threads=2)
     return sum(not same(rollout, plain_rollout(execution, rollout.job)) for rollout in native)
 
 

@@ -17,7 +17,7 @@ from failbench.fault.registry import faults, to_document
 from failbench.sweeps.dataset import write_dataset
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.journal import SweepJournal
-from failbench.sweeps.sweep import SweepProgress, generate, versions
+from failbench.sweeps.sweep import SweepProgress, generate_dataset, versions
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from graceful_plan.compare.runs.machine import resident_megabytes
 
@@ -85,7 +85,7 @@ def _watched(sweep: Sweep, folder: Path, executor: Executor, seconds: Callable[[
     def look(progress: SweepProgress) -> None:
         marks.append(_Mark(progress.rollouts_done, time.monotonic(), time.process_time(), seconds()))
 
-    generate(sweep, folder, executor=executor, callback=look)
+    generate_dataset(sweep, folder, executor=executor, callback=look)
     return marks[min(3, len(marks) - 2)], marks[-1]  # each worker has loaded its first scene by then
 
 

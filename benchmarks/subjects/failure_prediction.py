@@ -35,7 +35,7 @@ events; "ratio": predicted hits over observed ones; intervals are 95 %, whole mo
 SEED = 3111
 LEAST_SKILL = 0.4
 RATIO = (0.7, 1.4)
-OURS, PUBLISHED = "footprint", "Algorithm 1"
+OURS, PUBLISHED = "mixture", "Algorithm 1"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +141,7 @@ def _ours(kind: FailureKind, scene: gp.Scene, part: Failures) -> Array:
     batch = part.states(scene)
     if not kind.single:
         prior = gp.FaultPrior({"it": 1.0}, {"it": {kind.generator: 1.0}})
-        return gp.Footprint(faults=prior).probability(batch)
+        return gp.FailureMixture(faults=prior).probability(batch)
     P = np.zeros((len(part), len(scene.components), len(scene.entities)))
     modes, names = BodyModel().modes(batch, batch.ahead), mode_names(scene)
     struck = [names.index(f"{kind.generator}/{part.faults[i].split(' ')[1]}") for i in part.fault]
@@ -152,7 +152,7 @@ def _ours(kind: FailureKind, scene: gp.Scene, part: Failures) -> Array:
 
 
 def _published(scene: gp.Scene, part: Failures) -> Array:
-    return gp.interaction_probability(scene, part.q, "aabb", part.qd)
+    return gp.interaction_probability(part.q, scene, "box_overlap", part.qd)
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------

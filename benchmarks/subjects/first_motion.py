@@ -18,7 +18,7 @@ from graceful_plan.core import covers
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.scene.edit import Solid
+from graceful_plan.scene.edit import StaticBody
 
 Array = np.ndarray
 
@@ -218,7 +218,7 @@ def mesh_free(panda: gp.Scene) -> tuple[Array, Array]:
 
 def _changed(scene: gp.Scene, start: object, goal: object, repeats: int) -> dict[str, float]:
     found: dict[str, float] = {}
-    spare = Solid(name="spare", kind="box", size=[0.03] * 3, pose=[0.0, 2.0, 1.0])
+    spare = StaticBody(name="spare", kind="box", size=[0.03] * 3, pose=[0.0, 2.0, 1.0])
     with tempfile.TemporaryDirectory() as folder:
         before = os.environ.get("XDG_CACHE_HOME")
         os.environ["XDG_CACHE_HOME"] = folder
@@ -240,7 +240,7 @@ def _changed(scene: gp.Scene, start: object, goal: object, repeats: int) -> dict
     )
     rng = np.random.default_rng(0)
     places200 = rng.uniform(-1.0, 1.0, (200, 3)) + [0.0, 0.0, 2.5]
-    many = [Solid(name=f"s{k}", kind="box", size=[0.02] * 3, pose=p) for k, p in enumerate(places200)]
+    many = [StaticBody(name=f"s{k}", kind="box", size=[0.02] * 3, pose=p) for k, p in enumerate(places200)]
     found["add 200"] = _median(lambda: scene.edit(add=many), max(1, repeats // 3))
     found["add 200 and compile"] = _median(lambda: compile_scene(scene.edit(add=many)), max(1, repeats // 3))
     lower, upper = scene.limits.position.T

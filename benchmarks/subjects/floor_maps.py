@@ -15,9 +15,9 @@ from scipy.sparse.csgraph import dijkstra
 import graceful_plan as gp
 from benchmarks import report, suite
 from graceful_plan.mobile.floor import generated
-from graceful_plan.mobile.floor.floor_map import FloorMap
 from graceful_plan.mobile.floor.generated import obstacle_course
 from graceful_plan.mobile.floor.grid_paths import FloorGrid
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 
 Array = np.ndarray
 
@@ -96,7 +96,7 @@ def worst_difference(n: int) -> float:
         occupied = rng.uniform(size=shape) < rng.uniform(0, 0.4)
         occupied[0, 0] = False
         charge = 10.0 ** rng.integers(-2, 6) * rng.uniform(size=shape)
-        floor = FloorMap(occupancy=occupied, resolution=RESOLUTION)
+        floor = OccupancyGrid(occupancy=occupied, resolution=RESOLUTION)
         grid = FloorGrid(floor=floor, charge=charge)
         known = dijkstra(graph(~occupied, charge), directed=False, indices=0)
         start = floor.centres([0, 0])
@@ -164,14 +164,14 @@ def _reachable() -> int:
     """Return the first seed whose corners are connected."""
     seed = 0
     while True:
-        grid = FloorGrid(floor=FloorMap(occupancy=office(seed)[0], resolution=RESOLUTION))
+        grid = FloorGrid(floor=OccupancyGrid(occupancy=office(seed)[0], resolution=RESOLUTION))
         if grid.path(*grid.floor.centres([[5, 5], [CELLS - 6, CELLS - 6]])).xy.size:
             return seed
         seed += 1
 
 
 def _rows(occupied: Array, price: Array) -> Iterator[list[str]]:
-    floor = FloorMap(occupancy=occupied, resolution=RESOLUTION)
+    floor = OccupancyGrid(occupancy=occupied, resolution=RESOLUTION)
     start, goal = floor.centres([[5, 5], [CELLS - 6, CELLS - 6]])
     plain, charged = FloorGrid(floor=floor), FloorGrid(floor=floor, charge=price)
     blocked = occupied.astype(np.uint8)

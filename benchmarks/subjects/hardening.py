@@ -225,7 +225,7 @@ def many_goals(count: int, free: str) -> tuple[str, float]:
     start, _, scene = tabletop()
     low, high = scene.limits.position.T
     q = np.random.default_rng(1).uniform(low, high, (12 * count, len(low)))
-    clearance = gp.clearance(scene, q)
+    clearance = gp.clearance(q, scene)
     usable = q[clearance > 0.0][: count // 10 if free == FREE[0] else 1]
     blocked = q[clearance < -0.05]  # by so much that they are not free by exact geometry either
     goals = blocked[np.arange(count) % len(blocked)]

@@ -110,8 +110,8 @@ def _rates(task: gp.Task, n: int) -> dict[str, float]:
     drop = drop_kernel(scene, DropSettings.shipped())
     only = np.ones((len(ROWS), every)) * (np.arange(len(ROWS)) == 0)[:, None]
     paces = search_paces()
-    alone = gp.Footprint().kernel(scene, severity * falls, paces)
-    mixture = gp.Footprint(faults="service_robot").kernel(scene, severity, paces)
+    alone = gp.FailureMixture().kernel(scene, severity * falls, paces)
+    mixture = gp.FailureMixture(faults="service_robot").kernel(scene, severity, paces)
     assert alone is not None and mixture is not None
     samples = np.ceil(1.0 / COST_STEP) + 1.0
     rates = {
@@ -133,7 +133,7 @@ def _times_of_task(task: gp.Task, rng: np.random.Generator) -> dict[str, float]:
     """Return how many times longer the mixture takes where motions of a task go, with the severities of its scene."""
     names, entities = task.scene.components, task.scene.entities.values()
     severity = np.array([[entity.severity[name] for entity in entities] for name in names])
-    kernels = [gp.Footprint(faults=faults).kernel(task.scene, severity, search_paces()) for faults in _COMPARED]
+    kernels = [gp.FailureMixture(faults=faults).kernel(task.scene, severity, search_paces()) for faults in _COMPARED]
     limits, way = task.scene.limits, task.goal[0] - task.start
     first = task.start + rng.uniform(size=(60, 1)) * way + rng.normal(scale=0.15, size=(60, len(way)))
     last = first + _unit(0.7 * _unit(way[None]) + rng.normal(scale=0.25, size=first.shape))

@@ -42,14 +42,14 @@ SEEDS = 7100
 DROPS, HARM_DROPS, TASKS = 20, 400, 12
 SECONDS = 1.0
 """Time limit of a plan."""
-PLAIN, LEARNED = "footprint", "network"
+PLAIN, LEARNED = "mixture", "network"
 UNSEEN, VARIANTS = "unseen", "variants"
 FIGURES = ("events", "hits", "skill", "AUC", "ECE", "ratio", "log loss", "severe")
 
 
-def models() -> Mapping[str, gp.Footprint]:
+def models() -> Mapping[str, gp.FailureMixture]:
     """Return both models by name."""
-    return {PLAIN: gp.Footprint(), LEARNED: gp.Footprint(network=DropNetwork.shipped())}
+    return {PLAIN: gp.FailureMixture(), LEARNED: gp.FailureMixture(network=DropNetwork.shipped())}
 
 
 def run(options: suite.Options) -> str:

@@ -204,7 +204,7 @@ def _drops(
         for t, seed in zip(onsets, seeds, strict=True)
         for k in range(_REPEATED)
     ]
-    rollouts = fb.run(execution, jobs, horizon=_HORIZON)
+    rollouts = fb.run_rollouts(execution, jobs, horizon=_HORIZON)
     events = []
     for i in range(0, len(rollouts), _REPEATED):
         valid = [rollout for rollout in rollouts[i : i + _REPEATED] if not _touched(rollout, walker.name)]
@@ -265,7 +265,7 @@ def _batch(scene: gp.Scene, state: State, time: Array | None) -> gp.StateBatch:
 def _predicted(scene: gp.Scene, entity: gp.MovingEntity, state: State, time: Array | None) -> float:
     moving = scene.with_moving(entity)
     row = list(moving.components).index("carried")
-    P = gp.ImpactCost(model="footprint").probability(_batch(moving, state, time))
+    P = gp.ImpactCost(model="mixture").probability(_batch(moving, state, time))
     return float(P[0, row, len(moving.hazards) - 1])
 
 

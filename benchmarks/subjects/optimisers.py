@@ -12,9 +12,9 @@ from benchmarks import gradients, planning, report, suite
 from benchmarks.subjects.first_path import problem_of
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.planner import Budget, Planner, path_total
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import Shortcut
 from graceful_plan.query.candidates.search import is_solution
@@ -139,7 +139,7 @@ def _improve(name: str) -> Callable[..., Iterator[gp.Path]]:
 def _more_shortcuts(
     path: gp.Path, problem: SceneProblem, objective: SceneObjective, budget: Budget, rng: np.random.Generator
 ) -> Iterator[gp.Path]:
-    yield from Shortcut(patience=1_000_000).improve(path, Questions(problem, objective, budget), budget, rng)
+    yield from Shortcut(patience=1_000_000).improve(path, InterruptibleProblem(problem, objective, budget), budget, rng)
 
 
 def examine(job: tuple[str, int, float, float]) -> Improvements:

@@ -78,7 +78,7 @@ def measure(job: tuple[str, int]) -> OwnLosses:
         return losses
     drop = faults()["gripper_failure"](degree="critical")
     jobs = make_jobs([drop], execution.duration, n=drops, seed=0)
-    _add(losses, task.scene, execution, failbench.run(execution, jobs, horizon=_HORIZON, threads=1))
+    _add(losses, task.scene, execution, failbench.run_rollouts(execution, jobs, horizon=_HORIZON, threads=1))
     return losses
 
 
@@ -88,7 +88,7 @@ def _add(
     times = execution.trajectory.t[0] + np.array([rollout.onset for rollout in rollouts])
     state = execution.trajectory.at(times)
     batch = moving_batch(scene, state.q, state.qd)
-    losses.predicted += gp.Footprint().own_loss(batch, FragilityTable.shipped())["drop"].tolist()
+    losses.predicted += gp.FailureMixture().own_loss(batch, FragilityTable.shipped())["drop"].tolist()
     tables = drop_tables(scene)
     let_go = release(batch, tables)
     low, mass = heights(let_go, tables)[0].min(axis=1), carried_mass(scene)

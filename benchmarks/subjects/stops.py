@@ -80,12 +80,14 @@ def _execution(name: str, plan: gp.PlanResult) -> failbench.Execution | None:
 
 def _stopped(name: str, w: float | None, degree: str, count: int, execution: failbench.Execution) -> Stops:
     scene, stop = suite.task(name).scene, ProtectiveStop(degree=degree)
-    rollouts = failbench.run(execution, make_jobs([stop], execution.duration, n=count, seed=0), horizon=_HORIZON)
+    rollouts = failbench.run_rollouts(
+        execution, make_jobs([stop], execution.duration, n=count, seed=0), horizon=_HORIZON
+    )
     state = execution.trajectory.at(execution.trajectory.t[0] + np.array([one.onset for one in rollouts]))
     batch = moving_batch(scene, state.q, state.qd)
     hard = replace(StopSettings.shipped(), deceleration=stop.amount)
     out = stop_spill(batch, hard)
-    model = gp.Footprint(faults=FaultPrior({stop.NAME: 1.0}), stop=hard)
+    model = gp.FailureMixture(faults=FaultPrior({stop.NAME: 1.0}), stop=hard)
     reached = model.probability(batch)[:, list(scene.components).index("contents")].sum(axis=1)
     inside = 1.0 / max(1.0, _full(scene))
     stops = Stops(task=name, w=w, degree=degree, dropped=sum(one.dropped for one in rollouts))

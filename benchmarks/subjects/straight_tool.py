@@ -89,7 +89,7 @@ def examine(job: tuple[str, int]) -> list[LineFigures]:
             rotation=turn * axis / np.linalg.norm(axis),
         )
         if i == 0:
-            gp.straight_motion(q, goal, scene)  # the first one warms up
+            gp.plan_cartesian(q, goal, scene)  # the first one warms up
         found.append(_examine(group, q, goal, scene))
     return found
 
@@ -112,7 +112,7 @@ def _anywhere(i: int, rng: np.random.Generator) -> tuple[gp.Scene, Array]:
 
 def _examine(group: str, q: Array, goal: gp.PoseGoal, scene: gp.Scene) -> LineFigures:
     started = time.perf_counter()
-    result = gp.straight_motion(q, goal, scene)
+    result = gp.plan_cartesian(q, goal, scene)
     seconds = time.perf_counter() - started
     deviation, angle, duration = np.nan, np.nan, np.nan
     if result.status is gp.PlanStatus.SOLVED:

@@ -156,8 +156,8 @@ def _aimed(scene: gp.Scene, drops: Failures) -> Array:
 
 
 MODELS: Mapping[str, Callable[[gp.Scene, Failures], Array]] = {
-    "footprint": lambda scene, drops: gp.Footprint().probability(drops.states(scene)),
-    "Algorithm 1": lambda scene, drops: gp.interaction_probability(scene, drops.q, "aabb", drops.qd),
+    "mixture": lambda scene, drops: gp.FailureMixture().probability(drops.states(scene)),
+    "Algorithm 1": lambda scene, drops: gp.interaction_probability(drops.q, scene, "box_overlap", drops.qd),
     "Algorithm 1, aimed": _aimed,
 }
 """P by component and entity, given that the gripper lets go."""
@@ -169,8 +169,8 @@ _HEADER = ("scene", "model", "motions", "Spearman", "95 %", "Kendall", "Pearson"
 
 
 def _targets(done: Mapping[str, Sequence[JudgedMotion]], scenes: int) -> list[report.Target]:
-    ranks = {name: skill.spearman(*_pairs(found, "footprint")) for name, found in done.items()}
-    slopes = {name: skill.slope(*_pairs(found, "footprint")) for name, found in done.items()}
+    ranks = {name: skill.spearman(*_pairs(found, "mixture")) for name, found in done.items()}
+    slopes = {name: skill.slope(*_pairs(found, "mixture")) for name, found in done.items()}
     least = min((len(found) for found in done.values()), default=0)
     drops = min((x.drops for found in done.values() for x in found), default=0)
     worst = min(ranks, key=lambda name: ranks[name], default="none")

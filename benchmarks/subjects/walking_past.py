@@ -28,7 +28,7 @@ Where they are is known to 0.05 m and 0.05 m/s. Three plans for each: "nobody", 
 both as entities where they are at the start; "in time", by `Scene.with_moving` and `max_wait={WAIT:g}`. All are judged
 among those who walk: whether the sound robot drives into somebody (exact geometry, at the predicted places), and the
 harm of failures per executed task, the exposure of severity to both adults where they then are, by the model's own
-probabilities (`mobile/coast/walkers.py`). "By chance" does without its closed forms: {ROLLS} failures of each
+probabilities (`mobile/coast/moving_entities.py`). "By chance" does without its closed forms: {ROLLS} failures of each
 motion are rolled step by step along the arc of the moment, with stops drawn from the model's ways in which both sides
 do the same, and walkers off their prediction; harm counts the square of the speed at the first touch.
 """
@@ -48,7 +48,7 @@ class Walked:
     seconds: float = np.nan
 
 
-def room(seed: int) -> tuple[gp.FloorMap, Array, Array, list[gp.MovingEntity]]:
+def room(seed: int) -> tuple[gp.OccupancyGrid, Array, Array, list[gp.MovingEntity]]:
     """Return a floor, a start, a goal, and who walks."""
     rng = np.random.default_rng((SEED, 7, seed))
     cell = 0.05
@@ -62,7 +62,7 @@ def room(seed: int) -> tuple[gp.FloorMap, Array, Array, list[gp.MovingEntity]]:
         occupied[b:d, a:c] = True
     start, goal = (np.array([x, rng.uniform(1.2, SIZE[1] - 1.2), 0.0]) for x in (1.0, SIZE[0] - 1.0))
     return (
-        gp.FloorMap(occupancy=occupied, resolution=cell),
+        gp.OccupancyGrid(occupancy=occupied, resolution=cell),
         start,
         goal,
         [_walker(k, start, goal, rng) for k in range(2)],
@@ -87,7 +87,7 @@ def crossed(seed: int) -> list[Walked]:
     there = floor.to_scene()
     real = there.with_moving(*walkers)
     solids = [
-        gp.Solid(name=w.name, kind="cylinder", size=w.size, pose=w.position[0], entity=w.category) for w in walkers
+        gp.StaticBody(name=w.name, kind="cylinder", size=w.size, pose=w.position[0], entity=w.category) for w in walkers
     ]
     scenes: dict[str, tuple[Callable[[], gp.Scene], float]] = {
         "nobody": (lambda: there, 0.0),

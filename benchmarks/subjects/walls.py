@@ -29,7 +29,7 @@ KINDS = (
 DROPS = 30
 """Along each motion."""
 RATIO = (0.8, 1.25)
-MODELS = ("footprint", "Algorithm 1")
+MODELS = ("mixture", "Algorithm 1")
 
 
 def run(options: suite.Options) -> str:
@@ -61,7 +61,7 @@ def jobs(options: suite.Options) -> list[FailureJob]:
 
 
 def _targets(events: Events, resamples: int) -> list[report.Target]:
-    p, y = events.predicted["footprint"], events.happened
+    p, y = events.predicted["mixture"], events.happened
     ratio = skill.bootstrap(skill.predicted_ratio, p, y, events.motion, resamples=resamples)
     wanted, met = f"{RATIO[0]} to {RATIO[1]}", RATIO[0] <= ratio.mean <= RATIO[1]
     return [report.Target(what="predicted over observed hits", wanted=wanted, measured=str(ratio), met=met)]
@@ -74,5 +74,5 @@ def _hit_rows(events: Events) -> list[Sequence[object]]:
         for what in drop_prediction.HIT:
             part = events.only((made == kind) & (hit == what))
             if len(part.happened):
-                rows.append((kind, what, *part.figures("footprint")))
+                rows.append((kind, what, *part.figures("mixture")))
     return rows

@@ -131,7 +131,7 @@ def pose(seed: int) -> tuple[gp.Scene, Array, gp.PoseGoal]:
     while True:
         q = rng.uniform(*scene.limits.position.T)
         q[2] = rng.uniform(-np.pi, np.pi)
-        if gp.clearance(scene, q) > 0.02:
+        if gp.clearance(q, scene) > 0.02:
             goal = gp.PoseGoal.from_tool(q, scene)
             if goal.X_WT[2, 3] > 0.4:
                 return scene, scene.keyframes["ready"], goal

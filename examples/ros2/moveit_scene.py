@@ -25,7 +25,7 @@ FRAME = "world"
 BOX, SPHERE, CYLINDER, CONE = 1, 2, 3, 4  # of shape_msgs/SolidPrimitive
 
 
-def solids(scene: PlanningScene, entities: Mapping[str, str] = ENTITIES) -> Iterator[gp.Solid]:
+def solids(scene: PlanningScene, entities: Mapping[str, str] = ENTITIES) -> Iterator[gp.StaticBody]:
     """Convert the collision objects of a planning scene to solids; meshes become their convex hulls."""
     if scene.robot_state.attached_collision_objects:
         names = [attached.object.id for attached in scene.robot_state.attached_collision_objects]
@@ -44,11 +44,13 @@ def solids(scene: PlanningScene, entities: Mapping[str, str] = ENTITIES) -> Iter
         shapes += [("mesh", points(mesh), pose) for mesh, pose in zip(thing.meshes, thing.mesh_poses, strict=True)]
         for i, (kind, size, pose) in enumerate(shapes):
             name = thing.id if i == 0 else f"{thing.id}.{i}"
-            yield gp.Solid(name=name, kind=kind, size=size, pose=X_WT @ matrix(pose), entity=entities.get(thing.id))
+            yield gp.StaticBody(
+                name=name, kind=kind, size=size, pose=X_WT @ matrix(pose), entity=entities.get(thing.id)
+            )
 
 
 def primitive(shape) -> tuple[str, list[float]]:
-    """Return kind and size of a shape_msgs/SolidPrimitive; sizes of `Solid` are half lengths [m]."""
+    """Return kind and size of a shape_msgs/SolidPrimitive; sizes of `StaticBody` are half lengths [m]."""
     if shape.type == BOX:
         return "box", [0.5 * side for side in shape.dimensions]
     if shape.type == SPHERE:

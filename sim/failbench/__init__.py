@@ -5,7 +5,7 @@ It uses only the public interface of `graceful_plan`, which never imports it.
 
 from typing import TYPE_CHECKING
 
-from graceful_plan import on_demand
+from graceful_plan import lazy_imports
 
 # Names are imported at their first use; type checkers read these imports.
 if TYPE_CHECKING:
@@ -16,24 +16,24 @@ if TYPE_CHECKING:
     from failbench.fault.fault import Fault
     from failbench.fault.registry import faults, reactions
     from failbench.front_validation import FrontValidation, validate_front
-    from failbench.mobile.driving import drive
+    from failbench.mobile.driving import drive_base
     from failbench.pictures.playback import replay
     from failbench.recording.healthy import HealthyHarm
     from failbench.recording.records import ContactEvent, Job, Rollout
     from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
     from failbench.report import EntityReport, ValidationReport
     from failbench.rollouts.execution import Execution, ObjectLost, execute
-    from failbench.rollouts.rollout import run
-    from failbench.rollouts.single import steps
+    from failbench.rollouts.rollout import run_rollouts
+    from failbench.rollouts.single import rollout_steps
     from failbench.scenario import Scenario, scenarios
-    from failbench.simulated.plant import Plant
+    from failbench.simulated.simulation import Simulation
     from failbench.simulated.world import SimSettings, World, build_world
-    from failbench.surroundings.registry import disturbances, staged_for
+    from failbench.surroundings.registry import disturbances, scene_with_intruder
     from failbench.sweeps.dataset import Dataset, read_dataset
-    from failbench.sweeps.sweep import generate, resume
+    from failbench.sweeps.sweep import generate_dataset, resume
     from failbench.validation import validate
 else:
-    on_demand.install(
+    lazy_imports.install(
         __name__,
         {
             "AtFraction": "failbench.basics.onset",
@@ -49,7 +49,7 @@ else:
             "HealthyHarm": "failbench.recording.healthy",
             "Job": "failbench.recording.records",
             "ObjectLost": "failbench.rollouts.execution",
-            "Plant": "failbench.simulated.plant",
+            "Simulation": "failbench.simulated.simulation",
             "Rollout": "failbench.recording.records",
             "Scenario": "failbench.scenario",
             "SimSettings": "failbench.simulated.world",
@@ -59,11 +59,11 @@ else:
             "build_world": "failbench.simulated.world",
             "compare": "failbench.comparison",
             "disturbances": "failbench.surroundings.registry",
-            "drive": "failbench.mobile.driving",
+            "drive_base": "failbench.mobile.driving",
             "energy_impact": "failbench.recording.score",
             "execute": "failbench.rollouts.execution",
             "faults": "failbench.fault.registry",
-            "generate": "failbench.sweeps.sweep",
+            "generate_dataset": "failbench.sweeps.sweep",
             "harm_ratio": "failbench.comparison",
             "observed_impact": "failbench.recording.score",
             "own_loss": "failbench.recording.score",
@@ -71,11 +71,11 @@ else:
             "read_dataset": "failbench.sweeps.dataset",
             "replay": "failbench.pictures.playback",
             "resume": "failbench.sweeps.sweep",
-            "run": "failbench.rollouts.rollout",
+            "run_rollouts": "failbench.rollouts.rollout",
             "scenarios": "failbench.scenario",
             "secondary_impact": "failbench.recording.score",
-            "staged_for": "failbench.surroundings.registry",
-            "steps": "failbench.rollouts.single",
+            "scene_with_intruder": "failbench.surroundings.registry",
+            "rollout_steps": "failbench.rollouts.single",
             "validate": "failbench.validation",
             "validate_front": "failbench.front_validation",
         },
@@ -95,7 +95,7 @@ __all__ = [
     "HealthyHarm",
     "Job",
     "ObjectLost",
-    "Plant",
+    "Simulation",
     "Rollout",
     "Scenario",
     "SimSettings",
@@ -105,11 +105,11 @@ __all__ = [
     "build_world",
     "compare",
     "disturbances",
-    "drive",
+    "drive_base",
     "energy_impact",
     "execute",
     "faults",
-    "generate",
+    "generate_dataset",
     "harm_ratio",
     "observed_impact",
     "own_loss",
@@ -117,11 +117,11 @@ __all__ = [
     "read_dataset",
     "replay",
     "resume",
-    "run",
+    "run_rollouts",
     "scenarios",
     "secondary_impact",
-    "staged_for",
-    "steps",
+    "scene_with_intruder",
+    "rollout_steps",
     "validate",
     "validate_front",
 ]

@@ -26,10 +26,10 @@ from failbench.fault.registry import faults, from_document, reactions, to_docume
 from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.injection import Injection
+from failbench.simulated.moving_entities import set_entity_poses
 from failbench.simulated.states import STATE
-from failbench.simulated.walkers import put_walkers
 from failbench.simulated.world import build_world
-from failbench.surroundings.registry import disturbances, staged_for
+from failbench.surroundings.registry import disturbances, scene_with_intruder
 from graceful_plan import GracefulPlanError, load_scene
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.testing import ContractError
@@ -78,7 +78,7 @@ def _tried(check: _Check, fault: Fault, trials: _Trials) -> list[str]:
 def _short_execution(fault: Fault) -> Execution:
     """Return a short execution in a scene that meets the fault's needs."""
     task = next(iter(load_scene("tabletop_l1").tasks.values()))
-    scene = staged_for(fault, task.scene)
+    scene = scene_with_intruder(fault, task.scene)
     if scene is task.scene and fault is not _NONE:
         return _short_execution(_NONE)
     return execute(np.stack([task.start, np.atleast_2d(task.goal)[0]]), build_world(scene))
@@ -185,7 +185,7 @@ class _Trials:
                 if effects[-1].not_numbers():
                     break  # the simulation would only diverge
             data.ctrl[:] = injection.plant.command[step]
-            put_walkers(model, data, injection.plant.walk[step])
+            set_entity_poses(model, data, injection.plant.walk[step])
             mujoco.mj_step(model, data)
         state = np.concatenate([data.qpos, data.qvel])
         return _Trace(healthy=healthy, effects=tuple(effects), state=state, improper=tuple(improper))

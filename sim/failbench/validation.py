@@ -38,11 +38,11 @@ from failbench.recording.score import (
 )
 from failbench.report import FAILURES_PER_HOUR, EntityReport, ValidationReport
 from failbench.rollouts.execution import Execution, execute
-from failbench.rollouts.rollout import run
+from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid, thread_count
 from failbench.scenario import scenarios as find_scenarios
 from failbench.simulated.world import SimSettings, build_world
-from failbench.surroundings.registry import staged_for
+from failbench.surroundings.registry import scene_with_intruder
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import trajectory_batch
@@ -113,7 +113,7 @@ def validate(
     check_confidence(confidence)
     _check_rate(rate)
     for fault in faults:
-        scene = staged_for(fault, scene)
+        scene = scene_with_intruder(fault, scene)
     execution = execute(motion, build_world(scene, settings), controller=controller)
     cost = ImpactCost() if prediction is None else prediction
 
@@ -124,7 +124,7 @@ def validate(
     jobs = make_jobs(faults, execution.duration, n=n, seed=seed, predicted=proposal)
     rollouts: list[Rollout] = []
     for first in range(0, len(jobs), _CHUNK):
-        rollouts += run(execution, jobs[first : first + _CHUNK], horizon=horizon, threads=cores)
+        rollouts += run_rollouts(execution, jobs[first : first + _CHUNK], horizon=horizon, threads=cores)
         if progress is not None:
             progress(len(rollouts), len(jobs))
     expected = np.mean([predict(_onsets(fault, execution.duration)).mean(axis=0) for fault in faults], axis=0)
@@ -174,7 +174,7 @@ def predicted_impact(
     """
     clock = trajectory.t[0] + times
     batch = trajectory_batch(scene, trajectory, clock, clock if scene.moving else None)
-    return np.einsum("nch,ch->nh", cost.probability(batch), cost.hazard_severity(scene))
+    return np.einsum("nch,ch->nh", cost.probability(batch), cost.severity_table(scene))
 
 
 def _onsets(fault: Fault, duration: float) -> Float[Array, " n"]:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from graceful_plan import on_demand
+from graceful_plan import lazy_imports
 from graceful_plan._version import __version__
 
 # Names are imported on first access; type checkers read the imports below.
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from graceful_plan.costs.impact import ImpactCost
     from graceful_plan.costs.interaction import InteractionModel
     from graceful_plan.costs.models.drop.network import DropNetwork
-    from graceful_plan.costs.models.mixture.mixture import Footprint
+    from graceful_plan.costs.models.mixture.mixture import FailureMixture
     from graceful_plan.costs.models.published.box_overlap import BoxOverlap
     from graceful_plan.costs.motion import JointLength
     from graceful_plan.costs.objective import Objective, evaluate
     from graceful_plan.exceptions import GracefulPlanError
-    from graceful_plan.judge.verification import Verification, verify
+    from graceful_plan.judge.verification import VerificationSettings, verify
     from graceful_plan.mobile.control.dwa import DWA
-    from graceful_plan.mobile.floor.floor_map import FloorMap
+    from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
     from graceful_plan.mobile.planners.drive_lattice import DriveLattice
     from graceful_plan.path import Path
     from graceful_plan.plan import plan
@@ -51,11 +51,11 @@ if TYPE_CHECKING:
         RRTConnect,
         RRTStar,
     )
-    from graceful_plan.query.cartesian.straight import straight_motion
+    from graceful_plan.query.cartesian.straight import plan_cartesian
     from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult, PlanStatus, Verdict
     from graceful_plan.roadmap import Roadmap
-    from graceful_plan.scene.edit import Solid
-    from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
+    from graceful_plan.scene.edit import StaticBody
+    from graceful_plan.scene.elements import AllowedContact, EntityAnnotation, Granular, Liquid
     from graceful_plan.scene.harm.severity import SeverityTable
     from graceful_plan.scene.loading.bundled import load_scene, mobile_scenes, scenes
     from graceful_plan.scene.mobile.base_pose import BasePose
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from graceful_plan.tuning.fronts import ParetoFront, pareto
     from graceful_plan.viewer.opening import view
 else:
-    on_demand.install(
+    lazy_imports.install(
         __name__,
         {
             "AllowedContact": "graceful_plan.scene.elements",
@@ -90,11 +90,11 @@ else:
             "DiffDrive": "graceful_plan.scene.mobile.diff_drive",
             "DriveLattice": "graceful_plan.mobile.planners.drive_lattice",
             "DropNetwork": "graceful_plan.costs.models.drop.network",
-            "Dry": "graceful_plan.scene.elements",
-            "EntityNote": "graceful_plan.scene.elements",
+            "Granular": "graceful_plan.scene.elements",
+            "EntityAnnotation": "graceful_plan.scene.elements",
             "FaultPrior": "graceful_plan.costs.fault_prior",
-            "FloorMap": "graceful_plan.mobile.floor.floor_map",
-            "Footprint": "graceful_plan.costs.models.mixture.mixture",
+            "OccupancyGrid": "graceful_plan.mobile.floor.occupancy_grid",
+            "FailureMixture": "graceful_plan.costs.models.mixture.mixture",
             "GracefulPlanError": "graceful_plan.exceptions",
             "GraspHolds": "graceful_plan.constraints.grasp",
             "HeightMap": "graceful_plan.scene.sensed.height_map",
@@ -124,7 +124,7 @@ else:
             "STOMP": "graceful_plan.planners",
             "Scene": "graceful_plan.scene.scene",
             "SeverityTable": "graceful_plan.scene.harm.severity",
-            "Solid": "graceful_plan.scene.edit",
+            "StaticBody": "graceful_plan.scene.edit",
             "StateBatch": "graceful_plan.costs.cost",
             "Task": "graceful_plan.scene.scene",
             "ToolSpeed": "graceful_plan.constraints.tool",
@@ -132,7 +132,7 @@ else:
             "Trajectory": "graceful_plan.timing.trajectory",
             "Upright": "graceful_plan.constraints.axes",
             "Verdict": "graceful_plan.result",
-            "Verification": "graceful_plan.judge.verification",
+            "VerificationSettings": "graceful_plan.judge.verification",
             "annotate": "graceful_plan.annotation.asking",
             "certify": "graceful_plan.analysis.certificate",
             "clearance": "graceful_plan.analysis.checks",
@@ -150,7 +150,7 @@ else:
             "retime": "graceful_plan.timing.retiming",
             "risk": "graceful_plan.analysis.risk_measures",
             "scenes": "graceful_plan.scene.loading.bundled",
-            "straight_motion": "graceful_plan.query.cartesian.straight",
+            "plan_cartesian": "graceful_plan.query.cartesian.straight",
             "verify": "graceful_plan.judge.verification",
             "view": "graceful_plan.viewer.opening",
         },
@@ -173,11 +173,11 @@ __all__ = [
     "DiffDrive",
     "DriveLattice",
     "DropNetwork",
-    "Dry",
-    "EntityNote",
+    "Granular",
+    "EntityAnnotation",
     "FaultPrior",
-    "FloorMap",
-    "Footprint",
+    "OccupancyGrid",
+    "FailureMixture",
     "GracefulPlanError",
     "GraspHolds",
     "HeightMap",
@@ -207,7 +207,7 @@ __all__ = [
     "STOMP",
     "Scene",
     "SeverityTable",
-    "Solid",
+    "StaticBody",
     "StateBatch",
     "Task",
     "ToolSpeed",
@@ -215,7 +215,7 @@ __all__ = [
     "Trajectory",
     "Upright",
     "Verdict",
-    "Verification",
+    "VerificationSettings",
     "__version__",
     "annotate",
     "certify",
@@ -234,7 +234,7 @@ __all__ = [
     "retime",
     "risk",
     "scenes",
-    "straight_motion",
+    "plan_cartesian",
     "verify",
     "view",
 ]

@@ -9,11 +9,11 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(sorted(names)) or "none"
 
 
-NOT_READ = (OSError, ValueError)
+READ_ERRORS = (OSError, ValueError)
 """Exceptions from opening a file; ValueError is for invalid names, such as one that contains a null character."""
 
 
-def why_not_read(error: OSError | ValueError) -> str:
+def read_error_reason(error: OSError | ValueError) -> str:
     """Return the reason why a file could not be opened, without the file's name."""
     said = error.strerror if isinstance(error, OSError) else error
     return f"cannot be read: {said}"

@@ -11,10 +11,10 @@ import numpy as np
 
 from graceful_plan.analysis.risk_measures import RiskMeasure
 from graceful_plan.constraints.constraint import Constraint
-from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints, not_held
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints, grasp_warnings
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, search_paces
-from graceful_plan.judge.verification import Verification
+from graceful_plan.judge.verification import VerificationSettings
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.answer import BestVerified
@@ -33,10 +33,10 @@ from graceful_plan.query.arguments import (
     checked_wait,
     driving_planner,
 )
+from graceful_plan.query.base_planning import base_planning
 from graceful_plan.query.candidates.candidates import candidates
-from graceful_plan.query.candidates.prefer import Preference
+from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
-from graceful_plan.query.driving import driving_of
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
 from graceful_plan.query.endpoints.goals import Goal, poses_of
@@ -70,7 +70,7 @@ def plan(
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
     constraints: Iterable[Constraint] | None = None,
-    verification: Verification | None = None,
+    verification: VerificationSettings | None = None,
     callback: Callback | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> PlanResult:
@@ -150,8 +150,8 @@ def plan(
         )
         return plan_through((start, passed, goal), leg, request, budget, seed)
     ends = find_endpoints(start, goal, asked, rng, seed=seed, cancelled=budget.cancelled, late=budget.is_late)
-    notes = [*_compiled(compiled, limit), *(not_held(scene) if constraints is None else ())]
-    if (driving := driving_of(scene)) is not None and not isinstance(ends, PlanResult):
+    notes = [*_compiled(compiled, limit), *(grasp_warnings(scene) if constraints is None else ())]
+    if (driving := base_planning(scene)) is not None and not isinstance(ends, PlanResult):
         ends = driving.ends(ends)
     if isinstance(ends, PlanResult):
         return _with_notes(ends, notes)

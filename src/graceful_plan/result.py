@@ -61,7 +61,7 @@ class Verdict:
     """Checks of the independent judge, by name.
 
     The motion is always verified, its cost only if there is a check "cost": `plan` has it recomputed for Algorithm 1,
-    `ImpactCost("aabb")`, and for no other model. The check "passing_by" of a base that comes near moving entities only
+    `ImpactCost("box_overlap")`, and for no other model. The check "passing_by" of a base that comes near moving entities only
     warns: it relies on a prediction, and people give way.
     """
 

@@ -14,7 +14,7 @@ from typing import ClassVar, TypeVar, final
 
 import yaml
 
-from graceful_plan.exceptions import NOT_READ, SceneError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, SceneError, read_error_reason
 from graceful_plan.regular_file import path_of, read_content
 
 MAX_BYTES = 1_000_000
@@ -193,8 +193,8 @@ def read_yaml(file: Path) -> Block:
     """
     try:
         content = read_content(file, MAX_BYTES)
-    except NOT_READ as error:
-        raise SceneError(why_not_read(error), file=str(file)) from None
+    except READ_ERRORS as error:
+        raise SceneError(read_error_reason(error), file=str(file)) from None
     try:
         return parse_yaml(content.decode("utf-8"), str(file))
     except UnicodeDecodeError as error:

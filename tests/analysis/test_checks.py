@@ -40,7 +40,7 @@ def test_positive_clearance_is_free_by_exact_geometry(name: str) -> None:
     clear = []
     for scene in (task.scene, *(_held_otherwise(task, rng) for _ in range(12))):
         q = rng.uniform(*scene.limits.position.T, size=(400, len(scene.joints)))
-        q = q[gp.clearance(scene, q) > 0.0][:40]
+        q = q[gp.clearance(q, scene) > 0.0][:40]
         assert not list(Judge(scene).touches(q))
         clear.append(len(q))
     assert clear[0] == 40 and sum(clear) >= 120
@@ -53,7 +53,7 @@ def test_what_is_held_inside_the_last_link_is_a_collision_for_both() -> None:
     X_TO[2, 3] -= 0.1
     scene = task.world.attach(task.object_name, X_TO=X_TO)
     q = np.random.default_rng(0).uniform(*scene.limits.position.T, size=(50, 7))
-    assert (gp.clearance(scene, q) < 0.0).all()
+    assert (gp.clearance(q, scene) < 0.0).all()
     result = gp.plan(task.start, task.goal, scene, w=0.0, iterations=10)
     assert result.status is gp.PlanStatus.INVALID_START and "panda/link7" in result.detail
 
@@ -64,7 +64,7 @@ def test_what_is_held_close_to_the_last_link_is_free_for_both() -> None:
     X_TO = task.scene.carried.X_TO.copy()
     X_TO[2, 3] -= 0.056
     scene = task.world.attach(task.object_name, X_TO=X_TO)
-    assert gp.clearance(scene, task.start) == gp.clearance(task.scene, task.start) > 0.0
+    assert gp.clearance(task.start, scene) == gp.clearance(task.start, task.scene) > 0.0
     assert gp.plan(task.start, task.start, scene, w=0.0, iterations=10).status is gp.PlanStatus.SOLVED
 
 
@@ -78,7 +78,7 @@ def test_what_stands_beside_the_base_blocks_all_or_nothing(gap: float, free: boo
       <body name="box" pos="{0.2 + gap} 0 0"><freejoint/><geom type="box" size=".1 .1 .1"/></body>
     </worldbody></mujoco>"""
     scene = gp.Scene.from_mjcf(text, robot="r/", tool="t")
-    assert (gp.clearance(scene, [0.0]) > 0.0) == free
+    assert (gp.clearance([0.0], scene) > 0.0) == free
     status = gp.plan([-0.5], [0.5], scene, iterations=10).status
     assert status is (gp.PlanStatus.SOLVED if free else gp.PlanStatus.INVALID_START)
 
@@ -92,6 +92,6 @@ def test_the_default_interaction_model_is_the_one_that_is_stated():
     assert stated is not None and stated.groups() == (default, costs)
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     q = np.linspace(task.start, task.goal[0], 20)
-    P = gp.interaction_probability(task.scene, q)
-    np.testing.assert_array_equal(P, gp.interaction_probability(task.scene, q, default))
-    assert not np.array_equal(P, gp.interaction_probability(task.scene, q, costs))
+    P = gp.interaction_probability(q, task.scene)
+    np.testing.assert_array_equal(P, gp.interaction_probability(q, task.scene, default))
+    assert not np.array_equal(P, gp.interaction_probability(q, task.scene, costs))

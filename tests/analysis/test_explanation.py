@@ -19,7 +19,7 @@ from sizes import first_quick
 _ROUNDING = 1e-12
 _OBJECTIVES = {
     f"{model}-{exposure}": gp.Objective(impact=gp.ImpactCost(model=model), exposure=exposure)
-    for model in ("aabb", "footprint")
+    for model in ("box_overlap", "mixture")
     for exposure in ("length", "time", "waypoints")
 }
 
@@ -107,8 +107,8 @@ def test_the_largest_comes_first(task, result):
 def test_a_stretch_holds_its_share(task, result, name):
     objective, scene = _OBJECTIVES[name], task.scene
     found = gp.explain(result.trajectory, scene, objective)
-    charged = objective.bind(scene).charged_states(result.trajectory)
-    P, S = objective.impact.probability(charged.batch), objective.impact.hazard_severity(scene)
+    charged = objective.bind(scene).cost_samples(result.trajectory)
+    P, S = objective.impact.probability(charged.batch), objective.impact.severity_table(scene)
     assert found.contributions
     for row in found.contributions:
         index = list(scene.components).index(row.component), found.entities.index(row.entity)
@@ -143,7 +143,7 @@ def test_the_worst_place_is_where_it_says(task, result):
     entities, components = list(task.scene.entities), list(task.scene.components)
     for row in gp.explain(path, task.scene, _OBJECTIVES["aabb-length"]).contributions[:5]:
         q = np.array([np.interp(row.worst, length, joint) for joint in path.q.T])
-        P = gp.interaction_probability(task.scene, q, "aabb")[
+        P = gp.interaction_probability(q, task.scene, "box_overlap")[
             components.index(row.component), entities.index(row.entity)
         ]
         assert row.probability == pytest.approx(P, abs=1e-9)

@@ -64,7 +64,7 @@ class DropsHalfTheTime(gp.InteractionModel):
         return sum(self.sources(batch).values())
 
     def sources(self, batch):
-        drop = gp.ImpactCost(model="footprint").interaction.probability(batch)
+        drop = gp.ImpactCost(model="mixture").interaction.probability(batch)
         return {"drop": self.share * drop, "collapse": np.full_like(drop, 1.0 - self.share)}
 
     @property
@@ -72,7 +72,7 @@ class DropsHalfTheTime(gp.InteractionModel):
         return True
 
     def own_loss(self, batch, fragility):
-        drop = gp.Footprint().own_loss(batch, fragility)["drop"]
+        drop = gp.FailureMixture().own_loss(batch, fragility)["drop"]
         return {"drop": self.share * drop, "collapse": np.full_like(drop, 1.0 - self.share)}
 
     def fault_shares(self):
@@ -113,7 +113,7 @@ def one_cell(place, width=0.01):
 # --- the same as the robot --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", first_quick(["footprint", "aabb"]))
+@pytest.mark.parametrize("model", first_quick(["mixture", "box_overlap"]))
 @pytest.mark.parametrize("name", first_quick(_TASKS), ids="/".join)
 def test_a_cell_says_what_the_robot_would_be_told(name, model):
     task = gp.load_scene(name[0]).tasks[name[1]]
@@ -134,7 +134,7 @@ def test_a_cell_says_what_the_robot_would_be_told(name, model):
         if found.blocked.all():
             continue
         cost = gp.ImpactCost(model=model, components=_FALLING)
-        impact = (cost.probability(gp.StateBatch(scene, q[None]))[0] * cost.hazard_severity(scene)).sum(axis=0)
+        impact = (cost.probability(gp.StateBatch(scene, q[None]))[0] * cost.severity_table(scene)).sum(axis=0)
         np.testing.assert_allclose(found.by_entity[0, 0], impact, atol=_ROUNDING * max(1.0, impact.max()))
         seen += impact.sum() > 0.1
     assert seen >= 2
@@ -158,7 +158,7 @@ def test_a_cell_with_a_velocity_says_what_the_robot_would_be_told(x, speed, dire
     q = np.array([x, 0.05, 0.3 + 0.04]) - data.subtree_com[scene.model.body("load").id]
     qd = speed * np.array([np.cos(direction), np.sin(direction), 0.0])
     cost = gp.ImpactCost()
-    expected = (cost.probability(moving_batch(scene, q[None], qd[None]))[0] * cost.hazard_severity(scene)).sum(axis=0)
+    expected = (cost.probability(moving_batch(scene, q[None], qd[None]))[0] * cost.severity_table(scene)).sum(axis=0)
     np.testing.assert_allclose(found.by_entity[0, 0], expected, atol=1e-9)
 
 
@@ -219,7 +219,7 @@ def test_what_falls_deeper_is_damaged_more():
 def test_only_what_falls_and_counts_is_in_it():
     scene, settings = boxes((0.0, 0.0)), {"height": 0.3, "resolution": 0.1}
     body, all_parts, carried = (
-        gp.impact_map(scene, gp.ImpactCost(model="aabb", components=components), **settings).impact
+        gp.impact_map(scene, gp.ImpactCost(model="box_overlap", components=components), **settings).impact
         for components in (("body",), ("body", "carried", "contents"), ("carried",))
     )
     assert not body.any()

@@ -221,7 +221,7 @@ def test_a_failure_may_come_at_any_time(scene: Scene) -> None:
 
 def test_a_trajectory_fails_at_the_velocity_that_it_has() -> None:
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
-    impact = gp.ImpactCost(model="footprint")
+    impact = gp.ImpactCost(model="mixture")
     motion = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500).unwrap()
     found = risk(motion, task.scene, impact)
     state = motion.at(motion.t[0] + (np.arange(2000) + 0.5) / 2000 * motion.duration)
@@ -233,7 +233,7 @@ def test_a_trajectory_fails_at_the_velocity_that_it_has() -> None:
 
 def test_entities_that_move_count_at_the_times_of_a_trajectory() -> None:
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
-    impact = gp.ImpactCost(model="footprint")
+    impact = gp.ImpactCost(model="mixture")
     motion = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500).unwrap()
     below = gp.StateBatch(task.scene, motion.q).object_poses[:, :3, 3].mean(axis=0) - [0.0, 0.0, 0.2]
     away = np.array([5.0, 5.0, 0.1])

@@ -23,7 +23,7 @@ def paths(task: gp.Task) -> dict[str, gp.Path]:
     return {f"via {i}": gp.Path(np.stack([task.start, q, task.goal[0]])) for i, q in enumerate(middle)}
 
 
-OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="footprint"), w=2.0)
+OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="mixture"), w=2.0)
 
 
 def test_without_spread_nothing_changes(task: gp.Task, paths: dict[str, gp.Path]) -> None:

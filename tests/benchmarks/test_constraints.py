@@ -60,7 +60,7 @@ def test_ends_are_free_and_keep_all_of_the_contents(name):
     task = suite.task(name)
     assert contents.fill_of(name) == pytest.approx(FILLS[name], abs=0.01)
     for q in (task.start, *task.goal):
-        assert float(gp.clearance(task.scene, q)) >= 0.02
+        assert float(gp.clearance(q, task.scene)) >= 0.02
     assert gp.KeepContents().rule(task.scene).vessel.axis[2] == pytest.approx(1.0)
 
 

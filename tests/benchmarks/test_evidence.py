@@ -78,7 +78,7 @@ def test_the_rebound_of_a_springy_object_is_seen():
 def test_the_plain_loop_does_the_same_rollouts():
     done = execution()
     jobs = [Job(fault=fault, onset=0.5 * done.duration, seed=3) for fault in (Drop(), Shake(ramp=0.1))]
-    rollouts = failbench.run(done, jobs, horizon=failbench_speed.HORIZON)
+    rollouts = failbench.run_rollouts(done, jobs, horizon=failbench_speed.HORIZON)
     for anew in (False, True):
         for rollout in rollouts:
             assert failbench_speed.same(rollout, failbench_speed.plain_rollout(done, rollout.job, anew=anew))
@@ -88,7 +88,7 @@ def test_the_plain_loop_does_the_same_rollouts():
 def test_time_goes_where_it_is_booked():
     done, timing = execution(), failbench_speed.Timing()
     jobs = [Job(fault=Drop(), onset=0.2, seed=0)]
-    failbench_speed._time(timing, 1, lambda: failbench.run(done, jobs, horizon=0.2))
+    failbench_speed._time(timing, 1, lambda: failbench.run_rollouts(done, jobs, horizon=0.2))
     assert set(timing.parts) == {"simulation", "recorder"}
     assert 0.0 < timing.parts["recorder"] and 0.0 < timing.parts["simulation"]
     assert sum(timing.parts.values()) < timing.seconds

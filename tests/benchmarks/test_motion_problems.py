@@ -27,8 +27,8 @@ def test_problems_come_back_from_the_file_that_they_were_written_to(kind: str, t
     for ours, theirs in zip(made, read, strict=True):
         np.testing.assert_array_equal(ours.start, theirs.start)
         np.testing.assert_array_equal(ours.goals, theirs.goals)
-        np.testing.assert_allclose(gp.clearance(ours.scene, ours.goals), gp.clearance(theirs.scene, theirs.goals))
-        assert float(gp.clearance(theirs.scene, np.vstack([theirs.start, theirs.goals])).min()) > 0.002
+        np.testing.assert_allclose(gp.clearance(ours.goals, ours.scene), gp.clearance(theirs.goals, theirs.scene))
+        assert float(gp.clearance(np.vstack([theirs.start, theirs.goals]), theirs.scene).min()) > 0.002
         first = {"iterations": 20_000, "callback": lambda _: True}
         assert gp.plan(theirs.start, theirs.goal, theirs.scene, w=0.0, **first).status is gp.PlanStatus.SOLVED
 

@@ -94,5 +94,5 @@ def test_ends_are_free_and_there_is_a_way(name):
     task = suite.task(name)
     assert task.object_name is not None
     for q in (task.start, *task.goal):
-        assert float(gp.clearance(task.scene, q)) >= _ROOM
+        assert float(gp.clearance(q, task.scene)) >= _ROOM
     assert gp.plan(task.start, task.goal, task.scene, w=0.0, speed=0.5, iterations=1000).trajectory is not None

@@ -58,7 +58,7 @@ def test_everything_stays_where_it_stands(name: str) -> None:
     scene, world = task.scene, fb.build_world(task.scene)
     execution = fb.execute(gp.Path(np.stack([task.start, task.start + 1e-3])), world)
     jobs = [fb.Job(fault=StuckGripper(closed=True), onset=0.0, seed=0)]  # nothing else happens then
-    (rollout,) = fb.run(execution, jobs)
+    (rollout,) = fb.run_rollouts(execution, jobs)
     for entity, body in world.movable.items():
         home = scene.home_qpos[scene.model.jnt_qposadr[scene.model.body_jntadr[body]] :][:3]
         assert np.abs(rollout.poses[entity][4:] - home).max() < _SETTLES, entity
@@ -124,7 +124,7 @@ def test_motions_that_are_done_are_not_done_again(tmp_path: FilePath, monkeypatc
     def fake(job: tuple[int, object]) -> trajectory_prediction.JudgedMotion:
         asked.append(job[0])
         return trajectory_prediction.JudgedMotion(
-            number=job[0], label="", drops=4, observed=1.0, error=0.1, halves=(1.0, 1.0), predicted={"footprint": 0.5}
+            number=job[0], label="", drops=4, observed=1.0, error=0.1, halves=(1.0, 1.0), predicted={"mixture": 0.5}
         )
 
     monkeypatch.setattr(trajectory_prediction, "_do", fake)

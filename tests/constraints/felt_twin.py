@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 import graceful_plan as gp
-from graceful_plan.constraints.felt import Felt, FeltCone
+from graceful_plan.constraints.specific_force import Felt, SpecificForceCone
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
@@ -82,7 +82,9 @@ def swing(felt: Array, dt: float, length: float, drag: float, steps: int = 4) ->
     return np.array(normals)
 
 
-def stays_below(cone: FeltCone, trajectory: gp.Trajectory, scene: gp.Scene, angle: float) -> Callable[[float], bool]:
+def stays_below(
+    cone: SpecificForceCone, trajectory: gp.Trajectory, scene: gp.Scene, angle: float
+) -> Callable[[float], bool]:
     """Return whether the surface stays within an angle of the axis if a motion takes so many times as long."""
     samples, after = 0.004, 0.5
     kernels, motion = compile_scene(scene).kernels, trajectory.sample(samples)

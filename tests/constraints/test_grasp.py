@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from failbench import ExecutionRefused, SimSettings, build_world, execute
 from failbench.simulated.states import STATE
-from graceful_plan.constraints.felt import FeltCone
 from graceful_plan.constraints.grasp import load_facets
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
+from graceful_plan.constraints.specific_force import SpecificForceCone
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.exceptions import SettingError, UnsupportedError
@@ -128,7 +128,7 @@ def test_gradients_of_descents_are_those_of_finite_differences(name):
     task = task_of(name)
     objective = Objective(w=0.0).bind(task.scene, search_paces())
     felt = SceneConstraints(task.scene, [gp.GraspHolds(force=60.0)]).felt
-    assert not isinstance(felt[0], FeltCone)
+    assert not isinstance(felt[0], SpecificForceCone)
     s = np.linspace(0.0, 1.0, 9)[:, None]
     bent = 0.05 * 4.0 * s * (1.0 - s) * np.random.default_rng(1).normal(size=7)
     q = task.start + s * (np.atleast_2d(task.goal)[0] - task.start) + bent

@@ -134,7 +134,7 @@ def test_straight_motions_and_poses_on_the_way_keep_contents(coffee: gp.Task) ->
     result = gp.plan(coffee.start, coffee.goal, coffee.scene, via=[on_the_way], iterations=ENOUGH)
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["contents"].passed
     lifted = gp.PoseGoal.from_tool(coffee.start, coffee.scene, translation=np.array([0.0, 0.0, 0.1]))
-    straight = gp.straight_motion(coffee.start, lifted, coffee.scene)
+    straight = gp.plan_cartesian(coffee.start, lifted, coffee.scene)
     assert straight.status is gp.PlanStatus.SOLVED, straight.detail
     assert straight.verdict.checks["contents"].passed
 

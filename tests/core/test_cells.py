@@ -23,7 +23,7 @@ def crowd() -> gp.Scene:
     rng = np.random.default_rng(3)
     sizes = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
     solids = [
-        gp.Solid(
+        gp.StaticBody(
             name=f"{kind}{k}",
             kind=kind,
             size=10.0 ** rng.uniform(-2.0, -1.0, count),

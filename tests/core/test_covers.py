@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from graceful_plan import kept
+from graceful_plan import disk_cache
 from graceful_plan.core import covers, sphere_cover
 from graceful_plan.core.covers import group_cover, hull_triangles
 
@@ -110,11 +110,11 @@ def test_a_broken_file_is_made_again(damage: str) -> None:
     model = _model(3, count=1)
     X = _poses(model)
     first = group_cover(model, (0,), X, base=False)
-    folder = kept.folder()
+    folder = disk_cache.folder()
     assert folder is not None
     (file,) = folder.glob("*.npz")
     content = bytearray(file.read_bytes())
-    whole = kept.read(file.stem)
+    whole = disk_cache.read(file.stem)
     assert whole is not None
     if damage == "cut":
         file.write_bytes(content[: len(content) // 2])
@@ -124,15 +124,15 @@ def test_a_broken_file_is_made_again(damage: str) -> None:
     elif damage == "text":
         file.write_text("nothing")
     elif damage == "smaller":
-        kept.write(file.stem, whole - [0.0, 0.0, 0.0, 0.02])
+        disk_cache.write(file.stem, whole - [0.0, 0.0, 0.0, 0.02])
     elif damage == "shape":
-        kept.write(file.stem, whole[:, :3])
+        disk_cache.write(file.stem, whole[:, :3])
     else:
-        kept.write(file.stem, np.where(np.arange(4) == 3, np.nan, whole))
+        disk_cache.write(file.stem, np.where(np.arange(4) == 3, np.nan, whole))
     covers.forget()
     again = group_cover(model, (0,), X, base=False)
     np.testing.assert_array_equal(again.spheres, first.spheres)
-    repaired = kept.read(file.stem)
+    repaired = disk_cache.read(file.stem)
     assert repaired is not None and repaired.shape == whole.shape
 
 
@@ -140,7 +140,7 @@ def test_nothing_is_kept_where_nothing_can_be(tmp_path, monkeypatch: pytest.Monk
     monkeypatch.setenv("GRACEFUL_PLAN_NO_CACHE", "1")
     model = _model(4, count=1)
     group_cover(model, (0,), _poses(model), base=False)
-    assert kept.folder() is None and not list(tmp_path.iterdir())
+    assert disk_cache.folder() is None and not list(tmp_path.iterdir())
     monkeypatch.delenv("GRACEFUL_PLAN_NO_CACHE")
     in_the_way = tmp_path / "file"
     in_the_way.write_text("no folder")

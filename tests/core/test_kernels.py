@@ -202,7 +202,7 @@ def test_algorithm_1_is_the_transcription(scene_name):
     scene = task.scene
     q = np.concatenate([_random(scene, 300, seed=8), np.linspace(task.start, task.goal[0], 100)])
     expected = reference_probability(scene, q)
-    np.testing.assert_allclose(gp.interaction_probability(scene, q, "aabb"), expected, atol=_P)
+    np.testing.assert_allclose(gp.interaction_probability(q, scene, "box_overlap"), expected, atol=_P)
     assert expected.max() > 0.0
     severity = gp.ImpactCost(components=("body", "carried", "contents")).severity(scene)
     impact = compile_scene(scene).kernels.impact(q, severity)
@@ -319,5 +319,5 @@ def test_a_body_without_area_from_above_is_not_hit_from_above():
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     thin = task.scene.add_box("pane", [0.2, 1e-13, 0.1], [0.0, -0.35, 0.3], entity="glass")
     index = list(thin.entities).index("pane")
-    probability = gp.interaction_probability(thin, _random(thin, 500, seed=13), "aabb")[:, :, index]
+    probability = gp.interaction_probability(_random(thin, 500, seed=13), thin, "box_overlap")[:, :, index]
     assert np.all(probability == 0.0)

@@ -25,7 +25,7 @@ from graceful_plan.exceptions import ShapeError, UnknownNameError
 from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
 from graceful_plan.testing import check_cost
 
-ENERGY = gp.ImpactCost(model="footprint", components=("body", "carried", "contents"), consequence="energy")
+ENERGY = gp.ImpactCost(model="mixture", components=("body", "carried", "contents"), consequence="energy")
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +140,7 @@ def test_damage_by_component(task: gp.Task) -> None:
         np.testing.assert_array_equal(P[:, components.index("carried"), e], damaged_by_carried(energy[:, e], row))
 
 
-@pytest.mark.parametrize("model", ["aabb", "footprint"])
+@pytest.mark.parametrize("model", ["box_overlap", "mixture"])
 def test_damage_is_rarer_than_contact(task: gp.Task, model: str) -> None:
     batch = states(task, n=100, speed=0.5)
     contact, damage = (gp.ImpactCost(model=model, consequence=word) for word in ("contact", "energy"))
@@ -156,11 +156,11 @@ def test_what_never_breaks_costs_nothing_and_what_always_breaks_costs_its_contac
     components = ("carried",)
     never = FragilityTable({}, Fragility(1e9, 0.0, 0.7))
     always = FragilityTable({}, Fragility(1e-30, 1.0, 0.7))
-    assert (gp.ImpactCost("footprint", components, never).state(batch) < 1e-6).all()
+    assert (gp.ImpactCost("mixture", components, never).state(batch) < 1e-6).all()
     # Below the height of a top an object at rest brings no energy.
     row, above = list(task.scene.components).index("carried"), arrival_energy(batch) > 0.0
-    P = gp.ImpactCost("footprint").interaction.probability(batch)[:, row][above]
-    harm = gp.ImpactCost("footprint", components, always).interaction.probability(batch)[:, row][above]
+    P = gp.ImpactCost("mixture").interaction.probability(batch)[:, row][above]
+    harm = gp.ImpactCost("mixture", components, always).interaction.probability(batch)[:, row][above]
     assert P.max() > 0.5
     np.testing.assert_allclose(harm, P, rtol=1e-6)
 
@@ -180,7 +180,7 @@ def test_it_is_a_cost_without_kernel_and_gradient(task: gp.Task) -> None:
     check_cost(ENERGY, task.scene)
     batch = states(task, n=3)
     assert ENERGY.kernel(task.scene, (0.3, 0.9)) is None and ENERGY.gradient(batch) is None
-    assert not gp.ImpactCost(model="aabb", consequence="energy").is_published()
+    assert not gp.ImpactCost(model="box_overlap", consequence="energy").is_published()
     assert isinstance(ENERGY.interaction, Damage) and hash(ENERGY) == hash(replace(ENERGY))
 
 
@@ -191,7 +191,7 @@ def test_plans_can_be_made_with_it(task: gp.Task) -> None:
     assert result.status is gp.PlanStatus.SOLVED and result.path is not None
     cost = gp.evaluate(result.path, task.scene, objective)
     assert sum(cost.impact_by_entity.values()) == pytest.approx(cost.impact)
-    contact = gp.Objective(impact=gp.ImpactCost("footprint", ENERGY.components))
+    contact = gp.Objective(impact=gp.ImpactCost("mixture", ENERGY.components))
     assert cost.impact < gp.evaluate(result.path, task.scene, contact).impact
 
 

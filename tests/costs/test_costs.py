@@ -75,7 +75,7 @@ def test_a_constant_impact_is_proportional_to_length(task):
 
 def test_kernel_and_generic_evaluation_agree(task):
     path = _path(task)
-    native = gp.Objective(impact=gp.ImpactCost(model="aabb")).bind(task.scene)
+    native = gp.Objective(impact=gp.ImpactCost(model="box_overlap")).bind(task.scene)
     generic = gp.Objective(impact=gp.ImpactCost(model=Twin())).bind(task.scene)
     assert native.kernel is not None and generic.kernel is None
     a, b = (o.edges(path.q[:-1], path.q[1:]) for o in (native, generic))
@@ -98,7 +98,7 @@ def test_breakdown_adds_up(task):
 @settings(max_examples=10, deadline=None)
 def test_more_vertices_and_the_way_back_cost_the_same(seed):
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
-    path, boxes = _path(task, seed=seed), gp.Objective(impact=gp.ImpactCost(model="aabb"))
+    path, boxes = _path(task, seed=seed), gp.Objective(impact=gp.ImpactCost(model="box_overlap"))
     for objective in (gp.Objective(), boxes):
         cost = gp.evaluate(path, task.scene, objective)
         assert gp.evaluate(path.resampled(0.05), task.scene, objective).total == pytest.approx(cost.total, rel=5e-3)
@@ -142,7 +142,7 @@ def test_weighted_length():
 
 def test_harmless_entities_and_absent_components_add_nothing(task):
     path = _path(task)
-    boxes = gp.Objective(impact=gp.ImpactCost(model="aabb"))  # to which what is in the way of a fall is nothing
+    boxes = gp.Objective(impact=gp.ImpactCost(model="box_overlap"))  # to which what is in the way of a fall is nothing
     cost = gp.evaluate(path, task.scene, boxes)
     added = task.scene.add_box("ghost", [0.3, 0.3, 0.01], [0.0, -0.3, 0.1], entity="none")
     assert gp.evaluate(path, added, boxes).impact == pytest.approx(cost.impact, rel=1e-9)
@@ -227,15 +227,15 @@ def test_paces_have_their_mean_and_need_speeds_only(task):
             ).impact
             for speed in (0.1, 0.3, 1.0)
         }
-        for model in ("aabb", "footprint")
+        for model in ("box_overlap", "mixture")
     }
-    assert len(found["aabb"]) == 1 and len(found["footprint"]) == 3
+    assert len(found["box_overlap"]) == 1 and len(found["mixture"]) == 3
     with pytest.raises(SettingError, match=r"speed = 1\.5"):
         gp.evaluate(path, task.scene, speed=1.5)
     assert np.mean(search_paces(0.5)) == pytest.approx(0.5 * MEAN_PACE)
 
 
-LEAVES = (gp.ImpactCost, gp.JointLength, gp.Footprint, BoxOverlap, Damage)
+LEAVES = (gp.ImpactCost, gp.JointLength, gp.FailureMixture, BoxOverlap, Damage)
 
 
 @pytest.mark.parametrize("leaf", LEAVES, ids=lambda leaf: leaf.__name__)

@@ -47,7 +47,7 @@ def test_gradients_are_those_of_the_costs(scene, task, step):
 def test_arms_that_fail_have_gradients_that_descend():
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
     q0, q1 = random_edges(scene, 24, seed=4)
-    objective = gp.Objective(impact=gp.ImpactCost(gp.Footprint(faults="arm"))).bind(scene)
+    objective = gp.Objective(impact=gp.ImpactCost(gp.FailureMixture(faults="arm"))).bind(scene)
     cost, d_q0, d_q1 = objective.edge_gradients(q0, q1, 0.03)
     kernel, step = objective.kernel, 1e-3  # single precision
     np.testing.assert_allclose(cost, kernel.edges(q0, q1, 0.03), rtol=1e-5, atol=1e-6)
@@ -73,8 +73,11 @@ def test_those_who_move_have_their_part():
 def test_without_derivatives_there_is_nothing():
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
     q0, q1 = random_edges(scene, 3)
-    assert gp.Objective(impact=gp.ImpactCost("aabb")).bind(scene).edge_gradients(q0, q1) is None
-    assert gp.Objective(impact=gp.ImpactCost("aabb"), exposure="waypoints").bind(scene).edge_gradients(q0, q1) is None
+    assert gp.Objective(impact=gp.ImpactCost("box_overlap")).bind(scene).edge_gradients(q0, q1) is None
+    assert (
+        gp.Objective(impact=gp.ImpactCost("box_overlap"), exposure="waypoints").bind(scene).edge_gradients(q0, q1)
+        is None
+    )
 
 
 def test_an_edge_without_length_has_no_slope():

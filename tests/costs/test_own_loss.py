@@ -151,8 +151,8 @@ def test_its_severity_can_be_set() -> None:
     "impact",
     [
         gp.ImpactCost(own_loss=False),
-        gp.ImpactCost(model="aabb"),
-        gp.ImpactCost(model="aabb", consequence="energy"),
+        gp.ImpactCost(model="box_overlap"),
+        gp.ImpactCost(model="box_overlap", consequence="energy"),
         gp.ImpactCost(components=("contents",)),
     ],
 )
@@ -174,7 +174,7 @@ def test_without_it_the_rest_is_the_same() -> None:
 
 @pytest.mark.parametrize("faults", ["drop_only", "arm", "service_robot"])
 def test_it_weighs_as_much_as_drops_do(faults: str) -> None:
-    scene, model = room(), gp.Footprint(faults=faults)
+    scene, model = room(), gp.FailureMixture(faults=faults)
     batch = gp.StateBatch(scene, np.array([[0.0, 0.0, 0.0], [3.0, 0.0, -0.3]]))
     weight = model.prior.weights()["drop"]
     lost = gp.ImpactCost(model=model).probability(batch)[..., -1].sum(axis=1) if weight else np.zeros(2)
@@ -186,9 +186,7 @@ def test_it_weighs_as_much_as_drops_do(faults: str) -> None:
 def test_kernels_gradients_and_models_of_ones_own_agree() -> None:
     scene = room(floor=0.0)
     check_cost(gp.ImpactCost(), scene)
-    native, generic = (
-        gp.Objective(impact=gp.ImpactCost(model=model)).bind(scene) for model in ("footprint", Wrapped())
-    )
+    native, generic = (gp.Objective(impact=gp.ImpactCost(model=model)).bind(scene) for model in ("mixture", Wrapped()))
     assert native.kernel is not None and generic.kernel is None
     q = path(scene).q
     np.testing.assert_allclose(native.edges(q[:-1], q[1:]), generic.edges(q[:-1], q[1:]), rtol=1e-6)

@@ -49,7 +49,7 @@ def test_slopes_of_states_are_those_of_differences(cost: gp.Cost, n: int, seed: 
 
 def test_costs_are_asked_what_they_know(scene: gp.Scene) -> None:
     assert CostSlopes(Bowl(), scene).has_gradient and not CostSlopes(Bowl(told=False), scene).has_gradient
-    assert CostSlopes(Haste(), scene).asks_for_velocity and not CostSlopes(Height(), scene).asks_for_velocity
+    assert CostSlopes(Haste(), scene).uses_velocity and not CostSlopes(Height(), scene).uses_velocity
 
 
 def test_differences_are_one_batch(scene: gp.Scene) -> None:
@@ -63,7 +63,7 @@ def test_differences_are_one_batch(scene: gp.Scene) -> None:
 
     slopes = CostSlopes(Counted(), scene)
     q, qd = states(scene, 11, 0)
-    assert not slopes.asks_for_velocity and not slopes.has_gradient
+    assert not slopes.uses_velocity and not slopes.has_gradient
     sizes.clear()
     slopes(q, qd)
     assert sizes == [11 * 8]

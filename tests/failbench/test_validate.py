@@ -115,7 +115,7 @@ def test_the_prediction_is_taken_where_failures_begin(simulated: Callable[..., N
 
 def test_another_impact_cost_predicts_otherwise(simulated: Callable[..., None]) -> None:
     simulated(lambda job: ())
-    arm = ImpactCost(model="aabb", components=("body",))
+    arm = ImpactCost(model="box_overlap", components=("body",))
     times = np.linspace(0.0, motion().duration, 2001)
     exact = predicted_impact(motion(), scene(), times, arm).sum(axis=1).mean()
     found = validate(motion(), scene(), GripperFailure(), n=1, prediction=arm)
@@ -188,7 +188,7 @@ def test_the_objects_own_loss_counts_if_it_is_predicted(simulated: Callable[...,
     assert both.observed.mean == pytest.approx(3.0)
     assert both.predicted == pytest.approx(without.predicted + both.by_entity["green"].predicted)
     # Algorithm 1 does not know of it; what happens is observed all the same.
-    published = validate(motion(), scene(), GripperFailure(), n=20, prediction=ImpactCost(model="aabb"))
+    published = validate(motion(), scene(), GripperFailure(), n=20, prediction=ImpactCost(model="box_overlap"))
     assert published.observed == both.observed and published.by_entity["green"].predicted == 0.0
 
 

@@ -16,7 +16,7 @@ import graceful_plan as gp
 from failbench.calibrations.failures import read_failures
 from failbench.cli import main as failbench_main
 from failbench.policies.mlp import Mlp
-from failbench.sweeps.sweep import generate, read_sweep
+from failbench.sweeps.sweep import generate_dataset, read_sweep
 from failbench.sweeps.work import Sweep, SweepMotion
 from graceful_plan import documents, kept
 from graceful_plan.annotation.annotations import Annotations
@@ -58,8 +58,8 @@ _READERS: dict[str, Callable[[Any], Any]] = {
     "policy.npz": Mlp.load,
     "failures.npz": read_failures,
     "floor.scen": read_scenarios,
-    "floor.map": gp.FloorMap.from_moving_ai,
-    "floor.yaml": gp.FloorMap.from_map_server,
+    "floor.map": gp.OccupancyGrid.from_moving_ai,
+    "floor.yaml": gp.OccupancyGrid.from_map_server,
     "sweep.json": Sweep.from_json,
 }
 _KINDS = ("pipe", "link to a pipe", "device", "folder")
@@ -139,7 +139,7 @@ def test_the_picture_of_a_map_is_as_well(name: str, kind: str, tmp_path: Path) -
     text = f"image: {name}\nresolution: 1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: .6\nfree_thresh: .2\n"
     (tmp_path / "floor.yaml").write_text(text)
     with pytest.raises(FormatError, match=name):
-        gp.FloorMap.from_map_server(tmp_path / "floor.yaml")
+        gp.OccupancyGrid.from_map_server(tmp_path / "floor.yaml")
 
 
 @pytest.mark.parametrize("kind", _KINDS)
@@ -154,7 +154,7 @@ def test_what_stands_where_folders_have_their_files_is_as_well(kind: str, tmp_pa
     for read in (
         lambda: failbench.read_dataset(tmp_path / "manifest_json"),
         lambda: read_sweep(tmp_path / "journal_sqlite"),
-        lambda: generate(sweep, tmp_path / "journal_sqlite"),
+        lambda: generate_dataset(sweep, tmp_path / "journal_sqlite"),
         lambda: load_comparison(tmp_path / "journal_jsonl"),
         lambda: compare("quick", planners=["prm"], out=tmp_path / "journal_jsonl"),
         lambda: BestMotions.in_folder(tmp_path / "t_json"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from benchmarks.mesh_arm import mesh_arm
 
-from graceful_plan import Verification, plan
+from graceful_plan import VerificationSettings, plan
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError
 from graceful_plan.judge.exact import Judge, motion_violations
@@ -137,20 +137,20 @@ def test_a_joint_that_turns_round_beyond_its_limit_between_two_samples_is_found(
 
 
 def test_plan_looks_as_closely_as_asked(task) -> None:
-    def judged(verification: Verification | None) -> str:
+    def judged(verification: VerificationSettings | None) -> str:
         result = plan(task.start, task.goal, task.scene, w=0.0, iterations=50, verification=verification)
         assert result.status is PlanStatus.SOLVED and result.verdict is not None
         return result.verdict.checks["collision"].detail
 
     assert "proved" in judged(None)
-    assert "proved" not in judged(Verification(everywhere=True))
-    coarse, fine = (int(judged(Verification(step=step)).split()[0]) for step in (0.01, 0.001))
+    assert "proved" not in judged(VerificationSettings(everywhere=True))
+    coarse, fine = (int(judged(VerificationSettings(step=step)).split()[0]) for step in (0.01, 0.001))
     assert fine > 5 * coarse
 
 
 def test_settings_are_checked(task) -> None:
     with pytest.raises(SettingError, match=r"step"):
-        Verification(step=0.0)
+        VerificationSettings(step=0.0)
     with pytest.raises(SettingError, match=r"step"):
         verify(Path(task.start[None]), task.scene, step=np.nan)
     with pytest.raises(SettingError, match=r"verification"):

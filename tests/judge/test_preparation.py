@@ -7,7 +7,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.judge.preparation import prepare
-from graceful_plan.scene.edit import Solid
+from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.scene import Scene
 
 
@@ -26,7 +26,7 @@ def test_masks_test_what_may_not_touch_and_little_else(scene: Scene) -> None:
 @pytest.mark.long
 def test_a_scene_with_thousands_of_boxes_is_planned_in(scene: Scene) -> None:
     grid = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 14)] * 3), axis=-1).reshape(-1, 3) + [0.0, 0.0, 3.0]
-    boxes = [Solid(name=f"box{k}", kind="box", size=[0.1] * 3, pose=place) for k, place in enumerate(grid)]
+    boxes = [StaticBody(name=f"box{k}", kind="box", size=[0.1] * 3, pose=place) for k, place in enumerate(grid)]
     crowded = scene.edit(add=boxes)
     checked, tested = _tested(crowded)
     assert tested[checked].all() and not tested[~checked].any()

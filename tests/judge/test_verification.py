@@ -343,7 +343,7 @@ def test_no_verdict_speaks_of_a_cost_that_was_not_recomputed() -> None:
     checks = plan(task.start, task.goal, task.scene, w=1.0, **quick).verdict.checks
     assert checks and not [name for name, check in checks.items() if "cost" in name or "impact" in check.detail]
 
-    objective = Objective(impact=ImpactCost(model="aabb"), w=1.0, exposure="length")
+    objective = Objective(impact=ImpactCost(model="box_overlap"), w=1.0, exposure="length")
     result = plan(task.start, task.goal, task.scene, objective=objective, **quick)
     assert result.verdict.checks["cost"].passed and "Algorithm 1" in result.verdict.checks["cost"].detail
     assert result.trajectory is not None and result.path is not None

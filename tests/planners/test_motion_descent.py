@@ -30,7 +30,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline
 
-MODELS = {"footprint": gp.ImpactCost(), "aabb": gp.ImpactCost(model="aabb")}
+MODELS = {"mixture": gp.ImpactCost(), "box_overlap": gp.ImpactCost(model="box_overlap")}
 
 
 @pytest.fixture(scope="module", params=["tabletop/green_to_blue", "desk/water_plant"])
@@ -39,7 +39,7 @@ def task(request: pytest.FixtureRequest) -> gp.Task:
     return gp.load_scene(scene).tasks[name]
 
 
-def bound(task: gp.Task, w: float = 1.0, impact: gp.ImpactCost = MODELS["footprint"]) -> SceneObjective:
+def bound(task: gp.Task, w: float = 1.0, impact: gp.ImpactCost = MODELS["mixture"]) -> SceneObjective:
     return Objective(w=w, impact=impact).bind(task.scene, search_paces())
 
 
@@ -91,7 +91,7 @@ def test_a_spline_begins_and_ends_at_its_control_points() -> None:
 @pytest.mark.parametrize("w", [0.0, 1.0])
 def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float) -> None:
     """All of it: length, impact, times through the speed profile, clearance. Kinks are rare enough to be left out."""
-    if model == "aabb" and w > 0.0:
+    if model == "box_overlap" and w > 0.0:
         pytest.skip("Algorithm 1 has jumps")
     objective = bound(task, w, MODELS[model])
     path = bent(task)

@@ -10,9 +10,9 @@ from graceful_plan.compare.problems.analytic import saddle
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.native_descents import NativeDescents
 from graceful_plan.planners.planner import Budget, path_total
-from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 
 
@@ -31,10 +31,10 @@ def path(task: gp.Task) -> Path:
     return Path(q[clear[0] : clear[-1] + 1])
 
 
-def _questions(task: gp.Task, path: Path, objective: Objective, budget: Budget | None = None) -> Questions:
+def _questions(task: gp.Task, path: Path, objective: Objective, budget: Budget | None = None) -> InterruptibleProblem:
     kernels = compile_scene(task.scene).kernels
     problem = SceneProblem(kernels=kernels, start=path.q[0], goals=path.q[-1:], margin=0.002)
-    return Questions(problem, objective.bind(task.scene, search_paces()), budget or Budget())
+    return InterruptibleProblem(problem, objective.bind(task.scene, search_paces()), budget or Budget())
 
 
 @pytest.mark.parametrize("exposure", ["time", "length"])
@@ -65,8 +65,8 @@ def test_descents_end_with_the_time(task: gp.Task, path: Path) -> None:
 def test_without_a_native_gradient_there_are_none(task: gp.Task, path: Path) -> None:
     questions = _questions(task, path, Objective(w=1.0))
     assert NativeDescents.of(questions) is not None
-    boxes = gp.ImpactCost(model="aabb")
+    boxes = gp.ImpactCost(model="box_overlap")
     for objective in (Objective(w=0.0), Objective(w=1.0, exposure="waypoints"), Objective(impact=boxes, w=1.0)):
         assert NativeDescents.of(_questions(task, path, objective)) is None
     instance = saddle()
-    assert NativeDescents.of(Questions(instance.problem, instance.objective, Budget())) is None
+    assert NativeDescents.of(InterruptibleProblem(instance.problem, instance.objective, Budget())) is None

@@ -180,6 +180,6 @@ def test_a_cost_that_raises_within_a_descent_says_so(task: gp.Task) -> None:
             return np.ones(len(batch))
 
     one = bound(task, Objective(impact=Raises(), w=1.0))
-    one.impact_slopes.__dict__.update(has_gradient=False, asks_for_velocity=False)
+    one.impact_slopes.__dict__.update(has_gradient=False, uses_velocity=False)
     with pytest.raises(ZeroDivisionError, match="by my own cost"):
         descent(task, one)

@@ -18,9 +18,9 @@ from graceful_plan.compare.problems.analytic import (
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners import PLANNERS, PRM, RRT, BITStar, InformedRRTStar, PRMStar, RRTConnect, RRTStar
-from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.informed import InformedSampler, probe_objective
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.planner import Budget, Planner, Problem, path_total
-from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.roadmaps.lazy_roadmap import LazyRoadmap
 from graceful_plan.testing import PlannerTrial, check_planner
 
@@ -153,7 +153,10 @@ def _roadmap(n: int, seed: int, symmetric: bool = True) -> LazyRoadmap:
     objective = DensityObjective(density=lambda q: q[:, 1] ** 2, step=0.1)
     rng = np.random.default_rng(seed)
     roadmap = LazyRoadmap(
-        Questions(problem, objective, Budget()), InformedSampler(problem, 1.0), symmetric, lambda i: np.full(len(i), 5)
+        InterruptibleProblem(problem, objective, Budget()),
+        InformedSampler(problem, 1.0),
+        symmetric,
+        lambda i: np.full(len(i), 5),
     )
     q = rng.uniform(-3, 3, (n, 2))
     q = q[problem.states_free(q)]
@@ -216,7 +219,7 @@ class _Motion:
     ],
 )
 def test_what_is_learned_about_an_objective(objective: _Motion, bound: float, symmetric: bool) -> None:
-    facts = learn_objective(objective, disc().problem)
+    facts = probe_objective(objective, disc().problem)
     assert facts.length_bound == pytest.approx(bound, rel=1e-6)
     assert facts.length_bound <= bound
     assert facts.symmetric is symmetric
@@ -261,7 +264,8 @@ def test_slices_answer_as_the_whole_does() -> None:
     rng = np.random.default_rng(0)
     q0, q1 = rng.uniform([-2, 1], [2, 3], (1500, 2)), rng.uniform([-2, 1], [2, 3], (1500, 2))
     fixed, timed = (
-        Questions(instance.problem, instance.objective, Budget(time_limit=limit)) for limit in (np.inf, 600.0)
+        InterruptibleProblem(instance.problem, instance.objective, Budget(time_limit=limit))
+        for limit in (np.inf, 600.0)
     )
     whole = instance.objective.edges(q0, q1).sum(axis=1)
     np.testing.assert_allclose(fixed.edge_costs(q0, q1), whole, rtol=1e-12)
@@ -275,7 +279,7 @@ def test_questions_are_interrupted(budget: Budget) -> None:
     instance = disc()
     q = np.zeros((3, 2))
     with pytest.raises(Interrupted):
-        Questions(instance.problem, instance.objective, budget).edge_costs(q, q)
+        InterruptibleProblem(instance.problem, instance.objective, budget).edge_costs(q, q)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])

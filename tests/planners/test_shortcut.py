@@ -16,8 +16,8 @@ from graceful_plan.compare.problems.analytic import (
 )
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import Budget, path_total
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement, Shortcut, apply_best
 
 _DETOUR = Path(np.array([[-2.0, 0.0], [-1.9, 1.5], [0.0, 2.5], [0.5, 1.5], [1.9, 1.5], [2.0, 0.0]]))
@@ -25,7 +25,7 @@ _DETOUR = Path(np.array([[-2.0, 0.0], [-1.9, 1.5], [0.0, 2.5], [0.5, 1.5], [1.9,
 
 def _improve(path: Path, instance: AnalyticProblem, iterations: int = 200, seed: int = 0) -> list[Path]:
     budget = Budget(iterations=iterations)
-    questions = Questions(instance.problem, instance.objective, budget)
+    questions = InterruptibleProblem(instance.problem, instance.objective, budget)
     return list(Shortcut().improve(path, questions, budget, np.random.default_rng(seed)))
 
 
@@ -57,7 +57,7 @@ def test_does_not_cut_back_across_a_hazard() -> None:
     objective = DensityObjective(density=lambda q: 20.0 * np.exp(-2.0 * (q**2).sum(axis=1)))
     budget = Budget(iterations=150)
     around = Path(np.array([[-2.0, 0.0], [-1.5, 1.5], [1.5, 1.5], [2.0, 0.0]]))
-    questions = Questions(problem, objective, budget)
+    questions = InterruptibleProblem(problem, objective, budget)
     *_, final = Shortcut().improve(around, questions, budget, np.random.default_rng(0))
     straight = path_total(objective, Path(np.array([[-2.0, 0.0], [2.0, 0.0]])))
     assert path_total(objective, final) < path_total(objective, around) < straight
@@ -91,7 +91,7 @@ def test_gives_up_after_its_patience() -> None:
     instance = analytic_problems()["free_space"]
     budget = Budget(iterations=10_000)
     straight = Path(np.stack([instance.problem.start, instance.problem.goals[0]]))
-    questions = Questions(instance.problem, instance.objective, budget)
+    questions = InterruptibleProblem(instance.problem, instance.objective, budget)
     assert list(Shortcut(patience=7).improve(straight, questions, budget, np.random.default_rng(0))) == []
     assert budget.spent == 7
 
@@ -112,7 +112,7 @@ def test_replacements_start_and_end_on_vertices(move, seed: int) -> None:
 def test_replacements_that_overlap_are_not_both_taken() -> None:
     instance = analytic_problems()["free_space"]
     q = np.array([[-1.0, -1.0], [-0.5, 1.0], [0.0, -1.0], [0.5, 1.0], [0.5, 0.5]])
-    questions = Questions(instance.problem, instance.objective, Budget())
+    questions = InterruptibleProblem(instance.problem, instance.objective, Budget())
     line = Line(q, questions.edge_costs(q[:-1], q[1:]))
     proposals = [Replacement(0, 2, q[[0, 2]]), Replacement(1, 3, q[[1, 3]]), Replacement(2, 4, q[[2, 4]])]
     result = apply_best(line, proposals, questions)
@@ -126,7 +126,7 @@ def test_proposals_outside_of_the_limits_are_refused() -> None:
         start=np.array([0.0, 0.0]), goals=np.array([[1.0, 0.0]]), lower=np.zeros(2), upper=np.ones(2)
     )
     objective = DensityObjective(density=lambda q: np.maximum(0.0, 5.0 + 20.0 * q[:, 1]))
-    questions = Questions(problem, objective, Budget())
+    questions = InterruptibleProblem(problem, objective, Budget())
     q = np.stack([problem.start, problem.goals[0]])
     line = Line(q, questions.edge_costs(q[:-1], q[1:]))
     below = Replacement(0, 1, np.array([[0.0, 0.0], [0.5, -0.2], [1.0, 0.0]]))

@@ -173,5 +173,5 @@ def test_an_interrupt_while_the_scene_is_compiled(task: gp.Task):
         fresh = task.scene.add_box("crate", [0.05, 0.05, 0.05], [0.6, 0.6, 0.05])
         with pytest.raises(KeyboardInterrupt), _interrupt_after(moment):
             gp.plan(task.start, task.goal, fresh, **_ENDLESS)
-        assert isinstance(gp.clearance(fresh, task.start), np.ndarray | float)
+        assert isinstance(gp.clearance(task.start, fresh), np.ndarray | float)
         assert gp.plan(task.start, task.goal, fresh, iterations=200).status is gp.PlanStatus.SOLVED

@@ -84,7 +84,7 @@ def test_the_tool_stays_on_its_line_or_the_result_says_where_not(name, seed, dir
     q = np.clip(q, *scene.limits.position.T)
     translation = length * direction / np.linalg.norm(direction)
     goal = gp.PoseGoal.from_tool(q, scene, translation=translation, rotation=turn)
-    result = gp.straight_motion(q, goal, scene)
+    result = gp.plan_cartesian(q, goal, scene)
     if result.status is not PlanStatus.SOLVED:
         assert result.status in (PlanStatus.INVALID_START, PlanStatus.INFEASIBLE, PlanStatus.INVALID_GOAL)
         assert result.detail and result.trajectory is None
@@ -111,18 +111,18 @@ def test_the_tool_stays_on_its_line_or_the_result_says_where_not(name, seed, dir
 def test_retreat_and_approach_in_every_scene(name):
     scene = _scene(name)
     back = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, translation=[0.0, 0.0, -0.3], frame="tool")
-    result = gp.straight_motion("ready", back, scene)
+    result = gp.plan_cartesian("ready", back, scene)
     assert result.status is PlanStatus.SOLVED, result.detail
     off, angle = _worst(result, scene, back)
     assert off < 1e-3 and angle < np.deg2rad(0.5)
     there = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene)
-    again = gp.straight_motion(result.unwrap().q[-1], there, scene)
+    again = gp.plan_cartesian(result.unwrap().q[-1], there, scene)
     assert again.status is PlanStatus.SOLVED, again.detail
 
 
 def test_pouring_turns_the_tool_where_it_is(scene):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, rotation=[np.deg2rad(60.0), 0.0, 0.0])
-    result = gp.straight_motion("ready", goal, scene, deviation=5e-4)
+    result = gp.plan_cartesian("ready", goal, scene, deviation=5e-4)
     p, _ = _tool_poses(scene, result.unwrap().sample(0.01).q)
     assert np.linalg.norm(p - p[0], axis=1).max() < 5e-4
     assert result.verdict.checks["orientation"].passed
@@ -130,7 +130,7 @@ def test_pouring_turns_the_tool_where_it_is(scene):
 
 def test_tighter_bounds_are_kept(scene):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, translation=[0.1, 0.2, 0.0])
-    result = gp.straight_motion("ready", goal, scene, deviation=2e-6, angle=2e-6)
+    result = gp.plan_cartesian("ready", goal, scene, deviation=2e-6, angle=2e-6)
     off, angle = _worst(result, scene, goal)
     assert off < 2e-6 + _ROUNDING and angle < 2e-6 + _ROUNDING
 
@@ -138,7 +138,7 @@ def test_tighter_bounds_are_kept(scene):
 def test_free_yaw_turns_nothing_but_the_axis(scene):
     q = scene.keyframes["ready"]
     goal = gp.PoseGoal.from_tool(q, scene, translation=[0.0, 0.25, 0.0], rotation=[0.0, 0.0, 2.5], free_yaw=True)
-    result = gp.straight_motion(q, goal, scene)
+    result = gp.plan_cartesian(q, goal, scene)
     _, R = _tool_poses(scene, result.unwrap().sample(0.01).q)
     np.testing.assert_allclose(R[:, :, 2] @ R[0, :, 2], 1.0, atol=1e-5)
     checks = result.verdict.checks
@@ -152,18 +152,18 @@ def test_an_obstacle_on_the_line_is_named_with_its_place(scene):
     X[:3, 3] = p + [0.0, 0.15, 0.0]
     blocked = scene.add_box("post", [0.02, 0.02, 0.1], X)
     goal = gp.PoseGoal.from_tool(q, blocked, translation=[0.0, 0.3, 0.0])
-    result = gp.straight_motion(q, goal, blocked)
+    result = gp.plan_cartesian(q, goal, blocked)
     assert result.status is PlanStatus.INFEASIBLE and "post" in result.detail
     place = float(result.detail.removeprefix("at ").split(" m of")[0])
     assert 0.0 < place < 0.15
     assert not result.verdict.checks["collision"].passed
-    assert gp.straight_motion(q, goal, scene).status is PlanStatus.SOLVED
+    assert gp.plan_cartesian(q, goal, scene).status is PlanStatus.SOLVED
 
 
 @pytest.mark.parametrize("far", [3.0, 1e6])
 def test_a_line_that_leaves_the_reach_says_where(scene, far):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, translation=[far, 0.0, 0.0])
-    result = gp.straight_motion("ready", goal, scene)
+    result = gp.plan_cartesian("ready", goal, scene)
     assert result.status is PlanStatus.INVALID_GOAL
     assert "of the line: the arm is" in result.detail and "no configuration within the limits" in result.detail
 
@@ -171,7 +171,7 @@ def test_a_line_that_leaves_the_reach_says_where(scene, far):
 def test_a_goal_that_is_reachable_but_not_by_the_line(scene):
     q = scene.keyframes["ready"].copy()
     q[6] = scene.limits.position[6, 0] + 0.01
-    result = gp.straight_motion(q, gp.PoseGoal.from_tool(q, scene, rotation=[0.0, 0.0, 1.5]), scene)
+    result = gp.plan_cartesian(q, gp.PoseGoal.from_tool(q, scene, rotation=[0.0, 0.0, 1.5]), scene)
     assert result.status is PlanStatus.INFEASIBLE
     assert "of 85.9 degrees of the line: the arm is held by the limit of joint" in result.detail
     assert "'panda/joint7'" in result.detail
@@ -179,37 +179,37 @@ def test_a_goal_that_is_reachable_but_not_by_the_line(scene):
 
 def test_half_a_turn_is_refused(scene):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, rotation=[np.pi, 0.0, 0.0])
-    result = gp.straight_motion("ready", goal, scene)
+    result = gp.plan_cartesian("ready", goal, scene)
     assert result.status is PlanStatus.INFEASIBLE and "180.0 degrees" in result.detail
 
 
 def test_nothing_to_travel(scene):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene)
-    result = gp.straight_motion("ready", goal, scene)
+    result = gp.plan_cartesian("ready", goal, scene)
     assert result.status is PlanStatus.SOLVED and result.unwrap().duration == 0.0
 
 
 def test_a_colliding_start_is_told(scene):
     q = np.array([0.0, 1.7, 0.0, -0.1, 0.0, 1.6, 0.0])
-    result = gp.straight_motion(q, gp.PoseGoal.from_tool(q, scene, translation=[0.0, 0.0, 0.1]), scene)
+    result = gp.plan_cartesian(q, gp.PoseGoal.from_tool(q, scene, translation=[0.0, 0.0, 0.1]), scene)
     assert result.status is PlanStatus.INVALID_START and "start" in result.detail
 
 
 def test_speed_scales_the_duration(scene):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, translation=[0.0, 0.2, 0.0])
-    fast, slow = (gp.straight_motion("ready", goal, scene, speed=s, w=0.0).unwrap() for s in (1.0, 0.5))
+    fast, slow = (gp.plan_cartesian("ready", goal, scene, speed=s, w=0.0).unwrap() for s in (1.0, 0.5))
     assert slow.duration == pytest.approx(2.0 * fast.duration, rel=0.05)
 
 
 def test_same_seed_same_motion(scene):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, translation=[0.1, 0.2, 0.1])
-    first, again = (gp.straight_motion("ready", goal, scene, seed=3).unwrap().q for _ in range(2))
+    first, again = (gp.plan_cartesian("ready", goal, scene, seed=3).unwrap().q for _ in range(2))
     np.testing.assert_array_equal(first, again)
 
 
 def test_what_is_carried_comes_along(task):
     goal = gp.PoseGoal.from_tool(task.start, task.scene, translation=[0.0, 0.0, 0.15])
-    result = gp.straight_motion(task.start, goal, task.scene, w=1.0)
+    result = gp.plan_cartesian(task.start, goal, task.scene, w=1.0)
     assert result.status is PlanStatus.SOLVED, result.detail
     assert result.cost.w == 1.0
 
@@ -217,16 +217,16 @@ def test_what_is_carried_comes_along(task):
 def test_misuse(scene):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, translation=[0.0, 0.2, 0.0])
     with pytest.raises(ShapeError, match="start"):
-        gp.straight_motion(np.zeros(3), goal, scene)
+        gp.plan_cartesian(np.zeros(3), goal, scene)
     with pytest.raises(NonFiniteError, match="start"):
-        gp.straight_motion(np.full(7, np.nan), goal, scene)
+        gp.plan_cartesian(np.full(7, np.nan), goal, scene)
     with pytest.raises(UnknownNameError, match="keyframe"):
-        gp.straight_motion("nowhere", goal, scene)
+        gp.plan_cartesian("nowhere", goal, scene)
     for name in ("deviation", "angle"):
         for value in (0.0, -1.0, np.nan, np.inf):
             with pytest.raises(SettingError, match=name):
-                gp.straight_motion("ready", goal, scene, **{name: value})
+                gp.plan_cartesian("ready", goal, scene, **{name: value})
     with pytest.raises(SettingError, match="speed"):
-        gp.straight_motion("ready", goal, scene, speed=2.0)
+        gp.plan_cartesian("ready", goal, scene, speed=2.0)
     with pytest.raises(SettingError, match="seed"):
-        gp.straight_motion("ready", goal, scene, seed=-1)
+        gp.plan_cartesian("ready", goal, scene, seed=-1)

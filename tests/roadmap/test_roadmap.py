@@ -116,7 +116,7 @@ def test_directions_differ_where_velocity_matters(task, roadmap):
     }
     differ = sum(abs(s - impact[b, a]) > 1e-3 * (s + 1e-3) for (a, b), s in impact.items())
     assert differ > 0.3 * count
-    flat = gp.Roadmap.build(task.scene, objective=gp.Objective(impact=gp.ImpactCost("aabb")), nodes=60)
+    flat = gp.Roadmap.build(task.scene, objective=gp.Objective(impact=gp.ImpactCost("box_overlap")), nodes=60)
     prices = flat.edges.prices.impact(flat.severity())
     pairs = {(a, b): s for a, b, s in zip(flat.edges.tail, flat.edges.head, prices, strict=True)}
     assert prices.max() > 0.0

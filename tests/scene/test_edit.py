@@ -14,21 +14,21 @@ from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.models.spill.tables import spill_tables
 from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
 from graceful_plan.judge.exact import Judge, state_contacts
-from graceful_plan.scene.edit import Solid
+from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.scene import Scene
 
 
-def _solids() -> list[Solid]:
+def _solids() -> list[StaticBody]:
     turned = np.eye(4)
     turned[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     turned[:3, 3] = 0.5, 0.5, 0.9
     tetrahedron = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
     return [
-        Solid(name="crate", kind="box", size=[0.1, 0.2, 0.05], pose=turned, entity="glass"),
-        Solid(name="ball", kind="sphere", size=0.1, pose=[0.6, -0.4, 0.8]),
-        Solid(name="tube", kind="cylinder", size=(0.05, 0.2), pose=[0.4, 0.6, 0.7]),
-        Solid(name="rod", kind="capsule", size=(0.02, 0.2), pose=[0.4, -0.6, 0.7]),
-        Solid(name="wedge", kind="mesh", size=tetrahedron, pose=[0.3, 0.3, 1.0]),
+        StaticBody(name="crate", kind="box", size=[0.1, 0.2, 0.05], pose=turned, entity="glass"),
+        StaticBody(name="ball", kind="sphere", size=0.1, pose=[0.6, -0.4, 0.8]),
+        StaticBody(name="tube", kind="cylinder", size=(0.05, 0.2), pose=[0.4, 0.6, 0.7]),
+        StaticBody(name="rod", kind="capsule", size=(0.02, 0.2), pose=[0.4, -0.6, 0.7]),
+        StaticBody(name="wedge", kind="mesh", size=tetrahedron, pose=[0.3, 0.3, 1.0]),
     ]
 
 
@@ -64,7 +64,7 @@ def test_what_is_moved_stands_where_a_new_one_would(scene: Scene) -> None:
     quarter[:3, :3], quarter[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], poses["crate"]
     moved = first.edit(move={**poses, "tube": turned})  # a position alone keeps how it is turned
     anew = [
-        Solid(name=s.name, kind=s.kind, size=s.size, entity=s.entity,
+        StaticBody(name=s.name, kind=s.kind, size=s.size, entity=s.entity,
               pose={"tube": turned, "crate": quarter}.get(s.name, poses[s.name]))
         for s in _solids()
     ]  # fmt: skip
@@ -144,7 +144,7 @@ def test_something_that_stands_freely_is_moved_too(scene: Scene) -> None:
 
 
 def test_an_obstacle_that_is_moved_into_the_way_is_in_the_way(scene: Scene) -> None:
-    first = scene.edit(add=[Solid(name="block", kind="box", size=[0.05] * 3, pose=[0.0, 3.0, 1.0])])
+    first = scene.edit(add=[StaticBody(name="block", kind="box", size=[0.05] * 3, pose=[0.0, 3.0, 1.0])])
     q = next(iter(first.tasks.values())).start
     into = first.edit(move={"block": first.data_at(q).site(first.tool).xpos})
     assert compile_scene(first).kernels.free(q) and not compile_scene(into).kernels.free(q)
@@ -163,10 +163,10 @@ def test_edits_that_cannot_be_are_refused(scene: Scene, task) -> None:
     with pytest.raises(UnknownNameError, match="nowhere"):
         scene.edit(move={"nowhere": [0, 0, 0]})
     with pytest.raises(UnknownNameError, match="cone"):
-        Solid(name="a", kind="cone", size=1.0, pose=[0, 0, 0])
+        StaticBody(name="a", kind="cone", size=1.0, pose=[0, 0, 0])
     with pytest.raises(SceneError, match="taken"):
-        scene.edit(add=[Solid(name="a", kind="sphere", size=0.1, pose=[0, 0, 3])] * 2)
-    stacked = scene.edit(add=[Solid(name="a", kind="sphere", size=0.1, pose=[0, 0, 3])])
+        scene.edit(add=[StaticBody(name="a", kind="sphere", size=0.1, pose=[0, 0, 3])] * 2)
+    stacked = scene.edit(add=[StaticBody(name="a", kind="sphere", size=0.1, pose=[0, 0, 3])])
     spec = stacked.spec.copy()
     spec.body("a").add_body(name="b", pos=[0, 0, 0.2]).add_geom(size=[0.1, 0, 0])
     with pytest.raises(UnsupportedError, match="move what it stands on"):
@@ -178,10 +178,10 @@ def test_a_hull_may_have_the_name_of_one_that_goes() -> None:
     tetrahedron = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     scene = gp.load_scene("tabletop").add_mesh("rock", tetrahedron, [1.0, 1.0, 1.0])
     for k in range(1, 4):
-        rock = Solid(name="rock", kind="mesh", size=(1.0 + k) * tetrahedron, pose=[1.0, 1.0, 1.0])
+        rock = StaticBody(name="rock", kind="mesh", size=(1.0 + k) * tetrahedron, pose=[1.0, 1.0, 1.0])
         scene = scene.edit(remove=["rock"], add=[rock])
         assert scene.model.nmesh == 1 and scene.model.mesh_vert.max() == pytest.approx(0.1 * (1.0 + k), rel=0.5)
-    with_mesh = scene.edit(add=[Solid(name="rock#1", kind="mesh", size=tetrahedron, pose=[0.5, 1.0, 1.0])])
+    with_mesh = scene.edit(add=[StaticBody(name="rock#1", kind="mesh", size=tetrahedron, pose=[0.5, 1.0, 1.0])])
     assert with_mesh.model.nmesh == 2
     text = """<mujoco><asset><mesh name="rock" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset><worldbody>
     <body name="r/a"><joint/><geom type="mesh" mesh="rock"/><site name="r/t"/></body></worldbody></mujoco>"""

@@ -93,7 +93,7 @@ def test_neither_obstacle_nor_entity(scene):
     q = held.tasks["lift_to_goal"].start
     assert list(in_the_way.entities) == list(held.entities)
     assert in_the_way.unlabelled == held.unlabelled
-    assert gp.clearance(in_the_way, q) == gp.clearance(held, q)
+    assert gp.clearance(q, in_the_way) == gp.clearance(q, held)
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------

@@ -116,7 +116,7 @@ def test_nothing_that_the_library_keeps_holds_a_scene():
     walker = gp.MovingEntity("p", "adult", size=[0.2, 0.8], t=[0.0], position=[[0.6, 0.0, 0.8]])
     task = gp.load_scene("desk").tasks["bring_coffee"]
     scene, path = task.scene.with_moving(walker), gp.Path(np.stack([task.start, task.start + 0.1]))
-    cost = gp.ImpactCost(model=gp.Footprint(faults="service_robot"))
+    cost = gp.ImpactCost(model=gp.FailureMixture(faults="service_robot"))
     assert cost.state(StateBatch(scene, path.q)).shape == (2,)
     assert gp.ImpactCost().kernel(scene, (1.0, 1.0)) is not None
     first_collision(path, scene)

@@ -17,7 +17,7 @@ from graceful_plan.exceptions import (
     UnknownNameError,
     UnsupportedError,
 )
-from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
+from graceful_plan.scene.elements import AllowedContact, EntityAnnotation, Granular, Liquid
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene
@@ -175,7 +175,11 @@ def test_a_robot_may_be_named_by_its_root_body() -> None:
             "X_TO = .*, expected a 4 x 4 matrix of a rotation",
         ),
         ({"carried": "cup", "X_TO": np.eye(3)}, ShapeError, "X_TO has shape"),
-        ({"carried": "jar", "contents": Dry(0.1)}, UnknownNameError, "geom for the contents of 'jar' 'jar_contents'"),
+        (
+            {"carried": "jar", "contents": Granular(0.1)},
+            UnknownNameError,
+            "geom for the contents of 'jar' 'jar_contents'",
+        ),
         ({"allowed_contacts": [AllowedContact("cup", "moon")]}, UnknownNameError, "unknown body or geom 'moon'"),
         ({"source": "arm.xml"}, SceneError, "arm.xml: cannot be read"),
     ],
@@ -283,7 +287,7 @@ def test_severities_come_from_the_table() -> None:
 
 
 def test_severities_can_be_replaced_at_every_level() -> None:
-    note = EntityNote(category="table", severity={"body": 7.0})
+    note = EntityAnnotation(category="table", severity={"body": 7.0})
     scene = _workshop(entities={"bench": note, "cup": "glass"}, severity={"table": {"medium": 3.0}}, carried="cup")
     assert scene.entities["bench"].severity == {"body": 7.0, "carried": 3.0}
     changed = scene.with_severity({"bench": 9.0, "laptop": {"arm_collapse": 1.0}})
@@ -309,7 +313,7 @@ def test_severities_by_component_class_hold_whatever_is_carried() -> None:
 
 
 def test_a_later_severity_by_class_replaces_a_number_of_the_entity() -> None:
-    note = EntityNote(category="table", severity=9.0)
+    note = EntityAnnotation(category="table", severity=9.0)
     scene = _workshop(entities={"bench": note, "cup": "glass"}, severity={"bench": {"medium": 2.5}}, carried="cup")
     assert scene.entities["bench"].severity == {"body": 9.0, "carried": 2.5}
 
@@ -402,10 +406,10 @@ def test_contents_have_geoms_of_their_own() -> None:
     assert _labels(scene, scene.components["contents"].geoms) == {"cup_contents"}
     assert _labels(scene, scene.components["carried"].geoms) == {"cup"}
     assert scene.contents == Liquid(0.25, temperature=85.0)
-    named = _workshop(carried="cup", contents=Dry(0.25, geoms=("cup_contents",)))
+    named = _workshop(carried="cup", contents=Granular(0.25, geoms=("cup_contents",)))
     assert named.components["contents"].component_class == "dry"
     with pytest.raises(SceneError, match="component 'carried' has no geoms that collide"):
-        _workshop(carried="cup", contents=Dry(0.25, geoms=("cup", "cup_contents")))
+        _workshop(carried="cup", contents=Granular(0.25, geoms=("cup", "cup_contents")))
 
 
 @pytest.mark.parametrize(
@@ -416,10 +420,10 @@ def test_contents_have_geoms_of_their_own() -> None:
         (Liquid(1.0, temperature=60.0), "hot"),
         (Liquid(1.0, temperature=180.0, kind="oil"), "oil"),
         (Liquid(1.0, kind="oil"), "cold"),
-        (Dry(1.0), "dry"),
+        (Granular(1.0), "dry"),
     ],
 )
-def test_classes_of_contents(contents: Liquid | Dry, word: str) -> None:
+def test_classes_of_contents(contents: Liquid | Granular, word: str) -> None:
     assert contents.component_class == word
 
 
@@ -428,7 +432,7 @@ def test_classes_of_contents(contents: Liquid | Dry, word: str) -> None:
     [
         (lambda: Liquid(0.0), "volume = 0.0"),
         (lambda: Liquid(float("nan")), "volume = nan"),
-        (lambda: Dry(-1.0), r"volume = -1\.0"),
+        (lambda: Granular(-1.0), r"volume = -1\.0"),
         (lambda: Liquid(1.0, temperature=float("inf")), "temperature = inf"),
         (lambda: Liquid(1.0, kind="acid"), "kind = 'acid', expected 'water' or 'oil'"),
     ],

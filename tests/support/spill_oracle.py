@@ -66,7 +66,7 @@ def slow_spill(scene, settings, k, q, qd):
     levels, c, v, w, low = d["levels"], d["c"], d["v"], d["w"], d["low"]
     T = [t for level in levels for t in level]
     place, axis, r, depth = container(scene, d["data"])
-    dry = isinstance(scene.contents, gp.Dry)
+    dry = isinstance(scene.contents, gp.Granular)
     volume, room = scene.contents.volume / 1000.0, math.pi * r * r * depth
     volume = min(volume, room)
     full = room / volume

@@ -15,7 +15,7 @@ from graceful_plan.scene.harm.fragility import FragilityTable
 class Wrapped(gp.InteractionModel):
     """Another model, without its kernel and its gradient."""
 
-    model: gp.InteractionModel = field(default_factory=gp.Footprint)
+    model: gp.InteractionModel = field(default_factory=gp.FailureMixture)
 
     @property
     def components(self) -> tuple[str, ...]:

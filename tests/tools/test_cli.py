@@ -262,7 +262,7 @@ def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
     scene = next(iter(gp.load_scene("tabletop").tasks.values())).scene
     low, high = scene.limits.position.T
     q = np.random.default_rng(0).uniform(low, high, (200, len(low)))
-    colliding = q[~(gp.clearance(scene, q) > 0.0)]
+    colliding = q[~(gp.clearance(q, scene) > 0.0)]
     file = tmp_path / "path.json"
     file.write_text(json.dumps(documents.path_document(gp.Path(colliding[:1]))))
     code, out, _ = run("evaluate", str(file))
@@ -272,7 +272,7 @@ def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
 
 def test_explain_says_where_the_impact_comes_from(run, motion, tmp_path):
     picture = tmp_path / "explanation.png"
-    code, out, _ = run("explain", str(motion), "--model", "footprint", "--exposure", "length", "--output", str(picture))
+    code, out, _ = run("explain", str(motion), "--model", "mixture", "--exposure", "length", "--output", str(picture))
     assert code == cli.DONE
     assert out.startswith("impact ")
     assert " onto " in out
@@ -418,7 +418,7 @@ def test_demo_labels_say_the_weight():
 
 @pytest.mark.long
 def test_plan_on_a_map_with_people_and_a_picture(run, tmp_path):
-    gp.FloorMap(occupancy=np.zeros((60, 100), dtype=bool), resolution=0.05).save(tmp_path / "hall.yaml")
+    gp.OccupancyGrid(occupancy=np.zeros((60, 100), dtype=bool), resolution=0.05).save(tmp_path / "hall.yaml")
     people = ("--entity", "adult", "2.5", "0.6", "--walker", "adult", "4.5", "2.5", "4.5", "0.5", "1.0")
     words = ("plan", "--map", str(tmp_path / "hall.yaml"), "--start", "0.6,1.5,0", "--goal", "4,1.5", *people)
     code, out, _ = run(*words, "--iterations", "3000", "--json", "--picture", str(tmp_path / "hall.png"))
@@ -441,6 +441,6 @@ def test_plan_on_a_map_with_people_and_a_picture(run, tmp_path):
     ],
 )
 def test_what_is_wrong_with_a_map_is_named(run, tmp_path, words, said):
-    gp.FloorMap(occupancy=np.zeros((60, 100), dtype=bool), resolution=0.05).save(tmp_path / "hall.yaml")
+    gp.OccupancyGrid(occupancy=np.zeros((60, 100), dtype=bool), resolution=0.05).save(tmp_path / "hall.yaml")
     code, _, err = run("plan", "--map", str(tmp_path / "hall.yaml"), *words)
     assert code == cli.MISUSE and said in err

@@ -96,7 +96,7 @@ def test_start_at_the_goal_is_one_point_without_cost(task):
 def test_ends_that_cannot_be_used_have_their_status(task):
     low, high = task.scene.limits.position.T
     q = np.random.default_rng(0).uniform(low, high, (300, len(low)))
-    colliding = q[gp.clearance(task.scene, q) < -0.02][0]
+    colliding = q[gp.clearance(q, task.scene) < -0.02][0]
     start = gp.pareto(colliding, task.goal, task.scene, iterations=10)
     assert start.status is gp.PlanStatus.INVALID_START and " mm in " in start.detail
     goal = gp.pareto(task.start, high + 1.0, task.scene, iterations=10)
@@ -108,7 +108,7 @@ def test_several_goals_and_other_exposures(task):
     goals = np.concatenate([task.goal, task.start[None]])
     front = gp.pareto(task.start, goals, task.scene, iterations=50)
     assert front.costs.tolist() == [[0.0, 0.0]]
-    by_time = gp.Objective(exposure="time", impact=gp.ImpactCost(model="aabb"))
+    by_time = gp.Objective(exposure="time", impact=gp.ImpactCost(model="box_overlap"))
     front = gp.pareto(task.start, task.goal, task.scene, iterations=300, points=3, objective=by_time)
     assert front.status is gp.PlanStatus.SOLVED
     point = front.points[0]
@@ -124,7 +124,7 @@ def test_planners_that_find_one_path_only_will_do(task):
 
 @pytest.mark.long
 def test_sums_over_waypoints_do_without_a_roadmap(task):
-    paper = gp.Objective(exposure="waypoints", impact=gp.ImpactCost(model="aabb"))
+    paper = gp.Objective(exposure="waypoints", impact=gp.ImpactCost(model="box_overlap"))
     front = gp.pareto(task.start, task.goal, task.scene, iterations=100, points=3, objective=paper)
     assert front.status is gp.PlanStatus.SOLVED
     assert all(point.made_by != "roadmap" for point in front.points)

@@ -130,7 +130,7 @@ def test_others_take_the_place_of_what_the_judge_refuses(asked):
 
 def test_costs_without_descents_have_fronts_of_paths(task, monkeypatch):
     monkeypatch.setattr(SceneObjective, "descended", lambda objective: None)  # as where somebody moves
-    paper = gp.Objective(exposure="length", impact=gp.ImpactCost(model="aabb"))
+    paper = gp.Objective(exposure="length", impact=gp.ImpactCost(model="box_overlap"))
     front = gp.pareto(task.start, task.goal, task.scene, iterations=60, points=2, objective=paper)
     assert front.status is gp.PlanStatus.SOLVED
     assert all(point.made_by != "descent" for point in front.points)

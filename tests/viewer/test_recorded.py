@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("sweep") / "data"
     patterns = [f"tabletop/lift_to_goal/{fault}/severe" for fault in ("gripper_failure", "noise")]
-    fb.generate(sweep_of(patterns, 2, plans=[PlanSettings(iterations=50)]), folder)
+    fb.generate_dataset(sweep_of(patterns, 2, plans=[PlanSettings(iterations=50)]), folder)
     return folder
 
 

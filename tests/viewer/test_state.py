@@ -12,7 +12,7 @@ import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.viewer.browser import words
 from graceful_plan.viewer.failing import Failure, faults_of
-from graceful_plan.viewer.fall import fall_at, going_on_at
+from graceful_plan.viewer.fall import coasting_at, fall_at
 from graceful_plan.viewer.question import Question, answered
 from graceful_plan.viewer.risk_layer import heat_colours
 from graceful_plan.viewer.shapes import parts
@@ -145,15 +145,15 @@ def test_the_fall_begins_at_the_object_and_ends_lower(state):
 def test_without_an_object_nothing_falls(state):
     motion = state.motion
     assert fall_at(motion.trajectory, motion.scene.detach(), 0.1) is None
-    assert going_on_at(motion.trajectory, motion.scene, 0.1) is None
+    assert coasting_at(motion.trajectory, motion.scene, 0.1) is None
 
 
 def test_a_base_goes_on_straight_and_a_standing_one_does_not(driving):
     scene, trajectory = driving
-    going = going_on_at(trajectory, scene, 1.0)
+    going = coasting_at(trajectory, scene, 1.0)
     np.testing.assert_allclose(going.arc[:, 1], 1.4, atol=1e-9)
     assert going.arc[0, 0] == pytest.approx(5.5) and 0.0 < going.half < 5.5 - going.arc[-1, 0]
-    assert going_on_at(trajectory, scene, 9.0) is None
+    assert coasting_at(trajectory, scene, 9.0) is None
 
 
 def test_the_risk_map_is_dark_where_it_is_bad(state):
@@ -244,7 +244,7 @@ def test_a_dragged_start_is_a_free_configuration_of_the_tool_there(question):
     X_WT[2, 3] += 0.05
     moved = question.starting_at(X_WT)
     np.testing.assert_allclose(question.handle_pose(moved.start)[:3, 3], X_WT[:3, 3], atol=1e-3)
-    assert gp.clearance(question.scene, moved.start) > 0.0
+    assert gp.clearance(moved.start, question.scene) > 0.0
     far = X_WT.copy()
     far[0, 3] += 5.0
     with pytest.raises(SettingError, match="out of reach"):

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from graceful_plan.viewer.worker import LatestWins
+from graceful_plan.viewer.worker import LatestRequestWorker
 
 _LONG = 20.0
 """Seconds after which a test gives up."""
@@ -33,7 +33,7 @@ class Work:
 @pytest.fixture
 def desk():
     work, answers, errors = Work(), [], []
-    worker = LatestWins(work, answers.append, errors.append)
+    worker = LatestRequestWorker(work, answers.append, errors.append)
     yield worker, work, answers, errors
     worker.close()
 

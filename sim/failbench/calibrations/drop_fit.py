@@ -21,7 +21,7 @@ from graceful_plan import Scene
 from graceful_plan.array_types import Float
 from graceful_plan.costs.models.drop.constants import SHARED, DropConstants, DropSettings
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.costs.objective import moving_batch
 
 Array = np.ndarray
@@ -52,8 +52,8 @@ _PRIORS: Mapping[str, Prior] = {
 }
 
 
-class FootprintFamily(Family):
-    """`Footprint` with one set of constants for each of `SHAPE_CLASSES`; some constants are shared."""
+class DropFamily(Family):
+    """`FailureMixture` with one set of constants for each of `SHAPE_CLASSES`; some constants are shared."""
 
     constants = tuple(Constant(name=name, shared=name in SHARED, **prior._asdict()) for name, prior in _PRIORS.items())
 
@@ -66,16 +66,16 @@ class FootprintFamily(Family):
         return States(scene, q, qd)
 
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
-        """Return the probabilities that `Footprint` predicts for the carried object."""
+        """Return the probabilities that `FailureMixture` predicts for the carried object."""
         constants = DropConstants(**values)
-        model = Footprint(settings=DropSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
+        model = FailureMixture(settings=DropSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
         found = model.probability(moving_batch(prepared.scene, prepared.q, prepared.qd))
         return found[:, list(prepared.scene.components).index("carried")]
 
 
 def fit_drop(failures: Sequence[Failures], *, about: Mapping[str, Any], seed: int = 0) -> Calibration:
     """Fit all constants to drops."""
-    return fit_family(FootprintFamily(), failures, model="footprint", shapes=SHAPE_CLASSES, seed=seed, about=about)
+    return fit_family(DropFamily(), failures, model="drop", shapes=SHAPE_CLASSES, seed=seed, about=about)
 
 
 def faults_of(scene: Scene) -> Sequence[Fault]:

@@ -12,7 +12,7 @@ import numpy as np
 
 import graceful_plan as gp
 from failbench.basics.errors import ExecutionRefused
-from failbench.calibrations.failures import DROP, Failures, fail_along, read_failures, write_failures
+from failbench.calibrations.failures import DROP, Failures, read_failures, simulate_failures, write_failures
 from failbench.calibrations.varied import Variation
 from failbench.fault.fault import Fault
 from failbench.rollouts.sampling import MOST, check_whole
@@ -102,7 +102,7 @@ def _via(scene: Scene, start: Array, goal: Array, rng: np.random.Generator) -> F
     low, high = scene.limits.position.T
     near = start + rng.uniform(0.2, 0.8) * (goal - start) + rng.normal(scale=_VIA_SPREAD, size=len(start))
     via = np.clip(near, low + 0.02, high - 0.02)
-    return via if gp.clearance(scene, via) >= _VIA_ROOM else None
+    return via if gp.clearance(via, scene) >= _VIA_ROOM else None
 
 
 KINDS = (
@@ -192,14 +192,14 @@ def failure_jobs(
     ]
 
 
-def do_job(job: FailureJob) -> Failures | str:
+def run_job(job: FailureJob) -> Failures | str:
     """Plan the motion and simulate its failures; return the reason as text if that is not possible."""
     task, about = job.load(job.scene).tasks[job.task], f"{job.scene}/{job.task}, {job.kind}"
     motion = make_motion(task, job.kind, job.seed)
     if motion is None:
         return f"{about}: no motion"
     try:
-        failures = fail_along(
+        failures = simulate_failures(
             motion,
             task.scene,
             job.faults,
@@ -263,10 +263,10 @@ def generate(
     settings = FailureSettings() if settings is None else settings
     jobs = failure_jobs(load, scenes, faults, n=settings.n, seed=settings.seed, repeats=settings.repeats)
     jobs = [replace(job, variation=settings.variation if i % 2 else None) for i, job in enumerate(jobs)]
-    return do_all(jobs, settings.processes, progress)
+    return run_jobs(jobs, settings.processes, progress)
 
 
-def do_all(
+def run_jobs(
     jobs: Sequence[FailureJob], processes: int = 1, progress: Progress | None = None
 ) -> tuple[list[Failures], list[str]]:
     """Run jobs in several processes; return the failures in their order, and reasons why motions have none."""
@@ -280,11 +280,11 @@ def do_all(
 
     if processes <= 1:
         for job in jobs:
-            take(do_job(job))
+            take(run_job(job))
     else:
         # Spawned, not forked, since the libraries start threads.
         with multiprocessing.get_context("spawn").Pool(processes) as pool:
-            for outcome in pool.imap(do_job, jobs):
+            for outcome in pool.imap(run_job, jobs):
                 take(outcome)
     return found, refused
 

@@ -20,7 +20,7 @@ from failbench.fault.end_effector import GripperFailure
 from failbench.fault.fault import Fault
 from failbench.recording.records import Rollout
 from failbench.rollouts.execution import Execution, execute
-from failbench.rollouts.rollout import run
+from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import make_jobs
 from failbench.simulated.world import SimSettings, build_world
 from graceful_plan import Scene, StateBatch, Trajectory
@@ -39,7 +39,7 @@ DROP: tuple[Fault, ...] = (GripperFailure(degree="critical"),)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Failures:
-    """The failures along one motion. Made by `fail_along`.
+    """The failures along one motion. Made by `simulate_failures`.
 
     | field      | meaning                                                               | shape              |
     | ---------- | --------------------------------------------------------------------- | ------------------ |
@@ -108,7 +108,7 @@ def fault_label(fault: Fault) -> str:
     return " ".join((fault.NAME, *fault.targets))
 
 
-def fail_along(
+def simulate_failures(
     motion: Trajectory,
     scene: Scene,
     faults: Sequence[Fault] = DROP,
@@ -143,7 +143,7 @@ def fail_along(
         raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
     execution = _held(motion, scene, variation, seed)
     jobs = make_jobs(faults, execution.duration, n=n, seed=seed)
-    rollouts = run(execution, jobs, horizon=horizon, threads=threads)
+    rollouts = run_rollouts(execution, jobs, horizon=horizon, threads=threads)
     completed = [rollout for rollout in rollouts if rollout.status == "completed"]
     # The state that a planner knows: the planned one, not the one that the servos reach.
     onset = motion.t[0] + np.array([rollout.onset for rollout in completed])

@@ -96,11 +96,11 @@ def fault_events(
 
 
 def generator_probabilities(scene: Scene, failures: Failures) -> Mapping[str, Float[Array, "n component entity"]]:
-    """Return the predictions of `Footprint` for failures of each single generator."""
+    """Return the predictions of `FailureMixture` for failures of each single generator."""
     batch, found = failures.states(scene), {}
     for generator in FAILURES:
         prior = gp.FaultPrior({"it": 1.0}, {"it": {generator: 1.0}})
-        found[generator] = gp.Footprint(faults=prior).probability(batch)
+        found[generator] = gp.FailureMixture(faults=prior).probability(batch)
     return found
 
 

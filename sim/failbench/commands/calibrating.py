@@ -18,7 +18,7 @@ from failbench.commands.output import Answer, Bar
 from graceful_plan.tools.console import check_file
 
 _RECIPES: Mapping[str, Recipe] = {
-    "footprint": drop_fit.RECIPE,
+    "drop": drop_fit.RECIPE,
     "spill": spill_fit.RECIPE,
     "body": body_fit.RECIPE,
     "effects": effects_fit.RECIPE,
@@ -29,7 +29,7 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     fit = add_command(commands, "calibrate", _calibrate, "fit a model's constants to failures in bundled scenes")
     fit.add_argument("output", type=FilePath, help="YAML file for the constants and their provenance")
-    fit.add_argument("--model", choices=tuple(_RECIPES), default="footprint", help="model to fit (default footprint)")
+    fit.add_argument("--model", choices=tuple(_RECIPES), default="drop", help="model to fit (default footprint)")
     fit.add_argument("--scenes", nargs="+", metavar="SCENE", help="bundled scenes, two or more (default: all)")
     fit.add_argument("-n", type=int, default=30, help="drops along each motion (default 30)")
     fit.add_argument("--repeats", type=int, default=2, help="motions of each kind for each task (default 2)")

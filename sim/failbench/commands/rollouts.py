@@ -58,7 +58,7 @@ def _run(args: argparse.Namespace) -> Answer:
             bar.show(len(rows["rollouts"]), sweep.rollouts)
     healthy = execution_of(sweep, 0).healthy
     document = {
-        "schema": "failbench.run",
+        "schema": "failbench.run_rollouts",
         "version": 2,
         "healthy": healthy.to_document(),
         "sweep": sweep.to_document(),

@@ -10,7 +10,7 @@ from typing import Any
 from failbench.commands.options import add_command, add_motion, motion_of, plan_settings, sim_settings
 from failbench.commands.output import Answer, Bar
 from failbench.sweeps.executors import Executor, LocalExecutor
-from failbench.sweeps.sweep import Generated, generate, resume, sweep_of
+from failbench.sweeps.sweep import Generated, generate_dataset, resume, sweep_of
 from failbench.sweeps.work import Sweep
 from graceful_plan.exceptions import SettingError
 
@@ -46,7 +46,7 @@ def _generate(args: argparse.Namespace) -> Answer:
     if args.dry_run:
         return Answer(sweep.to_document())
     with Bar(args) as bar:
-        made = generate(sweep, args.folder, executor=_executor(args), callback=bar.sweep)
+        made = generate_dataset(sweep, args.folder, executor=_executor(args), callback=bar.sweep)
     return _made(made)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from failbench.fault.drives import DRIVE, FRICTION, GRIP, add_friction, cut_overloaded_weld, scale_response, weaken
 from failbench.fault.fault import Fault
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError
 
 _SEIZED = 100.0
@@ -28,7 +28,7 @@ class CompleteShutdown(Fault):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 40.0, "moderate": 10.0, "severe": 2.0, "critical": 0.0}
     FIELDS: ClassVar[tuple[str, ...]] = ("dof_damping", *DRIVE, *GRIP)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Remove the drive's torque and add the motor's viscous resistance."""
         scale_response(plant, 1.0 - level)
         cut_overloaded_weld(plant, 1.0 - level)
@@ -74,7 +74,7 @@ class LooseJoint(Fault):
         """Every step with a gap, to track on which side of it the gears are; once without a gap."""
         return self.PERIOD if self.gap else None
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Weaken the coupling of motor and joint, and transmit no torque while the gears are within the gap."""
         share = 1.0 + level * (self.amount - 1.0)
         scale_response(plant, share)
@@ -101,7 +101,7 @@ class LimitedRange(Fault):
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("jnt_range", "jnt_limited", "jnt_solref")
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Put stops around the position at the onset; they close in along the ramp."""
         centre = plant.memory.setdefault("centre", plant.q[plant.joints])
         joints = plant.robot.joint_ids[plant.joints]
@@ -125,7 +125,7 @@ class PartialDegradation(Fault):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.8, "moderate": 0.5, "severe": 0.25, "critical": 0.1}
     FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Weaken the drive."""
         weaken(plant, 1.0 + level * (self.amount - 1.0))
 
@@ -142,7 +142,7 @@ class GradualDegradation(Fault):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.6, "moderate": 0.3, "severe": 0.1, "critical": 0.0}
     FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Weaken the drive in proportion to the progress of the ramp."""
         weaken(plant, 1.0 + level * (self.amount - 1.0))
 
@@ -159,7 +159,7 @@ class StuckPosition(Fault):
     FIELDS: ClassVar[tuple[str, ...]] = ("eq_data", "dof_armature", *FRICTION)
     PERIOD: ClassVar[float | None] = 0.02
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Add growing friction, then lock the joint at its current position."""
         seized = level * min(1.0, plant.time / self.amount) if self.amount else level
         if seized < 1.0:
@@ -184,7 +184,7 @@ class IncreasedFriction(Fault):
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("dof_damping", *FRICTION)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Add dry and viscous friction."""
         torque = add_friction(plant, level * self.amount)
         plant["dof_damping"][plant.robot.dofs[plant.joints]] += torque

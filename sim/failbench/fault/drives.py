@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from failbench.simulated.plant import Plant
 from failbench.simulated.robot import Robot
+from failbench.simulated.simulation import Simulation
 from failbench.simulated.world import World
 from graceful_plan.exceptions import UnsupportedError
 
@@ -32,7 +32,7 @@ _STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Solver impedance (solimp) of joint friction, as hard as the solver allows, so that a joint at rest barely creeps."""
 
 
-def actuators(plant: Plant) -> Array:
+def actuators(plant: Simulation) -> Array:
     """Return the ids of the actuators that the fault strikes."""
     robot = plant.robot
     return np.concatenate(
@@ -40,7 +40,7 @@ def actuators(plant: Plant) -> Array:
     )
 
 
-def add_friction(plant: Plant, share: float) -> Array:
+def add_friction(plant: Simulation, share: float) -> Array:
     """Add dry friction to the struck joints, as a fraction `share` of their motors' torque limits.
 
     Needs the fields `FRICTION`.
@@ -92,7 +92,7 @@ def _rub(fields: Callable[[str], Array], dofs: Array, torque: Array, dt: float) 
     fields("dof_solimp")[dofs] = _STIFF
 
 
-def scale_response(plant: Plant, share: float) -> None:
+def scale_response(plant: Simulation, share: float) -> None:
     """Scale the response of the struck drives to commands, position errors and speeds by `share`.
 
     Needs "actuator_gainprm" and "actuator_biasprm".
@@ -102,7 +102,7 @@ def scale_response(plant: Plant, share: float) -> None:
     plant["actuator_biasprm"][struck] *= share
 
 
-def scale_torque(plant: Plant, share: float) -> None:
+def scale_torque(plant: Simulation, share: float) -> None:
     """Scale the torque of the struck drives by `share`: both their response and their torque limit.
 
     Needs the fields `DRIVE`.
@@ -111,7 +111,7 @@ def scale_torque(plant: Plant, share: float) -> None:
     plant["actuator_forcerange"][actuators(plant)] *= share
 
 
-def weaken(plant: Plant, share: float) -> None:
+def weaken(plant: Simulation, share: float) -> None:
     """Scale the torque of the struck drives by `share`; fingers that get too weak release a grasp modelled by a weld.
 
     Needs the fields `DRIVE` and `GRIP`.
@@ -120,13 +120,13 @@ def weaken(plant: Plant, share: float) -> None:
     cut_overloaded_weld(plant)
 
 
-def hold_grip(plant: Plant) -> None:
+def hold_grip(plant: Simulation) -> None:
     """Freeze the gripper's commands at their values at the onset."""
     grippers = plant.robot.gripper_actuators
     plant.ahead[:, grippers] = plant.healthy[0, grippers]
 
 
-def cut_overloaded_weld(plant: Plant, share: float = 1.0) -> None:
+def cut_overloaded_weld(plant: Simulation, share: float = 1.0) -> None:
     """Cut the weld that models the grasp once the fingers could no longer hold the object's weight.
 
     The fingers hold as long as the friction coefficient times the sum of their normal forces is at least the weight. A

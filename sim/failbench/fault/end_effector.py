@@ -10,7 +10,7 @@ import numpy as np
 
 from failbench.fault.drives import GRIP, cut_overloaded_weld, hold_grip
 from failbench.fault.fault import Fault
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class GripperFailure(Fault):
     TARGETS: ClassVar[tuple[str, ...]] = ("gripper",)
     STRIKES: ClassVar[tuple[str, ...]] = ("gripper",)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Open the gripper gradually."""
         time = plant.dt * np.arange(plant.step, len(plant.command))
         opened = np.minimum(1.0, time / self.amount) if self.amount else np.ones_like(time)
@@ -46,7 +46,7 @@ class WeakGrip(Fault):
     STRIKES: ClassVar[tuple[str, ...]] = ("gripper",)
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_forcerange", *GRIP)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Reduce the force limit of the fingers."""
         plant["actuator_forcerange"][plant.robot.gripper_actuators] *= 1.0 + level * (self.amount - 1.0)
         cut_overloaded_weld(plant)
@@ -71,7 +71,7 @@ class StuckGripper(Fault):
     TARGETS: ClassVar[tuple[str, ...]] = ("gripper",)
     STRIKES: ClassVar[tuple[str, ...]] = ("gripper",)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Hold the gripper at the opening where it sticks."""
         if self.closed:
             hold_grip(plant)
@@ -82,7 +82,7 @@ class StuckGripper(Fault):
             plant.cut_weld()
 
 
-def _open(plant: Plant, share: np.ndarray | float) -> None:
+def _open(plant: Simulation, share: np.ndarray | float) -> None:
     """Open the gripper by a fraction of the widest opening: one value for all further steps, or one for each."""
     grippers = plant.robot.gripper_actuators
     plant.ahead[:, grippers] += share * (plant.robot.grip_open - plant.ahead[:, grippers])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from failbench.basics.onset import Onset, Uniform
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError
 
 DEGREES = ("minor", "moderate", "severe", "critical")
@@ -103,7 +103,7 @@ class Fault(ABC):
         return self.AMOUNTS[self.degree]
 
     @abstractmethod
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Apply the fault to a simulated robot.
 
         Called at the onset, along the ramp, and every `PERIOD` while the fault lasts. Before each call the model fields

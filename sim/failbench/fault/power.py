@@ -18,7 +18,7 @@ from failbench.fault.drives import (
     weaken,
 )
 from failbench.fault.fault import Fault
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError
 
 BRAKES = ("none", "delayed", "immediate")
@@ -38,7 +38,7 @@ class BatteryDegradation(Fault):
     TARGETS: ClassVar[tuple[str, ...]] = ("robot",)
     FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Weaken all drives in proportion to the progress of the ramp."""
         weaken(plant, 1.0 + level * (self.amount - 1.0))
 
@@ -57,7 +57,7 @@ class VoltageDrop(Fault):
     TARGETS: ClassVar[tuple[str, ...]] = ("robot",)
     FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Weaken all drives."""
         weaken(plant, 1.0 + level * (self.amount - 1.0))
 
@@ -89,7 +89,7 @@ class PowerLoss(Fault):
             if value not in valid:
                 raise SettingError(name, value, f"one of {', '.join(valid)}")
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Remove the torque, and close the brakes once their delay has passed."""
         wait = {"none": float("inf"), "delayed": self.amount, "immediate": 0.0}[self.brake]
         if plant.time >= wait - plant.dt / 2.0:

@@ -10,7 +10,7 @@ import numpy as np
 
 from failbench.fault.drives import BRAKE_TORQUE, DRIVE, FRICTION, add_friction, scale_torque
 from failbench.fault.fault import REACTION, Fault
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError, UnsupportedError
 
 STOPS = (0, 1)
@@ -45,7 +45,7 @@ class ProtectiveStop(Fault):
         if self.category not in STOPS:
             raise SettingError("category", self.category, f"one of {', '.join(map(str, STOPS))}")
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Brake by the chosen stop category."""
         if self.category == 0:
             add_friction(plant, level * BRAKE_TORQUE)
@@ -58,7 +58,7 @@ class ProtectiveStop(Fault):
         time, pace, change = self._pace(plant, level)
         plant.ahead[:, plant.robot.actuators[plant.joints]] = plant.paced(time, pace, change)[:, plant.joints]
 
-    def _pace(self, plant: Plant, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _pace(self, plant: Simulation, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the braked motion from the next step on: its clock since the onset [s], pace, and pace rate [1/s]."""
         began, clock, rate, slowing = plant.memory.get("braking", (plant.step, 0.0, 1.0, 0.0))
         clock, rate, _ = _braked(clock, rate, slowing, plant.dt * np.array([plant.step - began]))

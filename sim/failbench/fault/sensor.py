@@ -14,7 +14,7 @@ import numpy as np
 
 from failbench.fault.drives import actuators
 from failbench.fault.fault import Fault
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError
 
 LINES = ("command", "measurement", "both")
@@ -38,7 +38,7 @@ class Noise(Fault):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.005, "moderate": 0.02, "severe": 0.05, "critical": 0.1}
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Add noise to the readings."""
         if "deviates" not in plant.memory:
             held = max(1, round(_SAMPLE / plant.dt))
@@ -62,7 +62,7 @@ class BiasDrift(Fault):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.02, "moderate": 0.05, "severe": 0.15, "critical": 0.4}
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Add the drift to the readings."""
         if "sign" not in plant.memory:
             plant.memory["sign"] = plant.rng.choice([-1.0, 1.0], len(plant.joints))
@@ -102,7 +102,7 @@ class ControlDelay(Fault):
         """Every step if readings are delayed; once for commands, which are known in advance."""
         return None if self.line == "command" else 0.0
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Delay commands and readings by the same number of steps; for a base, its commanded speeds."""
         steps = round(level * self.amount / plant.dt)
         if self.line != "measurement":
@@ -113,7 +113,7 @@ class ControlDelay(Fault):
         if self.line != "command":
             self._read_late(plant, steps)
 
-    def _read_late(self, plant: Plant, steps: int) -> None:
+    def _read_late(self, plant: Simulation, steps: int) -> None:
         seen = plant.memory.setdefault("seen", [])
         seen += [(plant.q, plant.qd)] * (plant.step + 1 - len(seen))
         ago = plant.step - steps
@@ -124,7 +124,7 @@ class ControlDelay(Fault):
         _stand_still(plant, q[plant.joints], qd[plant.joints])
 
 
-def _late_commands(plant: Plant, steps: int) -> np.ndarray:
+def _late_commands(plant: Simulation, steps: int) -> np.ndarray:
     """Return the commands from now on, delayed by `steps`; the first command is taken to hold before the motion."""
     before = plant.past[len(plant.past) - min(steps, len(plant.past)) :]
     known = np.concatenate([before, plant.healthy])
@@ -132,7 +132,7 @@ def _late_commands(plant: Plant, steps: int) -> np.ndarray:
     return np.concatenate([at_rest, known])[plant.step : len(plant.healthy)]
 
 
-def _stand_still(plant: Plant, q: np.ndarray, qd: np.ndarray) -> None:
+def _stand_still(plant: Simulation, q: np.ndarray, qd: np.ndarray) -> None:
     """Give the servos of the struck joints these constant readings. Needs "actuator_biasprm"."""
     bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
     bias[struck, 0] += bias[struck, 1] * q + bias[struck, 2] * qd
@@ -153,7 +153,7 @@ class Dropout(Fault):
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
     PERIOD: ClassVar[float | None] = 0.01
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Freeze the readings during gaps."""
         if "begins" not in plant.memory:
             plant.memory["begins"] = plant.rng.random(len(plant.command)) < plant.dt / _GAP_SPACING
@@ -179,7 +179,7 @@ class ScaleError(Fault):
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Scale the feedback; encoders of wheels count increments, so only rotation since the onset is scaled."""
         bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
         counted = np.isin(plant.joints, plant.wheels)
@@ -213,7 +213,7 @@ class DeadZone(Fault):
         if self.zone not in ZONES:
             raise SettingError("zone", self.zone, f"one of {', '.join(ZONES)}")
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Freeze the reading, or let it lag behind the position."""
         q, width = plant.q[plant.joints], level * self.amount
         last = plant.memory.get("reading", q)

@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 
 import graceful_plan as gp
-from failbench.learning.things import Lump, Taken, extent, free_spot, scattered, thing
+from failbench.learning.things import Part, Taken, extent, free_spot, thing, with_asymmetry
 from graceful_plan.exceptions import SceneError, UnknownNameError
-from graceful_plan.scene.elements import EntityNote, Notes, ObjectNote, TaskNote
+from graceful_plan.scene.elements import EntityAnnotation, Notes, ObjectNote, TaskNote
 
 Array = np.ndarray
 
@@ -116,15 +116,15 @@ def _boards(rng: np.random.Generator) -> list[Board]:
     return [main, Board(rng.uniform(0.35, 0.6), y, rng.uniform(0.15, 0.35), b, main.top + rng.uniform(-0.35, 0.15))]
 
 
-def _furnish(spec: mujoco.MjSpec, boards: list[Board], rng: np.random.Generator) -> dict[str, EntityNote]:
+def _furnish(spec: mujoco.MjSpec, boards: list[Board], rng: np.random.Generator) -> dict[str, EntityAnnotation]:
     """Add boards, floor and things; return the classes of the entities."""
-    _add(spec, "pedestal", [Lump("box", (0.12, 0.12, 0.5 * _STAND), z=0.5 * _STAND)], (0.0, 0.0, 0.0), 0.0, free=False)
-    _add(spec, "floor", [Lump("box", (2.0, 2.0, 0.05), z=-0.05)], (0.5, 0.0, 0.0), 0.0, free=False)
-    entities = {"floor": EntityNote(category="floor")}
+    _add(spec, "pedestal", [Part("box", (0.12, 0.12, 0.5 * _STAND), z=0.5 * _STAND)], (0.0, 0.0, 0.0), 0.0, free=False)
+    _add(spec, "floor", [Part("box", (2.0, 2.0, 0.05), z=-0.05)], (0.5, 0.0, 0.0), 0.0, free=False)
+    entities = {"floor": EntityAnnotation(category="floor")}
     for i, board in enumerate(boards):
         at = (board.x, board.y, board.top)
-        _add(spec, f"board{i}", [Lump("box", (board.a, board.b, _BOARD), z=-_BOARD)], at, 0.0, free=False)
-        entities[f"board{i}"] = EntityNote(category="table")
+        _add(spec, f"board{i}", [Part("box", (board.a, board.b, _BOARD), z=-_BOARD)], at, 0.0, free=False)
+        entities[f"board{i}"] = EntityAnnotation(category="table")
         taken: list[Taken] = []
         for j in range(int(rng.integers(5, 13) if i == 0 else rng.integers(1, 5))):
             parts = thing(rng)
@@ -135,14 +135,14 @@ def _furnish(spec: mujoco.MjSpec, boards: list[Board], rng: np.random.Generator)
             key = f"thing{i}_{j}"
             _add(spec, key, parts, (board.x + x, board.y + y, board.top), yaw, free=rng.random() < 0.75, rng=rng)
             if rng.random() < 0.9:  # the others are only obstacles
-                entities[key] = EntityNote(category=str(rng.choice(_CATEGORIES)))
+                entities[key] = EntityAnnotation(category=str(rng.choice(_CATEGORIES)))
     return entities
 
 
 def _add(
     spec: mujoco.MjSpec,
     name: str,
-    parts: list[Lump],
+    parts: list[Part],
     at: tuple[float, float, float],
     yaw: float,
     *,
@@ -177,7 +177,7 @@ def _add(
 
 def _carried(spec: mujoco.MjSpec, name: str, number: int, rng: np.random.Generator) -> ObjectNote:
     """Add a carried object, placed behind the robot, and return its grasp."""
-    parts = scattered(thing(rng, carried=True), rng)
+    parts = with_asymmetry(thing(rng, carried=True), rng)
     _add(spec, name, parts, (-0.8, 0.4 * number, 0.0), 0.0, free=True, rng=rng)
     turn = np.diag([1.0, -1.0, -1.0])  # the tool points down and the object stands,
     if rng.random() < 0.35:  # or the object is held by another side
@@ -204,7 +204,7 @@ def _ends(scene: gp.Scene, board: Board, rng: np.random.Generator) -> tuple[list
     place = tool[:, :3, 3] - [board.x, board.y, board.top]
     fits = (tool[:, 2, 2] < -0.8) & (np.abs(place[:, 0]) < board.a + 0.1) & (np.abs(place[:, 1]) < board.b + 0.1)
     q = q[fits & (place[:, 2] > 0.05) & (place[:, 2] < 0.5)]
-    q = q[gp.clearance(scene, q) > 0.02] if len(q) else q
+    q = q[gp.clearance(q, scene) > 0.02] if len(q) else q
     for goal in q[1:]:
         if np.linalg.norm(goal - q[0]) > 0.9:
             return q[0].tolist(), goal.tolist()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from failbench.calibrations.failure_jobs import FailureJob, Progress, do_all, failure_jobs
+from failbench.calibrations.failure_jobs import FailureJob, Progress, failure_jobs, run_jobs
 from failbench.calibrations.failures import Failures
 from failbench.learning.generated import PREFIX, generated_scene, scene_names
 from failbench.rollouts.sampling import MOST, check_whole
@@ -63,7 +63,7 @@ def bundled_jobs(data: DropData) -> list[FailureJob]:
 
 def drop_things(data: DropData, progress: Progress | None = None) -> tuple[list[Failures], list[str]]:
     """Simulate drops in generated and bundled scenes; return them, and the reasons why motions have none."""
-    return do_all([*drop_jobs(data), *bundled_jobs(data)], data.processes, progress)
+    return run_jobs([*drop_jobs(data), *bundled_jobs(data)], data.processes, progress)
 
 
 def scene_of(name: str) -> Scene:

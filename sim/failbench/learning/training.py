@@ -14,7 +14,7 @@ import numpy as np
 from failbench.calibrations.skill import Figures, figures
 from failbench.learning.rollouts import Pairs
 from graceful_plan.array_types import Float, Int
-from graceful_plan.costs.models.drop.network import LOOKS, MOST_HIDDEN, TOLD, DropNetwork, fade, squash
+from graceful_plan.costs.models.drop.network import LOOKS, MOST_HIDDEN, STATE_FEATURES, DropNetwork, fade, squash
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.exceptions import SettingError
 
@@ -124,7 +124,7 @@ _SHAPES = ("told", "looks", "shapes", "first_bias", "second", "second_bias", "la
 
 def _sizes(hidden: int) -> dict[str, tuple[int, ...]]:
     h = hidden
-    shapes = ((h, len(TOLD)), (h, len(LOOKS)), (len(SHAPE_CLASSES), h), (h,), (h, h), (h,), (h,), (1,))
+    shapes = ((h, len(STATE_FEATURES)), (h, len(LOOKS)), (len(SHAPE_CLASSES), h), (h,), (h, h), (h,), (h,), (1,))
     return dict(zip(_SHAPES, shapes, strict=True))
 
 

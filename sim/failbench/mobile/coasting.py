@@ -15,7 +15,7 @@ from failbench.mobile.wheeled import TIMESTEP, Wheeled
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.mobile.coast.constants import ONE_SIDE, WHEELS, CoastSettings
-from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, gone_on
+from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, reference_motion
 from graceful_plan.mobile.control.diff_drive_controller import Tracking
 from graceful_plan.mobile.control.drive_state import DriveState
 
@@ -176,7 +176,7 @@ class _Steers:
         x, y, yaw = wheels.pose(data)
         ahead = data.qvel[wheels.dof] * np.cos(yaw) + data.qvel[wheels.dof + 1] * np.sin(yaw)
         state = DriveState(x, y, yaw, float(ahead), float(data.qvel[wheels.dof + 5]))
-        turned, ((far,), (v,)) = self.omega * time, gone_on(wheels.base, np.array([self.v]), time)
+        turned, ((far,), (v,)) = self.omega * time, reference_motion(wheels.base, np.array([self.v]), time)
         chord, middle = far * np.sinc(0.5 * turned / np.pi), yaw0 + 0.5 * turned
         there = x0 + chord * np.cos(middle), y0 + chord * np.sin(middle)
         wanted = DriveState(*there, yaw0 + turned, float(v), self.omega)

@@ -68,7 +68,7 @@ class Driven:
         return float(self.t[-1])
 
 
-def drive(
+def drive_base(
     motion: Trajectory | PlanResult | Float[Array, "n 2"],
     scene: Scene,
     controller: Controller | None = None,

@@ -23,7 +23,7 @@ from failbench.pictures.offscreen import Offscreen, close_to
 from failbench.pictures.playback import film, healthy
 from failbench.recording.records import Job, Rollout
 from failbench.rollouts.execution import Execution, execute
-from failbench.rollouts.rollout import run
+from failbench.rollouts.rollout import run_rollouts
 from failbench.simulated.world import build_world
 from graceful_plan.array_types import Float, UInt8
 
@@ -128,7 +128,7 @@ def worst_of(execution: Execution, names: Sequence[str]) -> list[Worst]:
         for place, name in enumerate(names)
         for i in range(_MOMENTS)
     ]
-    rollouts = run(execution, jobs)
+    rollouts = run_rollouts(execution, jobs)
     return [_worst(execution, rollouts[i : i + _MOMENTS]) for i in range(0, len(jobs), _MOMENTS)]
 
 

@@ -25,8 +25,8 @@ from failbench.pictures.offscreen import Offscreen, find_camera, has_display
 from failbench.recording.records import Job, Rollout
 from failbench.rollouts import single
 from failbench.rollouts.execution import Execution
+from failbench.simulated.moving_entities import EntityPoses, set_entity_poses
 from failbench.simulated.states import CHECKPOINT, STATE, warnings_counted_only
-from failbench.simulated.walkers import Walk, put_walkers
 from graceful_plan.exceptions import SettingError
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def healthy(execution: Execution, checkpoint: int, count: int) -> Iterator[tuple
     for command in execution.commands(checkpoint * CHECKPOINT, count):
         data.ctrl[:] = command
         if model.nmocap:
-            put_walkers(model, data, Walk(model, execution.world.walkers).rows(np.array([data.time]))[0])
+            set_entity_poses(model, data, EntityPoses(model, execution.world.walkers).rows(np.array([data.time]))[0])
         mujoco.mj_step(model, data)
         yield model, data
 

@@ -16,7 +16,7 @@ Reading = tuple[Float[Array, " nq"], Float[Array, " nq"]]
 class Sensing:
     """Reads joint positions and speeds as the servos do, in one simulation with a fault.
 
-    Sensor faults act on the servos' feedback. Known errors are set by `Plant.misread`; all other faults change
+    Sensor faults act on the servos' feedback. Known errors are set by `Simulation.misread`; all other faults change
     "actuator_biasprm", and the reading is the value that would give a healthy servo the same feedback. Feedback that no
     longer depends on the joint is a frozen reading.
 

@@ -149,7 +149,7 @@ class PolicyTask:
         for _ in range(_TRIES if noise else 0):
             shift = noise * np.clip(rng.standard_normal(len(self.start)), -2.0, 2.0)
             q = np.clip(self.start + shift, low, high)
-            if float(gp.clearance(self.scene, q)) > 0.0:
+            if float(gp.clearance(q, self.scene)) > 0.0:
                 return q, self._settled_at(tuple(q.tolist()))
         return self.start, self.at_start
 

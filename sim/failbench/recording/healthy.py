@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from failbench.recording.closeup import Closeup
+from failbench.recording.contact_query import ContactQuery
 from failbench.recording.puddle import Parcel, Puddles
 from failbench.recording.recorder import Recorder
 from failbench.recording.records import ContactEvent, Rollout
 from failbench.recording.score import Touches, impact_by_entity
 from failbench.recording.spill import HealthyLoss, healthy_loss
+from failbench.simulated.moving_entities import EntityPoses, append_entity_states
 from failbench.simulated.states import CHECKPOINT
-from failbench.simulated.walkers import Walk, with_walkers
 from failbench.simulated.world import World
 from graceful_plan import Scene
 from graceful_plan.array_types import Float
@@ -173,8 +173,8 @@ def _touches(world: World, run: HealthySteps, allowed: frozenset[tuple[str, str]
     qpos, qvel = run.states[:, 1 : 1 + nq], run.states[:, 1 + nq : 1 + nq + nv]
     if world.model.nmocap:
         dt = world.settings.timestep
-        rows = Walk(world.model, world.walkers).rows(np.append(run.states[:, 0], run.states[-1, 0] + dt))
-        qpos, qvel = with_walkers(qpos, qvel, rows, dt)
+        rows = EntityPoses(world.model, world.walkers).rows(np.append(run.states[:, 0], run.states[-1, 0] + dt))
+        qpos, qvel = append_entity_states(qpos, qvel, rows, dt)
     recorder = Recorder(world, allowed, qpos[:1], qvel[:1])
     recorder.observe(run.sensordata[None], qpos[None, 1:], qvel[None, 1:])
     return recorder.finish(0)
@@ -186,7 +186,7 @@ def _reached(
     """Return the events of entities that contents reach, and the time when enough had left for each entity [s]."""
     if loss is None or not loss.parcels:
         return (), {}
-    puddles = Puddles(world, Closeup(world))
+    puddles = Puddles(world, ContactQuery(world))
     qpos = run.states[-1, 1 : 1 + world.model.nq]
 
     def reached(parcels: Sequence[Parcel]) -> list[ContactEvent]:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from failbench.recording.closeup import NOBODY, Closeup
+from failbench.recording.contact_query import NOBODY, ContactQuery
 from failbench.recording.records import ContactEvent
 from failbench.simulated.world import World
-from graceful_plan import Dry
+from graceful_plan import Granular
 from graceful_plan.array_types import Float
 from graceful_plan.scene.rules.vessel import REPOSE
 
@@ -69,10 +69,10 @@ class Puddles:
         closeup: Contact queries for single states. Its geom groups are changed, so that rays hit only wettable geoms.
     """
 
-    def __init__(self, world: World, closeup: Closeup) -> None:
+    def __init__(self, world: World, closeup: ContactQuery) -> None:
         model = closeup.model
         self._closeup = closeup
-        self._dry = isinstance(world.scene.contents, Dry)
+        self._dry = isinstance(world.scene.contents, Granular)
         self._gravity = model.opt.gravity.copy()
         own = np.isin(model.geom_bodyid, sorted(world.scene.robot_bodies)) | (model.geom_bodyid == world.carried_body)
         wettable = ((model.geom_contype != 0) | (model.geom_conaffinity != 0)) & ~own

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from failbench.recording.aftermath import Aftermath
 from failbench.recording.bounds import Bounds
-from failbench.recording.closeup import CARRIED, OBSTACLE, ROBOT, Closeup
+from failbench.recording.contact_query import CARRIED, OBSTACLE, ROBOT, ContactQuery
+from failbench.recording.final_state import FinalState
 from failbench.recording.records import ContactEvent
 from failbench.recording.secondary import Secondary
 from failbench.recording.spill import Spill
@@ -71,7 +71,7 @@ class Recorder:
     ) -> None:
         self._world = world
         self._dt = float(world.model.opt.timestep)
-        self._closeup = Closeup(world)
+        self._closeup = ContactQuery(world)
         self._onset = self._last = (qpos.copy(), qvel.copy())
         self._done = 0
         self._block = [np.zeros((len(qpos), BLOCK, n)) for n in (world.model.nsensordata, qpos.shape[1], qvel.shape[1])]
@@ -84,7 +84,7 @@ class Recorder:
         self._pair = np.array([unique.index(pair) for pair in self._pairs], dtype=int)
         self._hits: list[dict[tuple[str, str], _Hit]] = [{} for _ in qpos]
         bounds = Bounds(world)
-        self._aftermath = Aftermath(world, self._closeup, bounds)
+        self._aftermath = FinalState(world, self._closeup, bounds)
         self._secondary = Secondary(world, self._closeup, bounds, self._onset)
         self._spill = Spill(world, self._closeup, self._onset, kept)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from failbench.recording.bounds import Bounds
-from failbench.recording.closeup import Closeup
+from failbench.recording.contact_query import ContactQuery
 from failbench.recording.records import ContactEvent
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float
@@ -35,7 +35,7 @@ class Secondary:
         onset: Positions and velocities at the onset [sim, ...].
     """
 
-    def __init__(self, world: World, closeup: Closeup, bounds: Bounds, onset: tuple[Array, Array]) -> None:
+    def __init__(self, world: World, closeup: ContactQuery, bounds: Bounds, onset: tuple[Array, Array]) -> None:
         self._dt = float(world.model.opt.timestep)
         self._closeup = closeup
         self._onset = onset

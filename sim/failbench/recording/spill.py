@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from failbench.recording.bounds import rotations
-from failbench.recording.closeup import Closeup
+from failbench.recording.contact_query import ContactQuery
 from failbench.recording.puddle import Parcel, Puddles
 from failbench.recording.records import ContactEvent
 from failbench.simulated.states import CHECKPOINT
@@ -87,7 +87,7 @@ class Spill:
     def __init__(
         self,
         world: World,
-        closeup: Closeup,
+        closeup: ContactQuery,
         onset: tuple[Array, Array],
         kept: Float[Array, " sim"] | None = None,
     ) -> None:

@@ -11,7 +11,7 @@ from failbench.simulated.world import World
 from graceful_plan import Trajectory
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.scene.mobile.room import mobile_room
+from graceful_plan.scene.mobile.optional import import_mobile
 
 Array = np.ndarray
 
@@ -104,7 +104,7 @@ def wheel_plan(world: World, trajectory: Trajectory, controller: object = None) 
         UnsupportedError: If the robot drives and the package for mobile bases is not installed.
     """
     if world.rolling is not None:
-        plan: WheelPlan = mobile_room("base_loop", of="failbench").BasePlan.of(world, trajectory, controller)
+        plan: WheelPlan = import_mobile("base_loop", of="failbench").BasePlan.of(world, trajectory, controller)
         return plan
     if controller is not None:
         raise SettingError("controller", controller, "None: this robot does not drive")

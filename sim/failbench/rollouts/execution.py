@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from failbench.basics.errors import ExecutionRefused
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
 from failbench.rollouts.driven import TICK, WheelPlan, wheel_plan
+from failbench.simulated.moving_entities import EntityPoses, set_entity_poses
 from failbench.simulated.rolling import PLANAR, lifted
 from failbench.simulated.states import CHECKPOINT, STATE, control_spec, put, warnings_counted_only
-from failbench.simulated.walkers import Walk, put_walkers
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
@@ -126,7 +126,7 @@ class Execution:
         """
         if not self.world.model.nmocap:
             return np.zeros((count + 1, 0))
-        walk = Walk(self.world.model, self.world.walkers, np.random.default_rng([seed, 1]))
+        walk = EntityPoses(self.world.model, self.world.walkers, np.random.default_rng([seed, 1]))
         rows = walk.rows(self.trajectory.t[0] + self.dt * np.arange(step, step + count + 1))
         tool = self.states_tool(step)
         return walk.reacted(rows, self.dt, self.world.settings.people, tool)
@@ -274,7 +274,7 @@ def _simulated(
     record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
     if world.model.nmocap:
         time = start[0, 0] + world.settings.timestep * np.arange(len(command))
-        command = np.hstack([command, Walk(world.model, world.walkers).rows(time)])
+        command = np.hstack([command, EntityPoses(world.model, world.walkers).rows(time)])
     out = batch.rollout(len(command), command[None], control_spec(world.model), record=record)
     qpos, sensordata, xpos, xquat, states = (out[name][0] for name in record)
     return _Run(qpos, sensordata, xpos, xquat, np.vstack([start, states]))
@@ -421,7 +421,7 @@ def settled(
     hold, still = command.copy(), np.zeros((1, len(scene.joints)))
     hold[world.robot.actuators] = _joint_commands(world, q[None], still, still)[0]
     if model.nmocap:
-        put_walkers(model, data, Walk(model, world.walkers).rows(np.array([time]))[0])
+        set_entity_poses(model, data, EntityPoses(model, world.walkers).rows(np.array([time]))[0])
     steps = round(_SETTLE / model.opt.timestep)
     for step in range(steps):
         if world.hold >= 0 and world.robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:

@@ -10,7 +10,7 @@ import numpy as np
 from failbench.fault.drives import close_brakes
 from failbench.recording.records import Job
 from failbench.rollouts.driven import TICK, WheelPlan
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from failbench.simulated.states import CHECKPOINT
 from failbench.simulated.world import World
 
@@ -111,7 +111,7 @@ class Injection:
         past = execution.command[:onset]
         healthy.flags.writeable = False
         self._walk = execution.walk(onset, steps, job.seed)
-        self.plant = Plant(
+        self.plant = Simulation(
             robot=robot,
             joints=joints,
             gripper=gripper,
@@ -214,7 +214,7 @@ class Injection:
 class _Wheels:
     """Control loop of a base that may be faulty: it continues from the onset, and faults change its commands."""
 
-    def __init__(self, execution: Commanded, plant: Plant, onset: int, qpos: Array, qvel: Array) -> None:
+    def __init__(self, execution: Commanded, plant: Simulation, onset: int, qpos: Array, qvel: Array) -> None:
         assert execution.base is not None and execution.loop is not None
         self._plan, self._plant, self._onset, self._qpos, self._qvel = execution.base, plant, onset, qpos, qvel
         told = execution.loop[min(onset // TICK, len(execution.loop) - 1)]

@@ -19,9 +19,9 @@ from failbench.recording.records import Job, Rollout
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.injection import Injection
 from failbench.rollouts.sampling import MOST, MOST_THREADS, check_whole
+from failbench.simulated.moving_entities import append_entity_states
 from failbench.simulated.rest import PERIOD, let_sleep
 from failbench.simulated.states import CHECKPOINT, control_spec, put, warnings_counted_only
-from failbench.simulated.walkers import with_walkers
 from failbench.simulated.world import World
 
 Array = np.ndarray
@@ -30,7 +30,7 @@ _COUNT = 1
 """Column of a simulation's warnings that counts them."""
 
 
-def run(
+def run_rollouts(
     execution: Execution, jobs: Sequence[Job], *, horizon: float = 1.0, threads: int = 1, batch: int = 32
 ) -> list[Rollout]:
     """Simulate one rollout for each job.
@@ -121,7 +121,7 @@ def _run_group(
     healthy = execution.healthy.kept
     kept = None if healthy is None else healthy[checkpoints]
     begins = np.stack([injection.plant.walk[:2] for injection in injections])
-    seen = with_walkers(qpos[sims, None], qvel[sims, None], begins, execution.dt)
+    seen = append_entity_states(qpos[sims, None], qvel[sims, None], begins, execution.dt)
     recorder = Recorder(execution.world, execution.baseline, seen[0][:, 0], seen[1][:, 0], kept)
     diverged = _simulate(execution.world, simulations, injections, recorder, fields["tree_sleep_policy"], steps)
     return [
@@ -168,7 +168,7 @@ def _simulate(
         states = out["qpos"], out["qvel"]
         if model.nmocap:
             walk = np.stack([injection.seen(step + 1, until + 1) for injection in injections])
-            states = with_walkers(*states, walk, float(model.opt.timestep))
+            states = append_entity_states(*states, walk, float(model.opt.timestep))
         recorder.observe(out["sensordata"], *states)
         step = until
         if step % PERIOD == 0:

@@ -9,9 +9,9 @@ import mujoco
 from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.injection import Injection
+from failbench.simulated.moving_entities import set_entity_poses
 from failbench.simulated.rest import PERIOD, let_sleep
 from failbench.simulated.states import STATE
-from failbench.simulated.walkers import put_walkers
 
 
 class Steps:
@@ -51,7 +51,7 @@ class Steps:
         if injection.next == self._step:
             injection.act()
         data.ctrl[:] = injection.plant.command[self._step]
-        put_walkers(model, data, injection.plant.walk[self._step])
+        set_entity_poses(model, data, injection.plant.walk[self._step])
         mujoco.mj_step(model, data)
         self._step += 1
         if self._step % PERIOD == 0:
@@ -71,6 +71,6 @@ class Steps:
         self._injection.restore(self._step)
 
 
-def steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Steps:
+def rollout_steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Steps:
     """Return the rollout that `rollout.run` would simulate, bit-identical, as an iterator over its steps."""
     return Steps(execution, job, execution.steps(horizon))

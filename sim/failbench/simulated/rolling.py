@@ -67,7 +67,7 @@ def driven_joints(scene: Scene) -> tuple[str, ...]:
     return (*scene.base.wheels, *scene.joints[PLANAR:])
 
 
-def put_on_wheels(spec: mujoco.MjSpec, scene: Scene) -> None:
+def add_wheels(spec: mujoco.MjSpec, scene: Scene) -> None:
     """Add the joints and actuators for driving to a copy of a scene's model."""
     base = scene.base
     if base is None:

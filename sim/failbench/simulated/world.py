@@ -13,18 +13,18 @@ import mujoco
 import numpy as np
 
 from failbench.simulated.gripper import Gripper, clear_opening, find_gripper
+from failbench.simulated.moving_entities import REACTIONS, set_free, staged
 from failbench.simulated.robot import Robot
 from failbench.simulated.rolling import (
     PLANAR,
     Rolling,
+    add_wheels,
     driven_joints,
     find_rolling,
     kept_joints,
     lifted,
-    put_on_wheels,
     same_side,
 )
-from failbench.simulated.walkers import REACTIONS, set_free, staged
 from graceful_plan import MovingEntity, Scene
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError, UnsupportedError
@@ -143,7 +143,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
     spec = scene.spec.copy()
     set_free(spec, walkers)
     _name_bodies(spec)
-    put_on_wheels(spec, scene)
+    add_wheels(spec, scene)
     _set_options(spec, scene, settings)
     pairs = _add_sensors(spec, model, strikers, entities)
     obstacles = _obstacles(scene, entities)

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from failbench.surroundings.disturbance import PARKED, Disturbance, go, tool_at
 from graceful_plan import MovingEntity
 from graceful_plan.exceptions import SettingError
@@ -53,7 +53,7 @@ class PersonWalksIn(Disturbance):
         size = [self.radius, self.height / 2.0]
         return MovingEntity(self.NAME, self.category, size=size, t=[0.0], position=[PARKED])
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Move the person along the line."""
         if "line" not in plant.memory:
             heading, beside = plant.rng.uniform(-math.pi, math.pi), plant.rng.uniform(-self.passing, self.passing)
@@ -97,7 +97,7 @@ class DoorOpens(Disturbance):
         size = [self.width / 2.0, 0.02, 1.0]
         return MovingEntity(self.NAME, "none", size=size, t=[0.0], position=[PARKED])
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Turn the door, from 90 degrees before the tool to 45 degrees beyond it."""
         if "hinge" not in plant.memory:
             bearing = plant.rng.uniform(-math.pi, math.pi)
@@ -113,7 +113,7 @@ class DoorOpens(Disturbance):
         go(plant, self.NAME, np.column_stack([centre, np.full(rows, 1.0)]), yaw)
 
 
-def _so_far(plant: Plant, rate: float) -> float:
+def _so_far(plant: Simulation, rate: float) -> float:
     """Return the distance or angle covered at earlier rates, and store the current rate."""
     done, since, before = plant.memory.get("so_far", (0.0, plant.step, 0.0))
     done += before * plant.dt * (plant.step - since)

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from failbench.fault.fault import SURROUNDINGS, Fault
-from failbench.simulated.plant import Plant
-from failbench.simulated.walkers import Walk
+from failbench.simulated.moving_entities import EntityPoses
+from failbench.simulated.simulation import Simulation
 from failbench.simulated.world import World
 from graceful_plan import MovingEntity, Scene
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
@@ -41,20 +41,20 @@ class Disturbance(Fault):
         return None
 
 
-def staged_for(fault: Fault, scene: Scene) -> Scene:
+def scene_with_intruder(fault: Fault, scene: Scene) -> Scene:
     """Return a scene in which a fault can happen: with its visitor, if any, parked away from the robot."""
     visitor = fault.visitor() if isinstance(fault, Disturbance) else None
     return scene if visitor is None or visitor.name in scene.moving else scene.with_moving(visitor)
 
 
-def world_of(plant: Plant) -> World:
+def world_of(plant: Simulation) -> World:
     """Return the world of a plant."""
     if plant.world is None:
         raise UnsupportedError("faults of the surroundings need a world; this plant has none")
     return plant.world
 
 
-def movable(plant: Plant, entity: str) -> int:
+def movable(plant: Simulation, entity: str) -> int:
     """Return the body of a movable entity, or a random one for "any".
 
     Raises:
@@ -70,18 +70,18 @@ def movable(plant: Plant, entity: str) -> int:
     return bodies[drawn if entity == "any" else entity]
 
 
-def tool_at(plant: Plant, time: Array) -> Array:
+def tool_at(plant: Simulation, time: Array) -> Array:
     """Return the planned tool positions at times since the onset [s], in W [m]."""
     scene = world_of(plant).scene
     site = int(scene.model.site(scene.tool).id)
     return np.array([scene.data_at(q).site_xpos[site].copy() for q in plant.planned(time)])
 
 
-def go(plant: Plant, name: str, position: Array, yaw: Array) -> None:
+def go(plant: Simulation, name: str, position: Array, yaw: Array) -> None:
     """Set position and yaw of a moving entity before each further step and after the last."""
     world = world_of(plant)
     names = [walker.name for walker in world.walkers]
     if name not in names:
         raise UnsupportedError(f"{name!r} is not in the scene; stage it with failbench.staged_for(fault, scene)")
-    walk = Walk(world.model, world.walkers)
+    walk = EntityPoses(world.model, world.walkers)
     walk.write(plant.walk[plant.step :], names.index(name), position, yaw)

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from failbench.fault.fault import Fault
 from failbench.surroundings.comers import DoorOpens, PersonWalksIn
-from failbench.surroundings.disturbance import Disturbance, staged_for
+from failbench.surroundings.disturbance import Disturbance, scene_with_intruder
 from failbench.surroundings.things import AddedObject, BumpedTable, HeavierObject, PushedObject, WetFloor
 
 __all__ = [
@@ -20,7 +20,7 @@ __all__ = [
     "PushedObject",
     "WetFloor",
     "disturbances",
-    "staged_for",
+    "scene_with_intruder",
 ]
 
 _DISTURBANCES: Mapping[str, type[Fault]] = MappingProxyType(

@@ -11,7 +11,7 @@ import numpy as np
 
 from failbench.basics.onset import AtFraction, Onset
 from failbench.fault.drives import GRIP, cut_overloaded_weld
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from failbench.surroundings.disturbance import PARKED, Disturbance, go, movable, tool_at, world_of
 from graceful_plan import MovingEntity
 from graceful_plan.exceptions import SettingError, UnsupportedError
@@ -27,7 +27,7 @@ _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0")
 """Fields that MuJoCo derives from masses and scales constraints with."""
 
 
-def _direction(plant: Plant) -> np.ndarray:
+def _direction(plant: Simulation) -> np.ndarray:
     """Return a random horizontal direction, drawn once per rollout."""
     if "heading" not in plant.memory:
         plant.memory["heading"] = plant.rng.uniform(-math.pi, math.pi)
@@ -50,7 +50,7 @@ class PushedObject(Disturbance):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.5, "moderate": 1.0, "severe": 2.0, "critical": 4.0}
     PERIOD: ClassVar[float | None] = PUSH
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Push the object through its centre of mass for the time `PUSH`."""
         body = plant.memory.get("body")
         if body is None:
@@ -74,7 +74,7 @@ class BumpedTable(Disturbance):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.3, "moderate": 0.6, "severe": 1.2, "critical": 2.4}
     PERIOD: ClassVar[float | None] = PUSH
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Apply the inertial forces of the table's acceleration, then of its deceleration."""
         world, direction = world_of(plant), _direction(plant)
         if not world.movable:
@@ -95,7 +95,7 @@ class WetFloor(Disturbance):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.6, "moderate": 0.4, "severe": 0.2, "critical": 0.05}
     FIELDS: ClassVar[tuple[str, ...]] = ("geom_friction",)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Scale the friction of all geoms outside the robot. Contacts of the fingers keep theirs by priority."""
         world = world_of(plant)
         robot = np.isin(world.model.geom_bodyid, sorted(world.scene.robot_bodies))
@@ -116,7 +116,7 @@ class HeavierObject(Disturbance):
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 1.5, "moderate": 2.0, "severe": 4.0, "critical": 8.0}
     FIELDS: ClassVar[tuple[str, ...]] = ("body_inertia", *_DERIVED, "actuator_forcerange", *GRIP)
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Scale mass and inertia, and cut the weld if fingers could not hold the weight."""
         carried = world_of(plant).carried_body
         if carried < 0:
@@ -155,7 +155,7 @@ class AddedObject(Disturbance):
         """Return the object, parked away from the scene."""
         return MovingEntity(self.NAME, self.category, size=[self.size] * 3, t=[0.0], position=[PARKED])
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         """Put the object into the path; leave it parked if the tool does not move far enough any more."""
         del level  # the object is there or not
         if "place" not in plant.memory:
@@ -163,7 +163,7 @@ class AddedObject(Disturbance):
         rows = len(plant.walk) - plant.step
         go(plant, self.NAME, np.tile(plant.memory["place"], (rows, 1)), np.zeros(rows))
 
-    def _place(self, plant: Plant) -> np.ndarray:
+    def _place(self, plant: Simulation) -> np.ndarray:
         tools = tool_at(plant, np.arange(0.0, _AHEAD, _LOOK))
         gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(tools, axis=0), axis=1)))
         clear = np.linalg.norm(tools - tools[0], axis=1) >= _CLEAR + self.size * math.sqrt(3.0)

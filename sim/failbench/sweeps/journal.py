@@ -19,7 +19,7 @@ from typing import Any
 
 from failbench.basics.chunks import Chunk, ChunkOutcome, Rows
 from failbench.basics.errors import SweepBusy
-from graceful_plan.exceptions import FormatError, why_not_read
+from graceful_plan.exceptions import FormatError, read_error_reason
 from graceful_plan.regular_file import check_regular
 
 _SCHEMA = "failbench.journal"
@@ -166,6 +166,6 @@ class SweepJournal:
                 raise SweepBusy(self.file) from None
             raise FormatError(str(self.file), f"cannot be used: {error}") from None
         except OSError as error:
-            raise FormatError(str(self.file), why_not_read(error)) from None
+            raise FormatError(str(self.file), read_error_reason(error)) from None
         except (sqlite3.DatabaseError, zlib.error, json.JSONDecodeError, UnicodeDecodeError) as error:
             raise FormatError(str(self.file), f"damaged, or not a journal of a sweep: {error}") from None

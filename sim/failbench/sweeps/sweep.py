@@ -64,7 +64,7 @@ class Generated:
 Callback = Callable[[SweepProgress], None]
 
 
-def generate(
+def generate_dataset(
     sweep: Sweep, folder: str | Path, *, executor: Executor | None = None, callback: Callback | None = None
 ) -> Generated:
     """Run a sweep and write its dataset. If the folder holds the same sweep, unfinished or complete, continue it.

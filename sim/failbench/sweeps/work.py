@@ -14,10 +14,10 @@ from failbench.basics.chunks import Chunk, Rows
 from failbench.fault.registry import Fault, from_document, load_class
 from failbench.recording.records import Job
 from failbench.rollouts.execution import LONGEST, Execution, execute
-from failbench.rollouts.rollout import run
+from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs
 from failbench.simulated.world import SimSettings, World, build_world
-from failbench.surroundings.registry import Disturbance, disturbances, staged_for
+from failbench.surroundings.registry import Disturbance, disturbances, scene_with_intruder
 from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
@@ -245,7 +245,7 @@ def run_chunk(sweep: Sweep, chunk: Chunk) -> Rows:
     """
     execution = execution_of(sweep, chunk.motion)
     jobs = jobs_of(sweep, chunk.motion, chunk.fault)[chunk.first : chunk.last]
-    rollouts = list(enumerate(run(execution, jobs, horizon=sweep.horizon), start=sweep.first_rollout(chunk)))
+    rollouts = list(enumerate(run_rollouts(execution, jobs, horizon=sweep.horizon), start=sweep.first_rollout(chunk)))
     motion = sweep.motions[chunk.motion]
     about = {"motion": motion.name, "scene": motion.scene, "task": motion.task}
     return {
@@ -312,7 +312,7 @@ def _execution(
 def _world(scene: str, task: str | None, settings: SimSettings, comers: tuple[Fault, ...]) -> World:
     found = scene_of(scene, task)
     for fault in comers:
-        found = staged_for(fault, found)
+        found = scene_with_intruder(fault, found)
     return build_world(found, settings)
 
 

@@ -11,7 +11,7 @@ from failbench.sweeps.card import CARD, write_own
 from failbench.sweeps.dataset import check_arrow, read_manifest
 from failbench.sweeps.work import Sweep, execution_of, jobs_of
 from failbench.traces.trace import Sampling, trace
-from graceful_plan.exceptions import NOT_READ, FormatError, SettingError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, read_error_reason
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -160,8 +160,8 @@ def make_folder(output: Path) -> None:
     """
     try:
         output.mkdir(parents=True, exist_ok=True)
-    except NOT_READ as error:
-        raise FormatError(str(output), why_not_read(error).replace("read", "written", 1)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(output), read_error_reason(error).replace("read", "written", 1)) from None
 
 
 def arrow_type(name: str) -> pa.DataType:

@@ -16,11 +16,11 @@ import mujoco
 import numpy as np
 
 from failbench.pictures.offscreen import Offscreen, find_camera
-from failbench.recording.closeup import CARRIED, ROBOT, Closeup
+from failbench.recording.contact_query import CARRIED, ROBOT, ContactQuery
 from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.sampling import check_whole
-from failbench.rollouts.single import steps
+from failbench.rollouts.single import rollout_steps
 from failbench.simulated.states import warnings_counted_only
 from graceful_plan.exceptions import SettingError
 
@@ -77,7 +77,7 @@ def trace(execution: Execution, job: Job, *, horizon: float = 1.0, sampling: Sam
         if kept.images:
             camera = find_camera(execution.world.model, kept.camera)
             offscreen = stack.enter_context(Offscreen(execution.world.model, *kept.size))
-        going = steps(execution, job, horizon=horizon)
+        going = rollout_steps(execution, job, horizon=horizon)
         before = going.state()
         for step, (model, data) in enumerate(going):
             if step % kept.every == 0:
@@ -138,7 +138,7 @@ def _points(model: mujoco.MjModel, data: mujoco.MjData, names: list[str]) -> Ite
 
 def _owner_names(execution: Execution) -> list[str]:
     """Return the owner's name of each geom: "body", "carried", an entity, or the name of another body."""
-    closeup, model = Closeup(execution.world), execution.world.model
+    closeup, model = ContactQuery(execution.world), execution.world.model
     known = {ROBOT: "body", CARRIED: "carried", **dict(enumerate(closeup.entities))}
     bodies = [model.body(int(body)).name or "" for body in model.geom_bodyid]
     return [known.get(int(owner), body) for owner, body in zip(closeup.owner, bodies, strict=True)]

@@ -34,15 +34,15 @@ def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
 
 
 def interaction_probability(
-    scene: Scene, q: ArrayLike, model: str | InteractionModel = "aabb", qd: ArrayLike | None = None
+    scene: Scene, q: ArrayLike, model: str | InteractionModel = "box_overlap", qd: ArrayLike | None = None
 ) -> Float[Array, "*batch component entity"]:
     """Compute the probability that each component hits each entity, given that the robot fails at q.
 
     Args:
         scene: The scene; components and entities are in its order.
         q: Configurations [rad or m].
-        model: An interaction model or its name; by default "aabb", Algorithm 1 of the paper. That of `ImpactCost` is
-            another one, "footprint".
+        model: An interaction model or its name; by default "box_overlap", Algorithm 1 of the paper. That of `ImpactCost` is
+            another one, "mixture".
         qd: Joint velocities [rad/s or m/s], for models that use them; at rest if None.
 
     Raises:

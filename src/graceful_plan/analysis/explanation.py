@@ -17,7 +17,7 @@ import numpy as np
 from graceful_plan import documents
 from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import ChargedStates, Objective
+from graceful_plan.costs.objective import CostSamples, Objective
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path, is_real
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult
@@ -171,10 +171,10 @@ def explain(
             raise PlanningFailed(motion)
         motion = motion.trajectory
     bound = objective.bind(scene)
-    charged = bound.charged_states(motion, start_time)
+    charged = bound.cost_samples(motion, start_time)
     along = _Along(charged, motion)
     sources = objective.impact.sources(charged.batch)
-    severity = objective.impact.hazard_severity(scene)
+    severity = objective.impact.severity_table(scene)
     cost = bound.breakdown(motion, start_time)
     by_entity = np.sum([np.einsum("nce,ce->ne", P, severity) for P in sources.values()], axis=0)
     found = float(charged.weight @ by_entity.sum(axis=1))
@@ -197,7 +197,7 @@ def explain(
 class _Along:
     """The evaluated states of a motion, with their places and times."""
 
-    def __init__(self, charged: ChargedStates, motion: Path | Trajectory) -> None:
+    def __init__(self, charged: CostSamples, motion: Path | Trajectory) -> None:
         points = motion.path if isinstance(motion, Trajectory) else motion
         vertices = np.arange(len(points))
         length = np.concatenate([[0.0], np.cumsum(points.segment_lengths)])
@@ -220,7 +220,7 @@ def _contributions(
     scene: Scene, along: _Along, objective: ImpactCost, sources: Mapping[str, Float[Array, "n component entity"]]
 ) -> tuple[Contribution, ...]:
     """Return the parts of the impact by source, component and entity, the largest first."""
-    severity, faults = objective.hazard_severity(scene), objective.interaction.fault_shares()
+    severity, faults = objective.severity_table(scene), objective.interaction.fault_shares()
     components, hazards = tuple(scene.components), objective.hazards(scene)
     parts = {name: np.tensordot(along.weight, P, axes=1) * severity for name, P in sources.items()}
     total = math.fsum(float(part.sum()) for part in parts.values())

@@ -62,7 +62,7 @@ class HarmLaw:
         if not isinstance(cost, ImpactCost):
             raise SettingError("impact", cost, "an ImpactCost, which resolves entities")
         self._cost = cost
-        severity = cost.hazard_severity(scene)
+        severity = cost.severity_table(scene)
         self._entities = np.flatnonzero(severity.max(axis=0, initial=0.0) > 0.0)
         self._subsets = [_subsets(column) for column in severity[:, self._entities].T]
         self._levels = [np.unique(sums) for _, sums in self._subsets]

@@ -156,7 +156,7 @@ def impact_map(
     """
     if scene.carried is None:
         raise ShapeError("scene.carried", (), "a scene with a carried object; see Scene.attach")
-    impact = ImpactCost(model="footprint") if impact is None else impact
+    impact = ImpactCost(model="mixture") if impact is None else impact
     if not isinstance(impact, ImpactCost):
         raise SettingError("impact", impact, "an ImpactCost: other costs do not resolve entities")
     for name, value in (("height", height), ("speed", speed)):

@@ -213,7 +213,7 @@ def risk(
     law = HarmLaw(cost, scene)
     objective = Objective(impact=cost).bind(scene, (speed, speed))
     points = motion if isinstance(motion, Path | Trajectory) else Path(finite_array("motion", motion, ndim=2))
-    charged = objective.charged_states(points)  # also rejects motions that do not fit the scene
+    charged = objective.cost_samples(points)  # also rejects motions that do not fit the scene
     if isinstance(points, Trajectory):
         batch, weight = _moments(points, scene, start_time)
     elif charged.weight.sum() > 0.0:

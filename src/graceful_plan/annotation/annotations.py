@@ -14,7 +14,7 @@ from graceful_plan.annotation.questions import MOST_FRAGILITY, entity_classes
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import is_real
 from graceful_plan.regular_file import path_of
-from graceful_plan.scene.elements import EntityNote
+from graceful_plan.scene.elements import EntityAnnotation
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.harm.severity import SeverityTable, check_severity
 from graceful_plan.scene.scene import Scene
@@ -139,7 +139,7 @@ class Annotations:
             if name not in notes.entities:
                 raise UnknownNameError("entity", name, notes.entities)
             table.check_class(row.category)
-        said = {name: EntityNote(category=row.category, severity=row.severity) for name, row in self.rows.items()}
+        said = {name: EntityAnnotation(category=row.category, severity=row.severity) for name, row in self.rows.items()}
         left = {name: value for name, value in notes.overrides.items() if name not in self.rows}
         changed = replace(notes, entities={**notes.entities, **said}, overrides=left)
         return Scene.build(scene.spec, changed, scene.model)

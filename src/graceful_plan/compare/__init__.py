@@ -7,7 +7,7 @@ from graceful_plan.compare.reports.summary import PlannerSummary, Summary, summa
 from graceful_plan.compare.runs.best_motions import BestMotion, BestMotions
 from graceful_plan.compare.runs.comparison import Comparison, Settings, compare, load_comparison
 from graceful_plan.compare.runs.known import read_known
-from graceful_plan.compare.runs.planner_notes import REFINED
+from graceful_plan.compare.runs.planner_specs import REFINED
 from graceful_plan.compare.runs.records import Run
 
 __all__ = [

@@ -9,7 +9,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-from graceful_plan.scene.mobile.room import mobile_room
+from graceful_plan.scene.mobile.optional import import_mobile
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.topp import Restraint
@@ -27,5 +27,5 @@ def base_limits(scene: Scene) -> Restraint | None:
     """
     if scene.base is None:
         return None
-    limits: DriveLimits = mobile_room("motions.drive_limits").drive_limits
+    limits: DriveLimits = import_mobile("motions.drive_limits").drive_limits
     return partial(limits, scene.base)

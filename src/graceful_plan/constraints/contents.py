@@ -10,8 +10,8 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.axes import axis_residual
 from graceful_plan.constraints.bounds import frame_in_link
-from graceful_plan.constraints.felt import FeltCone, FeltConstraint
 from graceful_plan.constraints.slosh import Slosh
+from graceful_plan.constraints.specific_force import SpecificForceCone, SpecificForceConstraint
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
@@ -24,7 +24,7 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 _AT_REST = 0.9
-"""Fraction of `felt_angle` that the tilt may use at rest; the rest is left for accelerations."""
+"""Fraction of `specific_force_angle` that the tilt may use at rest; the rest is left for accelerations."""
 _ROOM = 0.01
 """Extra tilt allowed beyond that of a tilted start or goal [rad]."""
 _ASTRAY = 0.12
@@ -38,7 +38,7 @@ _STEEPEST = float(np.deg2rad(80.0))
 
 @final
 @dataclass(frozen=True)
-class KeepContents(FeltConstraint):
+class KeepContents(SpecificForceConstraint):
     """Keep the contents of the carried vessel from spilling.
 
     The fill level sets the largest tilt: the angle at which the surface reaches the rim, plus the angle of repose for
@@ -80,28 +80,28 @@ class KeepContents(FeltConstraint):
     def upright(self, scene: Scene) -> AxisRule:
         """Return the tilt limit at rest, which planners enforce in every configuration."""
         x, y, z = _vessel(scene).axis.tolist()
-        angle = _AT_REST * self.felt_angle(scene)
+        angle = _AT_REST * self.specific_force_angle(scene)
         return AxisRule(name=self.name, frame="object", axis=(x, y, z), direction=(0.0, 0.0, 1.0), angle=angle)
 
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
         """Return the tilt limit at rest, for the core."""
         return (self.upright(scene),)
 
-    def felt_angle(self, scene: Scene) -> float:
+    def specific_force_angle(self, scene: Scene) -> float:
         """Return the largest angle between the vessel's axis and the specific force, sloshing excluded [rad]."""
         return self.share * min(_vessel(scene).brim_tilt, _STEEPEST)
 
-    def felt(self, scene: Scene) -> FeltCone:
+    def felt(self, scene: Scene) -> SpecificForceCone:
         """Return the limits on the specific force in the vessel during a motion."""
         vessel, robot = _vessel(scene), compile_scene(scene).robot
         gravity = -float(scene.model.opt.gravity[2])
         X_LO = frame_in_link(scene, robot, "object")
-        return FeltCone(
+        return SpecificForceCone(
             name=self.name,
             link=robot.tool_link,
             point=X_LO[:3, :3] @ vessel.p_BS + X_LO[:3, 3],
             axis=X_LO[:3, :3] @ vessel.axis,
-            angle=self.felt_angle(scene),
+            angle=self.specific_force_angle(scene),
             gravity=gravity,
             slosh=Slosh.of(vessel, gravity) if vessel.repose == 0.0 else None,
             brim=min(vessel.brim_tilt, _STEEPEST),

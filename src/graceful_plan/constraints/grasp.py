@@ -26,7 +26,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.bounds import frame_in_link
-from graceful_plan.constraints.felt import FeltConstraint, FeltLoad
+from graceful_plan.constraints.specific_force import SpecificForceConstraint, SpecificForceLoad
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
@@ -53,7 +53,7 @@ _SIDES = 12
 
 @final
 @dataclass(frozen=True)
-class GraspHolds(FeltConstraint):
+class GraspHolds(SpecificForceConstraint):
     """Keep the load on a grasp within what friction and pressure of two pads can carry, for a healthy robot.
 
     Args:
@@ -98,13 +98,13 @@ class GraspHolds(FeltConstraint):
         force = grip.force if self.force is None else self.force
         return replace(grip, friction=friction, torsion=grip.torsion * friction / grip.friction, force=force)
 
-    def felt(self, scene: Scene) -> FeltLoad:
+    def felt(self, scene: Scene) -> SpecificForceLoad:
         """Return the limits of the specific force at the carried object's centre of mass."""
         robot = compile_scene(scene).robot
         X_LO = frame_in_link(scene, robot, "object")
         grip = self.grip(scene)
         facets, room = _facets(scene, self.friction, self.force)
-        return FeltLoad(
+        return SpecificForceLoad(
             name=self.name,
             link=robot.tool_link,
             point=X_LO[:3, :3] @ grip.p_BC + X_LO[:3, 3],

@@ -13,8 +13,8 @@ from graceful_plan.constraints.base_limits import base_limits
 from graceful_plan.constraints.bounds import bounded_kernels, bounds_of
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
-from graceful_plan.constraints.felt import FeltCone, FeltConstraint, felt_in, resting_in
 from graceful_plan.constraints.grasp import GraspHolds
+from graceful_plan.constraints.specific_force import SpecificForceCone, SpecificForceConstraint, felt_in, resting_in
 from graceful_plan.constraints.speed import speed_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
@@ -27,7 +27,7 @@ from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import Curve
 from graceful_plan.timing.retiming import retime, timed
-from graceful_plan.timing.topp import FeltLevels, Restraint
+from graceful_plan.timing.topp import Restraint, SpecificForceLevels
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -66,7 +66,7 @@ class SceneConstraints:
         """Limits on the specific force of the carried object."""
         self.charged = tuple(limit for felt in self.felt if (limit := felt.native) is not None)
         """The subset of these limits that descents penalise; timing enforces all of them."""
-        self.level = any(isinstance(felt, FeltCone) for felt in self.felt)
+        self.level = any(isinstance(felt, SpecificForceCone) for felt in self.felt)
         """Whether a constraint keeps part of the carried object level."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in resting_in(scene, c)]
@@ -101,7 +101,9 @@ class SceneConstraints:
 
     def around(self, q: Float[Array, "n nq"]) -> SceneConstraints:
         """Return constraints relaxed, where they allow it, to admit the given configurations."""
-        fitted = tuple(c.around(q, self.scene) if isinstance(c, FeltConstraint) else c for c in self.constraints)
+        fitted = tuple(
+            c.around(q, self.scene) if isinstance(c, SpecificForceConstraint) else c for c in self.constraints
+        )
         share = max([self._share, *(keeper.needed(q, self.scene) for keeper in self.keepers)])
         same = fitted == self.constraints and share == self._share
         return self if same else SceneConstraints(self.scene, fitted, share)
@@ -157,7 +159,7 @@ class SceneConstraints:
         )
 
     @cached_property
-    def felt_levels(self) -> FeltLevels | None:
+    def felt_levels(self) -> SpecificForceLevels | None:
         """Limits on the specific force, with a smaller share of the brim tilt at each level; None if there are none."""
         if not self.felt:
             return None
@@ -167,7 +169,9 @@ class SceneConstraints:
             shares = [most, *(share for share in _SHARES if share < most)]
             levels = [[felt_in(self.scene, c) for c in self._carrying(share)] for share in shares]
         names = tuple(felt.name for felt in self.felt)
-        return FeltLevels(self.kernels.core, names, tuple(tuple(felt.timed for felt in level) for level in levels))
+        return SpecificForceLevels(
+            self.kernels.core, names, tuple(tuple(felt.timed for felt in level) for level in levels)
+        )
 
     def _restraint(self, slower: Restraint | None) -> Restraint | None:
         """Return the other limits on path acceleration and speed: of the caller, the tool and the base."""
@@ -178,10 +182,10 @@ class SceneConstraints:
             own.append(limits_of_base)
         return (lambda grid: np.concatenate([limits(grid) for limits in own], axis=1)) if own else None
 
-    def _carrying(self, share: float) -> list[FeltConstraint]:
+    def _carrying(self, share: float) -> list[SpecificForceConstraint]:
         """Return the constraints on specific force, with the share of contents limited to `share`."""
         fitted = [c.at_most(share) if isinstance(c, KeepContents) else c for c in self.constraints]
-        return [c for c in fitted if isinstance(c, FeltConstraint)]
+        return [c for c in fitted if isinstance(c, SpecificForceConstraint)]
 
 
 def default_constraints(scene: Scene) -> tuple[Constraint, ...]:
@@ -208,7 +212,7 @@ def _held(scene: Scene) -> tuple[GraspHolds, ...]:
 
 
 @per_layout
-def not_held(scene: Scene) -> tuple[str, ...]:
+def grasp_warnings(scene: Scene) -> tuple[str, ...]:
     """Return a warning if the model's grasp does not hold even at home, in which case it is not constrained."""
     load = _load_at_home(scene)
     if load is None or load <= 0.0 or scene.carried is None:

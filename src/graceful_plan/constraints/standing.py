@@ -17,7 +17,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.axes import axis_residual, standing_axis
 from graceful_plan.constraints.bounds import frame_in_link
-from graceful_plan.constraints.felt import FeltCone, FeltConstraint
+from graceful_plan.constraints.specific_force import SpecificForceCone, SpecificForceConstraint
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
@@ -37,7 +37,7 @@ _KEPT = 8
 
 @final
 @dataclass(frozen=True)
-class KeepStanding(FeltConstraint):
+class KeepStanding(SpecificForceConstraint):
     """Keep a loose load on the carried object from sliding and tipping.
 
     Args:
@@ -74,21 +74,21 @@ class KeepStanding(FeltConstraint):
         """
         return _rule(scene, self)
 
-    def felt_angle(self, scene: Scene) -> float:
+    def specific_force_angle(self, scene: Scene) -> float:
         """Return the largest angle between the support's normal and the load's specific force [rad]."""
         rule = self.rule(scene)
         return self.share * float(np.arctan(min(rule.friction, rule.support)))
 
-    def felt(self, scene: Scene) -> FeltCone:
+    def felt(self, scene: Scene) -> SpecificForceCone:
         """Return the limits of the specific force at the load's centre of mass."""
         rule, robot = self.rule(scene), compile_scene(scene).robot
         X_LO = frame_in_link(scene, robot, "object")
-        return FeltCone(
+        return SpecificForceCone(
             name=self.name,
             link=robot.tool_link,
             point=X_LO[:3, :3] @ rule.point + X_LO[:3, 3],
             axis=X_LO[:3, :3] @ rule.axis,
-            angle=self.felt_angle(scene),
+            angle=self.specific_force_angle(scene),
             gravity=-float(scene.model.opt.gravity[2]),
             slosh=None,
             brim=None,
@@ -112,7 +112,7 @@ class KeepStanding(FeltConstraint):
             frame="object",
             axis=self.rule(scene).axis,
             direction=(0.0, 0.0, 1.0),
-            angle=_AT_REST * self.felt_angle(scene),
+            angle=_AT_REST * self.specific_force_angle(scene),
         )
 
 

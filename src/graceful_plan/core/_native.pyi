@@ -155,7 +155,7 @@ class Impact:
     def edge_gradients(self, q0: Reals, q1: Reals, step: float) -> tuple[Reals, Reals, Reals] | None: ...
 
 @final
-class OverlapImpact(Impact):
+class BoxOverlapImpact(Impact):
     def __init__(self, core: Core, severity: Reals) -> None: ...
 
 @final
@@ -296,7 +296,7 @@ class BodyImpact(Impact):
     def __init__(self, model: BodyModel, weight: Reals, severity: Reals, slow: float, fast: float) -> None: ...
 
 @final
-class FeltLimit:
+class SpecificForceLimit:
     def __init__(
         self,
         *,
@@ -347,7 +347,7 @@ def fastest(
     acceleration: Reals,
     limit: Reals | None = None,
     core: Core | None = None,
-    levels: Sequence[Sequence[FeltLimit]] = (),
+    levels: Sequence[Sequence[SpecificForceLimit]] = (),
     speed: float = 1.0,
 ) -> TimedCurve: ...
 
@@ -470,7 +470,7 @@ class MotionDescent:
         tolerance: float = 1e-4,
         tight_start: float = 0.0,
         tight_end: float = 0.0,
-        felt: Sequence[FeltLimit] = (),
+        felt: Sequence[SpecificForceLimit] = (),
         fitted: bool = False,
         slosh: bool = True,
         points: float = 1.0,

@@ -101,7 +101,7 @@ class WorldArrays:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class HazardArrays:
+class ImpactArrays:
     """Components that may hit, entities that may be hit, and the severities: boxes per geom of components and entities.
 
     | field          | meaning                                                 | unit | shape            |

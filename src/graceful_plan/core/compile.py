@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.core.arrays import OBSTACLE_TYPES, ImpactArrays, RobotArrays, WorldArrays
 from graceful_plan.core.covers import GEOM_KINDS, GroupCover, geom_name, group_cover, hull_triangles
 from graceful_plan.core.kernels import CAPACITY, Kernels
 from graceful_plan.core.slack import self_slack
@@ -45,7 +45,7 @@ class CompiledScene:
 
     robot: RobotArrays
     world: WorldArrays
-    hazards: HazardArrays
+    hazards: ImpactArrays
     kernels: Kernels
 
     @cached_property
@@ -89,7 +89,7 @@ class _RobotParts:
     groups: list[_Group]
     arrays: RobotArrays
     """Without the links of the base that touch surroundings."""
-    hazards: HazardArrays
+    hazards: ImpactArrays
     """Without the boxes of entities."""
     targets: list[int]
     """The geoms of the entities."""
@@ -116,7 +116,7 @@ def _robot_parts(scene: Scene) -> _RobotParts:
     )
 
 
-def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, hazards: HazardArrays) -> None:
+def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, hazards: ImpactArrays) -> None:
     counts = {
         "joints": len(robot.lower),
         "links": len(robot.parent),
@@ -460,7 +460,7 @@ def _world_arrays(scene: Scene, data: mujoco.MjData, obstacles: _Obstacles) -> W
 # --- hazards --------------------------------------------------------------------------------------------------------
 
 
-def _hazard_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> HazardArrays:
+def _hazard_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> ImpactArrays:
     model = scene.model
     parts = [(r, geom) for r, component in enumerate(scene.components.values()) for geom in component.geoms]
     boxes = []
@@ -471,7 +471,7 @@ def _hazard_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> Hazard
         boxes.append(np.concatenate([X[:3, :3].ravel(), centre, model.geom_aabb[geom, 3:]]))
     targets = [e for e, entity in enumerate(scene.entities.values()) for _ in entity.geoms]
     severity = [[entity.severity[name] for entity in scene.entities.values()] for name in scene.components]
-    return HazardArrays(
+    return ImpactArrays(
         part_component=np.array([r for r, _ in parts], dtype=int),
         part_link=np.array([frames.of_body[model.geom_bodyid[geom]] for _, geom in parts], dtype=int),
         part_box=np.array(boxes).reshape(-1, 15),

@@ -15,7 +15,7 @@ from threading import Lock
 import mujoco
 import numpy as np
 
-from graceful_plan import kept
+from graceful_plan import disk_cache
 from graceful_plan.array_types import Float
 from graceful_plan.core import sphere_cover
 from graceful_plan.core.kernels import CAPACITY
@@ -216,14 +216,14 @@ def _mesh_cover(hulls: list[Float[Array, "triangle 3 3"]], protrusion: float) ->
     for triangles in hulls:
         key.update(triangles.tobytes())
     digest = key.hexdigest()
-    found = kept.read(digest)
+    found = disk_cache.read(digest)
     if found is not None and found.ndim == 2 and found.shape[1:] == (4,) and _contains(found, np.concatenate(vertices)):
         return found[:, :3], found[:, 3]
     started = time.perf_counter()
     bodies = [(corners, _planes(triangles)) for corners, triangles in zip(vertices, hulls, strict=True)]
     cover = sphere_cover.hull_cover(bodies, protrusion)
     if time.perf_counter() - started > _SLOW:
-        kept.write(digest, np.column_stack(cover))
+        disk_cache.write(digest, np.column_stack(cover))
     return cover
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core import _native
-from graceful_plan.core.arrays import BoundArrays, HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.core.arrays import BoundArrays, ImpactArrays, RobotArrays, WorldArrays
 from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
 
@@ -65,7 +65,7 @@ class Kernels:
         self,
         robot: RobotArrays,
         world: WorldArrays,
-        hazards: HazardArrays,
+        hazards: ImpactArrays,
         isa: str = "auto",
         bounds: BoundArrays | None = None,
     ) -> None:
@@ -215,7 +215,7 @@ class Kernels:
         """Return the impact model of Algorithm 1 with these severities."""
         if np.shape(severity) != self.hazards.severity.shape:
             raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
-        return ImpactKernel(self, _native.OverlapImpact(self.core, reals(finite_array("severity", severity))))
+        return ImpactKernel(self, _native.BoxOverlapImpact(self.core, reals(finite_array("severity", severity))))
 
     def impact(self, q: ArrayLike, severity: Float[Array, "component entity"]) -> Float[Array, "*batch"]:
         """Return the expected severity given a failure at q by Algorithm 1: the sum of P S."""

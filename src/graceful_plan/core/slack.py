@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.arrays import HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.core.arrays import ImpactArrays, RobotArrays, WorldArrays
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
@@ -50,7 +50,7 @@ def self_slack(
     scene: Scene,
     robot: RobotArrays,
     geoms: Sequence[Sequence[tuple[int, int]]],
-    hazards: HazardArrays,
+    hazards: ImpactArrays,
 ) -> Float[Array, " pair"]:
     """Return the clearance of spheres at which the links of each pair touch [m], at most 0.
 
@@ -106,7 +106,7 @@ def _slack(
     robot: RobotArrays,
     pair: Int[Array, " 2"],
     geoms: Sequence[tuple[int, int]],
-    hazards: HazardArrays,
+    hazards: ImpactArrays,
 ) -> float:
     kernels = Kernels(replace(robot, self_pair=pair[None], self_slack=np.zeros(1)), WorldArrays.nothing(), hazards)
     of_meshes = any(scene.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH for both in geoms for geom in both)

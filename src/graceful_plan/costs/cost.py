@@ -18,7 +18,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import CompiledScene, compile_scene
 from graceful_plan.core.kernels import Kernels
-from graceful_plan.costs.one_thing import kernels_of_one_thing
+from graceful_plan.costs.clearance_target import kernels_for_target
 from graceful_plan.exceptions import CostError, SettingError, ShapeError
 from graceful_plan.scene.scene import Scene
 
@@ -49,7 +49,7 @@ _Ahead: TypeAlias = Array | Callable[[], Array] | None
 
 
 @final
-class Kept:
+class StateCache:
     """Cache of intermediate results for some states, independent of time."""
 
     def __init__(self) -> None:
@@ -97,7 +97,7 @@ class StateBatch:
         self.time, self._ahead = time, ahead
         if not callable(ahead):
             _ = self.ahead
-        self.kept = Kept()
+        self.kept = StateCache()
 
     def __len__(self) -> int:
         return len(self.q)
@@ -189,7 +189,7 @@ class StateBatch:
         return self.kept.get(np.ndarray, ("gradient", to), lambda: self._only(to).clearance_gradient(self.q)[1])
 
     def _only(self, to: str) -> Kernels:
-        return kernels_of_one_thing(self.scene, to)
+        return kernels_for_target(self.scene, to)
 
 
 class Cost(Contract):

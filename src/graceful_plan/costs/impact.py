@@ -16,7 +16,7 @@ from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.consequence import Damage
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.interaction import InteractionModel
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.costs.models.published.box_overlap import BoxOverlap
 from graceful_plan.costs.native_model import NativeModel, OwnLoss, moving_model
 from graceful_plan.exceptions import SettingError, UnknownNameError
@@ -26,11 +26,11 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
-MODELS: dict[str, type[InteractionModel]] = {"aabb": BoxOverlap, "footprint": Footprint}
+MODELS: dict[str, type[InteractionModel]] = {"box_overlap": BoxOverlap, "mixture": FailureMixture}
 """Interaction models by the name that selects them in `ImpactCost(model=...)`."""
 CONSEQUENCES = ("contact", "energy")
 """Names of the consequences in `ImpactCost(consequence=...)`."""
-OF_MODEL = ("those of the model",)
+DEFAULT_COMPONENTS = ("those of the model",)
 """Default of `ImpactCost.components`; an empty tuple means no components at all."""
 
 
@@ -64,8 +64,8 @@ class ImpactCost(Cost):
         UnknownNameError: If there is no such model, component or consequence.
     """
 
-    model: str | InteractionModel = "footprint"
-    components: tuple[str, ...] = OF_MODEL
+    model: str | InteractionModel = "mixture"
+    components: tuple[str, ...] = DEFAULT_COMPONENTS
     consequence: str | FragilityTable = "contact"
     own_loss: bool = True
 
@@ -76,7 +76,7 @@ class ImpactCost(Cost):
             raise SettingError("model", self.model, "an InteractionModel or the word for one")
         if isinstance(self.components, str):
             raise SettingError("components", self.components, f"several names: ({self.components!r},)")
-        if self.components is OF_MODEL:
+        if self.components is DEFAULT_COMPONENTS:
             model = MODELS[self.model]() if isinstance(self.model, str) else self.model
             object.__setattr__(self, "components", model.components)
         for name in self.components:
@@ -113,7 +113,7 @@ class ImpactCost(Cost):
     def _default(self) -> bool:
         """Whether `components` are the defaults of a model that includes failures of the base."""
         model = self.interaction
-        return isinstance(model, Footprint) and self.components == model.components
+        return isinstance(model, FailureMixture) and self.components == model.components
 
     def counts_own_loss(self, scene: Scene) -> bool:
         """Tell whether the loss of the carried object itself counts."""
@@ -126,7 +126,7 @@ class ImpactCost(Cost):
             return scene.hazards
         return (*scene.hazards, scene.carried.body)
 
-    def hazard_severity(self, scene: Scene) -> Float[Array, "component hazard"]:
+    def severity_table(self, scene: Scene) -> Float[Array, "component hazard"]:
         """Return S by component and name in `hazards`; only the component "carried" harms the object itself."""
         counted = self.counted(scene)
         moving = [
@@ -178,7 +178,7 @@ class ImpactCost(Cost):
 
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return the expected severity given a failure at each state."""
-        return np.einsum("nce,ce->n", self.probability(batch), self.hazard_severity(batch.scene))
+        return np.einsum("nce,ce->n", self.probability(batch), self.severity_table(batch.scene))
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
         """Return the gradient of the expected severity in q at constant velocity, None if the model has none."""
@@ -208,13 +208,13 @@ class ImpactCost(Cost):
 
         For moving entities it is an approximation; see `MovingModel.kernels`.
         """
-        still = self.still_kernel(scene, paces)
+        still = self.static_kernel(scene, paces)
         if still is None or not scene.moving:
             return still
         moving = moving_model(self.interaction).kernels(scene, self._moving_severity(scene), paces)
         return None if moving is None else reduce(add, moving, still)
 
-    def still_kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
+    def static_kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
         """Return the native kernel without moving entities, None if there is none; it includes the own loss."""
         model = self.interaction
         return (
@@ -228,7 +228,7 @@ class ImpactCost(Cost):
         return moving_model(self.interaction).impact(scene, self._moving_severity(scene), rough=rough)
 
     def _moving_severity(self, scene: Scene) -> Float[Array, "component moving"]:
-        return self.hazard_severity(scene)[:, len(scene.entities) : len(scene.hazards)]
+        return self.severity_table(scene)[:, len(scene.entities) : len(scene.hazards)]
 
     def is_published(self) -> bool:
         """Tell whether this is the published model, Algorithm 1, which a verdict can recompute independently."""

@@ -111,7 +111,7 @@ class Objective:
 
 @final
 @dataclass(frozen=True, eq=False)
-class ChargedStates:
+class CostSamples:
     """States at which a motion is evaluated; the integral of the impact is the sum of weight times density."""
 
     batch: StateBatch
@@ -123,7 +123,7 @@ class ChargedStates:
 
 @final
 @dataclass(frozen=True, eq=False)
-class AmongMoving:
+class TimedImpact:
     """Native impact of states at given times: of static entities, and of moving ones, exact and approximate."""
 
     still: ImpactKernel
@@ -166,15 +166,15 @@ class SceneObjective:
         return kernel.timed(self.pace * self.scene.limits.velocity)
 
     @cached_property
-    def among_moving(self) -> AmongMoving | None:
+    def timed_impact(self) -> TimedImpact | None:
         """The native impact at times in a scene with moving entities; None without them or without a native impact."""
         impact = self.objective.impact
         if not (self.scene.moving and isinstance(impact, ImpactCost) and self.objective.exposure != "waypoints"):
             return None
-        still = impact.still_kernel(self.scene, self.paces)
+        still = impact.static_kernel(self.scene, self.paces)
         if still is None:
             return None
-        return AmongMoving(still, *(impact.moving_impact(self.scene, rough=rough) for rough in (False, True)))
+        return TimedImpact(still, *(impact.moving_impact(self.scene, rough=rough) for rough in (False, True)))
 
     def states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None = None) -> Float[Array, " n"]:
         """Compute the impact given a failure at each state, with joint velocities [rad/s or m/s], at rest if None."""
@@ -182,7 +182,7 @@ class SceneObjective:
             return self.kernel.states(q)
         return checked_state(self.objective.impact, moving_batch(self.scene, q, qd))
 
-    def quick_states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, " n"]:
+    def approximate_states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, " n"]:
         """Compute the impact of moving states, by the kernel if there is one; approximate with moving entities."""
         return self.states(q, qd) if self.kernel is None else self.kernel.moving_states(q, qd)
 
@@ -274,9 +274,9 @@ class SceneObjective:
         the impact has to be native: others neither know the times of a motion nor approximate well without them.
         """
         if self.w == 0.0 and self.motion_is_length:
-            return Objective(impact=ImpactCost(model="aabb"), w=0.0).bind(self.scene, self.paces)
+            return Objective(impact=ImpactCost(model="box_overlap"), w=0.0).bind(self.scene, self.paces)
         native = self.kernel is not None and self.objective.exposure == "time"
-        timed = self.among_moving is not None
+        timed = self.timed_impact is not None
         return self if native or timed or not self.scene.moving else None
 
     def widened(self, metres: float) -> SceneObjective | None:
@@ -299,10 +299,10 @@ class SceneObjective:
         if isinstance(impact, ImpactCost) and not impact.hazards(self.scene):
             nothing = dict.fromkeys(self.scene.components, 0.0)
             return CostBreakdown(motion=motion, impact=0.0, w=self.w, impact_by_component=nothing)
-        charged = self.charged_states(path, start_time)
+        charged = self.cost_samples(path, start_time)
         return self._breakdown(motion, charged.batch, charged.weight)
 
-    def charged_states(self, path: Path | Trajectory, start_time: float = 0.0) -> ChargedStates:
+    def cost_samples(self, path: Path | Trajectory, start_time: float = 0.0) -> CostSamples:
         """Return the states at which a path or trajectory is evaluated, with weights: sums over them are integrals.
 
         Only a trajectory's states have times, whatever the exposure: those of its samples plus `start_time` [s].
@@ -315,13 +315,13 @@ class SceneObjective:
         vertices = np.arange(len(points), dtype=np.float64)
         if self.objective.exposure == "waypoints":
             times = start_time + path.t if isinstance(path, Trajectory) else None
-            return ChargedStates(StateBatch(self.scene, points.q, time=times), np.ones(len(points)), place=vertices)
+            return CostSamples(StateBatch(self.scene, points.q, time=times), np.ones(len(points)), place=vertices)
         if isinstance(path, Trajectory):
             return _timed_states(self.scene, path, start_time, by_length=self.objective.exposure == "length")
         samples = self.samples(points.q[:-1], points.q[1:])
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
-        return ChargedStates(batch, samples.weights(measure), place=samples.place)
+        return CostSamples(batch, samples.weights(measure), place=samples.place)
 
     def _motion(self, path: Path) -> float:
         """Return V of a path."""
@@ -354,7 +354,7 @@ class SceneObjective:
             np.tensordot(weight[k : k + _AT_A_TIME], impact.probability(batch[k : k + _AT_A_TIME]), axes=1)
             for k in range(0, len(batch), _AT_A_TIME)
         )
-        parts = exposure * impact.hazard_severity(self.scene)
+        parts = exposure * impact.severity_table(self.scene)
         return CostBreakdown(
             motion=motion,
             impact=float(parts.sum()),
@@ -393,7 +393,7 @@ def _check_size(*parts: Float[Array, "..."]) -> None:
         raise SettingError("trajectory", farthest, expected)
 
 
-def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by_length: bool) -> ChargedStates:
+def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by_length: bool) -> CostSamples:
     """Return states at most `COST_STEP` apart at their own velocities, with trapezoid weights [s, or rad]."""
     pieces = np.maximum(1, np.ceil(trajectory.path.segment_lengths / COST_STEP)).astype(int)
     piece = np.repeat(np.arange(len(pieces)), pieces)
@@ -407,7 +407,7 @@ def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by
     weight[1:] += 0.5 * gaps
     batch = trajectory_batch(scene, trajectory, t, start_time + t)
     _check_size(batch.q, batch.qd)
-    return ChargedStates(batch, weight, place)
+    return CostSamples(batch, weight, place)
 
 
 def evaluate(

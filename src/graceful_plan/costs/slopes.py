@@ -46,7 +46,7 @@ class CostSlopes:
             return self.cost.gradient(StateBatch(self.scene, self.scene.limits.position.mean(axis=1)[None])) is not None
 
     @cached_property
-    def asks_for_velocity(self) -> bool:
+    def uses_velocity(self) -> bool:
         """Whether the cost depends on velocity, tested at random states."""
         rng = np.random.default_rng(0)
         lower, upper = self.scene.limits.position.T
@@ -78,7 +78,7 @@ class CostSlopes:
                 value, d_q = self._differences(q, qd, by_q=True)
             else:
                 value, d_q = checked_state(self.cost, batch), _checked(self.cost, gradient, q)
-            if not self.asks_for_velocity:
+            if not self.uses_velocity:
                 return value, d_q, np.zeros_like(d_q)
             return value, d_q, self._differences(q, qd, by_q=False)[1]
 

@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
-from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
 from graceful_plan.regular_file import open_regular, path_of
 
 Array = np.ndarray
@@ -21,7 +21,7 @@ MOST_BYTES = 2**30
 """Largest total size of the arrays of a file [bytes]."""
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _BROKEN = (
-    *NOT_READ,
+    *READ_ERRORS,
     KeyError,
     EOFError,
     TypeError,
@@ -45,8 +45,8 @@ def read_arrays(file: str | Path, most_bytes: int = MOST_BYTES) -> dict[str, Arr
     path = path_of(file)
     try:
         opened = open_regular(path)
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error)) from None
     try:
         with opened, zipfile.ZipFile(opened) as archive:
             needed = sum(_size(archive, member) for member in archive.infolist())

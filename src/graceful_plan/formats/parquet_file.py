@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graceful_plan.exceptions import NOT_READ, FormatError, GracefulPlanError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, GracefulPlanError, read_error_reason
 from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, from_columns
 from graceful_plan.regular_file import path_of, read_content
 
@@ -61,8 +61,8 @@ def from_parquet(file: str | Path) -> TimedSamples:
     path = path_of(file)
     try:
         content = read_content(path)
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error)) from None
     try:
         said = pq.read_metadata(pa.BufferReader(content))
         if said.num_rows * said.num_columns > MOST_NUMBERS:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
 from graceful_plan.regular_file import path_of, read_content
 
 Array = np.ndarray
@@ -67,8 +67,8 @@ def text_of(source: str | Path, is_text: Callable[[str], bool], kind: str) -> tu
     path = path_of(source)
     try:
         content = read_content(path)
-    except NOT_READ as error:
-        raise FormatError(str(source), why_not_read(error)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(source), read_error_reason(error)) from None
     try:
         return str(source), content.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -15,7 +15,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.result import Check
-from graceful_plan.scene.edit import Solid
+from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.model_parts import colliding_geoms
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_layout, per_scene
@@ -200,6 +200,6 @@ def _with_walkers(scene: Scene) -> mujoco.MjModel:
         pose = np.eye(4)
         pose[:3, 3] = entity.position[0]
         kind = "cylinder" if entity.is_round else "box"
-        Solid(name=entity.name, kind=kind, size=entity.size, pose=pose).add_to(spec)
+        StaticBody(name=entity.name, kind=kind, size=entity.size, pose=pose).add_to(spec)
         spec.body(entity.name).mocap = True
     return spec.compile()

@@ -49,7 +49,7 @@ COST_TOLERANCE = 0.01
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Verification:
+class VerificationSettings:
     """Settings of the checks that `plan` runs on motions.
 
     | field      | meaning                                                                    | unit |
@@ -92,7 +92,7 @@ def verify(
         scene: The scene.
         start: Required start configuration; None to skip the check.
         goal: Required end: a configuration, several alternatives, or a pose; None to skip the check.
-        cost: Claimed cost of the motion by Algorithm 1, `ImpactCost("aabb")`, to be recomputed; None to skip the check.
+        cost: Claimed cost of the motion by Algorithm 1, `ImpactCost("box_overlap")`, to be recomputed; None to skip the check.
             Do not pass the cost of any other model: it would be compared with Algorithm 1 all the same.
         cost_path: The path of the claimed cost, if it is not the motion itself.
         components: Components whose impact is in that cost.

@@ -12,9 +12,9 @@ from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import checked_state, moving_batch
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError
+from graceful_plan.mobile.coast.moving_entities import planar_shapes
 from graceful_plan.mobile.coast.tables import coast_tables
-from graceful_plan.mobile.coast.walkers import seen_from_above
-from graceful_plan.mobile.floor.floor_map import FloorMap
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.viz.footprints import entity_outlines
@@ -37,7 +37,7 @@ def draw_floor(
     trajectory: Trajectory | None,
     file: str | FilePath,
     *,
-    floor: FloorMap | None = None,
+    floor: OccupancyGrid | None = None,
     objective: Objective | None = None,
 ) -> None:
     """Draw a floor, its risk, and the clearances of a motion to all entities.
@@ -62,7 +62,7 @@ def draw_floor(
 
     if scene.base is None:
         raise SettingError("scene", scene.name, "one with a base that drives")
-    floor = FloorMap.from_scene(scene) if floor is None else floor
+    floor = OccupancyGrid.from_scene(scene) if floor is None else floor
     corners = floor.in_world(np.array([[0, 0], [floor.size[0], 0], [0, floor.size[1]], floor.size]))
     (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
     with rc_context(STYLE):
@@ -129,7 +129,7 @@ def _times_near(
     return t[np.argmin(np.linalg.norm(at[:, None] - way, axis=-1), axis=1)]
 
 
-def _draw_walls(axes: Any, floor: FloorMap) -> None:
+def _draw_walls(axes: Any, floor: OccupancyGrid) -> None:
     from matplotlib.colors import ListedColormap
     from matplotlib.transforms import Affine2D
 
@@ -174,7 +174,7 @@ def _draw_motion(axes: Any, scene: Scene, trajectory: Trajectory) -> None:
             )
         )
     for name, entity in scene.moving.items():
-        shape, _, _ = seen_from_above(entity, times)
+        shape, _, _ = planar_shapes(entity, times)
         walked = entity.at(np.linspace(times[0], times[-1], 100)).position
         axes.plot(walked[:, 0], walked[:, 1], color=_WALKED, linestyle=":", linewidth=1.5, zorder=4)
         radius = float(entity.size[0]) if entity.is_round else float(np.linalg.norm(entity.size[:2]))

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.mobile.floor.floor_map import FloorMap
-from graceful_plan.scene.edit import Solid
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
+from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene
@@ -68,18 +68,18 @@ def map_problem(args: argparse.Namespace) -> tuple[Scene, Any, Any]:
     return scene, [*start, *rest[3:].tolist()], BasePose(*goal)
 
 
-def chosen_map(args: argparse.Namespace) -> FloorMap:
+def chosen_map(args: argparse.Namespace) -> OccupancyGrid:
     """Read the given map and add its standing entities."""
     if args.map.suffix == ".map":
-        floor = FloorMap.from_moving_ai(args.map, args.cell)
+        floor = OccupancyGrid.from_moving_ai(args.map, args.cell)
     else:
-        floor = FloorMap.from_map_server(args.map)
+        floor = OccupancyGrid.from_map_server(args.map)
     solids = []
     for k, (category, *place) in enumerate(args.entity):
         x, y = _numbers("--entity", place, (2,))
         pose = np.array([x, y, 0.5 * _HEIGHT])
         size = [_RADIUS, 0.5 * _HEIGHT]
-        solids.append(Solid(name=f"{category}_{k + 1}", kind="cylinder", size=size, pose=pose, entity=category))
+        solids.append(StaticBody(name=f"{category}_{k + 1}", kind="cylinder", size=size, pose=pose, entity=category))
     return floor.with_entities(*solids)
 
 

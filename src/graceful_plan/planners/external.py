@@ -20,7 +20,7 @@ Array = np.ndarray
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PlainProblem:
+class ExternalProblem:
     """Description of a problem without types of this library.
 
     | field       | meaning                                                                  | unit | shape   |
@@ -47,11 +47,11 @@ class PlainProblem:
     seed: int
 
 
-Adapter = Callable[[PlainProblem], ArrayLike | None]
+Adapter = Callable[[ExternalProblem], ArrayLike | None]
 """Returns the configurations of a path [n, nq], or None if it finds none."""
 
 
-def adapted(function: Adapter) -> type[Planner]:
+def planner_from_function(function: Adapter) -> type[Planner]:
     """Return a planner that calls a function once. Its paths are verified like those of any other planner."""
 
     @final
@@ -76,9 +76,9 @@ def adapted(function: Adapter) -> type[Planner]:
     return Adapted
 
 
-def _plain(problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator) -> PlainProblem:
+def _plain(problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator) -> ExternalProblem:
     scene: Any = objective.scene if isinstance(objective, SceneObjective) else None
-    return PlainProblem(
+    return ExternalProblem(
         start=problem.start.copy(),
         goals=problem.goals.copy(),
         lower=problem.lower.copy(),

@@ -17,8 +17,8 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.planners.interruptible import checked_costs
 from graceful_plan.planners.planner import BoundObjective, Problem, edge_totals
-from graceful_plan.planners.questions import checked_costs
 
 Array = np.ndarray
 
@@ -28,7 +28,7 @@ _REJECTION_ROUNDS = 30
 
 @final
 @dataclass(frozen=True)
-class ObjectiveFacts:
+class ObjectiveBounds:
     """Properties of an objective that a planner may rely on.
 
     Args:
@@ -40,7 +40,7 @@ class ObjectiveFacts:
     symmetric: bool
 
 
-def learn_objective(objective: BoundObjective, problem: Problem) -> ObjectiveFacts:
+def probe_objective(objective: BoundObjective, problem: Problem) -> ObjectiveBounds:
     """Determine the properties of an objective from probes, since its contract guarantees none.
 
     The motion cost of edges of various places, directions and lengths, including the joint axes, is compared with their
@@ -59,13 +59,13 @@ def learn_objective(objective: BoundObjective, problem: Problem) -> ObjectiveFac
     length = np.linalg.norm(q1 - q0, axis=1)
     moved = length > 0.0
     if not moved.any():
-        return ObjectiveFacts(length_bound=0.0, symmetric=False)
+        return ObjectiveBounds(length_bound=0.0, symmetric=False)
     cost = objective.edges(q0, q1)
     forward = checked_costs(objective, "edge costs", cost[:, 0] + objective.w * cost[:, 1])
     ratio = cost[moved, 0] / length[moved]
     proportional = ratio.max() - ratio.min() <= 1e-9 * ratio.max()
     backward = edge_totals(objective, q1, q0)
-    return ObjectiveFacts(
+    return ObjectiveBounds(
         # slightly below the measured ratio, so that rounding never excludes the optimum
         length_bound=float(ratio.min()) * (1.0 - 1e-9) if proportional else 0.0,
         symmetric=bool(np.allclose(forward, backward, rtol=1e-9, atol=1e-12)),

@@ -23,7 +23,7 @@ Array = np.ndarray
 
 TIME_PRICE = 0.05
 """Cost per second of motion in addition to J [rad/s]; it decides between motions of about the same J."""
-CAREFUL_TIME_PRICE = 0.3
+LEVEL_TIME_PRICE = 0.3
 """Cost per second of motion if a vessel has to stay level [rad/s].
 
 The duration then does not follow from the length: the shortest motions would take up to 50 % longer for 1 % less
@@ -42,7 +42,7 @@ _FOR_CLEARANCE = 1
 
 def time_price(*, careful: bool) -> float:
     """Return the cost per second of motion in addition to J [rad/s]; `careful`: a vessel has to stay level."""
-    return CAREFUL_TIME_PRICE if careful else TIME_PRICE
+    return LEVEL_TIME_PRICE if careful else TIME_PRICE
 
 
 @final
@@ -173,7 +173,7 @@ class DescentResult:
 
 @final
 @dataclass
-class Effort:
+class DescentCount:
     """Number of descents that have ended."""
 
     descents: int = 0
@@ -205,12 +205,12 @@ class MotionDescents:
     is_free: Callable[[SmoothCurve, Start], bool]
     has_clearance: Callable[[SmoothCurve, Start], bool] | None = None
     settings: DescentSettings = DescentSettings()
-    felt: Sequence[_native.FeltLimit] = ()
+    felt: Sequence[_native.SpecificForceLimit] = ()
     counts_points: bool = False
     projected: Callable[[Float[Array, "n nq"]], Float[Array, "n nq"]] | None = None
     time_price: float = TIME_PRICE
     spacing: float | None = None
-    effort: Effort = field(default_factory=Effort)
+    effort: DescentCount = field(default_factory=DescentCount)
 
     def controls(self, start: Start, stage: Stage) -> int:
         """Return the number of control points: that of the stage, or more for a long path."""

@@ -11,8 +11,8 @@ from graceful_plan.core import _native
 from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import ShapeError
+from graceful_plan.planners.interruptible import checked_costs
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
-from graceful_plan.planners.questions import checked_costs
 from graceful_plan.planners.scene_problem import SceneProblem
 
 Array = np.ndarray
@@ -42,7 +42,7 @@ def native_space(problem: Problem, objective: BoundObjective, *, timed: bool = T
     scene_objective = objective if isinstance(objective, SceneObjective) else None
     kernel = None if scene_objective is None else scene_objective.kernel
     if isinstance(problem, SceneProblem) and scene_objective is not None:
-        custom, among = problem.custom, scene_objective.among_moving if timed else None
+        custom, among = problem.custom, scene_objective.timed_impact if timed else None
         return _native.SceneSpace(
             core=problem.kernels.core,
             impact=_own_cost(scene_objective, problem.kernels.core) if kernel is None else kernel.native,

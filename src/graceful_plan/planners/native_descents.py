@@ -13,8 +13,8 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem, out_of_time
 from graceful_plan.planners.native import native_space
-from graceful_plan.planners.questions import Interrupted, Questions, out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
 
 Array = np.ndarray
@@ -42,11 +42,11 @@ class NativeDescents:
         space: Problem and objective in the core, with gradients.
     """
 
-    def __init__(self, questions: Questions, space: _native.Space) -> None:
+    def __init__(self, questions: InterruptibleProblem, space: _native.Space) -> None:
         self._questions, self._space = questions, space
 
     @classmethod
-    def of(cls, questions: Questions) -> NativeDescents | None:
+    def of(cls, questions: InterruptibleProblem) -> NativeDescents | None:
         """Return the descents; None if the objective has no gradient, a weight of 0, or exposure by waypoints."""
         problem, objective = questions.problem, questions.objective
         if not (isinstance(problem, SceneProblem) and isinstance(objective, SceneObjective) and objective.w > 0.0):

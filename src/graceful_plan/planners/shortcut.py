@@ -20,8 +20,8 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.settings import count, fraction, positive
 
 Array = np.ndarray
@@ -153,12 +153,16 @@ class Shortcut:
         positive("least_reach", self.least_reach)
         fraction("least_reach", self.least_reach)
 
-    def improve(self, path: Path, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
+    def improve(
+        self, path: Path, questions: InterruptibleProblem, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
         """Yield versions of a free path with decreasing cost; nothing if the budget is too small to find one."""
         with suppress(Interrupted):
             yield from self._rounds(path, questions, budget, rng)
 
-    def _rounds(self, path: Path, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
+    def _rounds(
+        self, path: Path, questions: InterruptibleProblem, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
         q = path.without_duplicates().q
         if len(q) < 2:
             return
@@ -178,9 +182,9 @@ class Shortcut:
 
 
 def first_and_shorter(
-    find: Callable[[Questions, np.random.Generator], Path | None],
+    find: Callable[[InterruptibleProblem, np.random.Generator], Path | None],
     shortcut: Shortcut | None,
-    questions: Questions,
+    questions: InterruptibleProblem,
     rng: np.random.Generator,
 ) -> Iterator[Path]:
     """Yield the first path that is found, then cheaper versions of it until the budget ends.
@@ -200,7 +204,7 @@ def first_and_shorter(
             yield from shortcut.improve(path, questions, questions.budget, rng)
 
 
-def apply_best(line: Line, proposals: list[Replacement], questions: Questions) -> Line | None:
+def apply_best(line: Line, proposals: list[Replacement], questions: InterruptibleProblem) -> Line | None:
     """Apply the free, non-overlapping replacements that lower J most; return None if there are none."""
     if not proposals:
         return None
@@ -223,7 +227,7 @@ def apply_best(line: Line, proposals: list[Replacement], questions: Questions) -
 
 
 def _are_free(
-    proposals: list[Replacement], order: Array, begin: Array, q0: Array, q1: Array, questions: Questions
+    proposals: list[Replacement], order: Array, begin: Array, q0: Array, q1: Array, questions: InterruptibleProblem
 ) -> list[bool]:
     """Return which proposals are free, in the order of `order`; all are checked in one batch."""
     if len(order) == 0:

@@ -14,7 +14,7 @@ from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.candidates.search import Search
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
-from graceful_plan.query.verification import Judged, judged
+from graceful_plan.query.verification import VerifiedMotion, judged
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 
 LAST_STEPS = 0.004
@@ -46,8 +46,8 @@ class BestVerified:
         """Least estimated cost of a path that the searches have found."""
         self.why_not = ""
         """Reason why the first path cannot be timed; empty if it can."""
-        self._best: Judged | None = None
-        self._refused: Judged | None = None
+        self._best: VerifiedMotion | None = None
+        self._refused: VerifiedMotion | None = None
         self._told: list[TracePoint] = []
         self._stopped = False
         self._rounds = 0

@@ -11,11 +11,11 @@ import numpy as np
 from graceful_plan.analysis.risk_measures import MEASURES, RiskMeasure
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
-from graceful_plan.judge.verification import Verification
+from graceful_plan.judge.verification import VerificationSettings
 from graceful_plan.path import is_real
 from graceful_plan.planners import PLANNERS, Auto, Planner
+from graceful_plan.query.base_planning import base_planning, planners_by_name
 from graceful_plan.query.candidates.search import Callback
-from graceful_plan.query.driving import driving_of, planners_by_name
 from graceful_plan.query.request import STOPS, Stop
 from graceful_plan.scene.scene import Scene
 
@@ -46,7 +46,7 @@ def driving_planner(planner: Planner, scene: Scene) -> Planner:
         SettingError: If the robot has a base and the planner is for arms, or the other way round.
         UnsupportedError: If the robot has a base, and `graceful_plan.mobile` is not installed.
     """
-    driving = driving_of(scene)
+    driving = base_planning(scene)
     if planner.drives and driving is None:
         raise SettingError("planner", planner.name, "a planner for arms: this robot has no DiffDrive")
     if driving is None or planner.drives:
@@ -57,7 +57,7 @@ def driving_planner(planner: Planner, scene: Scene) -> Planner:
     return driving.default_planner()
 
 
-def check_stands(scene: Scene, what: str) -> None:
+def check_no_base(scene: Scene, what: str) -> None:
     """Refuse robots with a mobile base, for functions that do not model how a base moves.
 
     Raises:
@@ -119,9 +119,9 @@ def checked_wait(max_wait: object, scene: Scene) -> float:
     return float(max_wait)
 
 
-def checked_verification(verification: object) -> Verification | None:
+def checked_verification(verification: object) -> VerificationSettings | None:
     """Return the resolution of the judge; None for its default."""
-    if verification is not None and not isinstance(verification, Verification):
+    if verification is not None and not isinstance(verification, VerificationSettings):
         raise SettingError("verification", verification, "a Verification, such as Verification(step=0.001)")
     return verification
 

@@ -7,9 +7,9 @@ from typing import Literal, get_args
 
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.judge.verification import Verification
+from graceful_plan.judge.verification import VerificationSettings
 from graceful_plan.planners import Planner
-from graceful_plan.query.candidates.prefer import Preference
+from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.scene.pose_goal import PoseGoal
 
@@ -44,7 +44,7 @@ class Request:
     poses: tuple[PoseGoal | None, ...] = ()
     speed: float = 1.0
     max_wait: float = 0.0
-    verification: Verification | None = None
+    verification: VerificationSettings | None = None
     refine: bool = True
     stop: Stop = "time_limit"
     callback: Callback | None = None

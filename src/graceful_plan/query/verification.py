@@ -9,7 +9,7 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.judge.verification import Verification, verify
+from graceful_plan.judge.verification import VerificationSettings, verify
 from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.request import Request
 from graceful_plan.result import Verdict
@@ -17,23 +17,23 @@ from graceful_plan.scene.pose_goal import PoseGoal
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class VerifiedMotion:
     """A motion and the judge's verdict on it."""
 
     motion: Motion
     verdict: Verdict
 
 
-def judged(motion: Motion, request: Request) -> Judged:
+def judged(motion: Motion, request: Request) -> VerifiedMotion:
     """Verify a motion of a request."""
     pose = request.pose(motion.arrival)
     verdict = verdict_of(motion, request.objective, request.constraints, pose, request.verification)
-    return Judged(motion=motion, verdict=verdict)
+    return VerifiedMotion(motion=motion, verdict=verdict)
 
 
-def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None:
+def first_verified(motions: Iterable[Motion], request: Request) -> VerifiedMotion | None:
     """Return the first motion that passes the judge, else the first one with its violations; None without motions."""
-    refused: Judged | None = None
+    refused: VerifiedMotion | None = None
     for motion in motions:
         found = judged(motion, request)
         if found.verdict.passed:
@@ -47,10 +47,10 @@ def verdict_of(
     objective: SceneObjective,
     constraints: SceneConstraints,
     pose: PoseGoal | None = None,
-    verification: Verification | None = None,
+    verification: VerificationSettings | None = None,
 ) -> Verdict:
     """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given."""
-    scene, looks = objective.scene, verification or Verification()
+    scene, looks = objective.scene, verification or VerificationSettings()
     impact, exposure = objective.objective.impact, objective.objective.exposure
     # The judge can recompute only the published model, over length or time: it has no second implementation of others.
     published = isinstance(impact, ImpactCost) and impact.is_published()

@@ -13,7 +13,7 @@ from graceful_plan.costs.edge_samples import EdgeSamples
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import AT_LIMITS, Objective, search_paces
 from graceful_plan.exceptions import SettingError
-from graceful_plan.planners.roadmaps.edge_prices import EdgePrices
+from graceful_plan.planners.roadmaps.edge_prices import EdgeCosts
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
 
@@ -51,7 +51,7 @@ class Exposure:
             raise SettingError("exposure", objective.exposure, "'length' or 'time' for a roadmap")
         self.objective, self.scene, self.step, self.paces = objective, scene, step, paces
         impact = objective.impact
-        self.by_hazard = isinstance(impact, ImpactCost)
+        self.by_entity = isinstance(impact, ImpactCost)
         self.hazards: tuple[str, ...] = ()
         self.columns: tuple[tuple[str, str], ...] = (("", ""),)
         if isinstance(impact, ImpactCost):
@@ -62,33 +62,33 @@ class Exposure:
     def severity(self, scene: Scene) -> Float[Array, " column"]:
         """Return the severity of each column in a scene, 0 if it has none; 1 for an impact without severities."""
         impact = self.objective.impact
-        if not (self.by_hazard and isinstance(impact, ImpactCost)):
+        if not (self.by_entity and isinstance(impact, ImpactCost)):
             return np.ones(1)
         pairs = product(scene.components, impact.hazards(scene))
-        known = dict(zip(pairs, impact.hazard_severity(scene).flat, strict=True))
+        known = dict(zip(pairs, impact.severity_table(scene).flat, strict=True))
         return np.array([known.get(column, 0.0) for column in self.columns], dtype=np.float64)
 
     def reported(self) -> Exposure:
         """Return a copy with the samples and paces of reported costs, which are those of `evaluate`."""
         return Exposure(self.objective, self.scene, COST_STEP, AT_LIMITS)
 
-    def price(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> EdgePrices:
+    def price(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> EdgeCosts:
         """Return motion cost and exposure of straight edges, travelled from `q0` to `q1`."""
         if len(q0) == 0:
-            return EdgePrices.of(np.zeros(0), np.zeros((0, len(self.columns))))
+            return EdgeCosts.of(np.zeros(0), np.zeros((0, len(self.columns))))
         samples = EdgeSamples(q0, q1, self.scene.limits.velocity, self.paces, self.step)
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length)
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         P = self._density(batch)
         P[P < _NOTHING] = 0.0
-        return EdgePrices.of(motion, np.add.reduceat(P * samples.weights(measure)[:, None], samples.first))
+        return EdgeCosts.of(motion, np.add.reduceat(P * samples.weights(measure)[:, None], samples.first))
 
-    def breakdown(self, prices: EdgePrices, severity: Float[Array, " column"], w: float) -> CostBreakdown:
+    def breakdown(self, prices: EdgeCosts, severity: Float[Array, " column"], w: float) -> CostBreakdown:
         """Return the total cost of edges, with the impact by entity and component."""
         parts = np.bincount(prices.column, prices.exposure, len(severity)) * severity
         motion, impact = float(prices.motion.sum()), float(parts.sum())
-        if not self.by_hazard:
+        if not self.by_entity:
             return CostBreakdown(motion=motion, impact=impact, w=w)
         components, hazards = dict.fromkeys(self.scene.components, 0.0), dict.fromkeys(self.hazards, 0.0)
         for (component, hazard), part in zip(self.columns, parts.tolist(), strict=True):
@@ -100,7 +100,7 @@ class Exposure:
 
     def _density(self, batch: StateBatch) -> Float[Array, "n column"]:
         impact = self.objective.impact
-        if not (self.by_hazard and isinstance(impact, ImpactCost)):
+        if not (self.by_entity and isinstance(impact, ImpactCost)):
             return checked_state(impact, batch)[:, None]
         counted = {component for component, _ in self.columns}
         rows = [row for row, name in enumerate(self.scene.components) if name in counted]

@@ -19,7 +19,7 @@ from graceful_plan.planners.roadmaps.edge_prices import Edges
 from graceful_plan.planners.roadmaps.graph import non_dominated, spread_out
 from graceful_plan.planners.roadmaps.growth import Growth
 from graceful_plan.planners.settings import count
-from graceful_plan.query.arguments import check_stands, checked_objective, checked_seed, checked_time_limit
+from graceful_plan.query.arguments import check_no_base, checked_objective, checked_seed, checked_time_limit
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.endpoints.goals import Goal
@@ -100,7 +100,7 @@ class Roadmap:
             GracefulPlanError: For misuse: settings outside their range, motions that do not fit the scene.
         """
         started = time.perf_counter()
-        check_stands(scene, "a roadmap")
+        check_no_base(scene, "a roadmap")
         count("nodes", nodes, most=_MOST_NODES)
         count("neighbours", neighbours, most=_MOST_NEIGHBOURS)
         rng, chosen = checked_seed(seed), checked_objective(objective, None)
@@ -231,7 +231,7 @@ class Roadmap:
         Raises:
             SettingError: If the scene is another one, or if severities are given for an impact that does not use them.
         """
-        if severity is not None and not self.exposure.by_hazard:
+        if severity is not None and not self.exposure.by_entity:
             raise SettingError("severity", severity, "None: the impact of this roadmap does not use severities")
         chosen = self.scene if scene is None else scene
         if not (chosen is self.scene or _same_but_for_severity(self.scene, chosen)):

@@ -35,7 +35,7 @@ POSES = ("body_pos", "body_quat", "qpos0", "qpos_spring")
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Solid:
+class StaticBody:
     """A static body to add to a scene.
 
     | field  | meaning                                                                                 | unit |

@@ -111,7 +111,7 @@ class Liquid:
 
 
 @dataclass(frozen=True)
-class Dry:
+class Granular:
     """Something dry in a carried container: rice, screws, letters.
 
     Args:
@@ -127,7 +127,7 @@ class Dry:
         _check_positive("volume", self.volume)
 
 
-Contents = Liquid | Dry
+Contents = Liquid | Granular
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class AllowedContact:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EntityNote:
+class EntityAnnotation:
     """The class of an entity, and severities that replace those of the table.
 
     Severities are one number for all components, or numbers by component ("carried") or component class ("glass");
@@ -199,10 +199,10 @@ class Notes:
     torque: tuple[float, ...] | None = None
     base: DiffDrive | None = None
     """Kinematics and limits of the base, if the first planned joints are those of a base."""
-    entities: Mapping[str, EntityNote] = field(default_factory=lambda: MappingProxyType({}))
+    entities: Mapping[str, EntityAnnotation] = field(default_factory=lambda: MappingProxyType({}))
     severity: SeverityTable
     overrides: Mapping[str, float | Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
-    """Severities that replace the table's, by entity as in `EntityNote`, or by entity class and component class."""
+    """Severities that replace the table's, by entity as in `EntityAnnotation`, or by entity class and component class."""
     objects: Mapping[str, ObjectNote] = field(default_factory=lambda: MappingProxyType({}))
     keyframes: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
     tasks: Mapping[str, TaskNote] = field(default_factory=lambda: MappingProxyType({}))

@@ -23,7 +23,7 @@ from graceful_plan.scene.screening import MAX_EXTENT
 Array = np.ndarray
 
 
-class Whereabouts(NamedTuple):
+class PredictedPose(NamedTuple):
     """Predicted poses of a moving entity at given times."""
 
     position: Float[Array, "*batch 3"]
@@ -132,13 +132,13 @@ class MovingEntity:
         steps = np.linalg.norm(np.diff(self.position, axis=0), axis=1)
         return float(np.max(steps / np.diff(self.t), initial=0.0))
 
-    def at(self, t: ArrayLike | float) -> Whereabouts:
+    def at(self, t: ArrayLike | float) -> PredictedPose:
         """Return the predicted poses at one or more times [s]."""
         times = finite_array("t", np.asarray(t))
         position = np.stack([np.interp(times, self.t, axis) for axis in self.position.T], axis=-1)
         known_for = np.maximum(times - self.t[0], 0.0)
         spread = np.hypot(self.spread, self.growth * known_for)
-        return Whereabouts(position, np.asarray(np.interp(times, self.t, self.yaw)), np.asarray(spread))
+        return PredictedPose(position, np.asarray(np.interp(times, self.t, self.yaw)), np.asarray(spread))
 
     def later(self, seconds: float) -> MovingEntity:
         """Return the same prediction shifted in time by `seconds`; a negative number shifts it to earlier times.

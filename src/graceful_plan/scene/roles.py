@@ -21,7 +21,7 @@ from graceful_plan.scene.elements import (
     Component,
     Contents,
     Entity,
-    EntityNote,
+    EntityAnnotation,
     Notes,
     ObjectNote,
 )
@@ -78,7 +78,7 @@ def _contents_geoms(model: mujoco.MjModel, held: ObjectNote, bodies: frozenset[i
     return tuple(sorted(in_object[name] for name in wanted))
 
 
-def custom_entities(model: mujoco.MjModel) -> dict[str, EntityNote]:
+def custom_entities(model: mujoco.MjModel) -> dict[str, EntityAnnotation]:
     """Read entity classes from the model's custom text `entity/BODY = CLASS`."""
     found = {}
     for i in range(model.ntext):
@@ -87,7 +87,7 @@ def custom_entities(model: mujoco.MjModel) -> dict[str, EntityNote]:
         category = bytes(model.text_data[start : start + int(model.text_size[i])]).rstrip(b"\0").decode()
         prefix, marker, body = name.partition("entity/")  # an attached model has its prefix before
         if marker and (not prefix or prefix.endswith("/")):
-            found[prefix + body] = EntityNote(category=category)
+            found[prefix + body] = EntityAnnotation(category=category)
     return found
 
 
@@ -158,7 +158,7 @@ def own_severity(notes: Notes, components: Mapping[str, Component]) -> float:
 
 def _severity_against(
     name: str,
-    entity: EntityNote | MovingEntity,
+    entity: EntityAnnotation | MovingEntity,
     by_entity: Mapping[str, _Severity],
     table: SeverityTable,
     components: Mapping[str, Component],

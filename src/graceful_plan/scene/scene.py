@@ -22,11 +22,16 @@ from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
-from graceful_plan.scene.edit import Solid, moved, removed
-from graceful_plan.scene.elements import AllowedContact, Contents, EntityNote, Notes
+from graceful_plan.scene.edit import StaticBody, moved, removed
+from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
-from graceful_plan.scene.loading.self_contacts import OFTEN, link_contacts, touching, warn_of_untested_links
+from graceful_plan.scene.loading.self_contacts import (
+    MAX_OVERLAP_FRACTION,
+    link_contacts,
+    touching,
+    warn_of_untested_links,
+)
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import described_drive
 from graceful_plan.scene.model_parts import (
@@ -85,7 +90,7 @@ class Scene(SceneFacts):
         carried: str | None = None,
         X_TO: ArrayLike | None = None,
         contents: Contents | None = None,
-        entities: Mapping[str, str | EntityNote] | None = None,
+        entities: Mapping[str, str | EntityAnnotation] | None = None,
         severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
         fingers: float | Mapping[str, float] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
@@ -157,7 +162,8 @@ class Scene(SceneFacts):
             torque=None if torque is None else tuple(torque),
             base=base,
             entities={
-                k: v if isinstance(v, EntityNote) else EntityNote(category=v) for k, v in (entities or {}).items()
+                k: v if isinstance(v, EntityAnnotation) else EntityAnnotation(category=v)
+                for k, v in (entities or {}).items()
             },
             severity=table,
             overrides=overrides,
@@ -186,7 +192,7 @@ class Scene(SceneFacts):
         limits: Mapping[str, tuple[float, float]] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
         keyframes: Mapping[str, ArrayLike] | None = None,
-        entities: Mapping[str, str | EntityNote] | None = None,
+        entities: Mapping[str, str | EntityAnnotation] | None = None,
         severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
     ) -> Scene:
         """Create a scene from a robot in URDF, with or without a world. Names get the prefix "<robot name>/".
@@ -228,7 +234,7 @@ class Scene(SceneFacts):
         disabled = () if told is None else told.contacts(robot)
         spec = composed(robot, tool, world, pose)
         touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts))
-        if decompose is None and touches.often > OFTEN:
+        if decompose is None and touches.often > MAX_OVERLAP_FRACTION:
             spec = composed(read_urdf(source, packages, decompose=None), tool, world, pose)
             touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts))
         return cls.from_mjcf(
@@ -455,18 +461,18 @@ class Scene(SceneFacts):
             pose: Pose in W as a 4 x 4 matrix, or the position of its centre [m].
             entity: Entity class, if the box can be harmed; otherwise it is an obstacle only.
         """
-        return self.edit(add=[Solid(name=name, kind="box", size=half_size, pose=pose, entity=entity)])
+        return self.edit(add=[StaticBody(name=name, kind="box", size=half_size, pose=pose, entity=entity)])
 
     def add_sphere(self, name: str, radius: float, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with a static sphere of some radius [m]; other arguments as in `add_box`."""
-        return self.edit(add=[Solid(name=name, kind="sphere", size=radius, pose=pose, entity=entity)])
+        return self.edit(add=[StaticBody(name=name, kind="sphere", size=radius, pose=pose, entity=entity)])
 
     def add_cylinder(
         self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
     ) -> Scene:
         """Return this scene with a static cylinder along z of its pose [m]; other arguments as in `add_box`."""
         size = radius, half_length
-        return self.edit(add=[Solid(name=name, kind="cylinder", size=size, pose=pose, entity=entity)])
+        return self.edit(add=[StaticBody(name=name, kind="cylinder", size=size, pose=pose, entity=entity)])
 
     def add_capsule(
         self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
@@ -476,16 +482,16 @@ class Scene(SceneFacts):
         `half_length` [m] is that of the straight part, without the caps; other arguments as in `add_box`.
         """
         size = radius, half_length
-        return self.edit(add=[Solid(name=name, kind="capsule", size=size, pose=pose, entity=entity)])
+        return self.edit(add=[StaticBody(name=name, kind="capsule", size=size, pose=pose, entity=entity)])
 
     def add_mesh(self, name: str, vertices: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with the convex hull of points [m] in the frame of `pose`; else as in `add_box`."""
-        return self.edit(add=[Solid(name=name, kind="mesh", size=vertices, pose=pose, entity=entity)])
+        return self.edit(add=[StaticBody(name=name, kind="mesh", size=vertices, pose=pose, entity=entity)])
 
     def edit(
         self,
         *,
-        add: Iterable[Solid | PointCloud | HeightMap] = (),
+        add: Iterable[StaticBody | PointCloud | HeightMap] = (),
         move: Mapping[str, ArrayLike] | None = None,
         remove: Iterable[str] = (),
     ) -> Scene:
@@ -517,7 +523,9 @@ class Scene(SceneFacts):
             solid.add_to(spec)
         left = set(gone) - {solid.name for solid in solids}
         entities = {name: note for name, note in self.notes.entities.items() if name not in gone}
-        entities |= {solid.name: EntityNote(category=solid.entity) for solid in solids if solid.entity is not None}
+        entities |= {
+            solid.name: EntityAnnotation(category=solid.entity) for solid in solids if solid.entity is not None
+        }
         overrides = {name: value for name, value in self.notes.overrides.items() if name not in left}
         return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides))
 

@@ -18,9 +18,9 @@ from xml.parsers import expat
 
 import mujoco
 
-from graceful_plan.exceptions import NOT_READ, SceneError, SettingError, TooLargeError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, SceneError, SettingError, TooLargeError, read_error_reason
 from graceful_plan.regular_file import path_of, read_content
-from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, Swollen, check_png, weighed
+from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, DecompressionError, asset_budget, check_png
 
 MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000
@@ -162,7 +162,7 @@ class _Screen:
     """Asset folders that the model declares, relative to one of `places`."""
     assets: list[_Asset] = field(default_factory=list)
     spent: dict[str, float] = field(default_factory=lambda: dict.fromkeys(BUDGETS, 0.0))
-    weighed: set[Path] = field(default_factory=set)
+    asset_budget: set[Path] = field(default_factory=set)
     """Asset files that are already counted in `spent`."""
 
     @property
@@ -205,8 +205,8 @@ class _Screen:
         """Screen a file that is included `replicas` times."""
         try:
             content = read_content(file, MAX_BYTES)
-        except NOT_READ as error:
-            raise SceneError(why_not_read(error), file=str(file)) from None
+        except READ_ERRORS as error:
+            raise SceneError(read_error_reason(error), file=str(file)) from None
         resolved = file.resolve()
         if resolved in self.reading:
             raise SceneError("includes itself", file=str(file))
@@ -242,21 +242,21 @@ class _Screen:
         if found is None:
             message = f"file {asset.given!r} of <{asset.tag}>: only files {self.allowed}, by relative path{self.hint}"
             raise SceneError(message, file=asset.file, line=asset.line)
-        for file in set(found) - self.weighed:
-            self.weighed.add(file)
+        for file in set(found) - self.asset_budget:
+            self.asset_budget.add(file)
             try:
                 content = read_content(file, MAX_ASSET_BYTES)
-            except NOT_READ as error:
-                raise SceneError(why_not_read(error), file=str(file)) from None
+            except READ_ERRORS as error:
+                raise SceneError(read_error_reason(error), file=str(file)) from None
             self.spend_on(asset, "bytes of assets", len(content))
-            if amount := weighed(asset.tag, content, file.suffix):
+            if amount := asset_budget(asset.tag, content, file.suffix):
                 if asset.tag == "mesh" and amount[1] > MOST_OF_A_MESH:
                     said = f"{asset.given!r} has {amount[1]} vertices and faces; at most {MOST_OF_A_MESH} are read"
                     raise SceneError(said, file=asset.file, line=asset.line)
                 self.spend_on(asset, *amount)
             try:
                 check_png(file, content)
-            except Swollen as error:
+            except DecompressionError as error:
                 raise SceneError(f"{error}", file=asset.file, line=asset.line) from None
 
     def spend_on(self, asset: _Asset, what: str, amount: int | float) -> None:

@@ -15,9 +15,9 @@ from graceful_plan.path import Path, real_array
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, merge_near_vertices, rounded
 from graceful_plan.timing.topp import (
-    FeltLevels,
     InverseDynamics,
     Restraint,
+    SpecificForceLevels,
     fastest,
     fastest_with_toppra,
     travelled,
@@ -43,7 +43,7 @@ def retime(
     speed: float = 1.0,
     inverse_dynamics: InverseDynamics | None = None,
     restraint: Restraint | None = None,
-    felt: FeltLevels | None = None,
+    felt: SpecificForceLevels | None = None,
 ) -> Trajectory:
     """Time a path as fast as the limits allow, from rest to rest.
 
@@ -102,7 +102,7 @@ def timed(
     speed: float = 1.0,
     inverse_dynamics: InverseDynamics | None = None,
     restraint: Restraint | None = None,
-    felt: FeltLevels | None = None,
+    felt: SpecificForceLevels | None = None,
 ) -> Trajectory:
     """Time a curve as fast as the limits allow, from rest to rest; arguments and errors as in `retime`."""
     _check_limits(limits, joints)

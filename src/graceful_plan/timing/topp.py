@@ -38,7 +38,7 @@ Restraint = Callable[[CurveGrid], Array]
 
 @final
 @dataclass(frozen=True, eq=False)
-class FeltLevels:
+class SpecificForceLevels:
     """Limits on the specific force of a carried object, from the most permissive level to the strictest.
 
     A liquid surface swings beyond the direction of the specific force. Stricter levels leave less of the brim tilt to
@@ -53,7 +53,7 @@ class FeltLevels:
 
     core: _native.Core | None
     names: tuple[str, ...]
-    levels: tuple[tuple[_native.FeltLimit, ...], ...]
+    levels: tuple[tuple[_native.SpecificForceLimit, ...], ...]
 
 
 def fastest(
@@ -62,7 +62,7 @@ def fastest(
     acceleration: Float[Array, " nq"],
     *,
     limit: Float[Array, "interval limit 3"] | None = None,
-    felt: FeltLevels | None = None,
+    felt: SpecificForceLevels | None = None,
     speed: float = 1.0,
 ) -> _native.TimedCurve:
     """Compute the time-optimal motion along a curve, at rest at the grid's stops.
@@ -79,7 +79,7 @@ def fastest(
     Raises:
         RetimingError: If the motion comes to a halt, or a limit is violated even at rest.
     """
-    felt = FeltLevels(None, (), ()) if felt is None else felt
+    felt = SpecificForceLevels(None, (), ()) if felt is None else felt
     found = _native.fastest(
         **_arrays(grid, velocity, acceleration),
         stop=grid.stop,

@@ -72,7 +72,7 @@ def add_planner(parser: argparse.ArgumentParser, text: str) -> None:
 
 def chosen_planner(args: argparse.Namespace) -> gp.Planner:
     """Create the selected planner with its settings."""
-    from graceful_plan.compare.runs.planner_notes import read_planners
+    from graceful_plan.compare.runs.planner_specs import read_planners
 
     return read_planners([args.planner])[0].make()
 

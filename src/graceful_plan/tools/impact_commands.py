@@ -44,7 +44,7 @@ def add_to(commands: Any) -> None:
 
     impact_map = add_command(commands, "map", _map, "map the impact of releasing the carried object")
     add_scene(impact_map)
-    add_model(impact_map, "footprint")
+    add_model(impact_map, "mixture")
     impact_map.add_argument("--height", type=float, required=True, metavar="M", help="height of its lowest point [m]")
     impact_map.add_argument("--speed", type=float, default=0.0, help="horizontal speed [m/s] (default 0)")
     impact_map.add_argument(

@@ -51,7 +51,7 @@ class ImpactCharge:
         exact = self.impact.gradients(moving_batch(self.scene, q, qd)) if isinstance(self.impact, ImpactCost) else None
         if exact is not None:
             return self.w * np.concatenate(exact, axis=1)
-        if self._own.has_gradient and not self._own.asks_for_velocity:
+        if self._own.has_gradient and not self._own.uses_velocity:
             return self.w * np.concatenate(self._own(q, qd)[1:], axis=1)
         return _differences(lambda z: self.value(*np.split(z, 2, axis=1)), np.concatenate([q, qd], axis=1), _STEP)
 

@@ -12,8 +12,8 @@ import numpy as np
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import CostError
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import checked_costs
 from graceful_plan.planners.planner import BoundObjective
-from graceful_plan.planners.questions import checked_costs
 
 Array = np.ndarray
 
@@ -66,7 +66,7 @@ class Candidate:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Aimed:
+class Target:
     """A candidate with a target: less motion and impact inside a box, or less V + w S.
 
     Args:

@@ -24,10 +24,10 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted, checked_costs, out_of_time
 from graceful_plan.planners.planner import Budget, DifferentiableObjective, Problem
-from graceful_plan.planners.questions import Interrupted, checked_costs, out_of_time
 from graceful_plan.planners.resampling import evenly
-from graceful_plan.tuning.archive import Aimed, Candidate, EdgeTest
+from graceful_plan.tuning.archive import Candidate, EdgeTest, Target
 
 Array = np.ndarray
 
@@ -49,7 +49,7 @@ _ARMIJO = 1e-4
 
 
 def descend(
-    members: Sequence[Aimed],
+    members: Sequence[Target],
     problem: Problem,
     objective: DifferentiableObjective,
     certain: EdgeTest,
@@ -83,7 +83,7 @@ def descend(
     return batch.candidates()
 
 
-def _evened(member: Aimed, certain: EdgeTest) -> Float[Array, "n nq"] | None:
+def _evened(member: Target, certain: EdgeTest) -> Float[Array, "n nq"] | None:
     """Return evenly spaced vertices; None if the path has no length or the new edges are not free."""
     path = Path(member.candidate.q)
     if len(path) < 2 or path.length == 0.0:
@@ -100,7 +100,7 @@ class _Batch:
 
     def __init__(
         self,
-        members: Sequence[Aimed],
+        members: Sequence[Target],
         q: Float[Array, "path vertex nq"],
         problem: Problem,
         objective: DifferentiableObjective,

@@ -27,7 +27,7 @@ from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.arguments import (
-    check_stands,
+    check_no_base,
     checked_objective,
     checked_planner,
     checked_seed,
@@ -119,7 +119,7 @@ def pareto(
         GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside their range.
     """
     started = time.perf_counter()
-    check_stands(scene, "pareto()")
+    check_no_base(scene, "pareto()")
     solver, rng = checked_planner(planner), checked_seed(seed)
     limit = checked_time_limit(10.0 if time_limit is None and iterations is None else time_limit, iterations)
     if not (isinstance(points, int | np.integer) and not isinstance(points, bool) and 2 <= points <= MOST_POINTS):

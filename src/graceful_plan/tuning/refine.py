@@ -26,10 +26,10 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import out_of_time
 from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem
-from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.shortcut import Line, Replacement, cut, leave_out, move_aside, replaced, straighten_joint
-from graceful_plan.tuning.archive import Aimed, Archive, Candidate, EdgeTest, charged, widest_gaps
+from graceful_plan.tuning.archive import Archive, Candidate, EdgeTest, Target, charged, widest_gaps
 from graceful_plan.tuning.descent import descend
 from graceful_plan.tuning.front_problem import FrontProblem
 from graceful_plan.tuning.points import dominated_area
@@ -108,17 +108,17 @@ class Refinement:
             gain = dominated_area(self.archive.costs, corner) / max(dominated_area(before, corner), 1e-300) - 1.0
             idle = 0 if gain > _GAIN else idle + 1
 
-    def _boxed(self, reach: int = 1) -> list[Aimed]:
+    def _boxed(self, reach: int = 1) -> list[Target]:
         gaps, front = max(2, self.capacity // 4), self.archive.chosen(self.capacity)
         return [aimed for aimed in boxed(front, gaps, reach) if len(aimed.candidate.q) > 1]
 
-    def _descend(self, members: list[Aimed]) -> None:
+    def _descend(self, members: list[Target]) -> None:
         """Descend from candidates if the objective has gradients."""
         if self.smooth and isinstance(self.objective, DifferentiableObjective):
             for candidate in descend(members, self.problem, self.objective, self.certain, self.budget, _STEPS):
                 self.archive.offer(candidate)
 
-    def _moves(self, members: list[Aimed]) -> None:
+    def _moves(self, members: list[Target]) -> None:
         """Try rounds of random moves on candidates."""
         for round_ in range(_ROUNDS if self.smooth else _ROUNDS_ALONE):
             if not self.budget.spend():
@@ -142,7 +142,7 @@ def _has_derivatives(objective: BoundObjective, problem: Problem) -> bool:
     return found is not None and bool(np.allclose(found[0][:, 0], np.linalg.norm(q1 - q0, axis=1)))
 
 
-def weighted(archive: Archive[Candidate], found: Sequence[Candidate] = ()) -> list[Aimed]:
+def weighted(archive: Archive[Candidate], found: Sequence[Candidate] = ()) -> list[Target]:
     """Return candidates to minimise V + w S: those found, and the best below, at and above weights of a range."""
     motion, impact = archive.candidates[0].cost.tolist()
     if not impact > 0.0:
@@ -154,12 +154,12 @@ def weighted(archive: Archive[Candidate], found: Sequence[Candidate] = ()) -> li
     sent += [(c, c.made_with * factor) for c in found for factor in (1.0, _ASIDE, 1.0 / _ASIDE)]
     beyond = np.full(2, np.inf)
     return [
-        Aimed(candidate=replace(candidate, made_by="weight", made_with=w), corner=beyond, weight=w)
+        Target(candidate=replace(candidate, made_by="weight", made_with=w), corner=beyond, weight=w)
         for candidate, w in sent
     ]
 
 
-def boxed(front: list[Candidate], gaps: int, reach: int = 1) -> list[Aimed]:
+def boxed(front: list[Candidate], gaps: int, reach: int = 1) -> list[Target]:
     """Return the box of each candidate of a front, and boxes of the widest gaps for both of their neighbours.
 
     Args:
@@ -171,13 +171,13 @@ def boxed(front: list[Candidate], gaps: int, reach: int = 1) -> list[Aimed]:
     rim = np.broadcast_to(_BEYOND * costs.max(axis=0), (reach, 2))
     right = np.append(costs[:, 0], rim[:, 0])[reach:]
     left = np.append(rim[:, 1], costs[:, 1])[: len(costs)]
-    members = [Aimed(candidate=c, corner=np.array(box)) for c, *box in zip(front, right, left, strict=True)]
+    members = [Target(candidate=c, corner=np.array(box)) for c, *box in zip(front, right, left, strict=True)]
     for k in widest_gaps(costs, gaps):
         # Slightly wider than the gap, because the neighbours themselves lie on its rim.
         corner = np.array([costs[k + 1, 0], costs[k, 1]]) + _RIM * np.abs(costs[k + 1] - costs[k])
         for candidate in front[k : k + 2]:
             sent = replace(candidate, made_by="gap", made_with=float(costs[k, 1]))
-            members.append(Aimed(candidate=sent, corner=corner))
+            members.append(Target(candidate=sent, corner=corner))
     return members
 
 
@@ -192,13 +192,13 @@ def _spaced(candidate: Candidate, objective: BoundObjective) -> Candidate:
 
 
 def improved(
-    members: list[Aimed],
+    members: list[Target],
     problem: Problem,
     objective: BoundObjective,
     certain: EdgeTest,
     rng: np.random.Generator,
     round_: int,
-) -> list[Aimed]:
+) -> list[Target]:
     """Try one round of moves on members, in one batch."""
     lines = [Line(m.candidate.q, m.candidate.edges[:, 0]) for m in members]
     proposals = [_proposals(line, m.candidate.size, rng, round_) for line, m in zip(lines, members, strict=True)]
@@ -264,7 +264,7 @@ def bend(line: Line, n: int, size: float, rng: np.random.Generator) -> list[Repl
 
 
 def _gains(
-    members: list[Aimed], every: list[Replacement], owner: Array, after: Float[Array, "n 2"]
+    members: list[Target], every: list[Replacement], owner: Array, after: Float[Array, "n 2"]
 ) -> Float[Array, " n"]:
     """Return the increase in area of each replacement; 0 if there is none."""
     gains = np.zeros(len(every))
@@ -289,7 +289,7 @@ def _free(wanted: Bool[Array, " n"], begin: Array, q0: Array, q1: Array, certain
     return free
 
 
-def _taken(member: Aimed, news: list[tuple[Replacement, Array]], tried: bool) -> Aimed:
+def _taken(member: Target, news: list[tuple[Replacement, Array]], tried: bool) -> Target:
     """Apply the best non-overlapping replacements as long as the area grows."""
     candidate = member.candidate
     size = candidate.size * (1.3 if news else 0.93 if tried else 1.0)

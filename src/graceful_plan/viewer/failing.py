@@ -16,7 +16,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.fault_prior import DEGREES, REACTIONS, FaultPrior, shipped_effects
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import CoastSettings
@@ -193,9 +193,9 @@ def _arm_replay(
     """Simulate a job of an execution for a time after its onset [s]."""
     fb, scene = _failbench(), motion.scene
     execution, job, horizon = simulated
-    (rollout,) = fb.run(execution, [job], horizon=horizon)
+    (rollout,) = fb.run_rollouts(execution, [job], horizon=horizon)
     each = max(1, round(_STEP / execution.dt))
-    states = (data for _, data in fb.steps(execution, job, horizon=horizon))
+    states = (data for _, data in fb.rollout_steps(execution, job, horizon=horizon))
     frames = [(data.xpos.copy(), data.xquat.copy()) for i, data in enumerate(states) if i % each == 0]
     score = importlib.import_module("failbench.recording.score")
     effects, told = _effects(failure.degree)
@@ -206,7 +206,7 @@ def _arm_replay(
         label=motion.label,
         onset=rollout.onset,
         **_frames(motion, execution.world.model, rollout.onset, frames, each * execution.dt),
-        predicted=_predicted(motion, rollout.onset, ImpactCost(model=Footprint(faults=prior))),
+        predicted=_predicted(motion, rollout.onset, ImpactCost(model=FailureMixture(faults=prior))),
         observed={name: float(x) for name, x in score.impact_by_entity(rollout, scene).items() if x > 0.0},
         hits=tuple((event.striker, event.entity, event.time, event.position) for event in rollout.events),
         notes=notes,

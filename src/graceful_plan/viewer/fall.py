@@ -50,7 +50,7 @@ class Fall:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GoingOn:
+class Coasting:
     """Coasting of a base that fails now, by the coast model: its arc, with the median and 95 % distance.
 
     | field | meaning                                                | unit | shape   |
@@ -89,7 +89,7 @@ def fall_at(trajectory: Trajectory, scene: Scene, t: float) -> Fall | None:
     )
 
 
-def going_on_at(trajectory: Trajectory, scene: Scene, t: float) -> GoingOn | None:
+def coasting_at(trajectory: Trajectory, scene: Scene, t: float) -> Coasting | None:
     """Return the coasting of a base that fails at a time after the start [s]; None if it stands or there is none."""
     if scene.base is None:
         return None
@@ -105,7 +105,7 @@ def going_on_at(trajectory: Trajectory, scene: Scene, t: float) -> GoingOn | Non
     steps = np.sign(v) * np.diff(s)[:, None] * np.column_stack([np.cos(middle), np.sin(middle)])
     arc = np.zeros((_POINTS, 3))
     arc[:, :2] = np.array([x, y]) + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    return GoingOn(arc=arc, half=half, width=0.5 * scene.base.track)
+    return Coasting(arc=arc, half=half, width=0.5 * scene.base.track)
 
 
 def _distances(v: float) -> tuple[float, float]:

@@ -122,4 +122,4 @@ def impact_by_entity(
 ) -> Float[Array, "n entity"]:
     """Return P S of each of `impact.hazards(scene)`, given a failure at some times after the start [s]."""
     batch = trajectory_batch(scene, trajectory, trajectory.t[0] + t, t)
-    return np.einsum("nce,ce->ne", impact.probability(batch), impact.hazard_severity(scene))
+    return np.einsum("nce,ce->ne", impact.probability(batch), impact.severity_table(scene))

@@ -13,13 +13,13 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.failing import Failure, FailureBench, Replay, recorded_replay
-from graceful_plan.viewer.fall import Fall, GoingOn, fall_at, going_on_at
+from graceful_plan.viewer.fall import Coasting, Fall, coasting_at, fall_at
 from graceful_plan.viewer.question import PlanAnswer, Question, answered
 from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viewer.risk_layer import RiskLayer, risk_layer
 from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.shown import ShownMotion
-from graceful_plan.viewer.worker import LatestWins
+from graceful_plan.viewer.worker import LatestRequestWorker
 
 Array = np.ndarray
 
@@ -50,7 +50,7 @@ class ShownMoment:
     beside: tuple[tuple[Array, Array], ...]
     impact: Mapping[str, float]
     fall: Fall | None
-    going_on: GoingOn | None
+    going_on: Coasting | None
     failed: bool
 
 
@@ -78,7 +78,7 @@ class ViewerState:
         self.question, self.answer, self.replay = question, answer, None
         self.kept: tuple[ShownMotion, ...] = ()
         self._changed, self._bench = changed, FailureBench()
-        self.worker: LatestWins[Question, PlanAnswer] = LatestWins(self._work, self._done, failed)
+        self.worker: LatestRequestWorker[Question, PlanAnswer] = LatestRequestWorker(self._work, self._done, failed)
 
     # --- requests -----------------------------------------------------------------------------------------------------
 
@@ -199,7 +199,7 @@ class ViewerState:
             beside=tuple((other.poses.position[k], other.poses.quaternion[k]) for other, k in frames),
             impact={} if failed else motion.impact_at(within),
             fall=None if failed else fall_at(motion.trajectory, motion.scene, within),
-            going_on=None if failed else going_on_at(motion.trajectory, motion.scene, within),
+            going_on=None if failed else coasting_at(motion.trajectory, motion.scene, within),
             failed=failed,
         )
 

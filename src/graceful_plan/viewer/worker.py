@@ -10,7 +10,7 @@ Q = TypeVar("Q")
 A = TypeVar("A")
 
 
-class LatestWins(Generic[Q, A]):
+class LatestRequestWorker(Generic[Q, A]):
     """Worker that processes one request at a time.
 
     Args:

@@ -9,9 +9,9 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.compare import BestMotion, BestMotions, Run, read_known
-from graceful_plan.compare.problems.suite import ProblemNote
+from graceful_plan.compare.problems.suite import ProblemSpec
 from graceful_plan.compare.runs.best_motions import Attempt, StaleBestMotion
-from graceful_plan.compare.runs.planner_notes import PlannerNote
+from graceful_plan.compare.runs.planner_specs import PlannerSpec
 from graceful_plan.compare.runs.records import cubics
 from graceful_plan.compare.runs.runner import PlannerJob, run
 
@@ -25,8 +25,8 @@ def task(name: str = NAME) -> gp.Task:
 
 @pytest.fixture(scope="module")
 def found() -> Run:
-    note = ProblemNote(name=TASK, kind="task", source=SCENE, item=NAME)
-    planner = PlannerNote(label="rrt_connect", name="rrt_connect")
+    note = ProblemSpec(name=TASK, kind="task", source=SCENE, item=NAME)
+    planner = PlannerSpec(label="rrt_connect", name="rrt_connect")
     return run(PlannerJob(problem=note, planner=planner, seed=0, seconds=2.0, w=1.0, measured=False))
 
 

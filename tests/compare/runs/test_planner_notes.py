@@ -2,7 +2,7 @@ import pytest
 from bench_cases import own_planner
 
 import graceful_plan as gp
-from graceful_plan.compare.runs.planner_notes import PlannerImportError, read_planners
+from graceful_plan.compare.runs.planner_specs import PlannerImportError, read_planners
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 

@@ -65,7 +65,7 @@ def test_clearance_of_a_ball_beside_the_tool():
     assert near - nearer == pytest.approx(0.01, abs=1e-4)
     assert own == exact_clearance(path, scene)[1]
     # The fast checker's spheres cover the robot by less than 1 cm.
-    assert -1e-6 <= min(near, own) - gp.clearance(with_ball, q) <= 0.011
+    assert -1e-6 <= min(near, own) - gp.clearance(q, with_ball) <= 0.011
 
 
 def test_clearance_is_negative_in_collision_and_only_then():

@@ -20,7 +20,7 @@ from graceful_plan.costs.models.drop.release import Release, heights, release
 from graceful_plan.costs.models.drop.sides import SideStop
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.moving.outlines import outlines, outside
-from graceful_plan.costs.models.moving.whereabouts import PLACES, cell_of, normal_places, path_times
+from graceful_plan.costs.models.moving.position_samples import PLACES, cell_of, normal_places, path_times
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray

@@ -63,7 +63,7 @@ def _odd(turn=0.0, entities=("vase", "lamp", "ground"), held=True):
     place = {"vase": (0.6, 0.15, 0.2), "lamp": (0.5, -0.3, 0.5)}
     turned = {n: f"{c * x - s * y} {s * x + c * y} {z}" for n, (x, y, z) in place.items()}
     text = _ARM.format(turn=turn, **turned)
-    notes = {name: gp.EntityNote(category="glass") for name in entities}
+    notes = {name: gp.EntityAnnotation(category="glass") for name in entities}
     scene = gp.Scene.from_mjcf(text, robot="arm", tool="tool", velocity=[2.0] * 4,
                                acceleration=[5.0] * 4, entities=notes)  # fmt: skip
     return scene.attach("thing", X_TO=np.eye(4)) if held else scene

@@ -118,7 +118,7 @@ def test_who_is_worth_next_to_nothing_does_not_count():
 
 def test_sums_and_factors_and_times_are_those_of_what_they_are_made_of(task):
     body, (first, second) = _kernel(task), _edges(task, 10, 0.4)
-    drop = gp.Footprint().kernel(task.scene, _severity(task.scene), search_paces())
+    drop = gp.FailureMixture().kernel(task.scene, _severity(task.scene), search_paces())
     assert isinstance(drop, ImpactKernel)
     rough, falls = (kernel.edges(first, second, rough=True) for kernel in (body, drop))
     np.testing.assert_array_equal(falls, drop.edges(first, second))  # rough is for what is dear

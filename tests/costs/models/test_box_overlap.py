@@ -57,7 +57,7 @@ def _by_all(scene, q, component, entity):
     row, column = list(scene.components).index(component), list(scene.entities).index(entity)
     literal = np.array([slow_overlap.probability(scene, x, component, entity) for x in q])
     np.testing.assert_allclose(reference_probability(scene, q, [component])[:, 0, column], literal, atol=_SAME)
-    np.testing.assert_allclose(gp.interaction_probability(scene, q, "aabb")[:, row, column], literal, atol=_SAME)
+    np.testing.assert_allclose(gp.interaction_probability(q, scene, "box_overlap")[:, row, column], literal, atol=_SAME)
     return literal
 
 

@@ -16,7 +16,7 @@ from graceful_plan.costs.models.drop.constants import DropConstants, DropSetting
 from graceful_plan.costs.models.drop.landing import catching
 from graceful_plan.costs.models.drop.release import release
 from graceful_plan.costs.models.drop.tables import LEVEL, SHAPE_CLASSES, drop_tables
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.exceptions import SceneError, SettingError
 
 _TOLERANCE = 1e-9
@@ -314,7 +314,7 @@ def test_rows_of_components(tasks):
     q, qd = random_states(task, 3, 0)
     speed = np.linalg.norm(qd, axis=1)
     batch = StateBatch(task.scene, q, qd / speed[:, None], speed)
-    P = Footprint().probability(batch)
+    P = FailureMixture().probability(batch)
     names = list(task.scene.components)
     assert P.shape == (3, len(names), len(task.scene.entities))
     np.testing.assert_array_equal(P[:, names.index("body")], 0.0)
@@ -326,22 +326,22 @@ def test_rows_of_components(tasks):
 def test_impact_cost_takes_it_by_its_word(tasks):
     task = tasks[0]
     path = gp.Path(np.stack([task.start, np.atleast_2d(task.goal)[0]]))
-    cost = gp.evaluate(path, task.scene, gp.Objective(impact=gp.ImpactCost(model="footprint"), w=1.0))
+    cost = gp.evaluate(path, task.scene, gp.Objective(impact=gp.ImpactCost(model="mixture"), w=1.0))
     assert 0.0 < cost.impact < math.inf
 
 
 def test_without_an_object_nothing_falls():
     scene = gp.load_scene("tabletop")
     batch = StateBatch(scene, np.zeros((2, 7)))
-    assert not Footprint().probability(batch).any()
+    assert not FailureMixture().probability(batch).any()
 
 
 def test_no_states_and_many_states(crowd):
     n = len(crowd.components), len(crowd.entities)
-    assert Footprint().probability(StateBatch(crowd, np.zeros((0, 4)))).shape == (0, *n)
+    assert FailureMixture().probability(StateBatch(crowd, np.zeros((0, 4)))).shape == (0, *n)
     q = np.random.default_rng(0).uniform(-0.2, 0.2, size=(3000, 4))
-    whole = Footprint().probability(StateBatch(crowd, q))
-    alone = Footprint().probability(StateBatch(crowd, q[:10]))
+    whole = FailureMixture().probability(StateBatch(crowd, q))
+    alone = FailureMixture().probability(StateBatch(crowd, q[:10]))
     np.testing.assert_allclose(whole[:10], alone, rtol=0.0, atol=1e-12)  # states share the lanes of an instruction
 
 

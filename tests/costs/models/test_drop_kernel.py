@@ -159,7 +159,7 @@ def test_impact_is_the_sum_over_entities(scene, kernel):
 
 
 def test_edges_are_charged_at_their_speed(scene):
-    native = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene)
+    native = gp.Objective(impact=gp.ImpactCost(model="mixture")).bind(scene)
     generic = gp.Objective(impact=gp.ImpactCost(model=Wrapped())).bind(scene)
     assert native.kernel is not None and generic.kernel is None
     q0, q1 = _states(scene, 20, seed=4)[0], _states(scene, 20, seed=5)[0]
@@ -171,7 +171,7 @@ def test_edges_are_charged_at_their_speed(scene):
 
 def test_planners_run_on_it():
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
-    objective = gp.Objective(impact=gp.ImpactCost(model="footprint"), w=2.0).bind(task.scene)
+    objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), w=2.0).bind(task.scene)
     problem = SceneProblem(kernels=compile_scene(task.scene).kernels, start=task.start, goals=np.atleast_2d(task.goal))
     assert type(native_space(problem, objective)).__name__ == "SceneSpace"
     native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=1500)
@@ -185,7 +185,7 @@ def test_planners_run_on_it():
 def test_nothing_carried_harms_nobody():
     scene = gp.load_scene("tabletop")
     assert scene.carried is None
-    objective = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene)
+    objective = gp.Objective(impact=gp.ImpactCost(model="mixture")).bind(scene)
     q0, q1 = _states(scene, 5, seed=6)[0], _states(scene, 5, seed=7)[0]
     assert objective.kernel is not None
     assert not objective.edges(q0, q1)[:, 1].any() and not objective.states(q0).any()
@@ -205,7 +205,7 @@ def test_little_or_nothing_to_fall_on(vase):
     np.testing.assert_allclose(found[:, 0], _numpy(scene, q, qd), atol=_P)
     lost = drop_kernel(scene, SETTINGS).own_loss(q, qd)
     np.testing.assert_allclose(lost, own_loss(moving_batch(scene, q, qd)), atol=_P)
-    edges = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene).edges(q[:-1], q[1:])
+    edges = gp.Objective(impact=gp.ImpactCost(model="mixture")).bind(scene).edges(q[:-1], q[1:])
     assert np.all(np.isfinite(edges)) and (edges[:, 1] > 0.0).all() == bool(vase)
 
 
@@ -272,24 +272,24 @@ def test_single_precision_bears_extreme_speeds(scene, scale):
 
 
 def test_the_cost_has_the_gradient_of_its_model(scene):
-    check_cost(gp.ImpactCost(model="footprint"), scene)
+    check_cost(gp.ImpactCost(model="mixture"), scene)
     q, qd = _states(scene, 30, seed=10)
     speed = np.linalg.norm(qd, axis=1)
     batch = StateBatch(scene, q, qd / speed[:, None], speed)
-    cost = gp.ImpactCost(model="footprint", components=("carried",))
+    cost = gp.ImpactCost(model="mixture", components=("carried",))
     severity = np.zeros((len(ROWS), len(scene.entities)))
     severity[0] = cost.severity(scene).sum(axis=0)
     impact, by_q, _ = drop_kernel(scene, SETTINGS).gradient(q, severity, qd, own=scene.own_severity)
     np.testing.assert_allclose(cost.state(batch), impact, atol=1e-12)
     np.testing.assert_allclose(cost.gradient(batch), by_q, atol=1e-9)
-    assert gp.ImpactCost(model="aabb").gradient(batch) is None
+    assert gp.ImpactCost(model="box_overlap").gradient(batch) is None
     assert gp.ImpactCost(model=Wrapped()).gradient(batch) is None
-    without = gp.ImpactCost(model="footprint", components=("carried",), own_loss=False)
+    without = gp.ImpactCost(model="mixture", components=("carried",), own_loss=False)
     impact, by_q, _ = drop_kernel(scene, SETTINGS).gradient(q, severity, qd)
     np.testing.assert_allclose(without.state(batch), impact, atol=1e-12)
     np.testing.assert_allclose(without.gradient(batch), by_q, atol=1e-9)
     free = gp.load_scene("tabletop")
-    assert not gp.ImpactCost(model="footprint").gradient(StateBatch(free, _states(free, 3, seed=0)[0])).any()
+    assert not gp.ImpactCost(model="mixture").gradient(StateBatch(free, _states(free, 3, seed=0)[0])).any()
 
 
 def test_gradient_of_an_arm_with_slides_and_turns():
@@ -338,7 +338,7 @@ def test_impacts_of_one_scene_add_up() -> None:
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
     rng = np.random.default_rng(0)
     q0, q1 = (rng.uniform(*scene.limits.position.T, size=(40, len(scene.joints))) for _ in range(2))
-    first, second = (gp.ImpactCost(model=model).kernel(scene, (0.3, 0.7)) for model in ("aabb", "footprint"))
+    first, second = (gp.ImpactCost(model=model).kernel(scene, (0.3, 0.7)) for model in ("box_overlap", "mixture"))
     assert first is not None and second is not None
     both = first + second
     assert np.allclose(both.states(q0), first.states(q0) + second.states(q0), rtol=1e-12)

@@ -20,7 +20,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
-from graceful_plan.costs.models.drop.network import LOOKS, TOLD, DropNetwork, corrected, fade, looks
+from graceful_plan.costs.models.drop.network import LOOKS, STATE_FEATURES, DropNetwork, corrected, fade, looks
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import FormatError, ShapeError
@@ -37,7 +37,7 @@ def random_network(seed: int = 0, hidden: int = 16, bound: float = 2.0) -> DropN
         return rng.normal(scale=0.5, size=shape)
 
     return DropNetwork(
-        told=some(hidden, len(TOLD)),
+        told=some(hidden, len(STATE_FEATURES)),
         looks=some(hidden, len(LOOKS)),
         shapes=some(len(SHAPE_CLASSES), hidden),
         first_bias=some(hidden),
@@ -150,7 +150,7 @@ def test_single_precision_is_close(task: gp.Task) -> None:
 
 
 def test_planners_are_given_the_same(task: gp.Task) -> None:
-    model = gp.Footprint(network=random_network())
+    model = gp.FailureMixture(network=random_network())
     cost = gp.ImpactCost(model=model)
     q, qd = states(task, 16)
     kernel = cost.kernel(task.scene, (0.5, 0.8))
@@ -245,7 +245,7 @@ def test_the_shipped_one_says_where_it_comes_from(task: gp.Task) -> None:
     network = DropNetwork.shipped()
     assert network.about["drops"] > 1000 and network is DropNetwork.shipped()
     q, qd = states(task, 8)
-    plain, own = (gp.Footprint(network=x).probability(moving_batch(task.scene, q, qd)) for x in (None, network))
+    plain, own = (gp.FailureMixture(network=x).probability(moving_batch(task.scene, q, qd)) for x in (None, network))
     assert np.abs(plain - own).max() > 1e-3
 
 

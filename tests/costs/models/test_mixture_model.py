@@ -19,7 +19,7 @@ from graceful_plan.costs.models.body.body import SINGLE, BodyModel
 from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import drop_kernel
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
@@ -62,7 +62,7 @@ def row(scene: gp.Scene, component: str) -> int:
 @pytest.mark.parametrize("faults", presets())
 @pytest.mark.parametrize("name", _SCENES)
 def test_sources_add_up_to_probabilities(scenes: dict[str, gp.Scene], name: str, faults: str) -> None:
-    model, batch = Footprint(faults=faults), states(scenes[name], 40)
+    model, batch = FailureMixture(faults=faults), states(scenes[name], 40)
     P, sources = model.probability(batch), model.sources(batch)
     assert set(sources) == {g for g, weight in model.prior.weights().items() if weight > 0.0}
     np.testing.assert_allclose(sum(sources.values()), P, rtol=1e-12)
@@ -76,7 +76,7 @@ def test_sources_add_up_to_probabilities(scenes: dict[str, gp.Scene], name: str,
 @pytest.mark.parametrize("faults", presets())
 @pytest.mark.parametrize("name", _SCENES)
 def test_the_kernel_charges_what_the_model_says(scenes: dict[str, gp.Scene], name: str, faults: str) -> None:
-    scene, cost = scenes[name], gp.ImpactCost(model=Footprint(faults=faults))
+    scene, cost = scenes[name], gp.ImpactCost(model=FailureMixture(faults=faults))
     kernel = cost.kernel(scene, (0.3, 0.7))
     assert kernel is not None
     batch = states(scene, 40, still=True)
@@ -87,7 +87,7 @@ def test_the_kernel_charges_what_the_model_says(scenes: dict[str, gp.Scene], nam
 
 @pytest.mark.parametrize("components", [("body",), ("carried",), ("contents",), ()])
 def test_the_kernel_charges_single_components(scenes: dict[str, gp.Scene], components: tuple[str, ...]) -> None:
-    scene, cost = scenes["contents"], gp.ImpactCost(model=Footprint(faults="service_robot"), components=components)
+    scene, cost = scenes["contents"], gp.ImpactCost(model=FailureMixture(faults="service_robot"), components=components)
     kernel, batch = cost.kernel(scene, (0.3, 0.7)), states(scene, 20, still=True)
     assert kernel is not None
     np.testing.assert_allclose(kernel.states(batch.q), cost.state(batch), rtol=SINGLE, atol=_TINY)
@@ -99,8 +99,8 @@ def test_edges_are_charged_at_their_speed(scenes: dict[str, gp.Scene], faults: s
     scene, rng = scenes["no contents"], np.random.default_rng(3)
     q0 = rng.uniform(*scene.limits.position.T, size=(6, len(scene.joints)))
     q1 = q0 + rng.uniform(-0.2, 0.2, q0.shape)
-    native = gp.Objective(impact=gp.ImpactCost(model=Footprint(faults=faults))).bind(scene)
-    generic = gp.Objective(impact=gp.ImpactCost(model=Wrapped(Footprint(faults=faults)))).bind(scene)
+    native = gp.Objective(impact=gp.ImpactCost(model=FailureMixture(faults=faults))).bind(scene)
+    generic = gp.Objective(impact=gp.ImpactCost(model=Wrapped(FailureMixture(faults=faults)))).bind(scene)
     assert native.kernel is not None and generic.kernel is None
     assert generic.edges(q0, q1)[:, 1].max() > 0.0
     np.testing.assert_allclose(native.edges(q0, q1), generic.edges(q0, q1), rtol=1e-2, atol=1e-6)
@@ -108,14 +108,14 @@ def test_edges_are_charged_at_their_speed(scenes: dict[str, gp.Scene], faults: s
 
 def test_it_keeps_the_contract_of_costs(scenes: dict[str, gp.Scene]) -> None:
     for faults in presets():
-        check_cost(gp.ImpactCost(model=Footprint(faults=faults)), scenes["no contents"], samples=8)
+        check_cost(gp.ImpactCost(model=FailureMixture(faults=faults)), scenes["no contents"], samples=8)
 
 
 @pytest.mark.parametrize("name", _SCENES)
 def test_gradients_are_for_models_without_arms_that_fail(scenes: dict[str, gp.Scene], name: str) -> None:
     batch = states(scenes[name], 3)
-    assert gp.ImpactCost(model=Footprint(faults="arm")).gradient(batch) is None
-    found = gp.ImpactCost(model=Footprint(faults=prior_of(drop=0.5, spill=0.5))).gradient(batch)
+    assert gp.ImpactCost(model=FailureMixture(faults="arm")).gradient(batch) is None
+    found = gp.ImpactCost(model=FailureMixture(faults=prior_of(drop=0.5, spill=0.5))).gradient(batch)
     assert found is not None and found.shape == batch.q.shape and found.any() == (name != "nothing carried")
 
 
@@ -126,7 +126,7 @@ def test_probabilities_are_linear_in_the_rates(scenes: dict[str, gp.Scene], weig
     slip, jam = weights[0] + 0.01, weights[1] + 0.01
     batch = states(scenes["contents"], 5, seed)
     both, only_slip, only_jam = (
-        Footprint(faults=FaultPrior(rates, effects)).probability(batch)
+        FailureMixture(faults=FaultPrior(rates, effects)).probability(batch)
         for rates in ({"slip": slip, "jam": jam}, {"slip": 1.0}, {"jam": 1.0})
     )
     np.testing.assert_allclose(both, (slip * only_slip + jam * only_jam) / (slip + jam), atol=1e-12)
@@ -138,7 +138,7 @@ def test_probabilities_are_linear_in_the_rates(scenes: dict[str, gp.Scene], weig
 @pytest.mark.parametrize("generator", GENERATORS)
 def test_one_fault_alone_acts_like_its_generator(scenes: dict[str, gp.Scene], generator: str) -> None:
     scene = scenes["contents"]
-    model, batch = Footprint(faults=prior_of(**{generator: 0.5})), states(scene, 200)
+    model, batch = FailureMixture(faults=prior_of(**{generator: 0.5})), states(scene, 200)
     assert set(model.sources(batch)) == {generator}
     P = model.probability(batch)
     strikers = {name for c, name in enumerate(scene.components) if P[:, c].any()}
@@ -146,7 +146,7 @@ def test_one_fault_alone_acts_like_its_generator(scenes: dict[str, gp.Scene], ge
     expected = expected.get(generator, {"body", "carried"})
     assert strikers == expected
     assert P.max() <= 0.5
-    certain = Footprint(faults=prior_of(**{generator: 1.0})).probability(batch)
+    certain = FailureMixture(faults=prior_of(**{generator: 1.0})).probability(batch)
     np.testing.assert_allclose(P, 0.5 * certain, rtol=1e-12)
 
 
@@ -155,7 +155,7 @@ def test_drops_and_spills_by_hand(scenes: dict[str, gp.Scene]) -> None:
     batch = states(scene, 30)
     alone = drop_kernel(scene, DropSettings.shipped()).probability(batch.q, batch.qd)
     # Dropped in 1 of 4 cases; spilled in half of the others.
-    P = Footprint(faults=prior_of(drop=0.25, spill=0.5)).probability(batch)
+    P = FailureMixture(faults=prior_of(drop=0.25, spill=0.5)).probability(batch)
     np.testing.assert_allclose(P[:, row(scene, "carried")], 0.25 * alone[:, 0], rtol=1e-12)
     np.testing.assert_allclose(P[:, row(scene, "contents")], 0.25 * alone[:, 1] + 0.375 * alone[:, 2], rtol=1e-12)
     assert not P[:, row(scene, "body")].any()
@@ -165,19 +165,19 @@ def test_what_is_dropped_is_not_held_by_an_arm_that_falls(scenes: dict[str, gp.S
     scene = scenes["contents"]
     batch = states(scene, 30)
     alone = BodyModel(BodySettings.shipped()).probability(batch)[:, 0]  # collapse
-    found = Footprint(faults=prior_of(drop=0.75, collapse=1.0)).sources(batch)["collapse"]
+    found = FailureMixture(faults=prior_of(drop=0.75, collapse=1.0)).sources(batch)["collapse"]
     np.testing.assert_allclose(found[:, row(scene, "body")], alone[:, 0], rtol=1e-12)
     np.testing.assert_allclose(found[:, row(scene, "carried")], 0.25 * alone[:, 1], rtol=1e-12)
     assert alone[:, 1].any()
 
 
 def test_the_motion_to_come_is_used_where_it_is_known(scenes: dict[str, gp.Scene]) -> None:
-    scene, model = scenes["contents"], Footprint(faults=prior_of(stuck=1.0))
+    scene, model = scenes["contents"], FailureMixture(faults=prior_of(stuck=1.0))
     batch = states(scene, 20)
     rest = np.repeat(batch.q[:, None], _KNOWN_STEPS, axis=1)  # the motion is over, although the joints still turn
     over = StateBatch(scene, batch.q, batch.direction, batch.speed, ahead=rest)
     assert not np.allclose(model.probability(batch), model.probability(over))
-    dropped = Footprint()
+    dropped = FailureMixture()
     np.testing.assert_array_equal(dropped.probability(batch), dropped.probability(over))
 
 
@@ -185,13 +185,13 @@ def test_the_motion_to_come_is_used_where_it_is_known(scenes: dict[str, gp.Scene
 
 
 def test_components_are_those_that_can_strike() -> None:
-    assert Footprint().components == ("carried", "contents") == gp.ImpactCost().components
-    assert gp.ImpactCost(model="aabb").components == ("carried", "contents")
+    assert FailureMixture().components == ("carried", "contents") == gp.ImpactCost().components
+    assert gp.ImpactCost(model="box_overlap").components == ("carried", "contents")
     for faults in ("arm", "service_robot", prior_of(stray=0.1)):
-        assert Footprint(faults=faults).components == ("body", "carried", "contents")
-        assert gp.ImpactCost(model=Footprint(faults=faults)).components == ("body", "carried", "contents")
-    assert Footprint(faults=prior_of(drop=1.0, stray=0.0)).components == ("carried", "contents")
-    assert gp.ImpactCost(model=Footprint(faults="arm"), components=("carried",)).components == ("carried",)
+        assert FailureMixture(faults=faults).components == ("body", "carried", "contents")
+        assert gp.ImpactCost(model=FailureMixture(faults=faults)).components == ("body", "carried", "contents")
+    assert FailureMixture(faults=prior_of(drop=1.0, stray=0.0)).components == ("carried", "contents")
+    assert gp.ImpactCost(model=FailureMixture(faults="arm"), components=("carried",)).components == ("carried",)
 
 
 def test_no_components_are_not_those_of_the_model(scenes: dict[str, gp.Scene]) -> None:
@@ -201,13 +201,13 @@ def test_no_components_are_not_those_of_the_model(scenes: dict[str, gp.Scene]) -
 
 
 def test_damage_by_a_model_strikes_with_its_components() -> None:
-    damage = Damage(Footprint(faults="arm"), FragilityTable.shipped())
+    damage = Damage(FailureMixture(faults="arm"), FragilityTable.shipped())
     assert gp.ImpactCost(model=damage).components == ("body", "carried", "contents")
 
 
 def test_shares_of_faults_add_up_to_the_weights() -> None:
     for name in presets():
-        model = Footprint(faults=name)
+        model = FailureMixture(faults=name)
         shares = model.fault_shares()
         assert shares == FaultPrior.preset(name).fault_shares()
         for generator, weight in model.prior.weights().items():
@@ -218,7 +218,7 @@ def test_explanations_name_the_faults(scenes: dict[str, gp.Scene]) -> None:
     scene, task = scenes["contents"], gp.load_scene("desk").tasks["bring_coffee"]
     path = gp.Path(np.stack([task.start, np.atleast_2d(task.goal)[0]]))
     effects = {"weak_grip": {"drop": 0.9}, "power_loss": {"drop": 0.5, "collapse": 1.0}}
-    model = Footprint(faults=FaultPrior({"weak_grip": 3.0, "power_loss": 1.0}, effects))
+    model = FailureMixture(faults=FaultPrior({"weak_grip": 3.0, "power_loss": 1.0}, effects))
     found = gp.explain(path, scene, gp.Objective(impact=gp.ImpactCost(model=model)))
     assert {r.source for r in found.contributions} == {"drop", "collapse"}
     for r in found.contributions:
@@ -227,23 +227,23 @@ def test_explanations_name_the_faults(scenes: dict[str, gp.Scene]) -> None:
 
 
 def test_moving_entities_meet_the_same_faults() -> None:
-    model = Footprint(faults=prior_of(drop=0.3, collapse=0.6))
+    model = FailureMixture(faults=prior_of(drop=0.3, collapse=0.6))
     moving = model.moving()
     assert (moving.drop, moving.collapse) == (0.3, 0.6)
     assert moving.settings == model.settings
 
 
 def test_it_is_a_value() -> None:
-    model = Footprint(faults=FaultPrior.preset("arm"))
+    model = FailureMixture(faults=FaultPrior.preset("arm"))
     twin = pickle.loads(pickle.dumps(model))
     assert twin == model and hash(twin) == hash(model)
-    assert model != Footprint(faults="service_robot")
-    assert model.prior == Footprint(faults="arm").prior
+    assert model != FailureMixture(faults="service_robot")
+    assert model.prior == FailureMixture(faults="arm").prior
 
 
 def test_misuse_names_the_culprit() -> None:
     with pytest.raises(UnknownNameError, match="fault prior 'nonsense'; valid: arm, drop_only, service_robot"):
-        Footprint(faults="nonsense")
+        FailureMixture(faults="nonsense")
 
 
 @dataclass(frozen=True)
@@ -253,4 +253,4 @@ class NotAPrior:
 
 def test_faults_that_are_no_prior() -> None:
     with pytest.raises((SettingError, TypeError), match="faults"):
-        Footprint(faults=NotAPrior())  # type: ignore[arg-type]
+        FailureMixture(faults=NotAPrior())  # type: ignore[arg-type]

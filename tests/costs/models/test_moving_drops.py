@@ -14,9 +14,9 @@ import graceful_plan as gp
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.drop.constants import DropSettings
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.costs.models.moving.model import MovingModel
-from graceful_plan.costs.models.moving.whereabouts import PLACES, cell_of, normal_places
+from graceful_plan.costs.models.moving.position_samples import PLACES, cell_of, normal_places
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.elements import COMPONENTS
 
@@ -186,7 +186,7 @@ def test_places_stand_for_a_normal_distribution(count):
 
 @pytest.mark.parametrize("places", [0, 3, 14, 26, 8.0])
 def test_so_many_places_cannot_stand_for_anybody(places):
-    for model in (Footprint, MovingModel):
+    for model in (FailureMixture, MovingModel):
         with pytest.raises((SettingError, TypeCheckError), match="places"):
             model(places=places)
 
@@ -261,9 +261,9 @@ def test_who_stands_still_is_hit_like_what_stands_still(geom):
     q = np.column_stack([rng.uniform(-0.3, 0.7, (400, 2)), rng.uniform(-0.35, 0.3, 400), rng.uniform(-3, 3, 400)])
     qd = rng.normal(scale=0.4, size=(400, 4))
     still, empty = gantry(BOX | place), gantry(BOX)
-    free = gp.clearance(still, q) > 0.0
+    free = gp.clearance(q, still) > 0.0
     speed = np.linalg.norm(qd, axis=1)
-    expected = Footprint().probability(StateBatch(still, q, qd / speed[:, None], speed))
+    expected = FailureMixture().probability(StateBatch(still, q, qd / speed[:, None], speed))
     row, column = list(still.components).index("carried"), list(still.entities).index("post")
     found = probability(empty, walker(0.3, 0.1, size=geom), q, qd, 0.0)
     error = np.abs(found - expected[:, row, column])[free]
@@ -311,7 +311,7 @@ def test_no_states(scene):
 
 def test_impact_adds_up_and_severity_counts(scene):
     batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
-    cost = gp.ImpactCost(model="footprint")
+    cost = gp.ImpactCost(model="mixture")
     still = cost.state(StateBatch(scene, batch.q))
     P = probability(scene, walker(), batch.q, time=0.0)
     np.testing.assert_allclose(cost.state(batch), still + P * batch.scene.moving_severity["walker"]["carried"])
@@ -324,11 +324,11 @@ def test_impact_adds_up_and_severity_counts(scene):
 
 def test_sources_add_up(scene):
     batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
-    for model in ("footprint", "aabb"):
+    for model in ("mixture", "box_overlap"):
         cost = gp.ImpactCost(model=model, components=("body", "carried", "contents"))
         np.testing.assert_allclose(sum(cost.sources(batch).values()), cost.probability(batch), atol=1e-12)
         assert cost.probability(batch).shape == (1, len(scene.components), len(cost.hazards(batch.scene)))
-        own = model == "footprint"
+        own = model == "mixture"
         assert cost.hazards(batch.scene)[len(batch.scene.hazards) :] == ((batch.scene.carried.body,) if own else ())
 
 
@@ -337,7 +337,7 @@ def test_the_core_guides_searches_about_right(scene):
     moving, rng = scene.with_moving(entity), np.random.default_rng(3)
     q0 = np.column_stack([rng.uniform(-0.4, 0.6, (60, 2)), rng.uniform(-0.2, 0.2, 60), rng.uniform(-3, 3, 60)])
     q1 = q0 + rng.normal(scale=0.2, size=q0.shape)
-    objective = gp.Objective(impact=gp.ImpactCost(model="footprint"))
+    objective = gp.Objective(impact=gp.ImpactCost(model="mixture"))
     kernel = objective.impact.kernel(moving, objective.bind(moving).paces)
     assert kernel is not None
     alone = objective.bind(moving.with_severity({"target": 0.0}))
@@ -359,7 +359,7 @@ class Nothing(gp.InteractionModel):
 def test_moving_entities_are_hit_by_the_shipped_drop_model_whatever_the_model(scene, consequence):
     batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
     components = ("body", "carried", "contents")
-    own, aabb = (gp.ImpactCost(model, components, consequence) for model in (Nothing(), "aabb"))
+    own, aabb = (gp.ImpactCost(model, components, consequence) for model in (Nothing(), "box_overlap"))
     n, shipped = len(scene.entities), moving_probability(batch)
     assert shipped.max() > 0.9
     for cost in (own, aabb):
@@ -373,7 +373,7 @@ def test_weights_scale_what_happens(scene):
     entity, q = walker(), np.array([[0.3, 0.0, 0.0, 0.0]])
     batch = StateBatch(scene.with_moving(entity), q, time=np.zeros(1))
     prior = FaultPrior({"weak_grip": 1.0}, {"weak_grip": {"drop": 0.25}})
-    models = Footprint().moving(), Footprint(faults=prior).moving()
+    models = FailureMixture().moving(), FailureMixture(faults=prior).moving()
     often, rarely = (model.sources(batch)["drop"] for model in models)
     assert often.max() > 0.9
     np.testing.assert_allclose(rarely, 0.25 * often)

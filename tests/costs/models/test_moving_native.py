@@ -16,7 +16,7 @@ from graceful_plan.costs.models.drop.kernel import DropKernel
 from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.models.moving.drops import moving_arm, moving_table
 from graceful_plan.costs.models.moving.model import MovingModel
-from graceful_plan.costs.models.moving.whereabouts import PLACES, cell_of, normal_places
+from graceful_plan.costs.models.moving.position_samples import PLACES, cell_of, normal_places
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 from hall import hall
@@ -317,7 +317,7 @@ def test_motions_descend_by_where_entities_are_at_their_times():
 
     def energy(begins):
         objective = gp.Objective(w=10.0).bind(gantry({}).with_moving(_ROUND.later(-begins)))
-        assert objective.among_moving is not None and objective.descended() is objective
+        assert objective.timed_impact is not None and objective.descended() is objective
         problem = SceneProblem(kernels=objective.kernels, start=np.zeros(4), goals=np.ones((1, 4)))
         descent = _native.MotionDescent(native_space(problem, objective), path=path, controls=8, density=6, **limits)
         value, slope = descent.energy(descent.inner)

@@ -237,7 +237,7 @@ def test_more_reaches_farther_and_dry_contents_stay_in_a_heap():
     phone = list(TABLE).index("phone")
     little, much, rice = (
         reached(gantry(TABLE, contents), q)[0, 0, phone]
-        for contents in (gp.Liquid(volume=0.05), gp.Liquid(volume=0.4), gp.Dry(volume=0.4))
+        for contents in (gp.Liquid(volume=0.05), gp.Liquid(volume=0.4), gp.Granular(volume=0.4))
     )
     assert much > 2.0 * little and much > 2.0 * rice and much > 0.1
 
@@ -253,7 +253,7 @@ def test_a_tilted_cup_holds_less(table):
 def test_the_core_uses_it_for_contents(scenes):
     scene = scenes[0]
     q, qd = states(scene, 10, seed=5)
-    found = gp.interaction_probability(scene, q, "footprint", qd)
+    found = gp.interaction_probability(q, scene, "mixture", qd)
     row = list(scene.components).index("contents")
     np.testing.assert_allclose(found[:, row], reached(scene, q, qd)[:, 0], atol=1e-12)
 

@@ -136,14 +136,14 @@ def test_the_prior_tells_the_footprint_of_stops():
     q = np.tile(task.start, (3, 1))
     batch = moving(scene, q, np.full_like(q, 0.8))
     prior = FaultPrior({"protective_stop": 1.0})
-    model = gp.Footprint(faults=prior)
+    model = gp.FailureMixture(faults=prior)
     row = list(scene.components).index("contents")
     expected = drop_kernel(scene, DROP).probability(batch.q, batch.qd)[:, STOPPED]
     np.testing.assert_allclose(model.probability(batch)[:, row], expected)
     assert list(model.sources(batch)) == ["stop"]
-    gentle = gp.Footprint(faults=prior, stop=replace(STOP, deceleration=0.05))
+    gentle = gp.FailureMixture(faults=prior, stop=replace(STOP, deceleration=0.05))
     assert gentle.probability(batch).sum() < 0.2 * model.probability(batch).sum()
-    assert "stop" in gp.Footprint(faults="service_robot").sources(batch)
+    assert "stop" in gp.FailureMixture(faults="service_robot").sources(batch)
 
 
 # --- unhappy paths ----------------------------------------------------------------------------------------------------

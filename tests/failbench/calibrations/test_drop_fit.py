@@ -10,14 +10,14 @@ import pytest
 
 import graceful_plan as gp
 from failbench.calibrations import calibrate, drop_fit, failure_jobs, family_fit
-from failbench.calibrations.drop_fit import FootprintFamily
+from failbench.calibrations.drop_fit import DropFamily
 from failbench.calibrations.failures import Failures
 from failbench.cli import DONE, MISUSE, main
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 
-FAMILY = FootprintFamily()
+FAMILY = DropFamily()
 
 
 def test_every_constant_has_a_prior() -> None:
@@ -38,7 +38,7 @@ def test_it_predicts_what_the_model_does() -> None:
     shipped = DropSettings.shipped()
     shape = FAMILY.shape(scene)
     found = FAMILY.probability(dataclasses.asdict(getattr(shipped, shape)), FAMILY.prepare(scene, q, qd))
-    expected = gp.interaction_probability(scene, q, Footprint(), qd)
+    expected = gp.interaction_probability(q, scene, FailureMixture(), qd)
     assert shape == "box"
     assert np.array_equal(found, expected[:, list(scene.components).index("carried")])
 
@@ -48,7 +48,7 @@ def calibrated() -> family_fit.FamilyCalibration:
     kinds = failure_jobs.KINDS[:1]
     jobs = [failure_jobs.failure_jobs(gp.load_scene, [x], n=20, kinds=kinds)[0] for x in ("tabletop", "desk")]
     parts = [part for part in map(failure_jobs.do_job, jobs) if isinstance(part, Failures)]
-    return family_fit.fit_family(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
+    return family_fit.fit_family(FAMILY, parts, model="drop", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ import yaml
 from failbench.calibrations.calibrate import write
 from failbench.calibrations.effects_fit import EffectsCalibration, fit_effects, likeliest, predicted
 from failbench.calibrations.failure_jobs import MotionKind, make_motion
-from failbench.calibrations.failures import Failures, fail_along, write_failures
+from failbench.calibrations.failures import Failures, simulate_failures, write_failures
 from failbench.calibrations.fault_events import FaultEvents, fault_events
 from failbench.calibrations.mixture import log_likelihood
 from failbench.cli import DONE, main
@@ -188,7 +188,7 @@ def test_the_command_fits_effects_to_failures_of_a_file(tmp_path):
     motion = make_motion(task, MotionKind(way="rrt_connect", speed=0.6), 1)
     assert motion is not None
     feared = [faults()[name](degree="severe") for name in ("gripper_failure", "control_delay")]
-    happened = fail_along(motion, task.scene, feared, n=40, seed=1, task="green_to_blue")
+    happened = simulate_failures(motion, task.scene, feared, n=40, seed=1, task="green_to_blue")
     file, out = tmp_path / "failures.npz", tmp_path / "effects.yaml"
     write_failures(file, [happened])
     command = ["calibrate", str(out), "--model", "effects", "--scenes", "tabletop_l1", "--drops", str(file)]

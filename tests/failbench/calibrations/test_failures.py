@@ -12,7 +12,7 @@ from failbench.calibrations.failure_jobs import MotionKind, make_motion
 from failbench.calibrations.failures import Failures
 from failbench.fault.registry import GripperFailure, PowerLoss
 from failbench.rollouts.execution import execute
-from failbench.rollouts.rollout import run
+from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import make_jobs
 from failbench.simulated.world import build_world
 from graceful_plan.exceptions import SettingError
@@ -34,7 +34,7 @@ def motion(task: gp.Task) -> gp.Trajectory:
 
 @pytest.fixture(scope="module")
 def dropped(task: gp.Task, motion: gp.Trajectory) -> Failures:
-    return failures.fail_along(motion, task.scene, n=24, seed=3, task=TASK)
+    return failures.simulate_failures(motion, task.scene, n=24, seed=3, task=TASK)
 
 
 def _same(first: Failures, second: Failures) -> bool:
@@ -46,7 +46,7 @@ def _same(first: Failures, second: Failures) -> bool:
 def test_events_are_what_the_recorder_says(task: gp.Task, motion: gp.Trajectory, dropped: Failures) -> None:
     execution = execute(motion, build_world(task.scene))
     jobs = make_jobs([GripperFailure(degree="critical")], execution.duration, n=24, seed=3)
-    rollouts = run(execution, jobs)
+    rollouts = run_rollouts(execution, jobs)
     for i, rollout in enumerate(rollouts):
         touched = {(event.striker, event.entity) for event in rollout.events if not event.secondary}
         rows, columns = np.nonzero(dropped.hit[i])
@@ -63,7 +63,7 @@ def test_events_are_what_the_recorder_says(task: gp.Task, motion: gp.Trajectory,
 
 
 def test_failures_of_one_kind_are_picked_from_many(task: gp.Task, motion: gp.Trajectory) -> None:
-    many = failures.fail_along(motion, task.scene, [*failures.DROP, PowerLoss(brake="none")], n=16, seed=1)
+    many = failures.simulate_failures(motion, task.scene, [*failures.DROP, PowerLoss(brake="none")], n=16, seed=1)
     falls = many.only(["power_loss", "no such fault"])
     assert len(falls) == 8 and {many.faults[i] for i in falls.fault} == {"power_loss"}
     assert len(many.only([])) == 0
@@ -76,7 +76,7 @@ def test_failures_of_one_kind_are_picked_from_many(task: gp.Task, motion: gp.Tra
 def test_drops_repeat_and_survive_a_file(
     task: gp.Task, motion: gp.Trajectory, dropped: Failures, tmp_path: Path
 ) -> None:
-    again = failures.fail_along(motion, task.scene, n=24, seed=3, task=TASK, threads=2)
+    again = failures.simulate_failures(motion, task.scene, n=24, seed=3, task=TASK, threads=2)
     assert _same(again, dropped)
     failures.write_failures(tmp_path / "drops.npz", [dropped, dataclasses.replace(again, motion="other")])
     first, second = failures.read_failures(tmp_path / "drops.npz")
@@ -93,4 +93,4 @@ def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
 
 def test_without_an_object_nothing_is_dropped(motion: gp.Trajectory) -> None:
     with pytest.raises(SettingError, match="object in the gripper"):
-        failures.fail_along(motion, gp.load_scene(SCENE), n=1)
+        failures.simulate_failures(motion, gp.load_scene(SCENE), n=1)

@@ -9,7 +9,7 @@ import pytest
 import graceful_plan as gp
 from failbench.calibrations import failure_jobs
 from failbench.calibrations.failure_jobs import FailureJob, MotionKind, make_motion
-from failbench.calibrations.failures import DROP, fail_along
+from failbench.calibrations.failures import DROP, simulate_failures
 from failbench.calibrations.varied import VARIED, Variation, bounce, spun
 from failbench.rollouts.execution import execute
 from failbench.simulated.world import SimSettings, build_world
@@ -84,7 +84,9 @@ def test_spin_is_added_to_the_angular_velocity_of_what_is_carried_alone(task: gp
 def test_things_that_vary_end_elsewhere_and_come_out_alike(task: gp.Task) -> None:
     motion = make_motion(task, MotionKind(way="rrt_connect", speed=0.5), 1)
     assert motion is not None
-    plain, first, second = (fail_along(motion, task.scene, n=16, seed=2, variation=x) for x in (None, VARIED, VARIED))
+    plain, first, second = (
+        simulate_failures(motion, task.scene, n=16, seed=2, variation=x) for x in (None, VARIED, VARIED)
+    )
     assert np.array_equal(plain.q, first.q)
     assert not np.array_equal(plain.hit, first.hit)
     assert np.array_equal(first.hit, second.hit)

@@ -8,7 +8,7 @@ from breaking import SETTINGS
 from motions import world
 
 import graceful_plan as gp
-from failbench import Plant
+from failbench import Simulation
 from failbench.fault.registry import (
     BiasDrift,
     CompleteShutdown,
@@ -41,7 +41,7 @@ def plant_of(fault, *, joints=(2,), steps=200, step=0, seed=0):
     qpos[robot().qpos], qvel[robot().dofs] = gp.load_scene("tabletop").tasks["green_to_blue"].start, 0.3
     healthy = np.arange(steps)[:, None] + np.linspace(0.0, 0.5, model().nu)  # a number of its own for each step
     healthy[:, robot().gripper_actuators] = robot().grip_closed
-    return Plant(
+    return Simulation(
         robot=robot(),
         joints=np.array(joints, dtype=int),
         gripper=True,

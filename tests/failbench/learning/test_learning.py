@@ -20,8 +20,8 @@ from failbench.learning.generated import generated_scene, scene_names
 from failbench.learning.learn import learn
 from failbench.learning.rollouts import DropData, Pairs, bundled_jobs, drop_jobs, pairs_of, scene_of
 from failbench.learning.training import Training, logits, probability, train
-from graceful_plan import Footprint
-from graceful_plan.costs.models.drop.network import LOOKS, TOLD, DropNetwork, fade
+from graceful_plan import FailureMixture
+from graceful_plan.costs.models.drop.network import LOOKS, STATE_FEATURES, DropNetwork, fade
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.exceptions import SettingError, UnknownNameError
 
@@ -34,7 +34,7 @@ def made_up(n: int = 600, *, factor: float = 1.5, seed: int = 0) -> Pairs:
     """Return pairs of two surfaces each whose odds are off by e^factor on one side of the first input."""
     rng = np.random.default_rng(seed)
     plain = rng.uniform(0.02, 0.9, size=2 * n)
-    told = rng.normal(size=(2 * n, len(TOLD)))
+    told = rng.normal(size=(2 * n, len(STATE_FEATURES)))
     logit = np.log(plain / (1.0 - plain)) + fade(plain) * factor * np.tanh(3.0 * told[:, 0])
     most = np.maximum.reduceat(logit, np.arange(0, 2 * n, 2))
     return Pairs(
@@ -101,7 +101,7 @@ def test_pairs_are_those_of_the_drop_model(drops: list[Failures]) -> None:
     found, i = probability(None, pairs), 0
     for part in drops:
         scene = scene_of(part.scene).tasks[part.task].scene
-        P = Footprint().probability(part.states(scene))[:, list(scene.components).index("carried")]
+        P = FailureMixture().probability(part.states(scene))[:, list(scene.components).index("carried")]
         hit, counted = part.events(["carried"])
         chosen = (P > 1e-4) & counted
         n = int(chosen.sum())

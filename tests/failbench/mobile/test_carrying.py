@@ -8,7 +8,7 @@ import failbench as fb
 import graceful_plan as gp
 from failbench.recording.records import Job
 from failbench.rollouts.execution import execute
-from failbench.rollouts.rollout import run
+from failbench.rollouts.rollout import run_rollouts
 from failbench.simulated.world import build_world
 from graceful_plan.scene.loading.robot_models import robot_file
 from graceful_plan.scene.mobile.known_bases import known_base
@@ -56,7 +56,7 @@ def test_what_stands_on_a_base_tips_over_if_it_is_stopped_harder_than_it_is_wide
     assert (half_width / half_height < GRIP) == falls
     locked = fb.faults()["stuck_position"](degree="critical", targets=("all",))
     onsets = [0.4 * execution.duration, 0.5 * execution.duration]
-    for rollout in run(execution, [Job(fault=locked, onset=t, seed=0) for t in onsets], horizon=1.5):
+    for rollout in run_rollouts(execution, [Job(fault=locked, onset=t, seed=0) for t in onsets], horizon=1.5):
         _, x, y, _ = rollout.poses["carried"][:4]
         upright = 1.0 - 2.0 * (x**2 + y**2)  # of its axis, how much is upwards
         assert rollout.status == "completed" and rollout.dropped == falls

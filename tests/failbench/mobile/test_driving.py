@@ -5,7 +5,7 @@ import pytest
 
 import failbench as fb
 import graceful_plan as gp
-from failbench.mobile.driving import drive
+from failbench.mobile.driving import drive_base
 from failbench.rollouts.execution import execute
 from failbench.simulated.world import build_world
 from graceful_plan.exceptions import SettingError
@@ -17,7 +17,7 @@ from jackals import jackal
 def test_a_planned_motion_is_driven():
     scene = jackal((1.0, 0.3))
     result = gp.plan([-3.0, 0.0, 0.0], gp.BasePose(3.0, 0.0, 0.0), scene, iterations=3000)
-    driven = drive(result.trajectory, scene)
+    driven = drive_base(result.trajectory, scene)
     assert not driven.touched and driven.error.max() < 0.08
     np.testing.assert_allclose(driven.pose[-1], [3.0, 0.0, 0.0], atol=0.03)
 
@@ -31,7 +31,7 @@ def test_bundled_scenes_are_driven_in(name, task, goal, error):
     """A Jackal away from stairs, and a Fetch past a plant with its arm held out: floors are boxes there."""
     found = gp.load_scene(name).tasks[task]
     result = gp.plan(found.start, gp.BasePose(*goal), found.world, w=0.0, iterations=3000)
-    driven = drive(result.trajectory, found.world)
+    driven = drive_base(result.trajectory, found.world)
     assert not driven.touched and driven.error.max() < error
 
 
@@ -70,7 +70,7 @@ def test_what_looks_around_does_less_harm_when_it_fails():
     motion = gp.plan([-2.0, 0.0, 0.0], gp.BasePose(2.0, 0.0, 0.0), scene, w=0.0, iterations=1000).unwrap()
     fault = kind(degree="critical", when=fb.Uniform(0.5, 0.7))
     blind, window = (
-        drive(motion, scene, controller, faults=fault, n=32, horizon=2.0)
+        drive_base(motion, scene, controller, faults=fault, n=32, horizon=2.0)
         for controller in (PurePursuit(), gp.DWA().bind(scene))
     )
     for driven in (blind, window):
@@ -88,7 +88,7 @@ def test_what_looks_around_does_less_harm_when_it_fails():
 def test_places_on_the_floor_are_enough(scene):
     path = np.array([[-2.0, 0.0], [0.0, -0.4], [2.0, 0.0]])
     shutdown = fb.faults()["complete_shutdown"](degree="critical")
-    driven = drive(path, scene, PurePursuit(speed=0.8), faults=shutdown, n=2, horizon=0.5)
+    driven = drive_base(path, scene, PurePursuit(speed=0.8), faults=shutdown, n=2, horizon=0.5)
     assert driven.arrived and driven.failures.n == 2 and driven.failures.duration > 4.0 / 0.8
 
 
@@ -97,16 +97,16 @@ def test_what_makes_no_sense_is_refused(scene, motion):
     with pytest.raises(SettingError, match="does not drive"):
         execute(np.stack([tabletop.start, tabletop.goal[0]]), build_world(tabletop.scene), controller=PurePursuit())
     with pytest.raises(SettingError, match="no times to track"):
-        drive(np.array([[0.0, 0.0], [1.0, 0.0]]), scene)
+        drive_base(np.array([[0.0, 0.0], [1.0, 0.0]]), scene)
     with pytest.raises(SettingError, match="start"):
-        drive(motion, scene, faults="power/*/severe", start=np.zeros(3))
+        drive_base(motion, scene, faults="power/*/severe", start=np.zeros(3))
     with pytest.raises(fb.ExecutionRefused, match="arrived"):
-        drive(motion, scene, PurePursuit(speed=0.2), faults="power/*/severe", seconds=1.0)
+        drive_base(motion, scene, PurePursuit(speed=0.2), faults="power/*/severe", seconds=1.0)
 
 
 def test_a_skid_steer_turns_about_its_origin():
     """Its wheels' middle was said to be where it turns about: the base was 40 mm away after a turn in place."""
     scene = jackal()
     result = gp.plan([0.0, 0.0, 0.0], [0.0, 0.0, 2.5], scene, w=0.0, iterations=100)
-    driven = drive(result.trajectory, scene)
+    driven = drive_base(result.trajectory, scene)
     assert np.abs(result.trajectory.q[:, :2]).max() < 1e-6 and driven.error.max() < 0.02

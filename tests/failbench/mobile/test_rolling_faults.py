@@ -7,8 +7,8 @@ import failbench as fb
 import graceful_plan as gp
 from failbench.recording.records import Job
 from failbench.rollouts.execution import execute
-from failbench.rollouts.rollout import run
-from failbench.rollouts.single import steps
+from failbench.rollouts.rollout import run_rollouts
+from failbench.rollouts.single import rollout_steps
 from failbench.simulated.world import build_world
 from jackals import jackal
 
@@ -27,7 +27,7 @@ def rolled(driven, fault, seed=0):
     world = driven.world
     rows = [
         np.concatenate([data.qpos[world.rolling.qpos], data.qpos[world.robot.qpos[:4]]])
-        for _, data in steps(driven, Job(fault=fault, onset=ONSET, seed=seed), horizon=HORIZON)
+        for _, data in rollout_steps(driven, Job(fault=fault, onset=ONSET, seed=seed), horizon=HORIZON)
     ]
     return np.array(rows)
 
@@ -129,8 +129,8 @@ def test_native_rollouts_are_the_same_bit_by_bit(driven):
         Job(fault=fault(name, "severe", LEFT), onset=ONSET, seed=3)
         for name in ("control_delay", "bias_drift", "stuck_position", "dropout")
     ]
-    for job, rollout in zip(chosen, run(driven, chosen, horizon=0.4, batch=2), strict=True):
-        *_, (_, data) = steps(driven, job, horizon=0.4)
+    for job, rollout in zip(chosen, run_rollouts(driven, chosen, horizon=0.4, batch=2), strict=True):
+        *_, (_, data) = rollout_steps(driven, job, horizon=0.4)
         assert rollout.status == "completed" and np.isfinite(data.qpos).all()
 
 

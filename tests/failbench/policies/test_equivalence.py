@@ -12,7 +12,7 @@ from failbench.policies.batch import EpisodeBatch
 from failbench.policies.task import PolicyTask
 from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution
-from failbench.rollouts.single import steps
+from failbench.rollouts.single import rollout_steps
 from failbench.simulated.states import CHECKPOINT
 
 _ROBOT = 1e-9
@@ -64,7 +64,7 @@ def compare(task: PolicyTask, execution: Execution, fault: Fault) -> None:
     job = Job(fault=fault, onset=ONSET, seed=5)
     found, onset = positions(task, execution, job)
     horizon = (len(found) - 1 - onset) * execution.dt
-    expected = np.array([data.qpos.copy() for _, data in steps(execution, job, horizon=horizon)])
+    expected = np.array([data.qpos.copy() for _, data in rollout_steps(execution, job, horizon=horizon)])
     joints = task.world.robot.qpos
     assert onset == round(ONSET / execution.dt)
     assert np.abs(found[onset + 50] - found[onset]).max() > 1e-3

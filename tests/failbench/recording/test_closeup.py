@@ -4,7 +4,7 @@ from motions import ARM, SERVO
 
 import graceful_plan as gp
 from failbench import build_world
-from failbench.recording.closeup import Closeup
+from failbench.recording.contact_query import ContactQuery
 
 
 def test_things_that_barely_touch_have_met_at_their_speed():
@@ -18,7 +18,7 @@ def test_things_that_barely_touch_have_met_at_their_speed():
         entities={"vase": "glass", "block": "robust"},
     )
     world = build_world(scene)
-    closeup = Closeup(world)
+    closeup = ContactQuery(world)
     model, data = closeup.model, closeup.data
     vase, block = (world.movable[name] for name in ("vase", "block"))
     adr, dof = (int(a[model.body_jntadr[vase]]) for a in (model.jnt_qposadr, model.jnt_dofadr))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from motions import Drop, Weaken, execution
 
 from failbench import Job, run, steps
-from failbench.recording.aftermath import _tilt
+from failbench.recording.final_state import _tilt
 from failbench.recording.recorder import Recorder
 from failbench.recording.records import ContactEvent
 from failbench.recording.secondary import STRIDE

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from motions import Drop, Weaken, execution
 
 from failbench import Job, run
-from failbench.recording.closeup import Closeup
+from failbench.recording.contact_query import ContactQuery
 from failbench.recording.puddle import DEPTH, Parcel, Puddles
 from failbench.recording.recorder import Recorder
 from failbench.recording.spill import VesselMotion, healthy_loss, kept_volume, remaining
 from failbench.simulated.world import SimSettings, World, build_world
-from graceful_plan import Dry, Liquid, Scene
+from graceful_plan import Granular, Liquid, Scene
 from graceful_plan.scene.rules.vessel import REPOSE, Vessel, find_vessel
 
 _G = 9.81
@@ -53,7 +53,7 @@ _WORLD = """
 _ENTITIES = {"floor": "floor", "table": "table", "cat": "pet", "phone": "phone", "lamp": "mains", "shelf": "robust"}
 
 
-def _world(contents: Liquid | Dry | None) -> World:
+def _world(contents: Liquid | Granular | None) -> World:
     scene = Scene.from_mjcf(
         _WORLD,
         robot="arm/",
@@ -105,7 +105,7 @@ def test_the_container_is_found(world: World) -> None:
     assert vessel.height == pytest.approx(0.09)  # from the bottom of the contents to the top of the wall, not the ear's
     np.testing.assert_allclose(vessel.p_BR, [0.0, 0.0, 0.1], atol=1e-12)
     assert find_vessel(_world(None).scene) is None
-    dry = find_vessel(_world(Dry(5.0)).scene)
+    dry = find_vessel(_world(Granular(5.0)).scene)
     assert dry is not None and dry.repose == REPOSE
     assert dry.volume == pytest.approx(np.pi * 0.04**2 * 0.09)  # no more than it holds
 
@@ -170,7 +170,7 @@ def test_a_jolt_throws_out_the_same_at_any_time_step(dt: float) -> None:
 
 
 def _spill(world: World, parcel: Parcel, phone: float = 0.1) -> dict[str, Any]:
-    closeup = Closeup(world)
+    closeup = ContactQuery(world)
     qpos = world.model.qpos0.copy()
     qpos[world.model.jnt_qposadr[world.model.body_jntadr[world.movable["phone"]]]] = phone
     return {event.entity: event for event in Puddles(world, closeup).events(qpos, [parcel])}
@@ -215,14 +215,14 @@ def test_it_runs_over_edges(world: World) -> None:
 
 
 def test_dry_contents_lie_in_a_heap() -> None:
-    world = _world(Dry(0.3))
+    world = _world(Granular(0.3))
     volume = np.pi * np.tan(REPOSE) * 0.2**3 / 3.0  # a cone of 0.2 m
     assert "phone" not in _spill(world, _parcel([0.1, -0.30, 1.0], volume=volume))
     assert "phone" in _spill(world, _parcel([0.1, -0.26, 1.0], volume=volume))
 
 
 def test_robot_and_container_let_it_through(world: World) -> None:
-    closeup = Closeup(world)
+    closeup = ContactQuery(world)
     qpos = world.model.qpos0.copy()
     adr = int(world.model.jnt_qposadr[world.model.body_jntadr[world.carried_body]])
     qpos[adr : adr + 3] = [0.3, 0.0, 0.8]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from failbench.basics.onset import AtFraction, AtTime, Uniform
 from failbench.fault.fault import Fault
 from failbench.rollouts.sampling import draw, make_jobs
-from failbench.simulated.plant import Plant
+from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError
 
 
@@ -23,7 +23,7 @@ class Nothing(Fault):
     PARAMETER: ClassVar[str] = "nothing at all"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.0, "moderate": 0.0, "severe": 0.0, "critical": 0.0}
 
-    def apply(self, plant: Plant, level: float) -> None:
+    def apply(self, plant: Simulation, level: float) -> None:
         pass
 
 

@@ -9,7 +9,7 @@ from motions import execution
 
 import failbench as fb
 import graceful_plan as gp
-from failbench.simulated.walkers import Walk, with_walkers
+from failbench.simulated.moving_entities import EntityPoses, append_entity_states
 from graceful_plan.exceptions import SettingError
 
 
@@ -36,7 +36,7 @@ def job(onset=0.3, seed=0):
 
 def watched(execution, job, horizon=0.4):
     """Where the two are in each step, and how they are turned."""
-    steps = fb.steps(execution, job, horizon=horizon)
+    steps = fb.rollout_steps(execution, job, horizon=horizon)
     return np.array([np.hstack([data.mocap_pos, data.mocap_quat]) for _, data in steps])
 
 
@@ -73,16 +73,17 @@ def test_they_walk_their_paths_before_and_after_the_failure():
 
 
 def test_native_rollouts_are_the_plain_loop():
-    rollouts = fb.run(done(spread=0.1), [job(0.1 * i, seed=i) for i in range(4)], horizon=0.3)
+    rollouts = fb.run_rollouts(done(spread=0.1), [job(0.1 * i, seed=i) for i in range(4)], horizon=0.3)
     for rollout in rollouts:
-        *_, (model, data) = fb.steps(done(spread=0.1), rollout.job, horizon=0.3)
+        *_, (model, data) = fb.rollout_steps(done(spread=0.1), rollout.job, horizon=0.3)
         adr = model.jnt_qposadr[model.body_jntadr[done().world.carried_body]]
         assert np.array_equal(rollout.poses["carried"][4:], data.qpos[adr : adr + 3])
 
 
 def test_they_are_off_their_predictions_as_far_as_these_say():
     walk = [
-        Walk(done().world.model, (walker(spread=0.2, growth=0.5), CAT), np.random.default_rng(i)) for i in range(400)
+        EntityPoses(done().world.model, (walker(spread=0.2, growth=0.5), CAT), np.random.default_rng(i))
+        for i in range(400)
     ]
     off = np.array([w.rows(np.array([0.0, 1.0]))[:, :2] for w in walk]) - walker().at([0.0, 1.0]).position[:, :2]
     assert off[:, 0].std(axis=0) == pytest.approx(0.2, rel=0.15)
@@ -137,7 +138,7 @@ def test_their_speed_counts_where_they_are_struck():
     qpos, qvel = np.zeros((3, 2)), np.zeros((3, 1))
     rows = np.zeros((4, 7))
     rows[:, 1] = [0.0, 0.002, 0.004, 0.006]
-    places, speeds = with_walkers(qpos, qvel, rows, 0.002)
+    places, speeds = append_entity_states(qpos, qvel, rows, 0.002)
     assert places.shape == (3, 9) and speeds.shape == (3, 4)
     assert speeds[:, 2] == pytest.approx(1.0) and not speeds[:, [0, 1, 3]].any()
 
@@ -147,7 +148,7 @@ def test_contents_that_are_lost_where_somebody_walks():
     task = next(t for t in gp.load_scene("desk").tasks.values() if t.scene.contents is not None)
     motion = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50)
     execution = fb.execute(motion, fb.build_world(task.scene.with_moving(walker(x=-3.0))))
-    (rollout,) = fb.run(execution, [job(0.5 * execution.duration)], horizon=0.6)
+    (rollout,) = fb.run_rollouts(execution, [job(0.5 * execution.duration)], horizon=0.6)
     assert rollout.status == "completed" and rollout.dropped and rollout.spilled > 0.0
 
 
@@ -156,7 +157,7 @@ def test_validation_predicts_and_observes_them():
     scene = task.scene.with_moving(walker(x=-0.9))
     report = fb.validate(execution().trajectory, scene, n=8, threads=1)
     assert {"walker"} <= set(report.by_entity)
-    expected = gp.evaluate(execution().trajectory, scene, gp.Objective(impact=gp.ImpactCost(model="footprint")))
+    expected = gp.evaluate(execution().trajectory, scene, gp.Objective(impact=gp.ImpactCost(model="mixture")))
     assert report.by_entity["walker"].predicted == pytest.approx(
         expected.impact_by_entity["walker"] / report.duration, rel=0.05, abs=1e-6
     )

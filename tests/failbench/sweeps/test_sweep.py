@@ -19,7 +19,7 @@ from failbench.sweeps.card import CARD, write_card
 from failbench.sweeps.dataset import MANIFEST, read_dataset
 from failbench.sweeps.executors import LocalExecutor
 from failbench.sweeps.journal import SweepJournal
-from failbench.sweeps.sweep import JOURNAL, generate, read_sweep, resume, sweep_of, versions
+from failbench.sweeps.sweep import JOURNAL, generate_dataset, read_sweep, resume, sweep_of, versions
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 from sizes import first_quick
@@ -52,7 +52,7 @@ def sweep():
 def reference(sweep, tmp_path_factory):
     """The sweep as it is when nothing gets in its way."""
     folder = tmp_path_factory.mktemp("reference")
-    generate(sweep, folder, executor=InProcess())
+    generate_dataset(sweep, folder, executor=InProcess())
     return files(folder)
 
 
@@ -65,7 +65,7 @@ def files(folder: Path) -> dict[str, str]:
 @pytest.mark.long
 @pytest.mark.parametrize("workers", first_quick([2, 1, 4]))
 def test_the_bytes_do_not_depend_on_the_number_of_workers(sweep, reference, tmp_path, workers):
-    made = generate(sweep, tmp_path, executor=LocalExecutor(workers=workers))
+    made = generate_dataset(sweep, tmp_path, executor=LocalExecutor(workers=workers))
     assert files(tmp_path) == reference
     assert made.manifest["rows"]["rollouts"] == 120
 
@@ -93,7 +93,7 @@ def test_the_card_says_what_is_in_it_and_spares_a_file_of_somebody_else(sweep, t
 def test_hugging_face_finds_the_tables_by_the_card(sweep, tmp_path):
     hf = pytest.importorskip("datasets")
     longer = dataclasses.replace(sweep, faults=(DROP,), rollouts=4, horizon=0.6)
-    rows = generate(longer, tmp_path / "made", executor=InProcess()).manifest["rows"]
+    rows = generate_dataset(longer, tmp_path / "made", executor=InProcess()).manifest["rows"]
     assert all(rows.values())
     for table, count in rows.items():
         found = hf.load_dataset(str(tmp_path / "made"), table, split="train", cache_dir=str(tmp_path / "cache"))
@@ -101,7 +101,7 @@ def test_hugging_face_finds_the_tables_by_the_card(sweep, tmp_path):
 
 
 def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
-    generate(sweep, tmp_path, executor=InProcess(order=-1))
+    generate_dataset(sweep, tmp_path, executor=InProcess(order=-1))
     assert files(tmp_path) == reference and "120 rollouts" in (tmp_path / CARD).read_text()
     made = read_dataset(tmp_path)
     assert made.sweep.question == sweep.question
@@ -116,10 +116,10 @@ def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
 @pytest.mark.long
 def test_an_interrupted_sweep_goes_on_where_it_was(sweep, reference, tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        generate(sweep, tmp_path, executor=InProcess(stop_after=2))
+        generate_dataset(sweep, tmp_path, executor=InProcess(stop_after=2))
     assert not (tmp_path / MANIFEST).exists()
     with pytest.raises(KeyboardInterrupt):
-        generate(sweep, tmp_path, executor=InProcess(stop_after=1))
+        generate_dataset(sweep, tmp_path, executor=InProcess(stop_after=1))
     rest = InProcess()
     progress = []
     resume(tmp_path, executor=rest, callback=progress.append)
@@ -132,7 +132,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(sweep, reference, tmp_path):
 
 @pytest.mark.long
 def test_a_complete_sweep_is_exported_again_and_nothing_is_done(sweep, reference, tmp_path):
-    generate(sweep, tmp_path, executor=InProcess())
+    generate_dataset(sweep, tmp_path, executor=InProcess())
     (tmp_path / "rollouts" / "part-00000.parquet").write_bytes(b"oops")
     idle = InProcess()
     resume(tmp_path, executor=idle)
@@ -154,7 +154,7 @@ def test_failed_chunks_are_tried_again_by_resume(sweep, reference, tmp_path, mon
     with pytest.raises(
         SweepFailed, match=r"2 of 6 chunks failed .* lift / gripper_failure severe / rollouts 32-39: Arith"
     ):
-        generate(sweep, tmp_path, executor=InProcess(), callback=progress.append)
+        generate_dataset(sweep, tmp_path, executor=InProcess(), callback=progress.append)
     assert progress[-1].failed == 2
     with pytest.raises(FormatError, match="an unfinished one"):
         read_dataset(tmp_path)
@@ -167,15 +167,15 @@ def test_failed_chunks_are_tried_again_by_resume(sweep, reference, tmp_path, mon
 
 def test_another_sweep_in_the_folder_is_refused_by_what_differs(sweep, tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        generate(sweep, tmp_path, executor=InProcess(stop_after=0))
+        generate_dataset(sweep, tmp_path, executor=InProcess(stop_after=0))
     other = dataclasses.replace(sweep, seed=1, horizon=0.06)
     with pytest.raises(FormatError, match=r"journal\.sqlite: it holds another sweep, with other horizon, seed;"):
-        generate(other, tmp_path, executor=InProcess())
+        generate_dataset(other, tmp_path, executor=InProcess())
 
 
 def test_other_versions_and_other_files_are_refused(sweep, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
-        generate(sweep, tmp_path, executor=InProcess(stop_after=1))
+        generate_dataset(sweep, tmp_path, executor=InProcess(stop_after=1))
     with monkeypatch.context() as patch:
         patch.setattr(sweeping, "versions", lambda: versions() | {"mujoco": "5.0"})
         with pytest.raises(FormatError, match=r"begun with other versions \(mujoco\)"):
@@ -203,7 +203,7 @@ def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, referen
     with SweepJournal(tmp_path / JOURNAL):
         pass
     with pytest.warns(UserWarning, match="is empty: the sweep starts from the beginning"):
-        generate(sweep, tmp_path, executor=InProcess())
+        generate_dataset(sweep, tmp_path, executor=InProcess())
     assert files(tmp_path) == reference
 
 
@@ -211,12 +211,12 @@ def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, referen
 def test_misuse_is_found_before_anything_is_begun(sweep, tmp_path):
     elbow = dataclasses.replace(sweep, faults=({"fault": "loose_joint", "targets": ["elbow"]},))
     with pytest.raises(UnknownNameError, match="elbow"):
-        generate(elbow, tmp_path, executor=InProcess())
+        generate_dataset(elbow, tmp_path, executor=InProcess())
     planned = sweep.planned().motions[0].trajectory
     hasty = dataclasses.replace(planned, t=planned.t / 20.0, qd=20.0 * planned.qd, qdd=400.0 * planned.qdd)
     motion = SweepMotion(name="rush", scene="tabletop", task="lift_to_goal", trajectory=hasty)
     with pytest.raises(ExecutionRefused, match="rush: "):
-        generate(dataclasses.replace(sweep, motions=(motion,)), tmp_path, executor=InProcess())
+        generate_dataset(dataclasses.replace(sweep, motions=(motion,)), tmp_path, executor=InProcess())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -260,7 +260,7 @@ def test_ray_makes_the_same_bytes(sweep, reference, tmp_path, monkeypatch):
         hopeless = fake_work.Fake(deadly=0, deadly_times=99, notes=tmp_path)
         (outcome,) = RayExecutor().map(hopeless, chunks[:1])
         assert "its worker died 3 times" in outcome.error
-        generate(sweep, tmp_path / "made", executor=RayExecutor())
+        generate_dataset(sweep, tmp_path / "made", executor=RayExecutor())
         assert ray.is_initialized(), "a Ray that ran before is left running"
     finally:
         ray.shutdown()

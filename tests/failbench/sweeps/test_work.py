@@ -11,7 +11,7 @@ import graceful_plan as gp
 from failbench.basics.tables import TABLES
 from failbench.fault.registry import faults, to_document
 from failbench.recording.records import ContactEvent, Rollout
-from failbench.rollouts.rollout import run
+from failbench.rollouts.rollout import run_rollouts
 from failbench.simulated.world import SimSettings
 from failbench.sweeps import summary, work
 from failbench.sweeps.rows import contact_rows, rollout_row
@@ -86,7 +86,7 @@ def test_planning_is_reproducible_and_no_part_of_the_question(sweep):
 def test_rows_are_the_columns_and_say_what_the_rollouts_said(sweep):
     chunk = sweep.chunks[1]
     rows = run_chunk(sweep, chunk)
-    rollouts = run(execution_of(sweep, 0), jobs_of(sweep, 0, 1), horizon=0.1)
+    rollouts = run_rollouts(execution_of(sweep, 0), jobs_of(sweep, 0, 1), horizon=0.1)
     assert [list(row) for row in rows["rollouts"]] == [[c.name for c in TABLES["rollouts"]]] * 5
     assert all(list(row) == [c.name for c in TABLES["contacts"]] for row in rows["contacts"])
     assert [row["rollout"] for row in rows["rollouts"]] == [5, 6, 7, 8, 9]

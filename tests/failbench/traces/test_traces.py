@@ -35,7 +35,7 @@ def test_states_are_those_of_the_rollout():
     job = fb.Job(fault=DROP, onset=0.3, seed=1)
     steps, _ = traced(job, healthy_run(), horizon=0.1, sampling=Sampling(every=10))
     assert steps["step"].tolist() == [0, 10, 20, 30, 40]
-    states = [data.qpos.copy() for _, data in fb.steps(healthy_run(), job, horizon=0.1)]
+    states = [data.qpos.copy() for _, data in fb.rollout_steps(healthy_run(), job, horizon=0.1)]
     assert np.array_equal(steps["qpos"][3], states[29])  # of the state before step 30
     robot = healthy_run().world.robot
     assert np.array_equal(steps["q"][3], states[29][robot.qpos])
@@ -58,7 +58,7 @@ def test_energies_are_those_of_all_masses():
 
 def test_points_press_as_hard_as_the_events_of_the_rollout_say():
     job = fb.Job(fault=DROP, onset=0.3, seed=1)
-    (rollout,) = fb.run(healthy_run(), [job], horizon=0.5)
+    (rollout,) = fb.run_rollouts(healthy_run(), [job], horizon=0.5)
     _, points = traced(job, healthy_run(), horizon=0.5, sampling=Sampling(every=1))
     events = [e for e in rollout.events if e.striker == "carried" and not e.secondary]
     assert events
@@ -98,7 +98,7 @@ def dataset(tmp_path_factory):
     motion = SweepMotion(name="m", scene="tabletop", task="green_to_blue", trajectory=done.trajectory)
     sweep = Sweep(motions=(motion,), faults=(to_document(DROP),), rollouts=3, horizon=0.1)
     folder = tmp_path_factory.mktemp("data") / "set"
-    fb.generate(sweep, folder, executor=LocalExecutor(workers=1))
+    fb.generate_dataset(sweep, folder, executor=LocalExecutor(workers=1))
     return folder
 
 

@@ -8,7 +8,7 @@ from scipy.special import erfc
 
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.mobile.coast.constants import CoastSettings
-from graceful_plan.mobile.coast.four_wheel import one_sided_ways
+from graceful_plan.mobile.coast.four_wheel import one_sided_trajectories
 from graceful_plan.mobile.coast.tables import CoastTables
 
 SPACING, SAMPLES = 0.1, 64
@@ -71,7 +71,7 @@ def _along_the_normal(closing, tables, spread):
 
 def _one_sided(batch, tables, settings):
     """Places from the tables, between them in a straight line, one state after the other."""
-    ways = one_sided_ways(tables.body, settings)
+    ways = one_sided_trajectories(tables.body, settings)
     table = RegularGridInterpolator((ways.speeds, ways.rates), ways.places, bounds_error=False, fill_value=None)
     total = np.zeros((len(batch.q), len(batch.scene.entities)))
     for i, (q, qd) in enumerate(zip(batch.q, batch.qd, strict=True)):

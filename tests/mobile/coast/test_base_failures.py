@@ -24,8 +24,8 @@ from graceful_plan.mobile.coast.closed_forms import (
     straightening_angle,
 )
 from graceful_plan.mobile.coast.constants import CoastSettings
-from graceful_plan.mobile.coast.four_wheel import Case, integrated, one_sided_ways
-from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, OneSideSteering, gone_on
+from graceful_plan.mobile.coast.four_wheel import Case, integrated, one_sided_trajectories
+from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, OneSideSteering, reference_motion
 from graceful_plan.mobile.coast.tables import coast_tables
 from graceful_plan.mobile.control.diff_drive_controller import Tracking
 from graceful_plan.mobile.control.drive_state import DriveState
@@ -120,7 +120,7 @@ def test_a_controller_that_goes_on_swings_it_about_its_way_as_in_mujoco(v, omega
 @given(st.floats(-2.0, 2.0), st.floats(0.0, 4.0))
 def test_a_motion_that_goes_on_gets_as_fast_as_it_may_be(v, time):
     base = BODY.base
-    (far,), (speed,) = gone_on(base, np.array([v]), time)
+    (far,), (speed,) = reference_motion(base, np.array([v]), time)
     later = np.linspace(0.0, time, 4001)
     fast = np.minimum(abs(v) + base.a_max * later, max(base.v_max, abs(v)))
     assert far == pytest.approx(np.sign(v) * np.trapezoid(fast, later), abs=1e-5)
@@ -140,7 +140,7 @@ def test_it_goes_where_mujoco_has_it(held):
 
 
 def test_tables_share_out_the_probability_and_are_made_once():
-    ways = one_sided_ways(BODY, CoastSettings.shipped())
+    ways = one_sided_trajectories(BODY, CoastSettings.shipped())
     settings = CoastSettings.shipped()
     weights = {name: way.weight for name, way in settings.ways.items()}
     each = (1.0 - settings.harmless) / (sum(weights.values()) + settings.astray.weight)
@@ -152,8 +152,8 @@ def test_tables_share_out_the_probability_and_are_made_once():
     assert lasts == pytest.approx(each * settings.astray.weight * settings.astray.lasts)
     assert len(settings.only("runaway").beside(BODY.base)) == 0
     assert settings.only("runaway").stops()[:, 0].sum() == pytest.approx(1.0)
-    assert one_sided_ways(BODY, settings) is ways
-    assert len(one_sided_ways(BODY, settings.only("runaway")).share) == 0
+    assert one_sided_trajectories(BODY, settings) is ways
+    assert len(one_sided_trajectories(BODY, settings.only("runaway")).share) == 0
 
 
 def test_what_steers_on_says_what_the_tracking_controller_and_its_motors_do():

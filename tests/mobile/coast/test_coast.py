@@ -17,8 +17,8 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.failing_base import FailingBase
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.coast.coast import Coast
-from graceful_plan.mobile.coast.constants import Astray, CoastSettings, Way
-from graceful_plan.mobile.coast.four_wheel import one_sided_ways
+from graceful_plan.mobile.coast.constants import CoastSettings, OdometryDrift, Way
+from graceful_plan.mobile.coast.four_wheel import one_sided_trajectories
 from graceful_plan.mobile.coast.native import SKIDS, coasting_arrays
 from graceful_plan.mobile.coast.tables import coast_tables
 from hall import BASE, hall
@@ -113,13 +113,13 @@ def test_the_core_says_the_same_where_many_are_near(scene):
 def test_tables_that_are_kept_are_read_again_and_broken_ones_are_made_again(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     body = coast_tables(SCENE).body
-    first = one_sided_ways.__wrapped__(body, SHIPPED)
+    first = one_sided_trajectories.__wrapped__(body, SHIPPED)
     (file,) = (tmp_path / "graceful_plan").iterdir()
-    np.testing.assert_array_equal(one_sided_ways.__wrapped__(body, SHIPPED).places, first.places)
+    np.testing.assert_array_equal(one_sided_trajectories.__wrapped__(body, SHIPPED).places, first.places)
     with np.load(file) as found:
         np.testing.assert_array_equal(found["values"], first.places)
     np.savez(file, values=np.full_like(first.places, np.nan))
-    np.testing.assert_array_equal(one_sided_ways.__wrapped__(body, SHIPPED).places, first.places)
+    np.testing.assert_array_equal(one_sided_trajectories.__wrapped__(body, SHIPPED).places, first.places)
 
 
 def test_the_outline_is_that_of_the_geoms_and_shapes_are_what_stands_at_its_height():
@@ -224,7 +224,7 @@ def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
 
 def astray():
     """All failures lead a base astray, at rates that hardly turn it."""
-    lost = Astray(weight=1.0, misread=0.001 * BASE.track * BASE.slip, lasts=16.0, pace=1.0, spread=0.2)
+    lost = OdometryDrift(weight=1.0, misread=0.001 * BASE.track * BASE.slip, lasts=16.0, pace=1.0, spread=0.2)
     return replace(SHIPPED, harmless=0.95, ways={}, astray=lost, position_spread=1e-3, reference_speed=1e-3)
 
 
@@ -252,11 +252,11 @@ def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
 
 
 def test_at_one_moment_what_leads_astray_bends_off():
-    seen = SHIPPED.of_the_moment()
+    seen = SHIPPED.without_drift()
     total = sum(way.weight for way in SHIPPED.ways.values()) + SHIPPED.astray.weight
     assert sum(way.weight for way in seen.ways.values()) == pytest.approx(total) and seen.astray.weight == 0.0
     assert {name for name, way in seen.ways.items() if way != SHIPPED.ways[name]} == {"odometry"}
-    assert only().of_the_moment() == only()
+    assert only().without_drift() == only()
 
 
 def test_walls_keep_those_astray_from_whom_they_are_not_to_meet():
@@ -350,7 +350,7 @@ class Doubtful(FailingBase):
 def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_descents():
     q, qd = states()
     batch = moving_batch(SCENE, q, qd)
-    shipped, own = (gp.ImpactCost(model=gp.Footprint(base=base)) for base in (None, Doubtful()))
+    shipped, own = (gp.ImpactCost(model=gp.FailureMixture(base=base)) for base in (None, Doubtful()))
     assert shipped.state(batch).max() > 0.0
     np.testing.assert_allclose(own.state(batch), 0.5 * shipped.state(batch), atol=1e-12)
     np.testing.assert_allclose(own.gradient(batch), 0.5 * shipped.gradient(batch), atol=1e-9)
@@ -359,7 +359,7 @@ def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_des
 
 
 def test_settings_alone_are_no_model_of_how_bases_fail():
-    model = gp.Footprint()
+    model = gp.FailureMixture()
     object.__setattr__(model, "base", SHIPPED)  # past the checks of types, which users do not have
     with pytest.raises(SettingError, match=r"base = .*, expected a FailingBase, such as Coast\(settings\)"):
         model.__post_init__()

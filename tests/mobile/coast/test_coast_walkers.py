@@ -9,8 +9,8 @@ import graceful_plan as gp
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import CoastSettings
-from graceful_plan.mobile.coast.thinned import thinned
-from graceful_plan.mobile.coast.walkers import moving_coast, seen_from_above
+from graceful_plan.mobile.coast.moving_entities import moving_coast, planar_shapes
+from graceful_plan.mobile.coast.reduced import thinned
 from hall import hall
 
 SHIPPED = CoastSettings.shipped()
@@ -87,7 +87,7 @@ def test_outlines_velocities_and_spreads():
         "cart", "adult", size=[0.4, 0.2, 0.5], t=[0.0, 2.0], position=[[0, 0, 0.5], [4, 2, 0.5]], yaw=[0.0, 1.0],
         spread=0.3, growth=0.2,
     )  # fmt: skip
-    shape, velocity, spread = seen_from_above(entity, np.array([1.0]))
+    shape, velocity, spread = planar_shapes(entity, np.array([1.0]))
     np.testing.assert_allclose(shape[0], [2.0, 1.0, np.cos(0.5), np.sin(0.5), 0.4, 0.2, 0.0])
     np.testing.assert_allclose(velocity[0], [2.0, 1.0])
     assert spread[0] == pytest.approx(np.hypot(0.3, 0.2))

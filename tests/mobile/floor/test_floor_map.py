@@ -9,7 +9,7 @@ from jaxtyping import TypeCheckError
 import graceful_plan as gp
 from graceful_plan.exceptions import FormatError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.mobile.floor.files.moving_ai import MovingAIScenario, read_scenarios, write_scenarios
-from graceful_plan.mobile.floor.floor_map import MAX_CELLS, FloorMap
+from graceful_plan.mobile.floor.occupancy_grid import MAX_CELLS, OccupancyGrid
 
 _TOLERANCE = 1e-5  # distances are single precision, rounded down
 YAML = "image: {image}\nresolution: 0.1\norigin: [1.0, 2.0, 0.5]\nnegate: {negate}\n{more}"
@@ -59,22 +59,22 @@ def test_distances_are_those_to_the_nearest_square(outside, seed, share):
 def test_pixels_become_occupancy_as_map_server_says(tmp_path):
     # Above, below and between the thresholds; 205 is unknown, for 50 / 255 = .1961 is above .196.
     file = written(tmp_path, [[0, 89, 90], [205, 206, 254]])
-    floor = FloorMap.from_map_server(file)
+    floor = OccupancyGrid.from_map_server(file)
     assert floor.occupancy.tolist() == [[-1, 0, 0], [100, 100, -1]]
     assert floor.origin == (1.0, 2.0, 0.5) and floor.resolution == 0.1
     assert floor.occupied.tolist() == [[True, False, False], [True, True, True]]
-    negated = FloorMap.from_map_server(written(tmp_path, [[0, 89, 166, 255]], negate=1))
+    negated = OccupancyGrid.from_map_server(written(tmp_path, [[0, 89, 166, 255]], negate=1))
     assert negated.occupancy.tolist() == [[0, -1, 100, 100]]
-    scale = FloorMap.from_map_server(written(tmp_path, [[0, 153, 255]], more="mode: scale\n" + THRESHOLDS))
+    scale = OccupancyGrid.from_map_server(written(tmp_path, [[0, 153, 255]], more="mode: scale\n" + THRESHOLDS))
     assert scale.occupancy.tolist() == [[100, round(100 * (0.4 - 0.196) / (0.65 - 0.196)), 0]]
-    raw = FloorMap.from_map_server(written(tmp_path, [[0, 37, 100, 101, 255]], more="mode: raw\n"))
+    raw = OccupancyGrid.from_map_server(written(tmp_path, [[0, 37, 100, 101, 255]], more="mode: raw\n"))
     assert raw.occupancy.tolist() == [[0, 37, 100, -1, -1]]
 
 
 @pytest.mark.parametrize("plain", [True, False])
 def test_deep_and_plain_pictures_are_read(tmp_path, plain):
     file = written(tmp_path, [[0, 30000, 65535]], most=65535, plain=plain)
-    assert FloorMap.from_map_server(file).occupancy.tolist() == [[100, -1, 0]]
+    assert OccupancyGrid.from_map_server(file).occupancy.tolist() == [[100, -1, 0]]
 
 
 def test_png_is_read(tmp_path):
@@ -82,7 +82,7 @@ def test_png_is_read(tmp_path):
 
     file = written(tmp_path, [[0]])
     Image.fromarray(np.array([[0, 254], [205, 254]], dtype=np.uint8)).save(tmp_path / "other.png")
-    found = FloorMap.from_map_server(file, image=tmp_path / "other.png")
+    found = OccupancyGrid.from_map_server(file, image=tmp_path / "other.png")
     assert found.occupancy.tolist() == [[-1, 0], [100, 0]]
 
 
@@ -91,15 +91,15 @@ def test_png_is_read(tmp_path):
 def test_what_is_saved_is_read_again(tmp_path_factory, seed, mixed):
     rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("maps")
     values = np.arange(-1, 101) if mixed else np.array([-1, 0, 100])
-    floor = FloorMap(
+    floor = OccupancyGrid(
         occupancy=rng.choice(values, size=rng.integers(1, 9, 2)), resolution=0.05, origin=(0.1, -2.0, 1e-3)
     )
     floor.save(folder / "m.yaml")
-    again = FloorMap.from_map_server(folder / "m.yaml")
+    again = OccupancyGrid.from_map_server(folder / "m.yaml")
     np.testing.assert_array_equal(again.occupancy, floor.occupancy)
     assert (again.resolution, again.origin) == (floor.resolution, floor.origin)
     floor.save_moving_ai(folder / "m.map")
-    np.testing.assert_array_equal(FloorMap.from_moving_ai(folder / "m.map").occupied, floor.occupied)
+    np.testing.assert_array_equal(OccupancyGrid.from_moving_ai(folder / "m.map").occupied, floor.occupied)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_hostile_pictures_are_refused(tmp_path, content, said):
     file = written(tmp_path, [[0]])
     (tmp_path / "m.pgm").write_bytes(content)
     with pytest.raises(FormatError, match=said):
-        FloorMap.from_map_server(file)
+        OccupancyGrid.from_map_server(file)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_hostile_yaml_is_refused(tmp_path, text, said):
     written(tmp_path, [[0]])
     (tmp_path / "m.yaml").write_text(text)
     with pytest.raises(FormatError, match=said):
-        FloorMap.from_map_server(tmp_path / "m.yaml")
+        OccupancyGrid.from_map_server(tmp_path / "m.yaml")
 
 
 @pytest.mark.parametrize(
@@ -168,12 +168,12 @@ def test_hostile_yaml_is_refused(tmp_path, text, said):
 def test_hostile_movingai_maps_are_refused(tmp_path, text, said):
     (tmp_path / "m.map").write_text(text)
     with pytest.raises(FormatError, match=said):
-        FloorMap.from_moving_ai(tmp_path / "m.map")
+        OccupancyGrid.from_moving_ai(tmp_path / "m.map")
 
 
 def test_movingai_maps_and_scenarios_count_from_above(tmp_path):
     (tmp_path / "m.map").write_text("type octile\nheight 2\nwidth 3\nmap\n.@S\nTWG\n")
-    floor = FloorMap.from_moving_ai(tmp_path / "m.map")
+    floor = OccupancyGrid.from_moving_ai(tmp_path / "m.map")
     assert floor.occupied.tolist() == [[True, True, False], [False, True, False]]
     one = MovingAIScenario((0, 1), (2, 0), 3.5)
     write_scenarios(tmp_path / "m.scen", [one], "m.map", floor.shape)
@@ -186,18 +186,18 @@ def test_movingai_maps_and_scenarios_count_from_above(tmp_path):
 
 def test_misuse_is_refused():
     with pytest.raises(ShapeError, match="occupancy"):
-        FloorMap(occupancy=np.zeros(3, dtype=int), resolution=1.0)
+        OccupancyGrid(occupancy=np.zeros(3, dtype=int), resolution=1.0)
     with pytest.raises(SettingError, match="whole numbers from -1 to 100"):
-        FloorMap(occupancy=np.full((2, 2), 101), resolution=1.0)
+        OccupancyGrid(occupancy=np.full((2, 2), 101), resolution=1.0)
     with pytest.raises(SettingError, match="resolution"):
-        FloorMap(occupancy=rooms(), resolution=-1.0)
-    box = gp.Solid(name="box", kind="box", size=[1.0, 1.0, 1.0], pose=np.zeros(3))
+        OccupancyGrid(occupancy=rooms(), resolution=-1.0)
+    box = gp.StaticBody(name="box", kind="box", size=[1.0, 1.0, 1.0], pose=np.zeros(3))
     with pytest.raises(SettingError, match="a class of the severity table"):
-        FloorMap(occupancy=rooms(), resolution=1.0, entities=(box,))
+        OccupancyGrid(occupancy=rooms(), resolution=1.0, entities=(box,))
     with pytest.raises(SettingError, match="yaw of 0"):
-        FloorMap(occupancy=rooms(), resolution=1.0, origin=(0.0, 0.0, 1.0)).walls()
+        OccupancyGrid(occupancy=rooms(), resolution=1.0, origin=(0.0, 0.0, 1.0)).walls()
     with pytest.raises(UnknownNameError, match="robot that drives"):
-        FloorMap(occupancy=rooms(), resolution=0.1).to_scene("panda")
+        OccupancyGrid(occupancy=rooms(), resolution=0.1).to_scene("panda")
     assert MAX_CELLS == 2**26
 
 
@@ -205,7 +205,9 @@ def test_misuse_is_refused():
 @settings(max_examples=10, deadline=None)
 def test_cells_and_points_belong_together_and_clearance_is_never_too_much(seed):
     rng = np.random.default_rng(seed)
-    floor = FloorMap(occupancy=rng.uniform(size=(12, 15)) < 0.1, resolution=0.2, origin=tuple(rng.uniform(-2, 2, 3)))
+    floor = OccupancyGrid(
+        occupancy=rng.uniform(size=(12, 15)) < 0.1, resolution=0.2, origin=tuple(rng.uniform(-2, 2, 3))
+    )
     cells = rng.integers(0, [15, 12], (20, 2))
     np.testing.assert_array_equal(floor.cells(floor.centres(cells)), cells)
     xy = rng.uniform(-0.5, 3.5, (30, 2))
@@ -220,18 +222,18 @@ def test_cells_and_points_belong_together_and_clearance_is_never_too_much(seed):
 
 
 def test_a_scene_is_cut_where_something_stands_between_two_heights():
-    scene = FloorMap(occupancy=np.zeros((40, 40), dtype=bool), resolution=0.1).to_scene()
+    scene = OccupancyGrid(occupancy=np.zeros((40, 40), dtype=bool), resolution=0.1).to_scene()
     c, s = np.cos(0.4), np.sin(0.4)
     X = np.array([[c, -s, 0, 2.0], [s, c, 0, 2.0], [0, 0, 1, 0.2], [0, 0, 0, 1.0]])
     scene = scene.edit(
         add=[
-            gp.Solid(name="turned", kind="box", size=[0.6, 0.2, 0.1], pose=X),
-            gp.Solid(name="high", kind="box", size=[0.3, 0.3, 0.1], pose=np.array([1.0, 1.0, 1.5])),
-            gp.Solid(name="post", kind="cylinder", size=[0.15, 0.5], pose=np.array([3.0, 1.0, 0.5])),
-            gp.Solid(name="ball", kind="sphere", size=0.2, pose=np.array([1.0, 3.0, 0.2])),
+            gp.StaticBody(name="turned", kind="box", size=[0.6, 0.2, 0.1], pose=X),
+            gp.StaticBody(name="high", kind="box", size=[0.3, 0.3, 0.1], pose=np.array([1.0, 1.0, 1.5])),
+            gp.StaticBody(name="post", kind="cylinder", size=[0.15, 0.5], pose=np.array([3.0, 1.0, 0.5])),
+            gp.StaticBody(name="ball", kind="sphere", size=0.2, pose=np.array([1.0, 3.0, 0.2])),
         ]
     )
-    floor = FloorMap.from_scene(scene, heights=(0.05, 0.4), resolution=0.05, bounds=(0.1, 3.9, 0.1, 3.9))
+    floor = OccupancyGrid.from_scene(scene, heights=(0.05, 0.4), resolution=0.05, bounds=(0.1, 3.9, 0.1, 3.9))
     row, column = np.indices(floor.shape)
     xy = floor.centres(np.stack([column, row], axis=-1))
     local = (xy - 2.0) @ np.array([[c, -s], [s, c]])
@@ -241,14 +243,16 @@ def test_a_scene_is_cut_where_something_stands_between_two_heights():
     far &= (np.linalg.norm(xy - (3.0, 1.0), axis=-1) > 0.19) & (np.linalg.norm(xy - (1.0, 3.0), axis=-1) > 0.24)
     assert floor.occupied[inside].all() and not floor.occupied[far].any()
     with pytest.raises(SettingError, match="nothing at that height"):
-        FloorMap.from_scene(scene, heights=(5.0, 6.0))
+        OccupancyGrid.from_scene(scene, heights=(5.0, 6.0))
     with pytest.raises(SettingError, match="wider cells"):
-        FloorMap.from_scene(scene, resolution=1e-3, bounds=(0.0, 100.0, 0.0, 100.0))
+        OccupancyGrid.from_scene(scene, resolution=1e-3, bounds=(0.0, 100.0, 0.0, 100.0))
 
 
 def test_a_turned_map_becomes_the_same_floor_as_a_scene():
-    person = gp.Solid(name="ann", kind="cylinder", size=[0.25, 0.85], pose=np.array([0.0, 3.0, 0.85]), entity="adult")
-    floor = FloorMap(occupancy=rooms(), resolution=0.1, origin=(-3.0, -1.0, 0.3), entities=(person,))
+    person = gp.StaticBody(
+        name="ann", kind="cylinder", size=[0.25, 0.85], pose=np.array([0.0, 3.0, 0.85]), entity="adult"
+    )
+    floor = OccupancyGrid(occupancy=rooms(), resolution=0.1, origin=(-3.0, -1.0, 0.3), entities=(person,))
     scene = floor.to_scene(severity={"adult": 30.0})
     assert scene.entities["ann"].severity["body"] == 30.0
     rng = np.random.default_rng(0)
@@ -257,12 +261,12 @@ def test_a_turned_map_becomes_the_same_floor_as_a_scene():
     # A base whose middle is on something, or which is far from everything.
     on = floor.occupied[cells[:, 1], cells[:, 0]]
     far = (floor.clearance(q[:, :2]) > 0.6) & (np.linalg.norm(q[:, :2] - (0, 3), axis=1) > 0.9)
-    clearance = gp.clearance(scene, q)
+    clearance = gp.clearance(q, scene)
     assert (clearance[on] < 0).all() and (clearance[far] > 0).all() and on.any() and far.any()
 
 
 def test_walls_go_into_any_scene():
-    floor = FloorMap(occupancy=rooms(), resolution=0.1, origin=(-4.0, -3.0, 0.0))
+    floor = OccupancyGrid(occupancy=rooms(), resolution=0.1, origin=(-4.0, -3.0, 0.0))
     scene = floor.to_scene()
     more = scene.edit(add=[floor.walls("more", height=0.5)])
     assert more.model.body("more").geomnum[0] == 2
@@ -282,11 +286,11 @@ NAN, INF = float("nan"), float("inf")
 )  # fmt: skip
 def test_maps_that_nobody_could_plan_on_are_refused(change):
     with pytest.raises((gp.GracefulPlanError, TypeCheckError)):
-        FloorMap(**({"occupancy": [[0, 100]], "resolution": 0.1} | change))
+        OccupancyGrid(**({"occupancy": [[0, 100]], "resolution": 0.1} | change))
 
 
 def test_questions_about_far_away_and_files_that_cannot_be(tmp_path):
-    floor = FloorMap(occupancy=[[0, 0], [0, 100]], resolution=0.1)
+    floor = OccupancyGrid(occupancy=[[0, 0], [0, 100]], resolution=0.1)
     assert floor.clearance([[1e300, 0.0], [0.05, -1e300], [0.05, 0.05]]).tolist() == pytest.approx(
         [0.0, 0.0, 0.05], abs=1e-6
     )
@@ -296,6 +300,6 @@ def test_questions_about_far_away_and_files_that_cannot_be(tmp_path):
             with pytest.raises(FormatError, match="cannot be written"):
                 write(name)
     with pytest.raises(SettingError, match="resolution"):
-        FloorMap.from_scene(gp.load_scene("tabletop"), resolution=1e-9)
+        OccupancyGrid.from_scene(gp.load_scene("tabletop"), resolution=1e-9)
     (tmp_path / "a\nb.map").write_text("type octile\nheight 1\nwidth 1\nmap\n.\n")
-    assert FloorMap.from_moving_ai(tmp_path / "a\nb.map").name == "a_b"
+    assert OccupancyGrid.from_moving_ai(tmp_path / "a\nb.map").name == "a_b"

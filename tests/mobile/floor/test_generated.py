@@ -5,9 +5,9 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
-from graceful_plan.mobile.floor.floor_map import FloorMap
 from graceful_plan.mobile.floor.generated import floor_plan, obstacle_course
 from graceful_plan.mobile.floor.grid_paths import FloorGrid, GridStatus
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -19,7 +19,7 @@ def test_floor_plans_leave_a_way(seed):
     # People are in the way too, so that the way past them is no shorter.
     assert path.status is GridStatus.SOLVED and path.cost <= one.length + 1e-6
     assert {solid.entity for solid in one.floor.entities} <= {"adult", "child", "pet", "heirloom", "glass"}
-    assert (gp.clearance(one.floor.to_scene(), np.array([one.start, one.goal])) > 0.05).all()
+    assert (gp.clearance(np.array([one.start, one.goal]), one.floor.to_scene()) > 0.05).all()
 
 
 def test_seeds_differ_and_rooms_are_as_many_as_asked_for():
@@ -45,8 +45,10 @@ def test_misuse_is_refused():
 def test_plan_works_on_maps(planner):
     occupied = np.zeros((60, 60), dtype=bool)
     occupied[28:32, :40] = True
-    person = gp.Solid(name="ann", kind="cylinder", size=[0.25, 0.85], pose=np.array([2.6, 0.6, 0.85]), entity="adult")
-    scene = FloorMap(occupancy=occupied, resolution=0.05, entities=(person,)).to_scene()
+    person = gp.StaticBody(
+        name="ann", kind="cylinder", size=[0.25, 0.85], pose=np.array([2.6, 0.6, 0.85]), entity="adult"
+    )
+    scene = OccupancyGrid(occupancy=occupied, resolution=0.05, entities=(person,)).to_scene()
     start, goal = np.array([0.6, 0.7, 0.0]), gp.BasePose(0.6, 2.4, 3.0)
     result = gp.plan(start, goal, scene, w=0.1, planner=planner, iterations=3000)
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.passed

@@ -10,8 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
-from graceful_plan.mobile.floor.floor_map import FloorMap
 from graceful_plan.mobile.floor.grid_paths import METHODS, FloorGrid, GridStatus
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 
 _RELATIVE = 1e-6  # what a metre costs in a cell is a single precision number
 RESOLUTION = 0.1
@@ -24,7 +24,7 @@ def case(seed, most=14):
     occupied[0, 0] = occupied[-1, -1] = False
     weight = 10.0 ** rng.integers(-2, 6)
     charge = None if seed % 3 == 0 else weight * rng.uniform(size=shape)
-    return FloorGrid(floor=FloorMap(occupancy=occupied, resolution=RESOLUTION), charge=charge)
+    return FloorGrid(floor=OccupancyGrid(occupancy=occupied, resolution=RESOLUTION), charge=charge)
 
 
 def reference(grid):
@@ -113,7 +113,7 @@ def test_theta_star_is_close_to_the_shortest_way_of_any_angle():
 
 
 def test_open_floor_has_the_known_lengths():
-    grid = FloorGrid(floor=FloorMap(occupancy=np.zeros((30, 50), dtype=bool), resolution=1.0))
+    grid = FloorGrid(floor=OccupancyGrid(occupancy=np.zeros((30, 50), dtype=bool), resolution=1.0))
     a, b = (2.5, 3.5), (45.5, 21.5)
     assert grid.path(a, b).cost == pytest.approx(43 - 18 + 18 * np.sqrt(2))
     assert grid.path(a, b, method="theta_star").cost == pytest.approx(np.hypot(43, 18))
@@ -122,7 +122,7 @@ def test_open_floor_has_the_known_lengths():
 def test_the_radius_is_kept():
     occupied = np.zeros((20, 20), dtype=bool)
     occupied[10, :9] = occupied[10, 12:] = True  # a gap of three cells
-    floor = FloorMap(occupancy=occupied, resolution=0.1)
+    floor = OccupancyGrid(occupancy=occupied, resolution=0.1)
     ends = (1.0, 0.5), (1.0, 1.5)
     path = FloorGrid(floor=floor, radius=0.14).path(*ends)
     assert path.status is GridStatus.SOLVED and floor.distance[path.cells[:, 1], path.cells[:, 0]].min() >= 0.14
@@ -133,7 +133,7 @@ def test_the_radius_is_kept():
 def test_unhappy_ends_and_limits(method):
     occupied = np.zeros((400, 400), dtype=bool)
     occupied[5, 5] = True
-    grid = FloorGrid(floor=FloorMap(occupancy=occupied, resolution=1.0))
+    grid = FloorGrid(floor=OccupancyGrid(occupancy=occupied, resolution=1.0))
     assert grid.path((5.5, 5.5), (1.0, 1.0), method=method).status is GridStatus.START_BLOCKED
     assert grid.path((1.0, 1.0), (-1.0, 1.0), method=method).status is GridStatus.GOAL_BLOCKED
     if method == "dijkstra":  # the others are there before they look at the clock
@@ -143,7 +143,7 @@ def test_unhappy_ends_and_limits(method):
 
 
 def test_misuse_is_refused():
-    floor = FloorMap(occupancy=np.zeros((3, 4), dtype=bool), resolution=1.0)
+    floor = OccupancyGrid(occupancy=np.zeros((3, 4), dtype=bool), resolution=1.0)
     with pytest.raises(ShapeError, match="charge"):
         FloorGrid(floor=floor, charge=np.zeros((4, 3)))
     with pytest.raises(SettingError, match="charge"):

@@ -13,8 +13,8 @@ from graceful_plan.mobile.floor.timed_paths import (
     LEAVES,
     STANDS,
     STEPS,
+    DynamicObstacles,
     MoveKind,
-    Others,
     TimedLattice,
     TimedPaces,
 )
@@ -36,7 +36,7 @@ def walking(*places, radius=0.2, **given):
     """Somebody round who is at these places at half ticks, and stays at the last."""
     shape = np.zeros((1, len(places), 7))
     shape[0, :, :2], shape[0, :, 2], shape[0, :, 6] = places, 1.0, radius
-    return Others(shape=shape, velocity=np.zeros((1, len(places)), dtype=np.int32), **given)
+    return DynamicObstacles(shape=shape, velocity=np.zeros((1, len(places)), dtype=np.int32), **given)
 
 
 def price_of(of, who, node, move):

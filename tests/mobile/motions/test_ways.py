@@ -5,8 +5,8 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.mobile.motions.carry_postures import carry_postures, with_posture
+from graceful_plan.mobile.motions.floor_ways import ways
 from graceful_plan.mobile.motions.legs import RollingLeg, along_ways, routes
-from graceful_plan.mobile.motions.ways import ways
 from graceful_plan.planners.scene_problem import SceneProblem
 from hall import hall
 
@@ -65,7 +65,7 @@ def test_postures_in_which_less_would_be_harmed_come_first():
     def harm(arm):
         changed = q.copy()
         changed[:, 3:] = arm
-        return objective.quick_states(changed, np.zeros_like(q)).mean()
+        return objective.approximate_states(changed, np.zeros_like(q)).mean()
 
     assert harm(found[0]) < 0.8 * harm(start[3:])
     controls = np.column_stack([np.tile(start, (12, 1))[:, [0, 1, *range(3, 11)]], np.zeros(12)])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.judge.exact import exactly_free
-from graceful_plan.mobile.query.arm_ways import with_arm_ways
+from graceful_plan.mobile.query.arm_detours import with_arm_detours
 from graceful_plan.mobile.query.whole_body import reach_of, solve_whole_body, way_to
 from graceful_plan.query.endpoints.endpoints import find_endpoints
 from graceful_plan.scene.pose_goal import pose_error
@@ -35,11 +35,11 @@ def test_what_some_configuration_reaches_is_reached(seed, free_yaw):
     rng = np.random.default_rng(seed)
     q = rng.uniform(*KITCHEN.limits.position.T)
     q[2] = rng.uniform(-np.pi, np.pi)
-    if gp.clearance(KITCHEN, q) < 0.02:
+    if gp.clearance(q, KITCHEN) < 0.02:
         return
     goal = gp.PoseGoal.from_tool(q, KITCHEN, free_yaw=free_yaw)
     found = reached(goal)
-    assert len(found) and gp.clearance(KITCHEN, found).min() >= 0.002
+    assert len(found) and gp.clearance(found, KITCHEN).min() >= 0.002
     for one in found:
         distance, angle = pose_error(goal, tool(one))
         assert distance < 1e-5 and angle < 1e-4
@@ -88,10 +88,10 @@ def test_arms_go_round_what_is_between():
     above, below = np.array([4.0, 0.0, 0.0, -0.6]), np.array([4.0, 0.0, 0.0, 0.6])
     start = np.array([-4.0, 0.0, 0.0, -0.6])
     held = SceneConstraints(scene, [])
-    assert gp.clearance(scene, np.stack([above, below])).min() > 0.002
+    assert gp.clearance(np.stack([above, below]), scene).min() > 0.002
     ends = find_endpoints(start, below, held, np.random.default_rng(0))
     # With one joint there is no way round; the goal stays as it is.
-    assert len(with_arm_ways(ends).arrivals) == 1
+    assert len(with_arm_detours(ends).arrivals) == 1
 
 
 def test_ways_round_a_corner_are_free_where_the_straight_one_is_not():
@@ -102,7 +102,7 @@ def test_ways_round_a_corner_are_free_where_the_straight_one_is_not():
     blocked = q[~held.kernels.edges_free(READY, q)][:12]
     assert len(blocked) == 12
     ends = find_endpoints(READY, blocked, held, np.random.default_rng(0))
-    found = with_arm_ways(ends)
+    found = with_arm_detours(ends)
     new = found.arrivals[len(ends.arrivals) :]
     assert len(new) >= 3 and found.goal_index[: len(ends.arrivals)] == ends.goal_index
     for arrival, index in zip(new, found.goal_index[len(ends.arrivals) :], strict=True):

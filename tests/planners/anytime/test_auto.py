@@ -27,7 +27,7 @@ def task():
     return gp.load_scene("tabletop_l3").tasks["green_to_blue"]
 
 
-def bound(task, w=1.0, impact="footprint"):
+def bound(task, w=1.0, impact="mixture"):
     """From and to where a first path is clear of what the object stands on: way outs are the business of plan()."""
     kernels = compile_scene(task.scene).kernels
     q = gp.plan(task.start, task.goal, task.scene, w=0.0, planner="rrt_connect", iterations=500).unwrap().path.q
@@ -105,7 +105,7 @@ def test_no_vertices_can_be_left_out_of_a_first_path_where_length_alone_counts(t
 
 
 def test_a_cost_without_gradient_is_lowered_too(task):
-    problem, objective = bound(task, impact="aabb")
+    problem, objective = bound(task, impact="box_overlap")
     paths, _ = solved(gp.Auto(), problem, objective, iterations=4000)
     assert path_total(objective, paths[-1]) < 0.8 * path_total(objective, paths[0])
 

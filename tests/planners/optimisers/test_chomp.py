@@ -21,6 +21,7 @@ from graceful_plan.compare.problems.analytic import (
 from graceful_plan.costs.objective import search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.optimisers.chomp import CHOMP
 from graceful_plan.planners.optimisers.covariant import Descent, Memory
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
@@ -28,7 +29,6 @@ from graceful_plan.planners.optimisers.incumbent import Incumbent, with_edges
 from graceful_plan.planners.optimisers.path_energy import PathEnergy
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, path_total
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 
 _WITHIN = 1.005
@@ -292,7 +292,7 @@ def test_what_is_free_of_a_better_path_is_taken() -> None:
     """The straight way is blocked by a disc in its middle: beside that, the path comes closer to it."""
     instance = disc()
     around = Path(np.array([[-2.0, 0.0], [-2.0, 1.5], [2.0, 1.5], [2.0, 0.0]]))
-    kept = Incumbent(around, 40, Questions(instance.problem, instance.objective, Budget()))
+    kept = Incumbent(around, 40, InterruptibleProblem(instance.problem, instance.objective, Budget()))
     before = kept.total
     through = np.linspace([-2.0, 0.0], [2.0, 0.0], 41)
     assert not list(kept.offer(through, 4.0))
@@ -305,7 +305,7 @@ def test_what_is_free_of_a_better_path_is_taken() -> None:
 def test_a_blocked_path_gives_nothing_to_fall_back_on() -> None:
     instance = disc()
     through = Path(np.array([[-2.0, 0.0], [2.0, 0.0]]))
-    kept = Incumbent(through, 10, Questions(instance.problem, instance.objective, Budget()))
+    kept = Incumbent(through, 10, InterruptibleProblem(instance.problem, instance.objective, Budget()))
     assert kept.total == np.inf and not kept.free
     assert not list(kept.approach(kept.q, 4.0))
 

@@ -14,10 +14,10 @@ from graceful_plan.compare.problems.analytic import DensityObjective, FunctionPr
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.exceptions import CostError, SettingError
+from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes, edge_derivatives
 from graceful_plan.planners.optimisers.path_energy import ObstaclePotential, PathEnergy
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.questions import Interrupted
 from graceful_plan.planners.scene_problem import SceneProblem
 
 _STEP = 1e-6
@@ -260,7 +260,7 @@ def test_gradient_of_clearance_in_a_scene() -> None:
 
 @pytest.mark.parametrize(("faults", "rounding"), [("drop_only", 1e-6), ("service_robot", 1e-4)])
 def test_hits_can_be_smeared(carrying: gp.Scene, faults: str, rounding: float) -> None:
-    objective = gp.Objective(w=2.0, impact=gp.ImpactCost(gp.Footprint(faults=faults))).bind(carrying)
+    objective = gp.Objective(w=2.0, impact=gp.ImpactCost(gp.FailureMixture(faults=faults))).bind(carrying)
     task = gp.load_scene("desk").tasks["bring_coffee"]
     q = np.linspace(task.start, task.goal[0], 200)
     narrow = objective.states(q)
@@ -275,7 +275,7 @@ def test_hits_can_be_smeared(carrying: gp.Scene, faults: str, rounding: float) -
 
 def test_what_cannot_be_smeared_says_so(carrying: gp.Scene) -> None:
     for impact in (
-        gp.ImpactCost("aabb"),
+        gp.ImpactCost("box_overlap"),
         gp.ImpactCost(consequence="energy"),
     ):
         assert gp.Objective(impact=impact).bind(carrying).widened(0.1) is None

@@ -369,6 +369,6 @@ def test_what_only_a_fine_step_sees_blocks_the_first_path() -> None:
     assert hidden.any()
     i = int(np.flatnonzero(hidden)[0])
     batch = Rollouts(q=q[None, i : i + 2], cost=np.ones((1, 1)), blocked=np.zeros((1, 1), bool))
-    assert batch.first_in_close_up(problem).blocked.all()
+    assert batch.with_first_finely_checked(problem).blocked.all()
     clear = Rollouts(q=np.stack([q[[i, i]], q[i : i + 2]]), cost=np.ones((2, 1)), blocked=np.zeros((2, 1), bool))
-    assert clear.first_in_close_up(problem) is clear
+    assert clear.with_first_finely_checked(problem) is clear

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, analytic_problems, saddle
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import path_total
-from graceful_plan.planners.roadmaps.edge_prices import EdgePrices, Edges, symmetric
+from graceful_plan.planners.roadmaps.edge_prices import EdgeCosts, Edges, symmetric
 from graceful_plan.planners.roadmaps.graph import Graph
 from graceful_plan.planners.roadmaps.growth import Ground, Growth, nearest
 
@@ -26,7 +26,7 @@ def front_of_roadmap(problem, objective, rng, *, nodes=200, deadline=np.inf) -> 
     ground = Ground(
         problem=problem,
         impact=objective.states,
-        price=lambda q0, q1: EdgePrices.of(*_columns(objective.edges(q0, q1))),
+        price=lambda q0, q1: EdgeCosts.of(*_columns(objective.edges(q0, q1))),
         severity=np.ones(1),
     )
     pairs = np.stack([np.stack([problem.start, goal]) for goal in problem.goals])
@@ -54,29 +54,29 @@ def test_nearest_of_nothing():
 
 
 def test_prices_add_up_by_severity():
-    first = EdgePrices.of(np.array([1.0, 2.0]), np.array([[0.0, 3.0], [0.5, 0.0]]))
-    second = EdgePrices.of(np.array([4.0]), np.array([[1.0, 1.0]]))
-    both = EdgePrices.concatenated([first, second])
+    first = EdgeCosts.of(np.array([1.0, 2.0]), np.array([[0.0, 3.0], [0.5, 0.0]]))
+    second = EdgeCosts.of(np.array([4.0]), np.array([[1.0, 1.0]]))
+    both = EdgeCosts.concatenated([first, second])
     assert len(both.exposure) == 4  # zeros are not stored
     assert both.motion.tolist() == [1.0, 2.0, 4.0]
     assert both.impact(np.array([10.0, 1.0])).tolist() == [3.0, 5.0, 11.0]
     assert both.impact(np.zeros(2)).tolist() == [0.0] * 3
-    nothing = EdgePrices.concatenated([])
+    nothing = EdgeCosts.concatenated([])
     assert nothing.impact(np.ones(2)).shape == (0,)
     assert len(Edges.concatenated([])) == 0
 
 
 def test_a_price_that_differs_by_direction_is_noticed():
-    def uphill(q0: np.ndarray, q1: np.ndarray) -> EdgePrices:
-        return EdgePrices.of(np.linalg.norm(q1 - q0, axis=1), np.maximum(0.0, q1[:, :1] - q0[:, :1]))
+    def uphill(q0: np.ndarray, q1: np.ndarray) -> EdgeCosts:
+        return EdgeCosts.of(np.linalg.norm(q1 - q0, axis=1), np.maximum(0.0, q1[:, :1] - q0[:, :1]))
 
-    def flat(q0: np.ndarray, q1: np.ndarray) -> EdgePrices:
-        return EdgePrices.of(np.linalg.norm(q1 - q0, axis=1), np.abs(q1[:, :1] - q0[:, :1]))
+    def flat(q0: np.ndarray, q1: np.ndarray) -> EdgeCosts:
+        return EdgeCosts.of(np.linalg.norm(q1 - q0, axis=1), np.abs(q1[:, :1] - q0[:, :1]))
 
     q = np.random.default_rng(0).uniform(size=(2, 9, 2))
 
-    def nothing(q0: np.ndarray, q1: np.ndarray) -> EdgePrices:
-        return EdgePrices.of(np.linalg.norm(q1 - q0, axis=1), np.zeros((len(q0), 1)))
+    def nothing(q0: np.ndarray, q1: np.ndarray) -> EdgeCosts:
+        return EdgeCosts.of(np.linalg.norm(q1 - q0, axis=1), np.zeros((len(q0), 1)))
 
     assert symmetric(flat, *q) is True and symmetric(uphill, *q) is False
     assert symmetric(nothing, *q) is None and symmetric(flat, *q[:, :3]) is None
@@ -146,11 +146,11 @@ def test_without_time_nothing_is_added():
 def test_what_is_late_is_left_out_and_the_rest_is_whole():
     asked: list[int] = []
 
-    def price(q0: np.ndarray, q1: np.ndarray) -> EdgePrices:
+    def price(q0: np.ndarray, q1: np.ndarray) -> EdgeCosts:
         asked.append(len(q0))
         if len(asked) > 20:
             growth.deadline = 0.0
-        return EdgePrices.of(np.linalg.norm(q1 - q0, axis=1), np.zeros((len(q0), 1)))
+        return EdgeCosts.of(np.linalg.norm(q1 - q0, axis=1), np.zeros((len(q0), 1)))
 
     ground = Ground(
         problem=FunctionProblem(start=np.zeros(2), goals=np.ones((1, 2)), lower=np.zeros(2), upper=np.ones(2)),

@@ -13,8 +13,8 @@ from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.planners import ToolRRT
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.trees.tool_rrt import _SpaceTree, _ToolSpace
 from graceful_plan.query.endpoints.endpoints import Endpoints, find_endpoints
@@ -72,7 +72,7 @@ def test_distances_are_metres_and_scaled_angles(space, scene):
 
 def test_nodes_know_their_parents_and_edges_are_free(space, scene):
     problem = SceneProblem(kernels=space.kernels, start=scene.keyframes["ready"], goals=scene.keyframes["left"][None])
-    questions = Questions(problem, Objective(w=0.0).bind(scene), Budget())
+    questions = InterruptibleProblem(problem, Objective(w=0.0).bind(scene), Budget())
     tree = _SpaceTree(problem.start[None], space)
     rng = np.random.default_rng(2)
     for _ in range(10):

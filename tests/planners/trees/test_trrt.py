@@ -17,8 +17,8 @@ from graceful_plan.compare.problems.analytic import (
 )
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.trees.bitrrt import BiTRRT
 from graceful_plan.planners.trees.transition import RefinementControl, TransitionSettings, TransitionTest
 from graceful_plan.planners.trees.tree import Tree
@@ -32,7 +32,7 @@ def _test(variant: str, cost_range: float = 1.0, **settings: float) -> Transitio
 
 
 def _grow(planner: TRRT, instance: SaddleProblem, iterations: int, seed: int = 0) -> Tree:
-    questions = Questions(instance.problem, instance.objective, Budget(iterations=iterations))
+    questions = InterruptibleProblem(instance.problem, instance.objective, Budget(iterations=iterations))
     return planner.grow(questions, np.random.default_rng(seed))[0]
 
 
@@ -64,7 +64,9 @@ def _plain_rrt(problem, reach: float, goal_bias: float, iterations: int, rng: np
 def test_flat_cost_gives_the_tree_of_an_rrt(variant: str, density: float) -> None:
     problem = disc().problem
     planner = TRRT(variant=variant, range=0.4, refinement_ratio=np.inf)
-    questions = Questions(problem, DensityObjective(density=lambda q: np.full(len(q), density)), Budget(iterations=150))
+    questions = InterruptibleProblem(
+        problem, DensityObjective(density=lambda q: np.full(len(q), density)), Budget(iterations=150)
+    )
     tree, _ = planner.grow(questions, np.random.default_rng(4))
     expected = _plain_rrt(problem, 0.4, planner.goal_bias, 150, np.random.default_rng(4))
     np.testing.assert_allclose(tree.q, expected, atol=1e-12)

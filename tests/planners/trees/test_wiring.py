@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, disc
 from graceful_plan.path import Path
-from graceful_plan.planners.informed import learn_objective
+from graceful_plan.planners.informed import probe_objective
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, edge_totals, path_total
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.trees.star_tree import StarTree
-from graceful_plan.planners.trees.wiring import EdgeGuess, Wiring
+from graceful_plan.planners.trees.wiring import EdgeGuess, TreeConnector
 
 _NO_WAY = np.zeros(0, dtype=int)
 _HILL = DensityObjective(density=lambda q: 3.0 * np.exp(-((q[:, 0] + 1.2) ** 2) - q[:, 1] ** 2), step=0.1)
@@ -53,17 +53,17 @@ class _Asked(Problem):
 
 def _wiring(
     objective: BoundObjective, bounded: bool = False, problem: Problem | None = None, trust: float = 0.0
-) -> Wiring:
+) -> TreeConnector:
     problem = problem or disc().problem
-    questions = Questions(problem, objective, Budget())
-    bound = learn_objective(objective, problem).length_bound
+    questions = InterruptibleProblem(problem, objective, Budget())
+    bound = probe_objective(objective, problem).length_bound
     ends = np.concatenate([problem.start[None], problem.goals])
     tree = StarTree(problem.start, problem.goals, questions.state_costs(ends))
     guess = EdgeGuess.learn(questions, bound=bound, reach=0.5, trust=trust)
-    return Wiring(tree, questions, guess, bounded=bounded)
+    return TreeConnector(tree, questions, guess, bounded=bounded)
 
 
-def _samples(wiring: Wiring, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _samples(wiring: TreeConnector, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Configurations that a free edge joins to a node, and these nodes."""
     problem = wiring.questions.problem
     q = rng.uniform(problem.lower, problem.upper, (8 * n, len(problem.start)))
@@ -72,13 +72,13 @@ def _samples(wiring: Wiring, n: int, rng: np.random.Generator) -> tuple[np.ndarr
     return q[free][:n], near[free][:n]
 
 
-def _grown(wiring: Wiring, rng: np.random.Generator, batches: int = 8, k: int = 8) -> Wiring:
+def _grown(wiring: TreeConnector, rng: np.random.Generator, batches: int = 8, k: int = 8) -> TreeConnector:
     for _ in range(batches):
         wiring.join(*_samples(wiring, 6, rng), k, _NO_WAY)
     return wiring
 
 
-def _edge_costs(wiring: Wiring, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
+def _edge_costs(wiring: TreeConnector, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
     """What edges cost, infinite if they are not free."""
     q0, q1 = np.broadcast_arrays(q0, q1)
     questions = wiring.questions
@@ -180,7 +180,7 @@ def test_more_nodes_to_be_led_over_a_new_one() -> None:
 def test_guesses_are_exact_where_the_impact_is_the_same_everywhere() -> None:
     problem = disc().problem
     objective = DensityObjective(density=lambda q: np.full(len(q), 2.0), w=1.5)
-    guess = EdgeGuess.learn(Questions(problem, objective, Budget()), bound=1.0, reach=0.5, trust=0.5)
+    guess = EdgeGuess.learn(InterruptibleProblem(problem, objective, Budget()), bound=1.0, reach=0.5, trust=0.5)
     np.testing.assert_allclose(guess.expected(np.array([0.7, 0.1]), np.full(2, 1.5 * 2.0)), [0.7 * 4.0, 0.1 * 4.0])
     length = np.array([0.7])
     np.testing.assert_allclose(guess.least(length, guess.expected(length, np.full(1, 3.0))), 0.7 * (0.5 + 0.5 * 4.0))

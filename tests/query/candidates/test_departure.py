@@ -5,9 +5,9 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
-from graceful_plan.query.candidates.departure import WORTH, best_departure, waits
+from graceful_plan.query.candidates.departure import WORTH, waits, with_best_departure
 
-_OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="footprint"))
+_OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="mixture"))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_a_trajectory_meets_them_at_its_times(still, crossing):
 
 @pytest.mark.parametrize("exposure", ["length", "time", "waypoints"])
 def test_parts_add_up_for_every_exposure(still, crossing, exposure):
-    objective = gp.Objective(impact=gp.ImpactCost(model="footprint"), exposure=exposure)
+    objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), exposure=exposure)
     cost = gp.evaluate(still.trajectory, crossing, objective)
     assert cost.impact == pytest.approx(sum(cost.impact_by_entity.values()))
     assert cost.impact == pytest.approx(sum(cost.impact_by_component.values()))
@@ -57,7 +57,7 @@ def test_parts_add_up_for_every_exposure(still, crossing, exposure):
 
 @pytest.mark.parametrize("exposure", ["length", "time"])
 def test_nobody_changes_nothing(task, still, exposure):
-    objective = gp.Objective(impact=gp.ImpactCost(model="footprint"), exposure=exposure)
+    objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), exposure=exposure)
     far = gp.MovingEntity("person", "adult", size=[0.2, 0.85], t=[0.0], position=[[30.0, 0.0, 0.85]])
     with_far = gp.evaluate(still.trajectory, task.scene.with_moving(far), objective)
     without = gp.evaluate(still.trajectory, task.scene, objective)
@@ -91,9 +91,9 @@ def test_waits():
 
 @pytest.mark.parametrize("exposure", ["length", "time"])
 def test_waiting_pays_when_somebody_crosses(still, crossing, exposure):
-    objective = gp.Objective(impact=gp.ImpactCost(model="footprint"), exposure=exposure).bind(crossing)
-    now, cost_now = best_departure(still.trajectory, objective)
-    later, cost_later = best_departure(still.trajectory, objective, max_wait=3.0)
+    objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), exposure=exposure).bind(crossing)
+    now, cost_now = with_best_departure(still.trajectory, objective)
+    later, cost_later = with_best_departure(still.trajectory, objective, max_wait=3.0)
     assert now.duration == still.trajectory.duration
     assert later.duration > now.duration + 0.2
     assert cost_later.impact_by_entity["person"] < 0.2 * cost_now.impact_by_entity["person"]
@@ -104,7 +104,7 @@ def test_waiting_pays_when_somebody_crosses(still, crossing, exposure):
 def test_nobody_waits_for_nothing(task, still):
     gone = passer(still.trajectory, task.scene, 0.5).later(-10.0)
     objective = _OBJECTIVE.bind(task.scene.with_moving(gone))
-    trajectory, cost = best_departure(still.trajectory, objective, max_wait=3.0)
+    trajectory, cost = with_best_departure(still.trajectory, objective, max_wait=3.0)
     assert trajectory.duration == still.trajectory.duration
     assert cost.total == pytest.approx(_OBJECTIVE.bind(task.scene).breakdown(still.trajectory).total, rel=WORTH)
 
@@ -137,7 +137,7 @@ def test_the_judge_does_not_look_at_them(task, still):
 
 @pytest.mark.long
 def test_every_exposure_and_model_plans(task, crossing):
-    for model in ("aabb", "footprint"):
+    for model in ("box_overlap", "mixture"):
         for exposure in ("time", "waypoints"):
             objective = gp.Objective(impact=gp.ImpactCost(model=model), exposure=exposure)
             result = gp.plan(task.start, task.goal, crossing, objective=objective, iterations=4, seed=0)

@@ -8,7 +8,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
-from graceful_plan.query.candidates.descents import STRAY_CLEARANCE, stray
+from graceful_plan.query.candidates.descents import TRACKING_CLEARANCE, stray
 from graceful_plan.scene.placement import Placement
 from sizes import first_quick
 
@@ -17,9 +17,9 @@ from sizes import first_quick
 def test_a_motion_passes_things_with_room_for_what_a_robot_strays(name: str) -> None:
     task = gp.load_scene("tabletop_l3").tasks[name]
     found = gp.plan(task.start, task.goal, task.scene, w=3.0, iterations=30, seed=1)
-    clearance = gp.clearance(task.scene, found.unwrap().sample(0.004).q)
-    assert min(clearance[0], clearance[-1]) > 2.0 * STRAY_CLEARANCE  # there is room
-    assert clearance.min() >= 0.75 * STRAY_CLEARANCE
+    clearance = gp.clearance(found.unwrap().sample(0.004).q, task.scene)
+    assert min(clearance[0], clearance[-1]) > 2.0 * TRACKING_CLEARANCE  # there is room
+    assert clearance.min() >= 0.75 * TRACKING_CLEARANCE
 
 
 def _clearance_of_held(scene, q):
@@ -38,7 +38,7 @@ def _clearance_of_held(scene, q):
 def test_what_is_held_by_a_long_lever_keeps_more_room(scene_name: str, name: str) -> None:
     """Vessels that are kept level, too."""
     task = gp.load_scene(scene_name).tasks[name]
-    assert stray(task.scene) > 2.0 * STRAY_CLEARANCE > STRAY_CLEARANCE == stray(gp.load_scene("tabletop"))
+    assert stray(task.scene) > 2.0 * TRACKING_CLEARANCE > TRACKING_CLEARANCE == stray(gp.load_scene("tabletop"))
     found = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=60).unwrap()
     clear = _clearance_of_held(task.scene, found.sample(0.01).q)
     assert min(clear[0], clear[-1]) > 2.0 * stray(task.scene)  # there is room
@@ -49,7 +49,7 @@ def test_room_tightens_no_tilt() -> None:
     scene = gp.load_scene("desk").tasks["bring_coffee"].scene
     held = SceneConstraints(scene, default_constraints(scene))
     q = np.random.default_rng(0).uniform(*scene.limits.position.T, (2000, 7))
-    wide, plain, obstacles = held.with_room(0.05), held.kernels, gp.clearance(scene, q)
+    wide, plain, obstacles = held.with_room(0.05), held.kernels, gp.clearance(q, scene)
     assert held.with_room(0.0) is plain
     tilted = (plain.clearance(q) < 0.0) & (obstacles > 0.06)
     np.testing.assert_array_equal(wide.clearance(q[tilted]), plain.clearance(q[tilted]))

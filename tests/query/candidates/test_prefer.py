@@ -10,7 +10,7 @@ from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.candidates.prefer import Preference
+from graceful_plan.query.candidates.risk_ranking import Preference
 from sizes import first_quick
 
 KINDS = ("cvar", "worst")
@@ -25,7 +25,7 @@ def task() -> gp.Task:
 
 @pytest.fixture(scope="module")
 def objective() -> gp.Objective:
-    return gp.Objective(impact=gp.ImpactCost(model="footprint"))
+    return gp.Objective(impact=gp.ImpactCost(model="mixture"))
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def ways(problem: SceneProblem, n: int = 12) -> list[gp.Path]:
 
 @pytest.mark.parametrize("exposure", ["length", "time", "waypoints"])
 def test_the_expectation_is_the_objective(task: gp.Task, problem: SceneProblem, exposure: str) -> None:
-    bound = gp.Objective(impact=gp.ImpactCost(model="footprint"), exposure=exposure, w=2.0).bind(task.scene)
+    bound = gp.Objective(impact=gp.ImpactCost(model="mixture"), exposure=exposure, w=2.0).bind(task.scene)
     preference = Preference(gp.RiskMeasure("expectation"), bound)
     for path in ways(problem, 3):
         parts = bound.edges(path.q[:-1], path.q[1:]).sum(axis=0)
@@ -76,7 +76,7 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
     step = cvar.law.value[1]
     for path in ways(problem, 3):
         found = gp.risk(path, task.scene, bound.objective.impact, level=0.8)
-        charged = bound.objective.w * bound.charged_states(path).weight.sum()
+        charged = bound.objective.w * bound.cost_samples(path).weight.sum()
         by_cvar, by_worst = ((preference.total(path) - path.length) / charged for preference in (cvar, worst))
         # The grid that refinement uses errs towards more spread.
         assert found.cvar - 1e-6 <= by_cvar <= found.cvar + step

@@ -8,11 +8,11 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.costs.objective import Objective, search_paces
-from graceful_plan.query.candidates.related import related_objective
+from graceful_plan.query.candidates.proxy_objective import proxy_objective
 from sizes import first_quick
 
-DROPS = gp.ImpactCost(model=gp.Footprint())
-ARM = gp.ImpactCost(model=gp.Footprint(faults="service_robot"))
+DROPS = gp.ImpactCost(model=gp.FailureMixture())
+ARM = gp.ImpactCost(model=gp.FailureMixture(faults="service_robot"))
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +29,10 @@ def task() -> gp.Task:
     ],
 )
 def test_what_is_cheaper(task: gp.Task, impact: gp.ImpactCost, expected: gp.ImpactCost | None) -> None:
-    found = related_objective(Objective(impact=impact, w=0.7).bind(task.scene, search_paces(1.0)))
+    found = proxy_objective(Objective(impact=impact, w=0.7).bind(task.scene, search_paces(1.0)))
     assert (None if found is None else found.objective.impact) == expected
     assert found is None or found.objective.w == 0.7
-    assert related_objective(Objective(impact=impact, w=0.0).bind(task.scene)) is None
+    assert proxy_objective(Objective(impact=impact, w=0.0).bind(task.scene)) is None
 
 
 @pytest.mark.long
@@ -58,7 +58,7 @@ def test_a_cost_of_ones_own_begins_with_the_shortest(task: gp.Task) -> None:
             return 0.0 * batch.q[:, 0]
 
     objective = gp.Objective(impact=Nothing())
-    found = related_objective(objective.bind(task.scene))
+    found = proxy_objective(objective.bind(task.scene))
     assert found is not None and found.w == 0.0
     short = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=200)
     own = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=200)
@@ -68,5 +68,5 @@ def test_a_cost_of_ones_own_begins_with_the_shortest(task: gp.Task) -> None:
 
 def test_settings_of_the_cheaper_model_are_the_shipped_ones(task: gp.Task) -> None:
     bound = gp.Objective(impact=replace(ARM, own_loss=False)).bind(task.scene)
-    found = related_objective(bound)
+    found = proxy_objective(bound)
     assert found is not None and found.objective.impact == DROPS

@@ -120,7 +120,7 @@ def test_a_goal_among_a_thousand_that_cannot_be_used_is_found(scene: Scene, star
 def test_what_is_usable_of_many_goals_is_planned_for(scene: Scene, start: np.ndarray, count: int, every: int) -> None:
     """One alone, or a tenth; within which time is measured by the benchmark `hardening`."""
     q = np.random.default_rng(1).uniform(*scene.limits.position.T, (2 * count + 1000, 7))
-    clearance = gp.clearance(scene, q)
+    clearance = gp.clearance(q, scene)
     blocked, clear = q[clearance < -0.05], q[clearance > 0.0]
     goals = blocked[np.arange(count) % len(blocked)]
     usable = [count // 2] if every is None else list(range(0, count, every))

@@ -51,7 +51,7 @@ def worst_impact(scene: gp.Scene, q: np.ndarray) -> float:
     """Greatest P S of object or contents against any entity at any of the configurations, by Algorithm 1."""
     held = [name != "body" for name in scene.components]
     severity = np.array([[entity.severity[c] for entity in scene.entities.values()] for c in scene.components])
-    return float((gp.interaction_probability(scene, q, "aabb") * severity)[..., held, :].max())
+    return float((gp.interaction_probability(q, scene, "box_overlap") * severity)[..., held, :].max())
 
 
 def near_pairs(scene: gp.Scene, data: mujoco.MjData) -> list[list[int]]:
@@ -243,14 +243,14 @@ def test_the_direct_way_passes_over_something_severe(name: str, task: str) -> No
 @pytest.mark.parametrize("name", HOUSEHOLD)
 def test_ready_is_free(name: str) -> None:
     scene = household(name)
-    assert gp.clearance(scene, scene.keyframes["ready"]) > _ROOM
+    assert gp.clearance(scene.keyframes["ready"], scene) > _ROOM
 
 
 @pytest.mark.long
 def test_caution_halves_the_impact_of_three_quarters_of_the_tasks() -> None:
     """As Algorithm 1 counts it: where things go after a fall, and with them their contents, is harder to avoid."""
     halved = []
-    boxes = gp.Objective(impact=gp.ImpactCost(model="aabb"))
+    boxes = gp.Objective(impact=gp.ImpactCost(model="box_overlap"))
     for name, task in TASKS:
         found = household(name).tasks[task]
         asked = partial(gp.plan, found.start, found.goal, found.scene, objective=boxes, constraints=[], seed=1)

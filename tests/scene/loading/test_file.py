@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from graceful_plan.exceptions import GracefulPlanError, SceneError, UnknownNameError, UnsupportedError
-from graceful_plan.scene.elements import AllowedContact, Dry, Liquid
+from graceful_plan.scene.elements import AllowedContact, Granular, Liquid
 from graceful_plan.scene.loading.file import read_scene
 from graceful_plan.scene.scene import Scene
 
@@ -135,7 +135,7 @@ def test_tasks(shelf: Scene) -> None:
 def test_objects_can_be_attached_by_name(shelf: Scene) -> None:
     assert shelf.attach("tea").contents == Liquid(0.2, temperature=85.0, geoms=("tea",))
     assert shelf.attach("cup").contents is None
-    assert shelf.attach("tea", contents=Dry(0.1, geoms=("tea",))).components["contents"].component_class == "dry"
+    assert shelf.attach("tea", contents=Granular(0.1, geoms=("tea",))).components["contents"].component_class == "dry"
     heavy = shelf.attach("vase")
     assert heavy.carried is not None and heavy.carried.object_class == "heavy"
 

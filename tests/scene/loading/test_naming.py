@@ -84,7 +84,7 @@ calls = {
     "robot": lambda: gp.Scene.from_mjcf("<mujoco/>", robot=odd, tool="tool"),
     "scene of plan": lambda: gp.plan(q, q, odd),
     "callback": lambda: gp.plan(q, q, scene, callback="x"),
-    "scene of clearance": lambda: gp.clearance(odd, q),
+    "scene of clearance": lambda: gp.clearance(q, odd),
     "scene of verify": lambda: gp.verify(motion, odd),
     "scene of evaluate": lambda: gp.evaluate(motion, odd),
     "motion of verify": lambda: gp.verify(odd, scene),

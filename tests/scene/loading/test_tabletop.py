@@ -159,6 +159,6 @@ def test_algorithm_1_gives_what_was_recomputed_for_the_published_trajectories(nu
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene.with_severity({"table": 0.0})
     stops = [scene.keyframes[name] for name in ("lift", f"t{number}_via", f"t{number}_via", f"t{number}_goal")]
     impact = gp.evaluate(
-        np.stack(stops), scene, gp.Objective(impact=gp.ImpactCost(model="aabb"), exposure="waypoints")
+        np.stack(stops), scene, gp.Objective(impact=gp.ImpactCost(model="box_overlap"), exposure="waypoints")
     ).impact
     assert impact == pytest.approx(total, abs=0.02)

@@ -199,8 +199,8 @@ def _turned(axis: str, angle: float) -> np.ndarray:
 
 
 def test_a_tucked_fetch_touches_nothing():
-    assert gp.clearance(scene_of("fetch"), [0, 0, 0, *TUCKED]) > 0.002
-    assert gp.clearance(scene_of("fetch"), [0, 0, 0, 0.2, *np.zeros(7)]) > 0.002
+    assert gp.clearance([0, 0, 0, *TUCKED], scene_of("fetch")) > 0.002
+    assert gp.clearance([0, 0, 0, 0.2, *np.zeros(7)], scene_of("fetch")) > 0.002
 
 
 # --- two versions of one model ----------------------------------------------------------------------------------------

@@ -114,7 +114,7 @@ def test_motions_keep_away_from_every_point(scene: gp.Scene) -> None:
     y, z = np.meshgrid(np.arange(-0.1, 0.1, 0.015), place[2] + np.arange(-0.1, 0.15, 0.015))
     points = np.column_stack([np.full(y.size, place[0]), place[1] + y.ravel(), z.ravel()])
     seen = task.scene.edit(add=[gp.PointCloud(name="seen", points=points)])
-    balls = [gp.Solid(name=f"p{k}", kind="sphere", size=0.001, pose=p) for k, p in enumerate(points)]
+    balls = [gp.StaticBody(name=f"p{k}", kind="sphere", size=0.001, pose=p) for k, p in enumerate(points)]
     exact = task.scene.edit(add=balls)
     assert not gp.verify(free, exact).passed
     result = gp.plan(task.start, task.goal, seen, w=0.0, iterations=2000)
@@ -125,7 +125,7 @@ def test_motions_keep_away_from_every_point(scene: gp.Scene) -> None:
 def test_a_cloud_is_an_entity_like_the_thing_that_was_seen(scene: gp.Scene) -> None:
     """A tray by the way, as a box and as points all over it: drops hit both with about the same probability."""
     task, half, place = scene.tasks["green_to_blue"], np.array([0.12, 0.15, 0.02]), np.array([0.45, 0.0, 0.3])
-    box = gp.Solid(name="tray", kind="box", size=half, pose=place, entity="glass")
+    box = gp.StaticBody(name="tray", kind="box", size=half, pose=place, entity="glass")
     points = place + np.random.default_rng(0).uniform(-half, half, (20_000, 3)) * 0.999
     cloud = gp.PointCloud(name="tray", points=points, resolution=0.01, entity="glass")
     lower, upper = task.scene.limits.position.T
@@ -133,7 +133,7 @@ def test_a_cloud_is_an_entity_like_the_thing_that_was_seen(scene: gp.Scene) -> N
     found = []
     for thing in (box, cloud):
         world = task.scene.edit(add=[thing])
-        P = gp.interaction_probability(world, q)
+        P = gp.interaction_probability(q, world)
         found.append(P[:, 0, list(world.entities).index("tray")])
     assert found[0].max() > 0.5
     np.testing.assert_allclose(found[1], found[0], atol=0.15)
@@ -147,7 +147,7 @@ def test_a_hundred_thousand_points_are_few_surfaces(scene: gp.Scene) -> None:
     seen = scene.tasks["green_to_blue"].scene.edit(add=[gp.PointCloud(name="seen", points=points, entity="glass")])
     assert len(compile_scene(seen).world.kind) > 300
     q = np.random.default_rng(1).uniform(*seen.limits.position.T, (20, 7))
-    assert np.isfinite(gp.interaction_probability(seen, q)).all()
+    assert np.isfinite(gp.interaction_probability(q, seen)).all()
 
 
 @pytest.mark.parametrize(

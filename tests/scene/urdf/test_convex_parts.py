@@ -101,10 +101,10 @@ def test_a_robot_passes_what_is_in_a_bend(tmp_path: Path) -> None:
     world = f"<mujoco><worldbody>{ball}</worldbody></mujoco>"
     whole = gp.Scene.from_urdf(file, tool="angle", acceleration=2.0, world=world, decompose=False)
     divided = gp.Scene.from_urdf(file, tool="angle", acceleration=2.0, world=world, decompose=True)
-    assert gp.clearance(whole, [0.0]) < 0.0 < gp.clearance(divided, [0.0])
+    assert gp.clearance([0.0], whole) < 0.0 < gp.clearance([0.0], divided)
     meshes = [g for g in range(divided.model.ngeom) if divided.model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH]
     assert len(meshes) >= 2 and len({divided.model.geom_bodyid[g] for g in meshes}) == 1
-    assert gp.clearance(divided, [0.7]) < 0.0  # a leg is in the way
+    assert gp.clearance([0.7], divided) < 0.0  # a leg is in the way
 
 
 def test_without_the_library_it_says_so(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:

@@ -120,7 +120,7 @@ def test_what_may_touch(arm: gp.Scene) -> None:
         assert frozenset((f"arm/{a}", f"arm/{b}")) in pairs
     assert frozenset(("arm/foot", "arm/boom")) in pairs  # by the SRDF
     assert not any("unheard" in name for pair in pairs for name in pair)
-    assert gp.clearance(arm, [0.0, 0.0, 0.0]) > 0.0  # though the trunk stands in the foot
+    assert gp.clearance([0.0, 0.0, 0.0], arm) > 0.0  # though the trunk stands in the foot
 
 
 def test_group_states_are_keyframes(arm: gp.Scene) -> None:

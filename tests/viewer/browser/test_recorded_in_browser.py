@@ -25,7 +25,7 @@ def viewer(browser_parts, tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("sweep") / "data"
     patterns = [f"tabletop/lift_to_goal/{fault}/severe" for fault in ("gripper_failure", "noise")]
-    fb.generate(sweep_of(patterns, 2, plans=[PlanSettings(iterations=50)]), folder)
+    fb.generate_dataset(sweep_of(patterns, 2, plans=[PlanSettings(iterations=50)]), folder)
     with gp.view(str(folder), port=8390, time_limit=0.3) as viewer:
         yield viewer
 

@@ -17,7 +17,7 @@ from failbench.fault.fault import Fault
 from failbench.policies.batch import EpisodeBatch
 from failbench.policies.cameras import PolicyCameras
 from failbench.policies.episode import Camera, Episode
-from failbench.policies.gym.faulting import Faulting
+from failbench.policies.gym.faulting import FaultSampler
 from failbench.policies.gym.spaces import Spaces
 from failbench.policies.policy import Observation
 from failbench.policies.rollouts import outcome
@@ -218,7 +218,7 @@ class _Core:
             raise SettingError("task or settings", (task, settings), "a name or PolicyTask, and PolicySettings")
         self.task = policy_task(task, settings) if isinstance(task, str) else task
         self.spaces = Spaces(self.task, action)
-        self.faulting = Faulting(fault)
+        self.faulting = FaultSampler(fault)
         self._reward, self._harm_weight = reward, harm_weight
         self._pictures = PolicyCameras(self.task)
         self._batch = EpisodeBatch(self.task, count, threads=threads, camera=self._pictures.__enter__())

@@ -17,7 +17,7 @@ _SEEDS = 2**53
 _OPTIONS = ("fault", "onset")
 
 
-class Faulting:
+class FaultSampler:
     """Draws onset and seed of a fault.
 
     Args:

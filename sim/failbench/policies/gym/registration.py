@@ -35,7 +35,7 @@ def register(pattern: str = "*") -> tuple[str, ...]:
     found = [scenario for scenario in scenarios(pattern) if scenario.scene not in gp.mobile_scenes()]
     if not found:
         raise UnsupportedError(
-            f"{pattern}: policies act on fixed arms; pass controllers of driving bases to `failbench.drive`"
+            f"{pattern}: policies act on fixed arms; pass controllers of driving bases to `failbench.drive_base`"
         )
     for scenario in found:
         task = f"{scenario.scene}/{scenario.task}"

@@ -18,7 +18,7 @@ import yaml
 from graceful_plan.compare.problems.motion_problem import Obstacle, ProblemFile
 from graceful_plan.compare.problems.plain_values import Value
 from graceful_plan.compare.problems.problem_formats import moveit_problem, robometrics_problems, vamp_problems
-from graceful_plan.exceptions import NOT_READ, FormatError, SettingError, UnknownNameError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, UnknownNameError, read_error_reason
 from graceful_plan.path import is_real
 from graceful_plan.regular_file import path_of, read_content
 
@@ -104,8 +104,8 @@ def _read_text(file: Path) -> str:
         text = read_content(file, MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
         raise FormatError(str(file), f"is not UTF-8: {error.reason}") from None
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error)) from None
     if text.startswith("version https://git-lfs"):
         raise FormatError(str(file), "is a pointer of git-lfs, not the file itself; fetch it with `git lfs pull`")
     return text

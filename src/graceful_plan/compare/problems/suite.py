@@ -31,7 +31,7 @@ from typing import Any
 
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.problem_files import load_problems
-from graceful_plan.exceptions import NOT_READ, FormatError, SettingError, UnknownNameError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, UnknownNameError, read_error_reason
 from graceful_plan.regular_file import open_regular, path_of, read_content
 from graceful_plan.scene.loading.bundled import load_scene, scenes
 from graceful_plan.yaml_file import Block, read_yaml
@@ -48,7 +48,7 @@ End = str | tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProblemNote:
+class ProblemSpec:
     """Source of a problem, as plain data that can be sent to another process.
 
     Args:
@@ -94,7 +94,7 @@ class Suite:
     """
 
     name: str
-    problems: tuple[ProblemNote, ...]
+    problems: tuple[ProblemSpec, ...]
     description: str = ""
     seconds: float = 1.0
     w: float = 1.0
@@ -144,8 +144,8 @@ def _is_suite(file: Path) -> bool:
     try:
         with open_regular(file) as stream:
             head = stream.read(65536).decode("utf-8", errors="replace")
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error)) from None
     return any(line.startswith(("problems:", "version:")) for line in head.splitlines())
 
 
@@ -194,7 +194,7 @@ def _seeds(block: Block) -> tuple[int, ...]:
     return tuple(range(_whole(block, 1)))
 
 
-def _problems(block: Block, folder: Path) -> Iterator[ProblemNote]:
+def _problems(block: Block, folder: Path) -> Iterator[ProblemSpec]:
     """Read an entry of the list of problems; it may expand to many."""
     if block.get("scene") is not None:
         yield from _of_scene(block, folder)
@@ -216,7 +216,7 @@ def _problems(block: Block, folder: Path) -> Iterator[ProblemNote]:
         raise block.error(f"{block.name} needs one of the keys 'scene', 'analytic' and 'file'")
 
 
-def _of_scene(block: Block, folder: Path) -> Iterator[ProblemNote]:
+def _of_scene(block: Block, folder: Path) -> Iterator[ProblemSpec]:
     given = block["scene"].string()
     if given == _ALL:
         block.only("scene", "tasks")
@@ -246,14 +246,14 @@ def _of_scene(block: Block, folder: Path) -> Iterator[ProblemNote]:
     named = block.get("name")
     words = [end if isinstance(end, str) else "q" for end in ends]
     name = f"{label}/{words[0]}_to_{words[1]}" if named is None else named.string()
-    yield ProblemNote(name=name, kind="motion", source=source, group=label, start=ends[0], goal=ends[1], digest=digest)
+    yield ProblemSpec(name=name, kind="motion", source=source, group=label, start=ends[0], goal=ends[1], digest=digest)
 
 
 def _end(block: Block) -> End:
     return block.numbers() if block.is_list else block.string()
 
 
-def _tasks(label: str, source: str, digest: str, wanted: Block | None) -> Iterator[ProblemNote]:
+def _tasks(label: str, source: str, digest: str, wanted: Block | None) -> Iterator[ProblemSpec]:
     """Yield tasks of a scene: all, the first few, or those listed."""
     known = list(load_scene(source).tasks)
     if wanted is None:
@@ -266,24 +266,24 @@ def _tasks(label: str, source: str, digest: str, wanted: Block | None) -> Iterat
     else:
         chosen = known[: _whole(wanted, 1)]
     for name in chosen:
-        yield ProblemNote(name=f"{label}/{name}", kind="task", source=source, item=name, group=label, digest=digest)
+        yield ProblemSpec(name=f"{label}/{name}", kind="task", source=source, item=name, group=label, digest=digest)
 
 
-def _analytic(block: Block) -> Iterator[ProblemNote]:
+def _analytic(block: Block) -> Iterator[ProblemSpec]:
     known = analytic_problems()
     chosen = tuple(known) if not block.is_list and block.string() == _ALL else block.strings()
     for name in chosen:
         if name not in known:
             raise block.error(str(UnknownNameError("analytic problem", name, known)))
-        yield ProblemNote(name=f"analytic/{name}", kind="analytic", item=name, group="analytic")
+        yield ProblemSpec(name=f"analytic/{name}", kind="analytic", item=name, group="analytic")
 
 
 def _of_problem_file(
     path: Path, groups: tuple[str, ...] | None = None, limit: int | None = None
-) -> Iterator[ProblemNote]:
+) -> Iterator[ProblemSpec]:
     digest = _digest(path)
     for problem in load_problems(path, groups=groups)[:limit]:
-        yield ProblemNote(
+        yield ProblemSpec(
             name=problem.name,
             kind="file",
             source=str(path.resolve()),

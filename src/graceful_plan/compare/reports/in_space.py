@@ -6,7 +6,7 @@ import html
 import json
 from collections.abc import Iterator, Mapping, Sequence
 
-from graceful_plan.compare.problems.suite import ProblemNote
+from graceful_plan.compare.problems.suite import ProblemSpec
 from graceful_plan.compare.reports.summary import Summary
 from graceful_plan.compare.runs.records import Run
 from graceful_plan.compare.runs.runner import SceneQuery, loaded_problem
@@ -21,7 +21,7 @@ _SCRIPT = """<script>
 </script>"""
 
 
-def in_space(summary: Summary, problems: Sequence[ProblemNote] = ()) -> Mapping[str, str] | None:
+def in_space(summary: Summary, problems: Sequence[ProblemSpec] = ()) -> Mapping[str, str] | None:
     """Return the 3-D view for a page: its motions (`of`), the document (`page`), and `why` there is none.
 
     Args:
@@ -82,12 +82,12 @@ def _most_different(summary: Summary) -> tuple[Run, Run] | None:
     return max(found, key=lambda one: one[0])[1:] if found else None
 
 
-def _bundled(summary: Summary) -> Iterator[ProblemNote]:
+def _bundled(summary: Summary) -> Iterator[ProblemSpec]:
     """Yield the problems of the journal whose scenes are bundled."""
     for document in summary.comparison.settings.get("problems", ()):
         if not document.get("digest") and document["kind"] in ("task", "motion"):
             start, goal = (tuple(end) if isinstance(end, list) else end for end in document["ends"])
-            yield ProblemNote(
+            yield ProblemSpec(
                 name=document["name"],
                 kind=document["kind"],
                 source=document["source"],

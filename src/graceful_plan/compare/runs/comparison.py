@@ -17,7 +17,7 @@ from graceful_plan.compare.runs import workers
 from graceful_plan.compare.runs.journal import NAME, RunJournal, check_head, read
 from graceful_plan.compare.runs.known import known_costs
 from graceful_plan.compare.runs.machine import describe
-from graceful_plan.compare.runs.planner_notes import PlannerNote, read_planners
+from graceful_plan.compare.runs.planner_specs import PlannerSpec, read_planners
 from graceful_plan.compare.runs.records import Run
 from graceful_plan.compare.runs.runner import PlannerJob
 from graceful_plan.exceptions import SettingError
@@ -41,7 +41,7 @@ class Settings:
     """
 
     suite: Suite
-    planners: tuple[PlannerNote, ...]
+    planners: tuple[PlannerSpec, ...]
     seeds: tuple[int, ...]
     seconds: float
     w: float

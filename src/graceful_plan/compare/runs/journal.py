@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any
 
 from graceful_plan.compare.runs.records import Run
-from graceful_plan.exceptions import NOT_READ, FormatError, GracefulPlanError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, GracefulPlanError, read_error_reason
 from graceful_plan.regular_file import check_regular, read_content
 
 NAME = "journal.jsonl"
@@ -81,8 +81,8 @@ class RunJournal:
         folder.mkdir(parents=True, exist_ok=True)
         try:
             check_regular(self.file)
-        except NOT_READ as error:
-            raise FormatError(str(self.file), why_not_read(error)) from None
+        except READ_ERRORS as error:
+            raise FormatError(str(self.file), read_error_reason(error)) from None
         self._stream = self.file.open("ab+")
         try:
             self._lock()
@@ -148,8 +148,8 @@ def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
     """
     try:
         content = read_content(file)
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error)) from None
     lines = content.split(b"\n")[:-1]
     if not lines:
         raise FormatError(str(file), "no journal of a comparison: it has no first line")

@@ -15,9 +15,9 @@ import numpy as np
 from graceful_plan.analysis.certified_clearance import certified_clearance
 from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems
 from graceful_plan.compare.problems.problem_files import ProblemFile, load_problems
-from graceful_plan.compare.problems.suite import ProblemNote
+from graceful_plan.compare.problems.suite import ProblemSpec
 from graceful_plan.compare.runs.measures import exact_clearance, jerk
-from graceful_plan.compare.runs.planner_notes import PlannerNote
+from graceful_plan.compare.runs.planner_specs import PlannerSpec
 from graceful_plan.compare.runs.records import EARLY, RAISED, SOLVED, Run
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.path import Path
@@ -49,8 +49,8 @@ class PlannerJob:
         measured: Whether to measure jerk and clearance, which takes longer than many runs.
     """
 
-    problem: ProblemNote
-    planner: PlannerNote
+    problem: ProblemSpec
+    planner: PlannerSpec
     seed: int
     seconds: float
     w: float
@@ -99,7 +99,7 @@ def load(job: PlannerJob) -> None:
 
 
 @lru_cache(maxsize=64)
-def loaded_problem(note: ProblemNote) -> SceneQuery | AnalyticProblem:
+def loaded_problem(note: ProblemSpec) -> SceneQuery | AnalyticProblem:
     """Load a problem, cached per process.
 
     Raises:
@@ -129,7 +129,7 @@ def _problem_file(path: str) -> dict[str, ProblemFile]:
 
 
 @lru_cache(maxsize=1024)
-def warm_up(note: ProblemNote, planner: PlannerNote, seconds: float = _WARM_UP, w: float = 0.0) -> None:
+def warm_up(note: ProblemSpec, planner: PlannerSpec, seconds: float = _WARM_UP, w: float = 0.0) -> None:
     """Plan up to a first path, so that measured times exclude imports and the compilation of the scene.
 
     Args:

@@ -82,7 +82,7 @@ struct BoundArrays {
   Reals room;
 };
 
-struct HazardArrays {
+struct ImpactArrays {
   Integers part_component, part_link;
   Reals part_box;
   Integers target_entity;
@@ -92,7 +92,7 @@ struct HazardArrays {
 
 class Core {
  public:
-  Core(const RobotArrays& robot, const WorldArrays& world, const HazardArrays& hazards, const BoundArrays& bounds,
+  Core(const RobotArrays& robot, const WorldArrays& world, const ImpactArrays& hazards, const BoundArrays& bounds,
        const std::string& isa)
       : isa_(choose(isa)), tool_link_(robot.tool_link) {
     const Reals& tool_position = robot.tool_position;
@@ -512,7 +512,7 @@ class Core {
       obstacle_.push_back(o);
     }
   }
-  void add_hazards(const HazardArrays& hazards) {
+  void add_hazards(const ImpactArrays& hazards) {
     const auto& [component, link, box, entity, target_box, n_component, n_entity] = hazards;
     require(n_component >= 0 && n_component <= kMaxComponents, "number of components");
     require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");

@@ -111,7 +111,7 @@ static void clearance(const Tables& tables, const States& states, double far, do
 static void interaction(const Tables& tables, const States& states, double* probability) {
   const size_t stride = size_t(tables.n_component) * size_t(tables.n_entity);
   for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
-    for_each_interaction(tables, X_W, Hazard(tables, nullptr), [&](int r, int e, D P) {
+    for_each_interaction(tables, X_W, CountedComponents(tables, nullptr), [&](int r, int e, D P) {
       for (int i = 0; i < count; ++i)
         probability[(first + size_t(i)) * stride + size_t(r * tables.n_entity + e)] = P[i];
     });
@@ -121,7 +121,7 @@ static void interaction(const Tables& tables, const States& states, double* prob
 static void impact(const Tables& tables, const double* severity, const States& states, double* out) {
   const size_t n = states.n;
   D qs[kMaxJoints];
-  const Hazard hazard(tables, severity);
+  const CountedComponents hazard(tables, severity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
     load(tables, states.q, first, n, qs);
     const D value = impact_of(tables, hazard, qs);
@@ -156,7 +156,7 @@ static inline void edge_cost(const Tables& tables, const double* a, const double
 }
 
 static void edge_costs(const Tables& tables, const double* severity, const Edges& edges, double* cost) {
-  const Hazard hazard(tables, severity);
+  const CountedComponents hazard(tables, severity);
   const size_t nq = size_t(tables.n_joint);
   const auto impact_at = [&](const D* q) { return impact_of(tables, hazard, q); };
   for (size_t k = 0; k < edges.n; ++k)

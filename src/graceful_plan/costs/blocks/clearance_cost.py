@@ -11,7 +11,7 @@ from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.blocks.native_cost import NativeCost
-from graceful_plan.costs.one_thing import SURROUNDINGS, kernels_of_one_thing
+from graceful_plan.costs.clearance_target import SURROUNDINGS, kernels_for_target
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.scene import Scene
 
@@ -49,5 +49,5 @@ class ClearanceCost(NativeCost):
             UnknownNameError: If there is no such entity in the scene.
         """
         kernels = compile_scene(scene).kernels
-        seen = kernels_of_one_thing(scene, self.to)
+        seen = kernels_for_target(scene, self.to)
         return ImpactKernel(kernels, _native.ClearanceCost(kernels.core, seen.core, self.distance))

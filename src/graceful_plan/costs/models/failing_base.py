@@ -10,7 +10,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.scene.mobile.room import mobile_room
+from graceful_plan.scene.mobile.optional import import_mobile
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -73,5 +73,5 @@ def failing_base(scene: Scene, chosen: FailingBase | None = None) -> FailingBase
     """
     if scene.base is None or chosen is not None:
         return chosen if scene.base is not None else None
-    shipped: FailingBase = mobile_room("coast.coast").Coast()
+    shipped: FailingBase = import_mobile("coast.coast").Coast()
     return shipped

@@ -52,9 +52,9 @@ from graceful_plan.costs.models.failing_base import FailingBase
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.mobile.coast.constants import CoastSettings
+from graceful_plan.mobile.coast.moving_entities import moving_coast
 from graceful_plan.mobile.coast.native import coast_model
-from graceful_plan.mobile.coast.thinned import thinned
-from graceful_plan.mobile.coast.walkers import moving_coast
+from graceful_plan.mobile.coast.reduced import thinned
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray

@@ -77,7 +77,7 @@ class Way:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Astray:
+class OdometryDrift:
     """Drifting bases: they follow their path with a proportional odometry error.
 
     Args:
@@ -175,7 +175,7 @@ class CoastSettings(YamlTable):
     friction: float
     brakes: float
     ways: Mapping[str, Way]
-    astray: Astray
+    astray: OdometryDrift
 
     def __post_init__(self) -> None:
         for name in ("share", "thrown"):
@@ -206,8 +206,8 @@ class CoastSettings(YamlTable):
     def parsed(cls, root: Block) -> CoastSettings:
         """Build the settings from a parsed file."""
         ways, lost = {}, root["astray"]
-        lost.only(*(item.name for item in fields(Astray)))
-        astray = Astray(**{item.name: lost[item.name].number() for item in fields(Astray)})
+        lost.only(*(item.name for item in fields(OdometryDrift)))
+        astray = OdometryDrift(**{item.name: lost[item.name].number() for item in fields(OdometryDrift)})
         for name, block in root["ways"].items():
             block.only(*(item.name for item in fields(Way)))
             bend, steered = block.get("bend"), block.get("steered")
@@ -265,7 +265,7 @@ class CoastSettings(YamlTable):
         )
 
     def beside(self, base: DiffDrive) -> Float[Array, "place 4"]:
-        """Return the offsets of drifting bases from their path, as `Astray.places` defines them."""
+        """Return the offsets of drifting bases from their path, as `OdometryDrift.places` defines them."""
         if self.astray.weight == 0.0:
             return np.zeros((0, 4))
         return self.astray.places(self._probability(self.astray.weight), base, self.position_spread)
@@ -275,7 +275,7 @@ class CoastSettings(YamlTable):
         ways = {name: self.ways[name] for name in names}
         return replace(self, harmless=0.0, ways=ways, astray=replace(self.astray, weight=0.0))
 
-    def of_the_moment(self) -> CoastSettings:
+    def without_drift(self) -> CoastSettings:
         """Return settings for evaluating single states: drift counts as modes with added curvature."""
         bent = sum(way.weight for way in self.ways.values() if any(way.bend))
         more = 1.0 + self.astray.weight / bent if bent > 0.0 else 1.0

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graceful_plan import kept
+from graceful_plan import disk_cache
 from graceful_plan.array_types import Float
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.steering import MOTORS, TICK, OneSideSteering
@@ -103,7 +103,7 @@ class Case(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
+def one_sided_trajectories(body: BaseBody, settings: CoastSettings) -> Ways:
     """Tabulate the trajectories after all one-sided failures of the settings; without any, the tables are empty."""
     base, found = body.base, settings.one_sided()
     speeds = np.linspace(0.0, base.v_max, _SPEEDS)
@@ -120,13 +120,13 @@ def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
     case = Case(left, held, friction, rolling, drag, delay=delay, brakes=settings.brakes, steered=steered)
     share = np.repeat([0.5 * p for p, *_ in found], 2)
     digest = hashlib.sha256(repr((_METHOD, SAMPLES, body, rows, settings.brakes)).encode()).hexdigest()
-    places, shape = kept.read(digest), (len(speeds), len(rates), len(rows))
+    places, shape = disk_cache.read(digest), (len(speeds), len(rates), len(rows))
     if places is None or places.shape != (*shape, SAMPLES, 5) or not np.isfinite(places).all():
         v, omega = np.broadcast_to(speeds[:, None, None], shape), np.broadcast_to(rates[None, :, None], shape)
         ways = integrated(body, v, omega, case)
         ways[..., 3] = _fastest(ways, base)
         places = resampled(ways, _reach(base), SAMPLES)
-        kept.write(digest, places)
+        disk_cache.write(digest, places)
     return Ways(share, speeds, rates, places)
 
 
@@ -167,7 +167,7 @@ def integrated(
         if step % _KEPT == 0:
             ox, oy = px + cx - (c * cx - s * cy), py + cy - (s * cx + c * cy)
             speed = np.hypot(vx + w * cy, vy - w * cx)
-            kept.append(np.stack([ox, oy, turned, speed, np.full_like(w, step * _STEP)], axis=-1))
+            disk_cache.append(np.stack([ox, oy, turned, speed, np.full_like(w, step * _STEP)], axis=-1))
             drive.tell(step * _STEP, (ox, oy, turned), w, rim)
         rim = np.where(broken, rim, drive.going(step * _STEP, rim))
         sx, sy = vx[..., None] - w[..., None] * (y - cy) - rim, vy[..., None] + w[..., None] * (x - cx)

@@ -10,7 +10,7 @@ from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import reals
 from graceful_plan.mobile.coast.constants import CoastSettings
-from graceful_plan.mobile.coast.four_wheel import one_sided_ways
+from graceful_plan.mobile.coast.four_wheel import one_sided_trajectories
 from graceful_plan.mobile.coast.tables import coast_tables
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
@@ -44,7 +44,7 @@ def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Any]:
     """Return the arrays and constants that describe a base and its failures, by their parameter names in the core."""
     assert scene.base is not None
     tables = coast_tables(scene)
-    ways = one_sided_ways(tables.body, settings)
+    ways = one_sided_trajectories(tables.body, settings)
     return {
         "outline": reals(tables.outline),
         "stops": reals(settings.stops(scene.base.load)),

@@ -32,7 +32,7 @@ FASTER = 1.3
 """Ratio of the greatest commanded rim speed to the limit of motions; a reserve for tracking corrections."""
 
 
-def gone_on(base: DiffDrive, v: Float[Array, "*batch"], time: float) -> tuple[Array, Array]:
+def reference_motion(base: DiffDrive, v: Float[Array, "*batch"], time: float) -> tuple[Array, Array]:
     """Return the distance a reference has covered [m] and its speed [m/s], a time after it had a given speed.
 
     Args:
@@ -96,7 +96,7 @@ class OneSideSteering:
     def _wanted(self, time: float, pose: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Return the speed and turning rate that lead back to the reference."""
         (x, y, turned), omega = pose, self.omega
-        far, v = gone_on(self.base, self.v, time)
+        far, v = reference_motion(self.base, self.v, time)
         way = omega * time
         chord = far * np.sinc(0.5 * way / np.pi)
         dx, dy = chord * np.cos(0.5 * way) - x, chord * np.sin(0.5 * way) - y

@@ -29,9 +29,9 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.coast.constants import CoastSettings
+from graceful_plan.mobile.coast.moving_entities import planar_shapes
 from graceful_plan.mobile.coast.native import coasting_arrays
 from graceful_plan.mobile.coast.tables import coast_tables
-from graceful_plan.mobile.coast.walkers import seen_from_above
 from graceful_plan.mobile.control.diff_drive_controller import limited
 from graceful_plan.mobile.control.drive_state import (
     DriveCommand,
@@ -167,7 +167,7 @@ class DynamicWindow:
         )  # fmt: skip
         numbers = {name: float(getattr(s, name)) for name in names} | {"most": min(s.most_impact, _MUCH)}
         native = _native.DynamicWindow(
-            **coasting_arrays(self.scene, self.coast.of_the_moment()),
+            **coasting_arrays(self.scene, self.coast.without_drift()),
             limits=_limits(self.scene.base),
             settings=numbers,
             n_v=s.speeds,
@@ -220,7 +220,7 @@ def seen(scene: Scene, t: float = 0.0, *, static: bool = True) -> Surroundings:
         static: Whether static objects are included.
     """
     tables = _standing(scene)
-    moving = [seen_from_above(entity, np.array([t])) for entity in scene.moving.values()]
+    moving = [planar_shapes(entity, np.array([t])) for entity in scene.moving.values()]
     count = len(scene.entities)
     shape = [*(tables[0] if static else ()), *(row[0] for row, _, _ in moving)]
     entity = [*(tables[1] if static else ()), *range(count, count + len(moving))]

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool
 from graceful_plan.exceptions import SettingError
-from graceful_plan.scene.edit import Solid
+from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.elements import AllowedContact
 from graceful_plan.scene.loading.robot_models import robot_file
 from graceful_plan.scene.mobile.known_bases import known_base
@@ -33,7 +33,7 @@ def furnished(
     resolution: float,
     origin: tuple[float, float, float],
     *,
-    solids: Sequence[Solid],
+    solids: Sequence[StaticBody],
     robot: str,
     height: float,
     severity: Mapping[str, Any] | str | Path | None,

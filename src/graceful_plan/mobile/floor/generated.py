@@ -14,8 +14,8 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError
-from graceful_plan.mobile.floor.floor_map import FloorMap
-from graceful_plan.scene.edit import Solid
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
+from graceful_plan.scene.edit import StaticBody
 
 Array = np.ndarray
 
@@ -45,7 +45,7 @@ class GeneratedFloor:
         length: Length of the shortest path between them for a disc of the passage radius [m].
     """
 
-    floor: FloorMap
+    floor: OccupancyGrid
     start: Float[Array, " xyyaw"]
     goal: Float[Array, " xyyaw"]
     length: float
@@ -104,7 +104,9 @@ def floor_plan(
             if disc.any() and not (disc & field.occupied).any() and field.put(disc):
                 entities.append(_person(f"{category}_{k}", category, at))
                 break
-    floor = FloorMap(occupancy=furnished, resolution=resolution, entities=tuple(entities), name=f"floor_plan_{seed}")
+    floor = OccupancyGrid(
+        occupancy=furnished, resolution=resolution, entities=tuple(entities), name=f"floor_plan_{seed}"
+    )
     start, goal, length = _ends(rng, field, min(6.0, 0.8 * room * max(rooms)))
     return GeneratedFloor(floor=floor, start=start, goal=goal, length=length)
 
@@ -155,7 +157,7 @@ def obstacle_course(
         field = _Field(occupied, resolution, passage, ends)
         way = field.lengths(ends[0])[tuple((ends[1] / resolution).astype(int)[::-1])]
         if np.isfinite(way):
-            floor = FloorMap(occupancy=occupied, resolution=resolution, name=f"obstacle_course_{seed}")
+            floor = OccupancyGrid(occupancy=occupied, resolution=resolution, name=f"obstacle_course_{seed}")
             start, goal = (np.array([*end, 0.0]) for end in ends)
             return GeneratedFloor(floor=floor, start=start, goal=goal, length=float(way))
     raise SettingError("fill", fill, f"a smaller share: none of {_TRIES} courses can be passed")
@@ -272,9 +274,9 @@ def automaton(
     return filled
 
 
-def _person(name: str, category: str, at: Float[Array, " 2"]) -> Solid:
+def _person(name: str, category: str, at: Float[Array, " 2"]) -> StaticBody:
     half = 0.5 * _HEIGHT[category]
-    return Solid(
+    return StaticBody(
         name=name, kind="cylinder", size=[_RADIUS[category], half], pose=np.array([*at, half]), entity=category
     )
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
-from graceful_plan.mobile.floor.floor_map import FloorMap
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.path import finite_array
 
 Array = np.ndarray
@@ -84,7 +84,7 @@ class FloorGrid:
         SettingError: If the radius or a charge is out of its range.
     """
 
-    floor: FloorMap
+    floor: OccupancyGrid
     radius: float = 0.0
     charge: Float[Array, "row column"] | None = None
     native: _native.FloorGrid = field(init=False, repr=False)

@@ -99,7 +99,7 @@ class TimedPaces:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Others:
+class DynamicObstacles:
     """Moving entities in the format of the core; none by default.
 
     | field    | meaning                                                                 | shape         |
@@ -187,7 +187,7 @@ class TimedLattice:
         start: tuple[int, int, int],
         goal: tuple[int, int],
         *,
-        others: Others | None = None,
+        others: DynamicObstacles | None = None,
         ending: Float[Array, " heading"] | None = None,
         late: Callable[[], bool] = lambda: False,
     ) -> TimedPath:
@@ -204,7 +204,7 @@ class TimedLattice:
         for name, (column, row) in (("start", start[:2]), ("goal", goal)):
             if not (0 <= column < columns and 0 <= row < rows):
                 raise SettingError(name, (column, row), f"a column and a row below {columns} and {rows}")
-        moves, who = self.paces.moves(), Others() if others is None else others
+        moves, who = self.paces.moves(), DynamicObstacles() if others is None else others
         rate = np.zeros(0) if self.rate is None else self.rate
         found = _native.timed_path(
             open=np.ascontiguousarray(self.open, dtype=np.uint8),

@@ -47,18 +47,18 @@ def carry_postures(
     ends = motion.q[[0, -1], _BASE:]
     t = motion.t[0] + motion.duration * (np.arange(_PLACES) + 0.5) / _PLACES
     state, seconds = motion.at(t), motion.duration / _PLACES
-    now = objective.quick_states(state.q, state.qd)
+    now = objective.approximate_states(state.q, state.qd)
     arms = _candidates(ends, problem, rng)
     # Candidates that are good in one place are evaluated in all.
     middle = slice(_PLACES // 2, _PLACES // 2 + 1)
     there = _with_arms(state.q[middle], arms)
     free = problem.states_free(there)
-    harm = objective.quick_states(there, _with_arms(state.qd[middle], np.zeros_like(arms)))
+    harm = objective.approximate_states(there, _with_arms(state.qd[middle], np.zeros_like(arms)))
     arms = arms[np.argsort(np.where(free, harm, np.inf))[: min(_SHORTLIST, int(free.sum()))]]
     q, qd = _with_arms(state.q, arms), _with_arms(state.qd, np.zeros_like(arms))
     free = problem.states_free(q).reshape(-1, _PLACES)
     # Where a posture is not free, the arm keeps its current one.
-    harm = seconds * np.where(free, objective.quick_states(q, qd).reshape(-1, _PLACES), now).sum(axis=1)
+    harm = seconds * np.where(free, objective.approximate_states(q, qd).reshape(-1, _PLACES), now).sum(axis=1)
     arms, harm = (of[free.mean(axis=1) >= _FREE_SHARE] for of in (arms, harm))
     way = np.linalg.norm(arms[:, None] - ends, axis=2).sum(axis=1) - np.linalg.norm(ends[1] - ends[0])
     # Base and arm move at the same time, so the arm's motion adds little to a long drive.

@@ -7,9 +7,9 @@ from typing import final
 
 import numpy as np
 
+from graceful_plan.mobile.motions.floor_ways import ways
 from graceful_plan.mobile.motions.legs import RollingLeg, Route, along_ways, routes
 from graceful_plan.mobile.motions.rolling_spline import RollingCurves
-from graceful_plan.mobile.motions.ways import ways
 from graceful_plan.mobile.planners.drive_lattice import DriveLattice
 from graceful_plan.mobile.planners.floor_in_time import FloorInTime
 from graceful_plan.path import Path

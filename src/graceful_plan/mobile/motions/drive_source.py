@@ -13,7 +13,7 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.costs.still import still_objective
+from graceful_plan.costs.static_objective import static_objective
 from graceful_plan.mobile.motions.carry_postures import carry_postures
 from graceful_plan.mobile.motions.drive import Drive, joined
 from graceful_plan.mobile.motions.drive_routes import DriveRoutes
@@ -274,7 +274,7 @@ class DriveSource:
         if known or not moves_arm or objective.w == 0.0 or self._call.remaining_seconds < _DRAW_SECONDS:
             return
         self._posed = motion
-        arms = carry_postures(motion.trajectory, self._problem, still_objective(objective), self._rng)
+        arms = carry_postures(motion.trajectory, self._problem, static_objective(objective), self._rng)
         yield from self._starts.pose(self._best, arms)
 
     def _descended(self, route: Route, arrival: int, budget: Budget) -> Motion | None:

@@ -11,7 +11,7 @@ from graceful_plan.exceptions import RetimingError
 from graceful_plan.judge.passing_by import is_moving
 from graceful_plan.mobile.motions.drive import Drive
 from graceful_plan.path import Path
-from graceful_plan.query.candidates.motions import Motion, costed, costed_anew, price_of_time
+from graceful_plan.query.candidates.motions import Motion, costed, price_of_time, with_cost
 from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import CurveGrid
@@ -58,7 +58,7 @@ def _uncharged(trajectory: Trajectory, arrival: int, request: Request) -> Motion
 
 def charged(motion: Motion, request: Request) -> Motion:
     """Return a motion, planned for another weight, with its cost under this request."""
-    return _ranked(costed_anew(motion, request), request)
+    return _ranked(with_cost(motion, request), request)
 
 
 def along(whole: Path, arrival: int, request: Request) -> Motion:
@@ -104,7 +104,7 @@ def _ranked(motion: Motion, request: Request) -> Motion:
 
 def _hits_moving_entity(motion: Trajectory, request: Request) -> bool:
     """Return whether the healthy robot collides with a moving entity, according to the fast checker."""
-    among = request.objective.among_moving
+    among = request.objective.timed_impact
     if among is None:
         return False
     moves = is_moving(motion.qd)  # a moving entity that walks into a standing robot does not count

@@ -21,7 +21,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.native import native_space, run_slice
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.settings import count, positive
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 
@@ -61,7 +61,7 @@ class DriveLattice(Planner):
         if not self.cells or not self.weights or self.weights[-1] != 1.0 or not decreasing:
             raise SettingError("weights", self.weights, "decreasing numbers, the last of them 1")
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:

@@ -20,16 +20,16 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int, UInt8
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.costs.still import as_if_nobody_moved
-from graceful_plan.mobile.coast.walkers import seen_from_above
-from graceful_plan.mobile.floor.floor_map import FloorMap
+from graceful_plan.costs.static_objective import without_moving
+from graceful_plan.mobile.coast.moving_entities import planar_shapes
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.mobile.floor.timed_paths import (
     HEADINGS,
     LEAVES,
     MOST_STATES,
     STANDS,
     STEPS,
-    Others,
+    DynamicObstacles,
     TimedLattice,
     TimedPaces,
 )
@@ -40,7 +40,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import positive
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
 
@@ -95,7 +95,7 @@ class FloorInTime(Planner):
         for name in ("cell", "around", "late"):
             positive(name, getattr(self, name))
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -174,7 +174,7 @@ class _Cells:
     @classmethod
     def of(
         cls,
-        floor: FloorMap,
+        floor: OccupancyGrid,
         width: float,
         discs: Float[Array, "disc 3"],
         ends: tuple[Float[Array, " nq"], Float[Array, " nq"]],
@@ -237,7 +237,7 @@ class _Beside:
     @cached_property
     def _still(self) -> SceneObjective:
         of = self.objective
-        return SceneObjective(of.objective, as_if_nobody_moved(of.scene), of.paces)
+        return SceneObjective(of.objective, without_moving(of.scene), of.paces)
 
     def standing(self, xy: Float[Array, "row column 2"]) -> Float[Array, "heading row column"] | None:
         """Return the price of a second of driving in each cell and heading for static entities; None if w is 0."""
@@ -249,25 +249,25 @@ class _Beside:
         if near.any():
             for h in range(HEADINGS):
                 self._go_on()
-                rate[h][near] = self.objective.w * self._still.quick_states(*self._driving(coarse[near], h))
+                rate[h][near] = self.objective.w * self._still.approximate_states(*self._driving(coarse[near], h))
         return rate.repeat(_COARSE, axis=1).repeat(_COARSE, axis=2)[:, : xy.shape[0], : xy.shape[1]]
 
-    def others(self, origin: Float[Array, " 2"], half: float, halves: int) -> Others:
+    def others(self, origin: Float[Array, " 2"], half: float, halves: int) -> DynamicObstacles:
         """Return the moving entities at half ticks [s], relative to the first cell; empty if there are none."""
         if not self.objective.scene.moving:
-            return Others()
+            return DynamicObstacles()
         t = half * np.arange(halves)
         n = math.ceil(_REACH / _APART)
         places, shapes, velocities = _APART * np.arange(-n, n + 1), [], []
         tables: list[Float[Array, "heading place place"]] = []
         for entity in self.objective.scene.moving.values():
-            shape, velocity, _ = seen_from_above(entity, t)
+            shape, velocity, _ = planar_shapes(entity, t)
             shape[:, :2] -= origin
             classes, row = _classes(velocity)
             shapes.append(shape)
             velocities.append(len(tables) + row)
             tables += [self._beside(entity, float(t[np.argmax(row == k)]), places) for k in range(classes)]
-        return Others(
+        return DynamicObstacles(
             shape=np.stack(shapes),
             velocity=np.stack(velocities),
             beside=np.stack(tables),
@@ -286,7 +286,7 @@ class _Beside:
         table = np.zeros((HEADINGS, n, n))
         if self.objective.w == 0.0 or not isinstance(impact, ImpactCost):
             return table
-        alone = as_if_nobody_moved(self.objective.scene).with_moving(entity)
+        alone = without_moving(self.objective.scene).with_moving(entity)
         rough = impact.moving_impact(alone, rough=True)
         xy = entity.at(t).position[:2] + np.stack(np.meshgrid(places, places, indexing="ij"), axis=-1).reshape(-1, 2)
         for h in range(HEADINGS):
@@ -320,7 +320,7 @@ def _classes(velocity: Float[Array, "half 2"]) -> tuple[int, Int[Array, " half"]
 
 
 def _clear(
-    floor: FloorMap, xy: Float[Array, "row column 2"], discs: Float[Array, "disc 3"], yaw: float
+    floor: OccupancyGrid, xy: Float[Array, "row column 2"], discs: Float[Array, "disc 3"], yaw: float
 ) -> Bool[Array, "row column"]:
     """Return where the discs around a robot with this heading touch nothing."""
     c, s = np.cos(yaw), np.sin(yaw)

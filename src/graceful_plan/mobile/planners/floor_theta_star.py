@@ -17,15 +17,15 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.mobile.floor.floor_map import FloorMap
 from graceful_plan.mobile.floor.grid_paths import FloorGrid
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.mobile.planners.bases_only import of_a_base
 from graceful_plan.mobile.planners.footprint import floor_around, footprint, near_entities, radii, turns_and_straights
 from graceful_plan.mobile.planners.postures import BASE, postures
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.settings import positive
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 
 Array = np.ndarray
 
@@ -61,7 +61,7 @@ class FloorThetaStar(Planner):
         positive("resolution", self.resolution)
         positive("around", self.around)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -102,7 +102,7 @@ class FloorThetaStar(Planner):
                         yield Path(q).without_duplicates()
 
     def _impact(
-        self, floor: FloorMap, objective: SceneObjective, start: Float[Array, " nq"], budget: Budget
+        self, floor: OccupancyGrid, objective: SceneObjective, start: Float[Array, " nq"], budget: Budget
     ) -> Float[Array, "row column"]:
         """Return the mean impact per metre over directions near entities; 0 elsewhere."""
         base = objective.scene.base
@@ -119,7 +119,7 @@ class FloorThetaStar(Planner):
             if budget.exhausted:
                 break
             q[:, 2], qd[:, :2] = yaw, speed * np.array([np.cos(yaw), np.sin(yaw)])
-            field[near] += objective.quick_states(q, qd) / (speed * _DIRECTIONS)
+            field[near] += objective.approximate_states(q, qd) / (speed * _DIRECTIONS)
         fine = field.repeat(_COARSE, axis=0).repeat(_COARSE, axis=1)
         return fine[: floor.shape[0], : floor.shape[1]]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.mobile.floor.floor_map import FloorMap
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.mobile.planners.postures import BASE
 from graceful_plan.scene.scene import Scene
 
@@ -54,7 +54,7 @@ def radii(discs: Float[Array, "disc 3"]) -> tuple[float, float]:
     return float(discs[:, 2].max()), float((np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]).max())
 
 
-def floor_around(scene: Scene, top: float, ends: Float[Array, "end 2"], settings: tuple[float, float]) -> FloorMap:
+def floor_around(scene: Scene, top: float, ends: Float[Array, "end 2"], settings: tuple[float, float]) -> OccupancyGrid:
     """Cut the floor map around a base's start and goals from a scene.
 
     Args:
@@ -68,7 +68,7 @@ def floor_around(scene: Scene, top: float, ends: Float[Array, "end 2"], settings
     for values, (low, high) in zip(ends.T, scene.limits.position[:2], strict=True):
         bounds += [max(low, values.min() - around) - 0.5, min(high, values.max() + around) + 0.5]
     heights = _FLOOR, max(top, 2.0 * _FLOOR)
-    return FloorMap.from_scene(scene, heights=heights, resolution=resolution, bounds=bounds)
+    return OccupancyGrid.from_scene(scene, heights=heights, resolution=resolution, bounds=bounds)
 
 
 def near_entities(xy: Float[Array, "row column 2"], scene: Scene) -> Bool[Array, "row column"]:

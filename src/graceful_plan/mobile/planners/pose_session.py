@@ -17,10 +17,10 @@ from ompl import util as ou
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.mobile.floor.reeds_shepp import Steering, shortest_curves
+from graceful_plan.planners.interruptible import checked_costs
 from graceful_plan.planners.ompl.kind import Kind
 from graceful_plan.planners.ompl.session import quiet
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, edge_totals
-from graceful_plan.planners.questions import checked_costs
 
 Array = np.ndarray
 Pose = tuple[float, float, float]

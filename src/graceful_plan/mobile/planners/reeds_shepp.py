@@ -24,11 +24,11 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.planners.bases_only import of_a_base
 from graceful_plan.mobile.planners.postures import BASE, postures
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.ompl.kind import Kind, set_growth
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
-from graceful_plan.planners.questions import Interrupted
 from graceful_plan.planners.settings import fraction, positive
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ class ReedsSheppRRT(Planner):
         positive("range", self.range)
         fraction("goal_bias", self.goal_bias)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -115,7 +115,7 @@ class ReedsSheppRRTStar(Planner):
         fraction("goal_bias", self.goal_bias)
         positive("rewire_factor", self.rewire_factor)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -154,7 +154,7 @@ class ReedsSheppPRM(Planner):
         if not (isinstance(self.neighbours, int) and self.neighbours >= 1):
             raise SettingError("neighbours", self.neighbours, "a whole number, at least 1")
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:

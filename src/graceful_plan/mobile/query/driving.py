@@ -10,17 +10,17 @@ import numpy as np
 from graceful_plan.mobile.motions.drive_source import DriveSource
 from graceful_plan.mobile.planners import DRIVING
 from graceful_plan.mobile.planners.drive_lattice import DriveLattice
-from graceful_plan.mobile.query.tight import rolling_endpoints
+from graceful_plan.mobile.query.rolling_endpoints import rolling_endpoints
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.driving import Driving
+from graceful_plan.query.base_planning import BasePlanning
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import PlanResult
 
 
 @final
-class PlansForBases(Driving):
+class PlansForBases(BasePlanning):
     """Plans for bases by curves that descend from floor paths and lattice paths."""
 
     @property

@@ -19,7 +19,7 @@ import numpy as np
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.query.endpoints.base_goals import BaseGoals
-from graceful_plan.query.endpoints.configurations import goal_words, the_short_way
+from graceful_plan.query.endpoints.configurations import goal_labels, wrapped_near
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 from graceful_plan.query.endpoints.ik import FreeTest, IKResult
 from graceful_plan.query.endpoints.pose_solver import PoseSolver
@@ -199,9 +199,9 @@ def standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolv
     turns = np.arange(_HEADINGS) * 2.0 * np.pi / _HEADINGS
     q = np.tile(start, (1 if goal.yaw is not None else _HEADINGS, 1))
     q[:, 0], q[:, 1], q[:, 2] = goal.x, goal.y, towards + turns if goal.yaw is None else goal.yaw
-    q = the_short_way(q, start, scene)
+    q = wrapped_near(q, start, scene)
     q = q[np.argsort(np.abs(q[:, 2] - towards), kind="stable")]
-    found = usable(goal_words(len(q)), q, scene, start)
+    found = usable(goal_labels(len(q)), q, scene, start)
     # With a free heading, one usable heading is enough.
     return Resolved(found.q, (0,) * len(found.q), found.notes, () if len(found.q) else found.problems[:1])
 

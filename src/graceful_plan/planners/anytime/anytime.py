@@ -28,7 +28,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import count, positive_fraction
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 
 
 @final
@@ -64,7 +64,7 @@ class Anytime(Planner):
         count("challengers", self.challengers)
         count("max_nodes", self.max_nodes, 10)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:

@@ -19,7 +19,7 @@ from graceful_plan.planners.native import native_space
 from graceful_plan.planners.optimisers.optimiser import joined_to_ends
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import count
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 
 Array = np.ndarray
 
@@ -61,7 +61,7 @@ class Auto(Planner):
         if not isinstance(self.initial, Path | Array | None):
             raise SettingError("initial", self.initial, "a Path, an array of configurations or None")
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:

@@ -20,12 +20,12 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.ompl.kind import Kind, set_growth
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.settings import count, fraction, positive
 from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 
 
 @final
@@ -50,15 +50,15 @@ class RRT(Planner):
         positive("range", self.range)
         fraction("goal_bias", self.goal_bias)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield the first path, then cheaper versions of it by shortcutting."""
         shortcut = Shortcut() if self.shortcut else None
-        return first_and_shorter(self._first, shortcut, Questions(problem, objective, budget), rng)
+        return first_and_shorter(self._first, shortcut, InterruptibleProblem(problem, objective, budget), rng)
 
-    def _first(self, questions: Questions, rng: np.random.Generator) -> Path | None:
+    def _first(self, questions: InterruptibleProblem, rng: np.random.Generator) -> Path | None:
         return next(_improvements(Kind("RRT", self._configure), questions, rng), None)
 
     def _configure(self, planner: Any) -> None:
@@ -82,13 +82,13 @@ class BITStar(Planner):
         count("samples_per_batch", self.samples_per_batch)
         positive("rewire_factor", self.rewire_factor)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield paths of decreasing cost until the budget ends or a straight line is proven optimal."""
         kind = Kind("BITstar", self._configure, informed=True)
-        return _improvements(kind, Questions(problem, objective, budget), rng)
+        return _improvements(kind, InterruptibleProblem(problem, objective, budget), rng)
 
     def _configure(self, planner: Any) -> None:
         planner.setSamplesPerBatch(self.samples_per_batch)
@@ -96,7 +96,7 @@ class BITStar(Planner):
         planner.setStopOnSolnImprovement(True)  # the next batch is drawn from a smaller box
 
 
-def _improvements(kind: Kind, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
+def _improvements(kind: Kind, questions: InterruptibleProblem, rng: np.random.Generator) -> Iterator[Path]:
     if questions.budget.exhausted:
         return
     from graceful_plan.planners.ompl.session import Session  # OMPL is imported only when needed

@@ -19,10 +19,10 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from graceful_plan.path import Path
-from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.informed import InformedSampler, probe_objective
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem, out_of_time
 from graceful_plan.planners.ompl.kind import Kind
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.questions import Interrupted, Questions, out_of_time
 
 Array = np.ndarray
 
@@ -58,7 +58,7 @@ class _Validator(ob.MotionValidator):
     def __init__(
         self,
         si: ob.SpaceInformation,
-        questions: Questions,
+        questions: InterruptibleProblem,
         informed: InformedSampler | None,
         best: _Best,
     ) -> None:
@@ -78,7 +78,7 @@ class _Validator(ob.MotionValidator):
 class _Objective(ob.OptimizationObjective):
     """Objective of OMPL with this library's edge costs, one edge at a time."""
 
-    def __init__(self, si: ob.SpaceInformation, questions: Questions, bound: float, symmetric: bool) -> None:
+    def __init__(self, si: ob.SpaceInformation, questions: InterruptibleProblem, bound: float, symmetric: bool) -> None:
         super().__init__(si)
         self._questions, self._bound, self._symmetric = questions, bound, symmetric
         self._n = len(questions.problem.start)
@@ -114,9 +114,9 @@ class Session:
         kind: The planner.
     """
 
-    def __init__(self, questions: Questions, seed: int, kind: Kind) -> None:
+    def __init__(self, questions: InterruptibleProblem, seed: int, kind: Kind) -> None:
         problem = questions.problem
-        facts = learn_objective(questions.objective, problem)
+        facts = probe_objective(questions.objective, problem)
         self.questions, self.best = questions, _Best()
         self.sampler = InformedSampler(problem, facts.length_bound)
         self.informed = kind.informed and facts.length_bound > 0.0

@@ -26,13 +26,13 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.optimisers.covariant import Descent
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
 from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.path_energy import ObstaclePotential, PathEnergy
-from graceful_plan.planners.optimisers.workpiece import JITTER, Workpiece
+from graceful_plan.planners.optimisers.workpiece import JITTER, DescentState
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
-from graceful_plan.planners.questions import Interrupted
 from graceful_plan.planners.settings import count, positive
 
 Array = np.ndarray
@@ -101,7 +101,7 @@ class CHOMP(Optimiser):
     ) -> Iterator[Path]:
         """Yield paths of decreasing cost."""
         with suppress(Interrupted):
-            piece = Workpiece(path, self.edges, Slopes(problem, objective, budget))
+            piece = DescentState(path, self.edges, Slopes(problem, objective, budget))
             descents, bend = _Descents(self, piece), JITTER
             while piece.movable and not budget.exhausted:
                 yield from descents.descend(piece.bent(bend, rng))
@@ -114,7 +114,7 @@ class CHOMP(Optimiser):
 class _Descents:
     """Descents of one path, in stages with decreasing blur."""
 
-    def __init__(self, settings: CHOMP, piece: Workpiece) -> None:
+    def __init__(self, settings: CHOMP, piece: DescentState) -> None:
         self.settings, self.piece = settings, piece
         self.slopes, self.kept, self.budget = piece.slopes, piece.kept, piece.budget
         problem = piece.slopes.problem

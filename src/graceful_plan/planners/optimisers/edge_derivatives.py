@@ -10,8 +10,8 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.planners.interruptible import InterruptibleProblem, checked_costs
 from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem, edge_totals
-from graceful_plan.planners.questions import Questions, checked_costs
 
 Array = np.ndarray
 
@@ -61,8 +61,8 @@ def _differences(
 
 
 @final
-class Slopes(Questions):
-    """`Questions` with derivatives.
+class Slopes(InterruptibleProblem):
+    """`InterruptibleProblem` with derivatives.
 
     Args:
         problem: Problem for collision checks and clearances.

@@ -10,7 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.path import Path
-from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.resampling import evenly
 
 Array = np.ndarray
@@ -51,7 +51,7 @@ class Incumbent:
         questions: Access to problem and objective.
     """
 
-    def __init__(self, path: Path, edges: int, questions: Questions) -> None:
+    def __init__(self, path: Path, edges: int, questions: InterruptibleProblem) -> None:
         self._questions = questions
         self.q = with_edges(path, edges)
         self.free = self.is_free(self.q)

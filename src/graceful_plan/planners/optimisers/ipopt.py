@@ -22,13 +22,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
 from graceful_plan.planners.optimisers.nlp import Values, minimise
 from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.path_program import PathProgram
-from graceful_plan.planners.optimisers.workpiece import JITTER, Workpiece
+from graceful_plan.planners.optimisers.workpiece import JITTER, DescentState
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
-from graceful_plan.planners.questions import Interrupted
 from graceful_plan.planners.settings import count, positive
 
 Array = np.ndarray
@@ -90,11 +90,11 @@ class CasADi(Optimiser):
     ) -> Iterator[Path]:
         """Yield paths of decreasing cost."""
         with suppress(Interrupted):
-            piece = Workpiece(path, self.edges, Slopes(problem, objective, budget))
+            piece = DescentState(path, self.edges, Slopes(problem, objective, budget))
             if piece.movable:
                 yield from self._solves(piece, rng)
 
-    def _solves(self, piece: Workpiece, rng: np.random.Generator) -> Iterator[Path]:
+    def _solves(self, piece: DescentState, rng: np.random.Generator) -> Iterator[Path]:
         """Solve from the path, repeat from the result while that helps, then solve from bent paths."""
         solves = _Solves(self, piece)
         bend, stages = JITTER, bool(solves.stages)
@@ -113,7 +113,7 @@ class CasADi(Optimiser):
 class _Solves:
     """Solves of one path, and the improvements that they find."""
 
-    def __init__(self, settings: CasADi, piece: Workpiece) -> None:
+    def __init__(self, settings: CasADi, piece: DescentState) -> None:
         self.settings, self.slopes, self.kept, self.budget = settings, piece.slopes, piece.kept, piece.budget
         self.stages = piece.widened(settings.widths)
         self.found: list[Path] = []

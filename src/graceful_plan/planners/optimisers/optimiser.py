@@ -11,8 +11,8 @@ import numpy as np
 
 from graceful_plan.path import Path, finite_array
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.planners.trees.rrt_connect import RRTConnect
-from graceful_plan.planners.trivial import stays_at_goal
 
 Array = np.ndarray
 
@@ -43,7 +43,7 @@ class Optimiser(Planner):
         If `path` is free, they also cost less than it. Nothing is yielded if none is found within the budget.
         """
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:

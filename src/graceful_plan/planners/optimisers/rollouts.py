@@ -14,8 +14,8 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core.kernels import FINE_STEP
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import Problem
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 
 Array = np.ndarray
@@ -37,7 +37,7 @@ class Rollouts:
     """True for edges that are not free."""
 
     @staticmethod
-    def asked(q: Float[Array, "rollout point nq"], questions: Questions) -> Rollouts:
+    def asked(q: Float[Array, "rollout point nq"], questions: InterruptibleProblem) -> Rollouts:
         """Evaluate paths, all in one batch.
 
         Raises:
@@ -67,11 +67,11 @@ class Rollouts:
         """Return the best n paths, the best first: by number of blocked edges, then by cost."""
         return self[np.lexsort((self.cost.sum(axis=1), self.blocked.sum(axis=1)))[:n]]
 
-    def first_in_close_up(self, problem: Problem) -> Rollouts:
+    def with_first_finely_checked(self, problem: Problem) -> Rollouts:
         """Check the first path at the fine step of results; return self if that does not change its blocked edges."""
-        if in_close_up(problem) is problem or self.blocked[0].any():
+        if finely_checked(problem) is problem or self.blocked[0].any():
             return self
-        free = in_close_up(problem).edges_free(self.q[0, :-1], self.q[0, 1:])
+        free = finely_checked(problem).edges_free(self.q[0, :-1], self.q[0, 1:])
         if free.all():
             return self
         blocked = self.blocked.copy()
@@ -87,7 +87,7 @@ class Rollouts:
         return mine < yours or (mine == yours and bool(self.cost[0].sum() < other.cost[0].sum() * (1.0 - gain)))
 
 
-def in_close_up(problem: Problem) -> Problem:
+def finely_checked(problem: Problem) -> Problem:
     """Return the problem with edge checks at the fine step of results."""
     return replace(problem, check_step=FINE_STEP) if isinstance(problem, SceneProblem) else problem
 

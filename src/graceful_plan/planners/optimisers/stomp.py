@@ -28,11 +28,11 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.optimisers.optimiser import Optimiser
-from graceful_plan.planners.optimisers.rollouts import Rollouts, in_close_up, weights
+from graceful_plan.planners.optimisers.rollouts import Rollouts, finely_checked, weights
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
-from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.settings import count, positive
 
@@ -89,10 +89,10 @@ class STOMP(Optimiser):
         """Yield free paths of decreasing cost between the ends of `path`."""
         if path.length == 0.0:
             return
-        questions = Questions(problem, objective, budget)
+        questions = InterruptibleProblem(problem, objective, budget)
         with suppress(Interrupted):
             least = np.inf
-            if in_close_up(problem).edges_free(path.q[:-1], path.q[1:]).all():
+            if finely_checked(problem).edges_free(path.q[:-1], path.q[1:]).all():
                 least = questions.path_cost(path)
             for mean in self._means(path, questions, rng):
                 cost = float(mean.cost.sum())
@@ -100,14 +100,14 @@ class STOMP(Optimiser):
                     least = cost
                     yield Path(mean.q[0])
 
-    def _means(self, path: Path, questions: Questions, rng: np.random.Generator) -> Iterator[Rollouts]:
+    def _means(self, path: Path, questions: InterruptibleProblem, rng: np.random.Generator) -> Iterator[Rollouts]:
         """Yield the mean path, as a batch of one, whenever it has become better."""
         problem = questions.problem
         noises = [_Noise(self, reach, path.length) for reach in self.reaches]
         q = _into_limits(evenly(path.q, self.points + 2)[None], noises[0].metric, problem)
         if not questions.budget.spend():
             return
-        mean = Rollouts.asked(q, questions).first_in_close_up(problem)
+        mean = Rollouts.asked(q, questions).with_first_finely_checked(problem)
         elites = mean[:0]
         yield mean
         iteration = 0
@@ -128,7 +128,7 @@ class STOMP(Optimiser):
         """Return the best paths, the best first; if the first beats the mean, it is checked at the fine step, too."""
         ranked = seen.best(self.elites + 1)
         while ranked.beats(mean, _NEGLIGIBLE):
-            checked = ranked.first_in_close_up(problem)
+            checked = ranked.with_first_finely_checked(problem)
             if checked is ranked:
                 break
             ranked = checked.best(len(checked))

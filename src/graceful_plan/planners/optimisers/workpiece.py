@@ -20,7 +20,7 @@ JITTER = 1e-3
 
 
 @final
-class Workpiece:
+class DescentState:
     """Shared state of the descents from one path.
 
     Args:

@@ -23,7 +23,7 @@ _TELLING = 8  # edges with exposure that are needed to compare directions
 
 @final
 @dataclass(frozen=True, eq=False)
-class EdgePrices:
+class EdgeCosts:
     """Motion cost and exposure of edges; exposures of 0 are not stored.
 
     | field    | meaning                                                      | unit     | shape |
@@ -43,13 +43,13 @@ class EdgePrices:
         return len(self.motion)
 
     @classmethod
-    def of(cls, motion: Float[Array, " edge"], exposure: Float[Array, "edge column"]) -> EdgePrices:
+    def of(cls, motion: Float[Array, " edge"], exposure: Float[Array, "edge column"]) -> EdgeCosts:
         """Create it from a dense matrix of exposures; zeros are dropped."""
         edge, column = np.nonzero(exposure)
         return cls(motion, edge.astype(np.int32), column.astype(np.int32), exposure[edge, column])
 
     @classmethod
-    def concatenated(cls, parts: Sequence[EdgePrices]) -> EdgePrices:
+    def concatenated(cls, parts: Sequence[EdgeCosts]) -> EdgeCosts:
         """Concatenate the costs of several sets of edges."""
         first = np.cumsum([0, *map(len, parts)], dtype=np.int32)
         return cls(
@@ -74,7 +74,7 @@ class EdgePrices:
         return np.flatnonzero(np.diff(self.edge, prepend=-1))
 
 
-Price = Callable[[Float[Array, "n nq"], Float[Array, "n nq"]], EdgePrices]
+Price = Callable[[Float[Array, "n nq"], Float[Array, "n nq"]], EdgeCosts]
 """Computes the costs of straight edges, in the direction in which they are given."""
 
 
@@ -92,7 +92,7 @@ class Edges:
 
     tail: Int[Array, " edge"]
     head: Int[Array, " edge"]
-    prices: EdgePrices
+    prices: EdgeCosts
 
     def __len__(self) -> int:
         return len(self.tail)
@@ -101,7 +101,7 @@ class Edges:
     def concatenated(cls, parts: Sequence[Edges]) -> Edges:
         """Concatenate several sets of edges."""
         tail, head = ([_NO_INDEX, *(getattr(part, name) for part in parts)] for name in ("tail", "head"))
-        prices = EdgePrices.concatenated([part.prices for part in parts])
+        prices = EdgeCosts.concatenated([part.prices for part in parts])
         return cls(np.concatenate(tail, dtype=np.int32), np.concatenate(head, dtype=np.int32), prices)
 
 

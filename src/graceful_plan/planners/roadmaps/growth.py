@@ -21,7 +21,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.planners.planner import Problem
-from graceful_plan.planners.roadmaps.edge_prices import EdgePrices, Edges, Price, symmetric
+from graceful_plan.planners.roadmaps.edge_prices import EdgeCosts, Edges, Price, symmetric
 from graceful_plan.planners.roadmaps.graph import Graph
 from graceful_plan.planners.shortcut import Line
 
@@ -209,7 +209,7 @@ class Growth:
         i, j = links[self.ground.problem.edges_free(nodes[links[:, 0]], nodes[links[:, 1]])].T.astype(np.int32)
         there = self.ground.price(nodes[i], nodes[j])
         back = there if self._both_ways is False else self.ground.price(nodes[j], nodes[i])
-        return Edges(np.concatenate([i, j]), np.concatenate([j, i]), EdgePrices.concatenated([there, back]))
+        return Edges(np.concatenate([i, j]), np.concatenate([j, i]), EdgeCosts.concatenated([there, back]))
 
 
 def _beside(

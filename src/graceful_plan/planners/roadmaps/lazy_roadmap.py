@@ -14,7 +14,7 @@ import numpy as np
 from graceful_plan.array_types import Float, Int
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler
-from graceful_plan.planners.questions import Interrupted, Questions, out_of_time
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem, out_of_time
 
 Array = np.ndarray
 
@@ -35,7 +35,11 @@ class LazyRoadmap:
     """
 
     def __init__(
-        self, questions: Questions, sampler: InformedSampler, symmetric: bool, neighbours: Callable[[Array], Array]
+        self,
+        questions: InterruptibleProblem,
+        sampler: InformedSampler,
+        symmetric: bool,
+        neighbours: Callable[[Array], Array],
     ) -> None:
         problem = questions.problem
         self.questions, self.sampler = questions, sampler

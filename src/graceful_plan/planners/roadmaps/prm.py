@@ -18,13 +18,13 @@ import numpy as np
 
 from graceful_plan.array_types import Int
 from graceful_plan.path import Path
-from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.informed import InformedSampler, probe_objective
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.roadmaps.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.shortcut import MOVES, Shortcut
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 
 Array = np.ndarray
 
@@ -70,7 +70,7 @@ class PRM(Planner):
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -83,7 +83,7 @@ class PRM(Planner):
             max_samples=self.max_samples,
             shortcut=Shortcut() if self.shortcut else None,
         )
-        return _interruptible(growth, Questions(problem, objective, budget), rng)
+        return _interruptible(growth, InterruptibleProblem(problem, objective, budget), rng)
 
 
 @final
@@ -113,7 +113,7 @@ class PRMStar(Planner):
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -131,17 +131,17 @@ class PRMStar(Planner):
             max_samples=self.max_samples,
             shortcut=Shortcut(patience=len(MOVES)) if self.shortcut else None,
         )
-        return _interruptible(growth, Questions(problem, objective, budget), rng)
+        return _interruptible(growth, InterruptibleProblem(problem, objective, budget), rng)
 
 
-def _interruptible(growth: _Growth, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
+def _interruptible(growth: _Growth, questions: InterruptibleProblem, rng: np.random.Generator) -> Iterator[Path]:
     with suppress(Interrupted):
         yield from _grow(growth, questions, rng)
 
 
-def _grow(growth: _Growth, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
+def _grow(growth: _Growth, questions: InterruptibleProblem, rng: np.random.Generator) -> Iterator[Path]:
     budget = questions.budget
-    facts = learn_objective(questions.objective, questions.problem)
+    facts = probe_objective(questions.objective, questions.problem)
     sampler = InformedSampler(questions.problem, facts.length_bound if growth.informed else 0.0)
     cut_rng = rng.spawn(1)[0]  # shortcutting does not change which samples are drawn
     best, best_path = np.inf, None

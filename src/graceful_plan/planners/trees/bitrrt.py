@@ -13,7 +13,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.path import Path
-from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.settings import positive
 from graceful_plan.planners.trees.guided import Side, TransitionTrees
 
@@ -38,7 +38,7 @@ class BiTRRT(TransitionTrees):
         super().__post_init__()
         positive("connection_range", self.connection_range)
 
-    def first_path(self, questions: Questions, rng: np.random.Generator) -> Path | None:
+    def first_path(self, questions: InterruptibleProblem, rng: np.random.Generator) -> Path | None:
         """Grow both trees alternately until they meet or the budget ends.
 
         Raises:

@@ -12,10 +12,11 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.settings import positive
 from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.planners.trees.transition import (
     RefinementControl,
     TransitionSettings,
@@ -24,7 +25,6 @@ from graceful_plan.planners.trees.transition import (
     estimate_cost_range,
 )
 from graceful_plan.planners.trees.tree import Tree, steer
-from graceful_plan.planners.trivial import stays_at_goal
 
 Array = np.ndarray
 
@@ -48,7 +48,7 @@ class Side:
         self,
         roots: Float[Array, "root nq"],
         forward: bool,
-        questions: Questions,
+        questions: InterruptibleProblem,
         test: TransitionTest,
         refinement: RefinementControl,
     ) -> None:
@@ -129,16 +129,16 @@ class TransitionTrees(Planner):
             raise SettingError("refinement_ratio", self.refinement_ratio, "a number >= 0, or infinity")
         self._transition()
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield the first path, then cheaper versions of it by shortcutting."""
         shortcut = Shortcut() if self.shortcut else None
-        return first_and_shorter(self.first_path, shortcut, Questions(problem, objective, budget), rng)
+        return first_and_shorter(self.first_path, shortcut, InterruptibleProblem(problem, objective, budget), rng)
 
     @abstractmethod
-    def first_path(self, questions: Questions, rng: np.random.Generator) -> Path | None:
+    def first_path(self, questions: InterruptibleProblem, rng: np.random.Generator) -> Path | None:
         """Grow until there is a path or the budget ends.
 
         Raises:
@@ -149,12 +149,12 @@ class TransitionTrees(Planner):
         """Return the longest extension [rad]."""
         return self.range or _REACH * problem.extent
 
-    def test(self, questions: Questions, rng: np.random.Generator) -> TransitionTest:
+    def test(self, questions: InterruptibleProblem, rng: np.random.Generator) -> TransitionTest:
         """Return a test at its initial temperature; it has a separate generator, so samples equal those of an RRT."""
         own = rng.spawn(1)[0]
         return TransitionTest(self._transition(), estimate_cost_range(questions, own), own)
 
-    def side(self, forward: bool, questions: Questions, test: TransitionTest) -> Side:
+    def side(self, forward: bool, questions: InterruptibleProblem, test: TransitionTest) -> Side:
         """Return a tree that grows from the start, or from the goals."""
         problem = questions.problem
         roots = problem.start[None] if forward else problem.goals

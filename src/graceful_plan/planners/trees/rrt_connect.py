@@ -14,12 +14,12 @@ import numpy as np
 
 from graceful_plan.core import _native
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.settings import count, positive_fraction
 from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 
 
 @final
@@ -47,14 +47,14 @@ class RRTConnect(Planner):
         positive_fraction("range", self.range)
         count("max_nodes", self.max_nodes, 10)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield the first path, then cheaper versions of it by shortcutting."""
-        return first_and_shorter(self._connect, self.shortcut, Questions(problem, objective, budget), rng)
+        return first_and_shorter(self._connect, self.shortcut, InterruptibleProblem(problem, objective, budget), rng)
 
-    def _connect(self, questions: Questions, rng: np.random.Generator) -> Path | None:
+    def _connect(self, questions: InterruptibleProblem, rng: np.random.Generator) -> Path | None:
         problem = questions.problem
         space = native_space(problem, questions.objective)
         core = _native.Connect(

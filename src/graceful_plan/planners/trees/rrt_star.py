@@ -25,16 +25,16 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.path import Path
-from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.informed import InformedSampler, probe_objective
+from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.native_descents import NativeDescents
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.settings import count, fraction, positive
 from graceful_plan.planners.shortcut import Line
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.planners.trees.star_tree import StarTree
 from graceful_plan.planners.trees.untried import Untried
-from graceful_plan.planners.trees.wiring import EdgeGuess, Wiring
-from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.planners.trees.wiring import EdgeGuess, TreeConnector
 
 Array = np.ndarray
 
@@ -80,7 +80,7 @@ class _StarTrees(Planner):
             fraction(name, getattr(self, name))
         count("batch", self.batch)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -88,7 +88,7 @@ class _StarTrees(Planner):
         with suppress(Interrupted):
             if budget.exhausted:
                 return
-            questions = Questions(problem, objective, budget)
+            questions = InterruptibleProblem(problem, objective, budget)
             search = _StarSearch(self, questions, rng)
             descents = NativeDescents.of(questions) if self.descend else None
             best = np.inf
@@ -143,16 +143,16 @@ class _StarSearch:
         rng: Random numbers.
     """
 
-    def __init__(self, settings: _StarTrees, questions: Questions, rng: np.random.Generator) -> None:
+    def __init__(self, settings: _StarTrees, questions: InterruptibleProblem, rng: np.random.Generator) -> None:
         problem = questions.problem
         self.settings, self.questions, self.problem, self.rng = settings, questions, problem, rng
         self.reach = settings.range or _REACH * problem.extent
-        bound = learn_objective(questions.objective, problem).length_bound
+        bound = probe_objective(questions.objective, problem).length_bound
         self.sampler = InformedSampler(problem, bound)
         ends = np.concatenate([problem.start[None], problem.goals])
         self.tree = StarTree(problem.start, problem.goals, questions.state_costs(ends))
         guess = EdgeGuess.learn(questions, bound=bound, reach=self.reach, trust=settings.trust)
-        self.wiring = Wiring(self.tree, questions, guess, bounded=settings.informed)
+        self.wiring = TreeConnector(self.tree, questions, guess, bounded=settings.informed)
         self.untried = Untried(problem.goals)
         self.best = np.inf
         self.way = np.zeros(0, dtype=int)

@@ -22,13 +22,13 @@ from graceful_plan.array_types import Float, Int
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.core.tool_motion import missing_twist, steps_inside, tool_jacobian
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
+from graceful_plan.planners.start_at_goal import handle_start_at_goal
 from graceful_plan.planners.trees.tree import Tree
-from graceful_plan.planners.trivial import stays_at_goal
 
 Array = np.ndarray
 
@@ -73,14 +73,14 @@ class ToolRRT(Planner):
         count("steps", self.steps)
         count("max_nodes", self.max_nodes, 10)
 
-    @stays_at_goal
+    @handle_start_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield the first path, then cheaper versions of it by shortcutting."""
-        return first_and_shorter(self._connect, self.shortcut, Questions(problem, objective, budget), rng)
+        return first_and_shorter(self._connect, self.shortcut, InterruptibleProblem(problem, objective, budget), rng)
 
-    def _connect(self, questions: Questions, rng: np.random.Generator) -> Path | None:
+    def _connect(self, questions: InterruptibleProblem, rng: np.random.Generator) -> Path | None:
         """Grow both trees alternately until an edge between them is free.
 
         Raises:
@@ -176,7 +176,7 @@ class _SpaceTree:
         self.nodes = Tree(roots, np.zeros(len(roots)))
         self._places = space.places(roots)
 
-    def grow(self, samples: Float[Array, "n nq"], steps: int, questions: Questions) -> Int[Array, " m"]:
+    def grow(self, samples: Float[Array, "n nq"], steps: int, questions: InterruptibleProblem) -> Int[Array, " m"]:
         """Step from the nearest nodes towards samples while steps are free; return the last new node of each sample."""
         gaps = ((self._places[None] - self.space.places(samples)[:, None]) ** 2).sum(axis=2)
         near = gaps.argmin(axis=1)
@@ -199,7 +199,7 @@ class _SpaceTree:
 
 
 def _meeting(
-    growing: _SpaceTree, new: Int[Array, " n"], other: _SpaceTree, questions: Questions
+    growing: _SpaceTree, new: Int[Array, " n"], other: _SpaceTree, questions: InterruptibleProblem
 ) -> tuple[int, int] | None:
     """Return a new node and a node of the other tree with a free straight edge between them; None if there are none."""
     if not len(new):

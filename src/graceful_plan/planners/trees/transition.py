@@ -20,7 +20,7 @@ from typing import Literal, final
 import numpy as np
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.settings import count, positive
 
 Variant = Literal["jaillet", "devaurs"]
@@ -137,7 +137,7 @@ class RefinementControl:
             self._refining += 1
 
 
-def estimate_cost_range(questions: Questions, rng: np.random.Generator) -> float:
+def estimate_cost_range(questions: InterruptibleProblem, rng: np.random.Generator) -> float:
     """Return the difference between the highest and the lowest cost of start, goals and random configurations."""
     problem = questions.problem
     random = rng.uniform(problem.lower, problem.upper, (_PROBES, len(problem.start)))

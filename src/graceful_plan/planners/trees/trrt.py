@@ -13,7 +13,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.path import Path
-from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.settings import fraction
 from graceful_plan.planners.trees.guided import Side, TransitionTrees
 from graceful_plan.planners.trees.tree import Tree, steer
@@ -37,11 +37,11 @@ class TRRT(TransitionTrees):
         super().__post_init__()
         fraction("goal_bias", self.goal_bias)
 
-    def first_path(self, questions: Questions, rng: np.random.Generator) -> Path | None:
+    def first_path(self, questions: InterruptibleProblem, rng: np.random.Generator) -> Path | None:
         """Grow the tree until it reaches a goal or the budget ends; see `grow`."""
         return self.grow(questions, rng)[1]
 
-    def grow(self, questions: Questions, rng: np.random.Generator) -> tuple[Tree, Path | None]:
+    def grow(self, questions: InterruptibleProblem, rng: np.random.Generator) -> tuple[Tree, Path | None]:
         """Grow the tree until it reaches a goal or the budget ends.
 
         Raises:

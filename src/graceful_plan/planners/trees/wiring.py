@@ -13,7 +13,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
-from graceful_plan.planners.questions import Questions, checked_costs
+from graceful_plan.planners.interruptible import InterruptibleProblem, checked_costs
 from graceful_plan.planners.trees.star_tree import StarTree
 
 Array = np.ndarray
@@ -41,7 +41,7 @@ class EdgeGuess:
     trust: float
 
     @classmethod
-    def learn(cls, questions: Questions, *, bound: float, reach: float, trust: float) -> EdgeGuess:
+    def learn(cls, questions: InterruptibleProblem, *, bound: float, reach: float, trust: float) -> EdgeGuess:
         """Fit the estimates to random edges of up to `reach` [rad] within the limits.
 
         Raises:
@@ -87,7 +87,7 @@ class _Edges:
 
 
 @final
-class Wiring:
+class TreeConnector:
     """Connects configurations to a tree.
 
     Args:
@@ -97,7 +97,7 @@ class Wiring:
         bounded: Whether to skip configurations that cannot be on a path cheaper than the best one.
     """
 
-    def __init__(self, tree: StarTree, questions: Questions, guess: EdgeGuess, bounded: bool) -> None:
+    def __init__(self, tree: StarTree, questions: InterruptibleProblem, guess: EdgeGuess, bounded: bool) -> None:
         self.tree, self.questions, self.guess, self.bounded = tree, questions, guess, bounded
 
     def join(

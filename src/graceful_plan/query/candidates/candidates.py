@@ -14,10 +14,10 @@ from graceful_plan.exceptions import RetimingError
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.answer import BestVerified
+from graceful_plan.query.base_planning import base_planning
 from graceful_plan.query.candidates.maker import MotionMaker
 from graceful_plan.query.candidates.motion_source import MotionSource
 from graceful_plan.query.candidates.motions import Motion
-from graceful_plan.query.driving import driving_of
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 
@@ -65,7 +65,7 @@ def candidates(
 def _maker(
     request: Request, ends: Endpoints, problem: SceneProblem, rng: np.random.Generator, best: BestVerified
 ) -> MotionMaker:
-    driving = driving_of(request.objective.scene)
+    driving = base_planning(request.objective.scene)
     if driving is not None:
         return driving.motions(request, ends, problem, rng)
     return MotionSource(request, ends, problem, rng, best.tell)

@@ -16,11 +16,11 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.costs.still import still_objective
+from graceful_plan.costs.static_objective import static_objective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import Shortcut
 from graceful_plan.query.candidates.search import ALL, Search, is_solution, search, thinned
@@ -48,7 +48,7 @@ def waits(max_wait: float) -> Float[Array, " wait"]:
     return np.linspace(0.0, max_wait, count + 1)
 
 
-def best_departure(
+def with_best_departure(
     trajectory: Trajectory, objective: SceneObjective, max_wait: float = 0.0
 ) -> tuple[Trajectory, CostBreakdown]:
     """Return a trajectory with the best wait at its start, and its cost.
@@ -67,7 +67,7 @@ def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: floa
     """Return the best wait [s], and w S with this wait; the motion cost does not depend on the wait."""
     tried = waits(max_wait)
     trajectory = trajectory.sample(max(trajectory.duration / _PIECES, 1e-3))
-    charged, impact, w = objective.charged_states(trajectory), objective.objective.impact, objective.w
+    charged, impact, w = objective.cost_samples(trajectory), objective.objective.impact, objective.w
     assert charged.batch.time is not None
     totals = [
         w * float(charged.weight @ checked_state(impact, charged.batch.at(charged.batch.time + t))) for t in tried
@@ -81,7 +81,7 @@ def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: floa
     return float(tried[chosen]), float(totals[chosen])
 
 
-def search_among_moving(
+def search_with_moving_entities(
     request: Request, problem: SceneProblem, ends: Endpoints, budget: Budget, rng: np.random.Generator
 ) -> Search:
     """Search without moving entities, improve the best path by J with them, and order the paths by their timed J.
@@ -94,7 +94,7 @@ def search_among_moving(
         found = search(planner, among_still, still, part, rng, kept=ALL)
     paths = list(found.paths)
     if paths and objective.w > 0.0:
-        better = Shortcut().improve(paths[-1], Questions(problem, objective, budget), budget, rng)
+        better = Shortcut().improve(paths[-1], InterruptibleProblem(problem, objective, budget), budget, rng)
         paths += [path for path in better if is_solution(path, problem)]
     choice = _Choice(ends, objective, request.speed, request.max_wait)
     deadline = -np.inf if budget.cancelled() else budget.started + budget.time_limit
@@ -104,7 +104,7 @@ def search_among_moving(
 
 def without_moving(request: Request, problem: SceneProblem) -> tuple[SceneObjective, SceneProblem]:
     """Return objective and problem in the scene without its moving entities, since a search has no times."""
-    still = still_objective(request.objective)
+    still = static_objective(request.objective)
     held = request.constraints.on(still.scene)
     return still, replace(problem, kernels=held.kernels, constraints=held)
 

@@ -21,7 +21,7 @@ from graceful_plan.query.request import Request
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.scene import Scene
 
-STRAY_CLEARANCE = 0.005
+TRACKING_CLEARANCE = 0.005
 """Clearance that descents keep from obstacles where the scene allows it [m].
 
 A healthy robot and the object in its fingers deviate from the path by up to 6 mm (FailBench's Panda at half speed, six
@@ -61,7 +61,7 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
     compiled = compile_scene(scene)
     ends = compiled.kernels.clearance(np.vstack([problem.start, problem.goals]))
     there_is = 0.5 * float(ends.min())
-    margin = max(problem.margin, 0.0 if request.constraints.level else min(STRAY_CLEARANCE, there_is))
+    margin = max(problem.margin, 0.0 if request.constraints.level else min(TRACKING_CLEARANCE, there_is))
     room = max(0.0, min(stray(scene), there_is) - margin)
     keeping = replace(problem, margin=margin, kernels=request.constraints.with_room(room))
 
@@ -90,14 +90,14 @@ def stray(scene: Scene) -> float:
     A carried object adds the rotation in the fingers, times its largest distance from the tool.
     """
     if scene.carried is None:
-        return STRAY_CLEARANCE
+        return TRACKING_CLEARANCE
     compiled = compile_scene(scene)
     mine = compiled.hazards.part_component == list(scene.components).index("carried")
     box = compiled.hazards.part_box[mine]
     R, centre, half = box[:, :9].reshape(-1, 1, 3, 3), box[:, None, 9:12], box[:, None, 12:]
     corners = (R @ (_SIGNS * half)[..., None])[..., 0] + centre
     reach = np.linalg.norm(corners - compiled.robot.X_LT[:3, 3], axis=-1).max(initial=0.0)
-    return max(STRAY_CLEARANCE, _HAND_STRAYS + _TURNS * float(reach))
+    return max(TRACKING_CLEARANCE, _HAND_STRAYS + _TURNS * float(reach))
 
 
 def start_of(path: Path, ends: Endpoints) -> Start:

@@ -20,10 +20,10 @@ from graceful_plan.planners.descent_rounds import descend_from
 from graceful_plan.planners.motion_descent import DescentResult, DescentSettings, Start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.candidates.departure import search_among_moving
+from graceful_plan.query.candidates.departure import search_with_moving_entities
 from graceful_plan.query.candidates.descents import SHORTENING, motion_descents, start_along, start_of
-from graceful_plan.query.candidates.motions import Motion, along, costed_anew, timed_curve
-from graceful_plan.query.candidates.related import related_objective
+from graceful_plan.query.candidates.motions import Motion, along, timed_curve, with_cost
+from graceful_plan.query.candidates.proxy_objective import proxy_objective
 from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, thinned
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
@@ -69,7 +69,7 @@ class MotionSource:
         self._descents = motion_descents(request, problem, settings) if request.refine else None
         self._results: list[DescentResult] = []
         self._related: MotionSource | None = None
-        related = related_objective(request.objective) if request.refine and request.preference is None else None
+        related = proxy_objective(request.objective) if request.refine and request.preference is None else None
         if related is not None:
             self._related = MotionSource(replace(request, objective=related), ends, problem, rng, tell)
 
@@ -100,7 +100,7 @@ class MotionSource:
             RetimingError: If the path cannot be timed.
         """
         if self._related is not None:
-            yield from (costed_anew(motion, self._request) for motion in self._related.first(budget))
+            yield from (with_cost(motion, self._request) for motion in self._related.first(budget))
             return
         path = self._first.found.paths[-1]
         if self._descents is not None and path.length > 0.0:
@@ -121,7 +121,7 @@ class MotionSource:
                 motions = sorted(self._related.round(part, np.inf), key=_ranking)[:_RELATED_KEPT]
             for motion in motions:
                 starts.append(start_along(motion.path, motion.arrival, self._ends))
-                yield costed_anew(motion, self._request)
+                yield with_cost(motion, self._request)
         if self._related is None or not isinstance(self._request.objective.objective.impact, ImpactCost):
             found = self._search(budget, starts[0].path if starts else None)
             if found.trace:
@@ -159,7 +159,7 @@ class MotionSource:
             with budget.share(_SPECIAL_SEARCH_SHARE * budget.remaining_seconds) as part:
                 if request.preference is not None:
                     return request.preference.search(planner, problem, part, self._rng)
-                return search_among_moving(request, problem, self._ends, part, self._rng)
+                return search_with_moving_entities(request, problem, self._ends, part, self._rng)
         run = self._first
         if self._continues and self._shortens and budget.timed:
             self._continues = False

@@ -12,7 +12,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, time_price
-from graceful_plan.query.candidates.departure import best_departure
+from graceful_plan.query.candidates.departure import with_best_departure
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
@@ -73,7 +73,7 @@ def costed(whole: Path, trajectory: Trajectory, arrival: int, request: Request) 
     """Return a motion with its cost; among moving entities it departs at the best time."""
     objective = request.objective
     if objective.scene.moving:
-        trajectory, cost = best_departure(trajectory, objective, request.max_wait)
+        trajectory, cost = with_best_departure(trajectory, objective, request.max_wait)
     else:
         cost = objective.breakdown(trajectory)
     total = cost.total if request.preference is None else request.preference.total(trajectory)
@@ -81,7 +81,7 @@ def costed(whole: Path, trajectory: Trajectory, arrival: int, request: Request) 
     return Motion(path=whole, trajectory=trajectory, cost=cost, arrival=arrival, ranking=ranking)
 
 
-def costed_anew(motion: Motion, request: Request) -> Motion:
+def with_cost(motion: Motion, request: Request) -> Motion:
     """Return the motion with its cost under another request."""
     return costed(motion.path, motion.trajectory, motion.arrival, request)
 

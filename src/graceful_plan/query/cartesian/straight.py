@@ -57,7 +57,7 @@ _HALF_TURN = np.pi - 0.05
 """Largest rotation [rad]; beyond, the axis of the shortest rotation is ambiguous."""
 
 
-def straight_motion(
+def plan_cartesian(
     start: Configuration,
     goal: PoseGoal,
     scene: Scene,

@@ -11,7 +11,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.query.endpoints.ik import FreeTest, IKResult
 from graceful_plan.query.endpoints.usable import Resolved
 from graceful_plan.scene.mobile.base_pose import BasePose
-from graceful_plan.scene.mobile.room import mobile_room
+from graceful_plan.scene.mobile.optional import import_mobile
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
@@ -56,5 +56,5 @@ def base_goals(scene: Scene) -> BaseGoals | None:
     """
     if scene.base is None:
         return None
-    goals: BaseGoals = mobile_room("query.whole_body").WholeBodyGoals()
+    goals: BaseGoals = import_mobile("query.whole_body").WholeBodyGoals()
     return goals

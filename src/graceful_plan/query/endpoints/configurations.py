@@ -43,7 +43,7 @@ def named_configuration(name: str, scene: Scene) -> Float[Array, " nq"]:
     return np.asarray(scene.keyframes[name], dtype=float)
 
 
-def the_short_way(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:
+def wrapped_near(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:
     """Return goals with continuous joints wrapped by full turns to be near the start, within the planning range.
 
     A joint position outside the range stays as it is and is refused later.
@@ -54,6 +54,6 @@ def the_short_way(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Sc
     return np.where(scene.endless & (q >= lower) & (q <= upper), turned, q)
 
 
-def goal_words(count: int) -> Sequence[str]:
+def goal_labels(count: int) -> Sequence[str]:
     """Return names of goals for messages."""
     return ["goal"] if count == 1 else [f"goal {k}" for k in range(count)]

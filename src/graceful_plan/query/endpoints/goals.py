@@ -20,9 +20,9 @@ from graceful_plan.query.endpoints.base_goals import base_goals
 from graceful_plan.query.endpoints.configurations import (
     Configuration,
     configurations_of,
-    goal_words,
+    goal_labels,
     named_configuration,
-    the_short_way,
+    wrapped_near,
 )
 from graceful_plan.query.endpoints.ik import solve_ik
 from graceful_plan.query.endpoints.pose_sets import LEVER, reach_poses
@@ -93,7 +93,7 @@ def resolve_goal(
     q = configurations_of(cast("Configuration | Sequence[Configuration]", goal), scene)
     begin = np.asarray(start, dtype=float)
     return usable(
-        goal_words(len(q)), the_short_way(q, begin, scene), scene, begin, cancelled=cancelled, hurried=hurried
+        goal_labels(len(q)), wrapped_near(q, begin, scene), scene, begin, cancelled=cancelled, hurried=hurried
     )
 
 
@@ -172,7 +172,7 @@ def _together(
         return Resolved(np.empty((0, len(start))), ())
 
     def turned(q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        return the_short_way(q, start, scene)
+        return wrapped_near(q, start, scene)
 
     found = reach_poses(list(poses.values()), scene, start, turned=turned, cancelled=cancelled, hurried=hurried)
     which = list(poses)
@@ -192,7 +192,7 @@ def _given(
         return Resolved(np.zeros((0, len(scene.joints))), ())
     rows = [configurations_of(cast("Configuration", goals[k]), scene) for k in given]
     of = np.repeat(given, [len(row) for row in rows])
-    q = the_short_way(np.concatenate(rows), start, scene)
+    q = wrapped_near(np.concatenate(rows), start, scene)
     found = usable([f"goal {k}" for k in of], q, scene, start, cancelled=cancelled, hurried=hurried)
     return Resolved(found.q, tuple(int(of[i]) for i in found.index), found.notes, found.problems)
 

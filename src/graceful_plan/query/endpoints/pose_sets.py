@@ -90,7 +90,7 @@ def reach_poses(
         goals: The poses, by descending priority.
         scene: Robot and surroundings.
         start: First seed of every pose; the solution nearest to it is preferred.
-        turned: Transforms configurations before they are checked, such as `the_short_way`.
+        turned: Transforms configurations before they are checked, such as `wrapped_near`.
         cancelled: Ends the call early once it returns True.
         hurried: Ends the call once it returns True and a configuration is known.
     """

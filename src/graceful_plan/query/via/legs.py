@@ -20,7 +20,7 @@ from graceful_plan.exceptions import RetimingError
 from graceful_plan.judge.passing import passing
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
-from graceful_plan.query.candidates.motions import Motion, costed_anew
+from graceful_plan.query.candidates.motions import Motion, with_cost
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.goals import Goal, poses_of
 from graceful_plan.query.request import Request
@@ -162,7 +162,7 @@ class _Joining:
 
     def _costed(self, trajectory: Trajectory) -> Motion:
         bare = Motion(path=trajectory.path, trajectory=trajectory, cost=CostBreakdown(), arrival=0, ranking=np.inf)
-        return costed_anew(bare, self.request)
+        return with_cost(bare, self.request)
 
     def _is_clear(self, curve: Spline) -> bool:
         n = 2 + int(Path(curve.controls).length / _LOOKED_AT)

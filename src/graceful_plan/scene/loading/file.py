@@ -63,7 +63,16 @@ import numpy as np
 
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.scene import roles, screening
-from graceful_plan.scene.elements import AllowedContact, Contents, Dry, EntityNote, Liquid, Notes, ObjectNote, TaskNote
+from graceful_plan.scene.elements import (
+    AllowedContact,
+    Contents,
+    EntityAnnotation,
+    Granular,
+    Liquid,
+    Notes,
+    ObjectNote,
+    TaskNote,
+)
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.robot_models import robot_file, robots
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
@@ -239,12 +248,14 @@ def _relative(file: Path, block: Block) -> Path:
     return path
 
 
-def _entity(_name: str, block: Block) -> EntityNote:
+def _entity(_name: str, block: Block) -> EntityAnnotation:
     if not block.is_mapping:
-        return EntityNote(category=block.string())
+        return EntityAnnotation(category=block.string())
     block.only("class", "severity")
     severity = block.get("severity")
-    return EntityNote(category=block["class"].string(), severity=_number_or_numbers(severity) if severity else None)
+    return EntityAnnotation(
+        category=block["class"].string(), severity=_number_or_numbers(severity) if severity else None
+    )
 
 
 def _moving(name: str, block: Block) -> MovingEntity:
@@ -283,7 +294,7 @@ def _contents(block: Block) -> Contents:
     if kind == "dry":
         if temperature is not None:
             raise temperature.error("dry contents have no temperature")
-        return Dry(volume, names)
+        return Granular(volume, names)
     if kind not in ("water", "oil"):
         raise block["kind"].error(f"kind {kind!r}, expected water, oil or dry")
     return Liquid(volume, temperature.number() if temperature else 20.0, kind, names)

@@ -26,7 +26,7 @@ _SAMPLES, _ALWAYS = 200, 0.95
 """Number of sampled configurations, and the fraction of them in which a pair must touch to count as always touching."""
 _MASKS = 31
 """Number of bits in MuJoCo's contype and conaffinity."""
-OFTEN = 0.25
+MAX_OVERLAP_FRACTION = 0.25
 """Fraction of configurations with touching links above which meshes are divided. The hulls of a UR5 touch in half of
 them and its convex parts in a quarter; those of a Panda, xArm 7, Jaco or Z1 in 6 to 14 %."""
 KINDS = ("model", "links")

@@ -30,11 +30,11 @@ MOST_OF_A_MESH = 1_000_000
 """Vertices and faces per file: MuJoCo takes 4 s for the hull of 300,000 vertices on a sphere, 12 s for a million."""
 
 
-class Swollen(ValueError):
+class DecompressionError(ValueError):
     """Raised if a file decompresses to more than its header states."""
 
 
-def weighed(tag: str, content: bytes, suffix: str) -> tuple[str, int | float] | None:
+def asset_budget(tag: str, content: bytes, suffix: str) -> tuple[str, int | float] | None:
     """Return the budget of the model that a file counts towards and the amount; None if it counts towards none.
 
     Args:
@@ -72,7 +72,7 @@ def check_png(file: Path, content: bytes) -> None:
     """Check that the data of a PNG decompress to no more than the pixels its header states.
 
     Raises:
-        Swollen: If they decompress to more.
+        DecompressionError: If they decompress to more.
     """
     if not content.startswith(_SIGNATURE) or len(content) < 26:
         return
@@ -89,9 +89,9 @@ def check_png(file: Path, content: bytes) -> None:
                 return  # MuJoCo's own error is better
             data = unpack.unconsumed_tail
             if unpacked > most:
-                raise Swollen(f"{file.name} unpacks to more than {width} x {height} pixels")
+                raise DecompressionError(f"{file.name} unpacks to more than {width} x {height} pixels")
     if texts > _MOST_TEXTS:
-        raise Swollen(f"{file.name} holds {texts} packed texts, at most {_MOST_TEXTS} are read")
+        raise DecompressionError(f"{file.name} holds {texts} packed texts, at most {_MOST_TEXTS} are read")
 
 
 def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.scene.elements import Dry
+from graceful_plan.scene.elements import Granular
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.scene import Scene
 
@@ -102,7 +102,7 @@ def find_vessel(scene: Scene) -> Vessel | None:
         volume=min(1e-3 * scene.contents.volume, float(np.pi * radius**2 * height)),
         axis=axis,
         p_BR=bottom + height * axis,
-        repose=float(REPOSE) if isinstance(scene.contents, Dry) else 0.0,
+        repose=float(REPOSE) if isinstance(scene.contents, Granular) else 0.0,
     )
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan import kept
+from graceful_plan import disk_cache
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import UnsupportedError
 
@@ -70,7 +70,7 @@ def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: 
         return []
     method = repr((_METHOD, _CONCAVITY, _MOST_PARTS, _LARGE, sorted(_SWIFT.items())))
     digest = hashlib.sha256(method.encode() + triangles.tobytes()).hexdigest()
-    found = kept.read(digest)
+    found = disk_cache.read(digest)
     if found is not None and found.ndim == 2 and found.shape[1] == 4 and np.isfinite(found).all():
         return _unpacked(found)
     try:
@@ -85,7 +85,9 @@ def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: 
     _LOG.info("dividing %s into convex parts; the result will be cached", name)
     parts = _all_inside(_divided(coacd, triangles), surface)
     _LOG.info("%s has %d convex parts; found in %.1f s", name, len(parts), time.perf_counter() - started)
-    kept.write(digest, np.vstack([np.column_stack([np.full(len(part), k), part]) for k, part in enumerate(parts)]))
+    disk_cache.write(
+        digest, np.vstack([np.column_stack([np.full(len(part), k), part]) for k, part in enumerate(parts)])
+    )
     return parts
 
 

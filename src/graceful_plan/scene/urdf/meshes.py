@@ -11,7 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import NOT_READ, SceneError, UnsupportedError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, SceneError, UnsupportedError, read_error_reason
 from graceful_plan.regular_file import read_content
 from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, mesh_weight
 
@@ -58,7 +58,7 @@ def found_mesh(name: str, folder: Path | None, packages: Sequence[Path] | Mappin
 def _is_file(place: Path) -> bool:
     try:
         return place.is_file()
-    except NOT_READ:  # for example a name that is too long
+    except READ_ERRORS:  # for example a name that is too long
         return False
 
 
@@ -86,8 +86,8 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
         raise UnsupportedError(f"{file}: meshes may be .stl, .obj or .dae")
     try:
         content = read_content(file, _MOST_BYTES)
-    except NOT_READ as error:
-        raise SceneError(why_not_read(error), file=str(file)) from None
+    except READ_ERRORS as error:
+        raise SceneError(read_error_reason(error), file=str(file)) from None
     if ending == ".dae":
         return _converted(file, content), ".obj"
     if (weight := mesh_weight(content, ending)) > MOST_OF_A_MESH:

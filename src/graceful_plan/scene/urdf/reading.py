@@ -17,7 +17,7 @@ from typing import final
 import mujoco
 import numpy as np
 
-from graceful_plan.exceptions import NOT_READ, SceneError, UnknownNameError, UnsupportedError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, SceneError, UnknownNameError, UnsupportedError, read_error_reason
 from graceful_plan.regular_file import path_of, read_content
 from graceful_plan.scene.loading.weighing import mesh_weight
 from graceful_plan.scene.urdf.convex_parts import convex_parts, part_triangles
@@ -162,8 +162,8 @@ def _text(source: str | Path) -> tuple[str, Path | None]:
     file = path_of(source)
     try:
         content = read_content(file, _MOST_BYTES)
-    except NOT_READ as error:
-        raise SceneError(why_not_read(error), file=str(file)) from None
+    except READ_ERRORS as error:
+        raise SceneError(read_error_reason(error), file=str(file)) from None
     try:
         return content.decode("utf-8"), file.resolve().parent
     except UnicodeDecodeError:

@@ -7,7 +7,7 @@ from typing import Any, final
 import numpy as np
 
 from graceful_plan.array_types import Float, UInt8
-from graceful_plan.viewer.fall import Fall, GoingOn
+from graceful_plan.viewer.fall import Coasting, Fall
 from graceful_plan.viewer.risk_layer import RiskLayer
 from graceful_plan.viewer.shown import ShownMotion
 
@@ -62,7 +62,7 @@ class Footprints:
     def _lines(server: Any, name: str, thickness: float, colour: tuple[int, int, int]) -> Any:
         return server.scene.add_line_segments(name, np.zeros((1, 2, 3)), colour, thickness=thickness, visible=False)
 
-    def show(self, fall: Fall | None, going_on: GoingOn | None) -> None:
+    def show(self, fall: Fall | None, going_on: Coasting | None) -> None:
         """Draw both footprints; None hides one."""
         for handle, points in (
             (self._flight, None if fall is None else fall.flight),
@@ -80,7 +80,7 @@ def _circle(centre: Float[Array, " 3"], radius: float) -> Float[Array, "n 3"]:
     return centre + np.column_stack([radius * np.cos(_ROUND), radius * np.sin(_ROUND), np.full(len(_ROUND), 0.006)])
 
 
-def _ribbon(going_on: GoingOn) -> Float[Array, "n 2 3"]:
+def _ribbon(going_on: Coasting) -> Float[Array, "n 2 3"]:
     """Return both edges of the coasting path, with bars where half and nearly all failing bases have stopped."""
     arc = going_on.arc + [0.0, 0.0, 0.02]
     along = np.gradient(arc[:, :2], axis=0)

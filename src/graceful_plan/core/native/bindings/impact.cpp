@@ -59,7 +59,7 @@ void bind_impact(nb::module_& m) {
       .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a, "rough"_a = false, WithoutGil())
       .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a, "rough"_a = false, WithoutGil())
       .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a, WithoutGil());
-  nb::class_<OverlapImpact, Impact>(m, "OverlapImpact")
+  nb::class_<BoxOverlapImpact, Impact>(m, "BoxOverlapImpact")
       .def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
   nb::class_<DropImpact, Impact>(m, "DropImpact")
       .def(nb::init<const DropModel&, Reals, double, double>(), "model"_a, "severity"_a, "slow"_a, "fast"_a,

@@ -14,12 +14,12 @@ namespace gp {
 // If edge_slopes and motion are None, edges have no gradients, and V is the length.
 class OwnCost final : public Impact {
  public:
-  struct Questions {
+  struct InterruptibleProblem {
     nb::object states, slopes, edges, edge_slopes, motion;
   };
 
   // `speed`: of the joints along edges, for integrals over time.
-  OwnCost(const Core& core, Questions ask, Measure measure, Reals speed)
+  OwnCost(const Core& core, InterruptibleProblem ask, Measure measure, Reals speed)
       : Impact(core), ask_(std::move(ask)), measure_(measure), speed_(point(speed)) {
     require_positive(speed, size_t(core.tables().n_joint), "speed");
   }
@@ -74,7 +74,7 @@ class OwnCost final : public Impact {
     copy_answer(answer[2], size, out.d_qd);
   }
 
-  const Questions ask_;
+  const InterruptibleProblem ask_;
   const Measure measure_;
   const Point speed_;
 };

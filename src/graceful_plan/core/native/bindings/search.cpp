@@ -38,7 +38,7 @@ struct CustomConstraints {
 template <class T, size_t Dims> using Answer = nb::ndarray<const T, nb::ndim<Dims>, nb::c_contig, nb::device::cpu>;
 
 // Costs of states with moving entities: `moving` is evaluated at their times, `still` covers everything else.
-struct AmongMoving {
+struct TimedImpact {
   const Impact* still;
   const MovingImpact* moving;  // null without moving entities
   bool keeps_off;              // whether the intact robot keeps clear of moving entities, as mobile bases do
@@ -48,7 +48,7 @@ struct AmongMoving {
 class SceneSpace final : public Space {
  public:
   SceneSpace(const Core& core, const Impact& impact, const SpaceSettings& settings, CustomConstraints custom,
-             const AmongMoving& among)
+             const TimedImpact& among)
       : Space(settings.low, settings.high, settings.weight),
         core_(core),
         impact_(impact),
@@ -191,7 +191,7 @@ class SceneSpace final : public Space {
   const Impact& impact_;
   SpaceSettings settings_;
   CustomConstraints custom_;
-  AmongMoving among_;
+  TimedImpact among_;
 };
 
 // Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2], state_costs(q) -> [n].
@@ -549,7 +549,7 @@ void bind_search(nb::module_& m) {
           "__init__",
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
              size_t density, bool rough, double time_price, double push, double tolerance, double tight_start,
-             double tight_end, const std::vector<FeltLimit>& felt, bool fitted, bool slosh, double points,
+             double tight_end, const std::vector<SpecificForceLimit>& felt, bool fitted, bool slosh, double points,
              const RollingSettings* rolling) {
             new (self) MotionDescentRun(space, path,
                                         {point(velocity), point(acceleration), controls, density, rough, time_price,
@@ -558,7 +558,7 @@ void bind_search(nb::module_& m) {
           },
           "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a,
           "rough"_a = false, "time_price"_a, "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0,
-          "tight_end"_a = 0.0, "felt"_a = std::vector<FeltLimit>{}, "fitted"_a = false, "slosh"_a = true,
+          "tight_end"_a = 0.0, "felt"_a = std::vector<SpecificForceLimit>{}, "fitted"_a = false, "slosh"_a = true,
           "points"_a = 1.0, "rolling"_a = nb::none(), nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)

@@ -146,17 +146,17 @@ Array<double> spline(Reals controls, Reals u) {
 }  // namespace
 
 void bind_timing(nb::module_& m) {
-  nb::class_<FeltLimit>(m, "FeltLimit")
+  nb::class_<SpecificForceLimit>(m, "SpecificForceLimit")
       .def(
           "__init__",
-          [](FeltLimit* self, int link, Reals point, Reals facets, Reals room, double gravity,
+          [](SpecificForceLimit* self, int link, Reals point, Reals facets, Reals room, double gravity,
              std::optional<Reals> axis, double angle, double length, double drag) {
             require(link >= 0 && facets.ndim() == 2 && facets.shape(1) == 3 && in_range(gravity, 1e-9), "a felt limit");
             require_numbers(point, 3, "point of a felt limit", kMaxExtent), require_numbers(facets, "a felt limit");
             require_numbers(room, facets.shape(0), "one limit per facet");
             for (double number : {angle, length, drag}) require(in_range(number, 0), "a slosh limit");
             const std::vector<double> rooms(room.data(), room.data() + room.size());
-            new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, {}, rooms, gravity, {}};
+            new (self) SpecificForceLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, {}, rooms, gravity, {}};
             if (axis) {
               require_numbers(*axis, 3, "axis of a slosh limit");
               require(in_range(angle, 1e-9), "a slosh limit");

@@ -257,7 +257,7 @@ class BodyImpact final : public Impact {
   void moving_states(const States& states, double* impact) const override {
     core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), states, impact);
   }
-  bool asks_for_velocity() const override { return true; }
+  bool uses_velocity() const override { return true; }
   void state_slopes(const States& states, bool rough, const Slopes& out) const override {
     if (rough) return rough_slopes(states, out);
     core_.kernels().body_gradient(core_.tables(), model_.tables(), harm(), states, out);

@@ -359,10 +359,10 @@ template <class V> struct Sweep {
 };
 
 // P that the object hits the side in its way before it lands (step 0).
-template <class V> struct Brunt {
+template <class V> struct SideImpact {
   V before, value;
 
-  Brunt(const Flight<V>& flight, const Landing<V>& landing) {
+  SideImpact(const Flight<V>& flight, const Landing<V>& landing) {
     before = value = V{};
     if (!any(flight.stop.chance > 0.0)) return;
     before = Step<V>((landing.mean_time - flight.stop.time) * (1.0 / kSideLate)).value;

@@ -227,7 +227,7 @@ template <class V> static inline void back_sweep(Backward<V>& back, const Sweep<
 }
 
 // P that the object hits the side in its way; returns the derivative with respect to P of landing at all.
-template <class V> static inline V back_brunt(Backward<V>& back, const Brunt<V>& brunt, V d) {
+template <class V> static inline V back_brunt(Backward<V>& back, const SideImpact<V>& brunt, V d) {
   const SideStop<V>& stop = back.flight.stop;
   const V landed = back.landing.landed;
   back.d_flight.stop.chance += d * (1.0 - landed * (1.0 - brunt.before));

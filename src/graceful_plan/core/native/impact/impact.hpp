@@ -24,7 +24,7 @@ class Impact {
   virtual void rough_edges(const Edges& edges, double* cost) const { this->edges(edges, cost); }
   // I of moving configurations; a model without velocities returns the value at rest.
   virtual void moving_states(const States& states, double* impact) const { this->states(states.q, states.n, impact); }
-  virtual bool asks_for_velocity() const { return false; }
+  virtual bool uses_velocity() const { return false; }
   // moving_states() with derivatives with respect to q and qd, by finite differences unless a model overrides it.
   // `rough`: the states follow each other along a motion; descent accuracy is enough.
   virtual void state_slopes(const States& states, bool rough, const Slopes& out) const {
@@ -42,7 +42,7 @@ class Impact {
       }
     };
     for (size_t j = 0; j < nq; ++j) differ(moved, j, kNudge, out.d_q);
-    if (asks_for_velocity())
+    if (uses_velocity())
       for (size_t j = 0; j < nq; ++j) differ(rates, j, kNudge, out.d_qd);
   }
   // The measure that the impact of a motion is integrated over.
@@ -147,9 +147,9 @@ class Impact {
 };
 
 // Algorithm 1; severity is [component, entity].
-class OverlapImpact final : public Impact {
+class BoxOverlapImpact final : public Impact {
  public:
-  OverlapImpact(const Core& core, Reals severity) : Impact(core, severity) {
+  BoxOverlapImpact(const Core& core, Reals severity) : Impact(core, severity) {
     require(severity.size() == size_t(core.tables().n_component * core.tables().n_entity),
             "severity is not [component, entity]");
   }
@@ -440,7 +440,7 @@ class DropImpact final : public Impact {
   void moving_states(const States& states, double* impact) const override {
     core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), states, impact);
   }
-  bool asks_for_velocity() const override { return true; }
+  bool uses_velocity() const override { return true; }
   void state_slopes(const States& states, bool rough, const Slopes& out) const override {
     const auto gradient = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
     gradient(core_.tables(), model_.tables(), severity_.data(), states, out);
@@ -483,7 +483,7 @@ class SumImpact final : public Impact {
     first_.moving_states(states, impact), second_.moving_states(states, other.data());
     for (size_t i = 0; i < states.n; ++i) impact[i] += other[i];
   }
-  bool asks_for_velocity() const override { return first_.asks_for_velocity() || second_.asks_for_velocity(); }
+  bool uses_velocity() const override { return first_.uses_velocity() || second_.uses_velocity(); }
   void state_slopes(const States& states, bool rough, const Slopes& out) const override {
     const size_t size = states.n * size_t(core_.tables().n_joint);
     Point other(states.n), other_q(size), other_qd(size);
@@ -527,7 +527,7 @@ class TimedImpact final : public Impact {
   void states(const double* q, size_t n, double* impact) const override { model_.states(q, n, impact); }
   void rough_states(const double* q, size_t n, double* impact) const override { model_.rough_states(q, n, impact); }
   void moving_states(const States& states, double* impact) const override { model_.moving_states(states, impact); }
-  bool asks_for_velocity() const override { return model_.asks_for_velocity(); }
+  bool uses_velocity() const override { return model_.uses_velocity(); }
   void state_slopes(const States& states, bool rough, const Slopes& out) const override {
     model_.state_slopes(states, rough, out);
   }

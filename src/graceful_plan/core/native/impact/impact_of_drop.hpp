@@ -45,7 +45,7 @@ static inline void for_each_hit(const DropTables& drop, const Flight<V>& flight,
   Tumble<V> tumble(drop, flight, landing);
   const Sweep<V> sweep(drop, flight, landing);
   const Leaving<V> leaving(drop, landing);
-  const Brunt<V> brunt(flight, landing);
+  const SideImpact<V> brunt(flight, landing);
   V lower = landing.landed;
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop);
@@ -69,7 +69,7 @@ static inline V carried_probability(const DropTables& drop, const Flight<V>& fli
   Tumble<V> tumble(drop, flight, landing);
   const Sweep<V> sweep(drop, flight, landing);
   const Leaving<V> leaving(drop, landing);
-  const Brunt<V> brunt(flight, landing);
+  const SideImpact<V> brunt(flight, landing);
   V lower = landing.landed;  // sum of F over this level and all lower ones
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing<V>);
@@ -178,7 +178,7 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
   Tumble<V> tumble(drop, flight, landing);
   const Sweep<V> sweep(drop, flight, landing);
   const Leaving<V> leaving(drop, landing);
-  const Brunt<V> brunt(flight, landing);
+  const SideImpact<V> brunt(flight, landing);
   V G[kMaxSurfaces], H[kMaxSurfaces], hit[kMaxSurfaces], lower[kMaxSurfaces], mass[kMaxSurfaces], P[kMaxEntities];
   Point2<V> drift[kMaxSurfaces];
   const bool own = own_matters(drop, severity);

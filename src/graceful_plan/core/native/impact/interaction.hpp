@@ -38,12 +38,12 @@ struct PartBoxes {
 };
 
 // The components that count: all, or those with a severity for some entity.
-struct Hazard {
+struct CountedComponents {
   const double* severity;  // null: compute all probabilities
   bool counts[kMaxComponents];
   int first_part[kMaxComponents + 1];  // parts are ordered by component
 
-  Hazard(const Tables& tables, const double* S) : severity(S) {
+  CountedComponents(const Tables& tables, const double* S) : severity(S) {
     int k = 0;
     for (int r = 0; r < tables.n_component; ++r) {
       first_part[r] = k;
@@ -56,7 +56,7 @@ struct Hazard {
   double of(const Tables& tables, int r, int e) const { return severity[r * tables.n_entity + e]; }
 };
 
-static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const Hazard& hazard, PartBoxes& boxes) {
+static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const CountedComponents& hazard, PartBoxes& boxes) {
   for (int r = 0; r < tables.n_component; ++r) {
     boxes.area[r] = D{}, boxes.bottom[r] = D{} + 1e9, boxes.top[r] = D{} - 1e9;
     boxes.all[r] = {{1e9, 1e9}, {-1e9, -1e9}, -1e9};
@@ -90,7 +90,7 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const 
 // P(entity, component) = min(1, max(sum I / sum A_entity, sum I / sum A_component)), with I the overlap of a pair of
 // boxes in xy, A the area of a box in xy, and sums over all pairs or boxes. P is 0 unless the component as a whole is
 // above the entity as a whole, or their heights overlap. Returns false, with P = 0, if no box comes near.
-static inline bool interactions(const Tables& tables, const Hazard& hazard, const PartBoxes& boxes, int component,
+static inline bool interactions(const Tables& tables, const CountedComponents& hazard, const PartBoxes& boxes, int component,
                                 const Harmed& entity, D& P) {
   P = D{};
   const Target& whole = entity.bound;
@@ -120,7 +120,7 @@ static inline bool interactions(const Tables& tables, const Hazard& hazard, cons
 }
 
 template <class Visit>
-static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const Hazard& hazard, Visit visit) {
+static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const CountedComponents& hazard, Visit visit) {
   PartBoxes boxes;
   place_parts(tables, X_W, hazard, boxes);
   for (int entity = 0; entity < tables.n_entity; ++entity)
@@ -131,7 +131,7 @@ static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_
     }
 }
 
-static inline D impact_of(const Tables& tables, const Hazard& hazard, const D* q) {
+static inline D impact_of(const Tables& tables, const CountedComponents& hazard, const D* q) {
   Frame<D> X_W[kMaxLinks];
   forward_kinematics(tables, q, X_W);
   D impact = {};

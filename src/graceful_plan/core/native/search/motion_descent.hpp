@@ -33,7 +33,7 @@ struct MotionSettings {
   // Shares of the length at both ends where less than the wanted clearance is allowed: there the path leaves and
   // reaches places that are tight for the covering spheres.
   double tight_start = 0, tight_end = 0;
-  std::vector<FeltLimit> felt;  // limits on felt acceleration at carried objects
+  std::vector<SpecificForceLimit> felt;  // limits on felt acceleration at carried objects
   bool fitted = false;          // whether the path consists of the control points of a curve
   bool slosh = true;            // whether sloshing of a liquid is penalised
   double points = 1;            // number of samples of the motion, for sums over samples

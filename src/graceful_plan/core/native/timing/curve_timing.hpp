@@ -14,7 +14,7 @@ namespace gp {
 
 class CurveTiming {
  public:
-  using Level = std::vector<FeltLimit>;
+  using Level = std::vector<SpecificForceLimit>;
 
   CurveTiming(const Core* core, std::vector<Level> levels, Point velocity, Point acceleration)
       : core_(core),
@@ -23,7 +23,7 @@ class CurveTiming {
         acceleration_(acceleration),
         profile_(std::move(velocity), std::move(acceleration)) {
     if (levels_.empty()) levels_.emplace_back();  // no felt limits
-    for (const FeltLimit& limit : levels_.front()) rider_.push_back(core_->rider(limit.link, limit.point));
+    for (const SpecificForceLimit& limit : levels_.front()) rider_.push_back(core_->rider(limit.link, limit.point));
   }
 
   // A limit that does not hold even at rest, or the point where the motion comes to a halt.

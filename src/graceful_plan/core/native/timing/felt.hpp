@@ -17,7 +17,7 @@
 
 namespace gp {
 
-struct FeltLimit {
+struct SpecificForceLimit {
   int link;
   Vector3 point;                    // in the link
   std::vector<Vector3> facets;      // in the axes of the link
@@ -33,7 +33,7 @@ struct FeltMotion {
 };
 
 // Computes the reserve of each facet at rest [m/s^2]; returns the least.
-inline double rests(const FeltLimit& limit, const Vector3& up, double* out) {
+inline double rests(const SpecificForceLimit& limit, const Vector3& up, double* out) {
   double least = std::numeric_limits<double>::infinity();
   for (size_t f = 0; f < limit.facets.size(); ++f) {
     out[f] = limit.room[f] - limit.gravity * dot3(limit.facets[f], up);
@@ -45,7 +45,7 @@ inline double rests(const FeltLimit& limit, const Vector3& up, double* out) {
 // Adds the facets of a limit at the beginning of the current interval, or at its end, where the squared speed is x + S
 // u. If the motion is slowed down afterwards to a share `speed`, the limits may be wider by 1/speed^2. Facet f has the
 // tag `tag` + 2 f.
-inline void add_facets(const FeltLimit& limit, const FeltMotion& at, const double* rests, double S, double speed,
+inline void add_facets(const SpecificForceLimit& limit, const FeltMotion& at, const double* rests, double S, double speed,
                        size_t tag, CurveLimits& out) {
   const double per = 1 / (speed * speed);
   Vector3 velocity = at.velocity;

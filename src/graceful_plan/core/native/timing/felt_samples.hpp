@@ -13,8 +13,8 @@ namespace gp {
 class FeltSamples {
  public:
   // Without `slosh`, sloshing is not penalised.
-  FeltSamples(const Space& space, std::vector<FeltLimit> limits, bool slosh) : limits_(std::move(limits)) {
-    for (const FeltLimit& limit : limits_) {
+  FeltSamples(const Space& space, std::vector<SpecificForceLimit> limits, bool slosh) : limits_(std::move(limits)) {
+    for (const SpecificForceLimit& limit : limits_) {
       rider_.push_back(space.rider(limit.link, limit.point));
       first_facet_.push_back(facets_), facets_ += limit.facets.size();
       limit_of_.resize(facets_, first_facet_.size() - 1);
@@ -135,7 +135,7 @@ class FeltSamples {
         const CurveLimits::Slope& d = slope_[r];
         if (d.a == 0 && d.b == 0 && d.c == 0) continue;
         const size_t tag = rows_.rows()[r].tag, end = tag % 2, l = limit_of_[tag / 2];
-        const FeltLimit& limit = limits_[l];
+        const SpecificForceLimit& limit = limits_[l];
         FeltMotion& by = by_motion_[l * samples_ + k + end];
         const Vector3& v = limit.facets[tag / 2 - first_facet_[l]];
         add3(by.velocity, d.a, v), add3(by.bend, d.b + (end ? 2 * h_ * d.a : 0.0), v);
@@ -201,7 +201,7 @@ class FeltSamples {
     }
   }
 
-  std::vector<FeltLimit> limits_;
+  std::vector<SpecificForceLimit> limits_;
   std::vector<Rider> rider_;
   std::vector<size_t> first_facet_, limit_of_;
   size_t facets_ = 0, samples_ = 0, dim_ = 0, stride_ = 0;

@@ -13,7 +13,7 @@ from graceful_plan.scene.sensed.boxes import joined
 
 Array = np.ndarray
 
-CROWD = 24
+MAX_BOXES = 24
 """Number of surfaces up to which a body is kept as it is."""
 _MOST, _LEAST = 192, 12
 """Surface budget of all crowds together, and the least budget of one crowd."""
@@ -34,7 +34,7 @@ def simplified(
         body: Body of each surface.
     """
     bodies, counts = np.unique(body, return_counts=True)
-    crowds = bodies[counts > CROWD].tolist()
+    crowds = bodies[counts > MAX_BOXES].tolist()
     few = np.flatnonzero(~np.isin(body, crowds))
     rows, source = [boxes[few]], [few]
     for one in crowds:

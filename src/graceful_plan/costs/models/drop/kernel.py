@@ -142,7 +142,7 @@ class DropKernel:
         return found[:, :-1].reshape(*batch, len(ROWS), self.n_entity)
 
     def sights(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch target told"]:
-        """Return the network inputs of every surface (see `network.TOLD`), and last the uncorrected P of a hit.
+        """Return the network inputs of every surface (see `network.STATE_FEATURES`), and last the uncorrected P of a hit.
 
         All is zero for surfaces of obstacles.
         """

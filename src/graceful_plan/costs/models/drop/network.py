@@ -34,7 +34,7 @@ from graceful_plan.regular_file import path_of
 
 Array = np.ndarray
 
-TOLD = (
+STATE_FEATURES = (
     "farther_beside", "nearer_beside", "approach", "speed", "vertical_speed", "drop_height", "above_top",
     "above_bottom", "height", "tilt", "centre_height", "leaves", "leaves_towards", "contact", "tumble", "side",
     "fallen", "lands_here_or_lower",
@@ -59,7 +59,7 @@ class DropNetwork:
 
     | field       | meaning                                                       | unit | shape         |
     |-------------|---------------------------------------------------------------|------|---------------|
-    | told        | first layer: weights of `TOLD`                                |      | hidden told   |
+    | told        | first layer: weights of `STATE_FEATURES`                                |      | hidden told   |
     | looks       | first layer: weights of `LOOKS`                               |      | hidden looks  |
     | shapes      | first layer: offset for each of `SHAPE_CLASSES`               |      | shape hidden  |
     | first_bias  | biases of the first layer                                     |      | hidden        |
@@ -87,7 +87,7 @@ class DropNetwork:
 
     def __post_init__(self) -> None:
         h = len(self.last)
-        shapes = ((h, len(TOLD)), (h, len(LOOKS)), (len(SHAPE_CLASSES), h), (h,), (h, h), (h,), (h,), (1,))
+        shapes = ((h, len(STATE_FEATURES)), (h, len(LOOKS)), (len(SHAPE_CLASSES), h), (h,), (h, h), (h,), (h,), (1,))
         for name, wanted in zip(_ARRAYS, shapes, strict=True):
             if getattr(self, name).shape != wanted:
                 raise ShapeError(name, getattr(self, name).shape, str(wanted))
@@ -113,7 +113,13 @@ class DropNetwork:
 
     def write(self, file: str | Path) -> None:
         """Write the arrays to a NumPy archive, with a JSON header that states their provenance."""
-        header = {"schema": _SCHEMA, "version": _VERSION, "told": TOLD, "looks": LOOKS, "shapes": SHAPE_CLASSES}
+        header = {
+            "schema": _SCHEMA,
+            "version": _VERSION,
+            "told": STATE_FEATURES,
+            "looks": LOOKS,
+            "shapes": SHAPE_CLASSES,
+        }
         text = json.dumps({**header, "bound": self.bound, "about": dict(self.about)}, allow_nan=False)
         with Path(file).open("wb") as out:
             np.savez_compressed(out, header=np.array(text), **{name: getattr(self, name) for name in _ARRAYS})
@@ -175,7 +181,12 @@ def _read(file: Path) -> DropNetwork:
     data = read_arrays(file, _MOST_BYTES)
     header = json.loads(str(data["header"]))
     arrays = {name: np.asarray(data[name], dtype=np.float64) for name in _ARRAYS}
-    expected: dict[str, object] = {"schema": _SCHEMA, "version": _VERSION, "told": list(TOLD), "looks": list(LOOKS)}
+    expected: dict[str, object] = {
+        "schema": _SCHEMA,
+        "version": _VERSION,
+        "told": list(STATE_FEATURES),
+        "looks": list(LOOKS),
+    }
     expected["shapes"] = list(SHAPE_CLASSES)
     for key, wanted in expected.items():
         if header[key] != wanted:

@@ -26,7 +26,7 @@ from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.failing_base import FailingBase, failing_base
 from graceful_plan.costs.models.moving.model import MovingModel
-from graceful_plan.costs.models.moving.whereabouts import PLACES, check_places
+from graceful_plan.costs.models.moving.position_samples import PLACES, check_places
 from graceful_plan.costs.models.spill.constants import SpillSettings, StopSettings
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.exceptions import SettingError
@@ -44,7 +44,7 @@ _SOURCE = {"carried": (("carried", "drop"),), "contents": (("dropped", "drop"), 
 
 @final
 @dataclass(frozen=True)
-class Footprint(NativeModel):
+class FailureMixture(NativeModel):
     """Mixture of the models of drops, spills and failing arms, in the native core.
 
     Args:
@@ -175,7 +175,7 @@ class Footprint(NativeModel):
         of_drop = kernel.gradient(batch.q, rows, batch.qd, own=aboard * self._own_severity(own))[1:]
         return found[0] + of_drop[0], found[1] + of_drop[1]
 
-    def widened(self, metres: float) -> Footprint:
+    def widened(self, metres: float) -> FailureMixture:
         """Return a model with additional uncertainty of release positions and distances: a standard deviation [m]."""
         wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
         return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))

@@ -48,7 +48,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import DropKernel
 from graceful_plan.costs.models.drop.tables import drop_tables
-from graceful_plan.costs.models.moving.whereabouts import cell_of, normal_places, path_times
+from graceful_plan.costs.models.moving.position_samples import cell_of, normal_places, path_times
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 

@@ -17,7 +17,7 @@ from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.failing_base import FailingBase, failing_base
 from graceful_plan.costs.models.moving.drops import moving_arm, moving_drop, moving_table
 from graceful_plan.costs.models.moving.kernel import moving_kernels
-from graceful_plan.costs.models.moving.whereabouts import PLACES, check_places
+from graceful_plan.costs.models.moving.position_samples import PLACES, check_places
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.scene import Scene
 

@@ -14,7 +14,7 @@ import numpy as np
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import compile_scene, reference_data
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
-from graceful_plan.scene.elements import Dry
+from graceful_plan.scene.elements import Granular
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 
@@ -78,7 +78,7 @@ def spill_tables(scene: Scene) -> SpillTables:
     tables, contents = drop_tables(scene), scene.contents
     mouth, axis, rim, depth = _container(scene)
     room, volume = np.pi * rim**2 * depth, 1e-3 * contents.volume
-    volume, dry = min(volume, room), isinstance(contents, Dry)
+    volume, dry = min(volume, room), isinstance(contents, Granular)
     return SpillTables(
         mouth=mouth - tables.centre,
         axis=axis,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from graceful_plan.array_types import Int
-from graceful_plan.exceptions import NOT_READ, FormatError, SceneError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, SceneError, read_error_reason
 from graceful_plan.mobile.floor.files.pictures import GreyPicture, read_picture
 from graceful_plan.yaml_file import Block, read_yaml
 
@@ -134,5 +134,5 @@ def write_map_server(
     try:
         picture.write_bytes(f"P5\n{columns} {rows}\n255\n".encode() + pixels[::-1].astype(np.uint8).tobytes())
         file.write_text(text)
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error).replace("read", "written", 1)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error).replace("read", "written", 1)) from None

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from graceful_plan.array_types import Bool
-from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
 from graceful_plan.regular_file import path_of, read_content
 
 Array = np.ndarray
@@ -133,12 +133,12 @@ def _head(file: Path, lines: list[bytes]) -> tuple[int, int]:
 def _content(file: Path, most: int) -> bytes:
     try:
         return read_content(file, most)
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error)) from None
 
 
 def _write(file: Path, content: bytes) -> None:
     try:
         file.write_bytes(content)
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error).replace("read", "written", 1)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error).replace("read", "written", 1)) from None

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from graceful_plan.array_types import Bool, Int
-from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
 from graceful_plan.regular_file import read_content
 
 Array = np.ndarray
@@ -46,8 +46,8 @@ def read_picture(file: Path, most_pixels: int) -> GreyPicture:
         # A pixel takes at most five digits and a space in a plain PGM, and two bytes in a binary one; a PNG is
         # compressed.
         content = read_content(file, 6 * most_pixels + _MOST_HEAD)
-    except NOT_READ as error:
-        raise FormatError(str(file), why_not_read(error)) from None
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error)) from None
     read = _read_png if content.startswith(b"\x89PNG\r\n\x1a\n") else _read_pgm
     return read(file, content, most_pixels)
 
@@ -99,6 +99,6 @@ def _read_png(file: Path, content: bytes, most_pixels: int) -> GreyPicture:
         with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
             clear = np.asarray(image.getchannel("A")) < 255 if "A" in image.getbands() else None
             grey = np.asarray(image.convert("L"), dtype=np.int32)
-    except (*NOT_READ, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+    except (*READ_ERRORS, SyntaxError, EOFError, Image.DecompressionBombError) as error:
         raise FormatError(str(file), f"is a broken PNG: {error}") from None
     return GreyPicture(grey, 255, clear)

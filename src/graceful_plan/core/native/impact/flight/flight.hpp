@@ -215,11 +215,11 @@ template <class V> struct Extents {
 };
 
 // How the object hits that side of a surface across its axis i towards which it flies.
-template <class V> struct SideMeeting {
+template <class V> struct SideApproach {
   V gap, speed, time;
   V across, half, inverse_width, falls, height;  // computed by detail() if a hit is possible
 
-  SideMeeting(const Surface& s, const Extents<V>& extents, int i, const V at[2], const V v[2]) {
+  SideApproach(const Surface& s, const Extents<V>& extents, int i, const V at[2], const V v[2]) {
     gap = where(v[i] < 0.0, at[i] + extents.low[i], -at[i] - extents.high[i]) - s.half[i];
     speed = maximum(absolute(v[i]), V{} + kSideSlow);
     time = relu(gap) * reciprocal(speed);
@@ -273,7 +273,7 @@ template <class V> static inline void find_stop(const DropTables& drop, Flight<V
     if (!any(comes(0) | comes(1))) continue;
     extents.turn_to(drop, flight, s);
     for (int i = 0; i < 2; ++i) {
-      SideMeeting<V> meeting(s, extents, i, at, v);
+      SideApproach<V> meeting(s, extents, i, at, v);
       const auto may = meeting.in_time(end);
       if (!any(may)) continue;
       meeting.detail(drop, flight, s, extents, i, at, v);

@@ -30,7 +30,7 @@ static inline void back_meeting(Backward<V>& back, const Extents<V>& extents, in
   const Surface& s = drop.surface[surface];
   const Point2<V> from = placed(s, flight.c.x, flight.c.y), by = turned(s, flight.v.x, flight.v.y);
   const V at[2] = {from.x, from.y}, v[2] = {by.x, by.y};
-  SideMeeting<V> m(s, extents, i, at, v);
+  SideApproach<V> m(s, extents, i, at, v);
   m.detail(drop, flight, s, extents, i, at, v);
   const Step<V> front = m.in_front(), beside = m.beside(), under = m.below(s), over = m.above(flight, s),
                 moves = m.moves(v[i]);

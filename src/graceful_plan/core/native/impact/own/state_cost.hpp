@@ -100,7 +100,7 @@ class ScaledImpact final : public Impact {
   void moving_states(const States& states, double* impact) const override {
     model_.moving_states(states, impact), scale(impact, states.n);
   }
-  bool asks_for_velocity() const override { return model_.asks_for_velocity(); }
+  bool uses_velocity() const override { return model_.uses_velocity(); }
   void state_slopes(const States& of, bool rough, const Slopes& out) const override {
     const size_t size = of.n * size_t(core_.tables().n_joint);
     model_.state_slopes(of, rough, out);

@@ -36,7 +36,7 @@ std::vector<TimedMove> moves_of(const Integers& moves, const Reals& price, int h
   return out;
 }
 
-lattice::TimedWalkers walkers_of(const Reals& shape, const Integers& velocity, const Floats& rate, double apart,
+lattice::TimedEntities walkers_of(const Reals& shape, const Integers& velocity, const Floats& rate, double apart,
                                  size_t headings) {
   require(shape.ndim() == 3 && shape.shape(2) == 7 && velocity.ndim() == 2, "shapes of moving entities");
   require(velocity.shape(0) == shape.shape(0) && velocity.shape(1) == shape.shape(1),

@@ -110,7 +110,7 @@ class CoastImpact final : public Impact {
       for (size_t e = 0; e < severity_.size(); ++e) impact[i] += severity_[e] * work.hit[e];
     }
   }
-  bool asks_for_velocity() const override { return true; }
+  bool uses_velocity() const override { return true; }
   void state_slopes(const States& states, bool rough, const Slopes& out) const override {
     const size_t nq = size_t(core_.tables().n_joint);
     const CoastModel& model = rough ? rough_ : model_;

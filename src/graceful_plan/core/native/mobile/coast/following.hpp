@@ -315,7 +315,7 @@ class Following {
   // --- hits along a trajectory --------------------------------------------------------------------------------------
 
   // The places from k on, one per lane.
-  GP_INLINE PlacesAbreast places_from(size_t k) const {
+  GP_INLINE PlaceLanes places_from(size_t k) const {
     const CoastWork::Places& at = work_.place;
     return {load_row(&at.x[k]), load_row(&at.y[k]), load_row(&at.cos[k]), load_row(&at.sin[k]), load_row(&at.time[k])};
   }
@@ -335,7 +335,7 @@ class Following {
     return work_.place.path[k + lane] + moves * work_.place.time[k + lane] + clear(room[lane]);
   }
   // Distances from the centre of the base to a shape, less the reach of the base.
-  GP_INLINE D beyond(const FloorShape& shape, const PlacesAbreast& at) const {
+  GP_INLINE D beyond(const FloorShape& shape, const PlaceLanes& at) const {
     const D dx = at.x - shape.x - shape.vx * at.time, dy = at.y - shape.y - shape.vy * at.time;
     const D along = shape.ux * dx + shape.uy * dy, across = shape.ux * dy - shape.uy * dx;
     return from_rectangle(shape.a, shape.b, along, across) - (shape.round + of_.footprint.reach());
@@ -360,14 +360,14 @@ class Following {
       uint64_t near = 0, known = 0;
       // Distances are exact up to this cut. Beyond it a shape cannot be touched even one place later, so it closes in
       // head on.
-      const auto measure = [&](size_t k, const PlacesAbreast& at) {
+      const auto measure = [&](size_t k, const PlaceLanes& at) {
         if (known >> k & 1) return;
         known |= uint64_t(1) << k;
         store_row(apart_abreast(of_.footprint, who, at, D{} + (kFarOff * blur_of(widest_, who) + strides_)), apart + k);
       };
       for (size_t k = 0; k < places; k += kAbreastPlaces) {
         if (stays_clear(clear, moves, std::min(k + kAbreastPlaces, places))) continue;
-        const PlacesAbreast at = places_from(k);
+        const PlaceLanes at = places_from(k);
         const D room = beyond(who, at) - kFarOff * blurs(who, k);
         const int lanes = lanes_below(room, D{});
         if (lanes == 0) {
@@ -411,7 +411,7 @@ class Following {
       if (stays_clear(clear, moves, last)) continue;
       for (size_t k = 0; k < last; k += kAbreastPlaces) {
         if (stays_clear(clear, moves, std::min(k + kAbreastPlaces, last))) continue;
-        const PlacesAbreast at = places_from(k);
+        const PlaceLanes at = places_from(k);
         const D blur = blurs(what, k), away = beyond(what, at), most = load_row(&work_.least[k]) * blur;
         if (!any_below(away, most)) {
           if (any_below(away, kFarOff * blur)) continue;
@@ -691,11 +691,11 @@ class Following {
       const D aside = load_row(row[0]), turned_c = load_row(row[1]), turned_s = load_row(row[2]);
       const D spread = load_row(row[3]), time = D{} + at_.time;
       const D c = cos_ * turned_c - sin_ * turned_s, s = sin_ * turned_c + cos_ * turned_s;
-      const PlacesAbreast now{at_.x - aside * sin_, at_.y + aside * cos_, c, s, time};
-      const PlacesAbreast between{at_.x - 0.5 * aside * sin_, at_.y + 0.5 * aside * cos_, D{} + cos_, D{} + sin_, time};
+      const PlaceLanes now{at_.x - aside * sin_, at_.y + aside * cos_, c, s, time};
+      const PlaceLanes between{at_.x - 0.5 * aside * sin_, at_.y + 0.5 * aside * cos_, D{} + cos_, D{} + sin_, time};
       // Rotates by half of the turn until the next step, twice.
       const D middle_c = c * ch - s * sh, middle_s = s * ch + c * sh;
-      const PlacesAbreast next{now.x + step * middle_c, now.y + step * middle_s, middle_c * ch - middle_s * sh,
+      const PlaceLanes next{now.x + step * middle_c, now.y + step * middle_s, middle_c * ch - middle_s * sh,
                                middle_s * ch + middle_c * sh, time};
       const auto blurred = [&](const FloorShape& shape) {
         return shape.spread > 0 ? hypotenuse(spread, D{} + shape.spread) : spread;
@@ -728,7 +728,7 @@ class Following {
       for (const Near& near : work_.what) {
         const FloorShape& what = *near.shape;
         const D blur = blurred(what);
-        for (const PlacesAbreast& place : {between, now})
+        for (const PlaceLanes& place : {between, now})
           if (any_below(beyond(what, place), kFarOff * blur))
             stopped = maximum(stopped, likely(apart_abreast(of_.footprint, what, place, 1.01 * kFarOff * blur) / blur));
       }

@@ -34,7 +34,7 @@ GP_INLINE D upper_tail(D x) {
 }
 
 // Places of a base, one per lane.
-struct PlacesAbreast {
+struct PlaceLanes {
   D x, y, cos, sin, time;
 };
 
@@ -48,7 +48,7 @@ GP_INLINE D beyond_squared(double a, double b, D x, D y) {
   return ex * ex + ey * ey;
 }
 // Footprint2d::distance for several places: exact below `cut`, elsewhere at least `cut`.
-static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, const PlacesAbreast& at, D cut) {
+static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, const PlaceLanes& at, D cut) {
   const D dx = shape.x + shape.vx * at.time - at.x, dy = shape.y + shape.vy * at.time - at.y;
   const D seen_x = at.cos * dx + at.sin * dy, seen_y = at.cos * dy - at.sin * dx;
   const D ux = at.cos * shape.ux + at.sin * shape.uy, uy = at.cos * shape.uy - at.sin * shape.ux;

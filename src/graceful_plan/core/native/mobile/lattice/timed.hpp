@@ -37,7 +37,7 @@ struct TimedFloor {
 };
 
 // Moving entities at half ticks, and the price of a second of driving beside them.
-struct TimedWalkers {
+struct TimedEntities {
   size_t n, halves, places, classes;
   const double* shape;      // [n, halves, 7] as in `FloorShape`, in the frame of the cells
   const int32_t* velocity;  // [n, halves] class of the velocity
@@ -75,7 +75,7 @@ struct TimedPath {
 
 class Timed {
  public:
-  Timed(const TimedFloor& floor, const TimedWalkers& walkers, const TimedRules& rules, std::vector<TimedMove> moves)
+  Timed(const TimedFloor& floor, const TimedEntities& walkers, const TimedRules& rules, std::vector<TimedMove> moves)
       : floor_(floor),
         walkers_(walkers),
         rules_(rules),
@@ -317,7 +317,7 @@ class Timed {
   }
 
   TimedFloor floor_;
-  TimedWalkers walkers_;
+  TimedEntities walkers_;
   TimedRules rules_;
   std::vector<TimedMove> moves_;
   std::vector<std::vector<size_t>> from_, to_;  // moves by the heading that they begin and end with

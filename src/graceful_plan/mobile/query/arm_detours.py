@@ -22,7 +22,7 @@ _SPREAD = (0.2, 1.5)
 """Standard deviation of the corners around the line between both ends [rad or m], from the first to the last."""
 
 
-def with_arm_ways(ends: Endpoints) -> Endpoints:
+def with_arm_detours(ends: Endpoints) -> Endpoints:
     """Add, for each goal whose straight arm motion at the goal is blocked, an arrival around a corner.
 
     The base then drives with the start posture. All other arrivals are kept.

@@ -8,11 +8,11 @@ from graceful_plan.scene.scene import Scene
 
 
 @per_scene
-def as_if_nobody_moved(scene: Scene) -> Scene:
+def without_moving(scene: Scene) -> Scene:
     """Return the scene without moving entities, cached because compiling it takes as long as a short planning call."""
     return scene.without_moving()
 
 
-def still_objective(of: SceneObjective) -> SceneObjective:
+def static_objective(of: SceneObjective) -> SceneObjective:
     """Return an objective in the same scene without moving entities."""
-    return SceneObjective(of.objective, as_if_nobody_moved(of.scene), of.paces) if of.scene.moving else of
+    return SceneObjective(of.objective, without_moving(of.scene), of.paces) if of.scene.moving else of

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from failbench.simulated.walkers import put_walkers
+from failbench.simulated.moving_entities import set_entity_poses
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float, Int
 
@@ -38,7 +38,7 @@ class _Contacts(NamedTuple):
     normal: Float[Array, " xyz"]
 
 
-class Closeup:
+class ContactQuery:
     """An MjData that is set to single states to query their contacts. Positions are in W.
 
     Args:
@@ -68,7 +68,7 @@ class Closeup:
         self.data.qpos = qpos[:nq]
         self.data.qvel = 0.0 if qvel is None else qvel[:nv]
         if len(qpos) > nq:
-            put_walkers(self.model, self.data, qpos[nq:])
+            set_entity_poses(self.model, self.data, qpos[nq:])
         self._walking[:] = 0.0 if qvel is None or len(qvel) == nv else qvel[nv:].reshape(-1, 3)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)

@@ -19,7 +19,7 @@ def _start_is_goal(problem: Problem) -> bool:
     return bool(np.any(np.all(np.asarray(problem.goals) == np.asarray(problem.start), axis=1)))
 
 
-def stays_at_goal(solve: Solve) -> Solve:
+def handle_start_at_goal(solve: Solve) -> Solve:
     """Decorate `Planner.solve`: if the start is a goal, yield the single configuration and skip the search."""
 
     @wraps(solve)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from graceful_plan.mobile.query.arm_ways import with_arm_ways
+from graceful_plan.mobile.query.arm_detours import with_arm_detours
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.result import PlanResult, PlanStatus
 
@@ -19,4 +19,4 @@ def rolling_endpoints(ends: Endpoints) -> Endpoints | PlanResult:
     if not clear:
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_TIGHT.format("goal"))
     arrivals, index = (tuple(of[k] for k in clear) for of in (ends.arrivals, ends.goal_index))
-    return with_arm_ways(replace(ends, arrivals=arrivals, goal_index=index))
+    return with_arm_detours(replace(ends, arrivals=arrivals, goal_index=index))

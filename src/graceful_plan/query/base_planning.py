@@ -14,11 +14,11 @@ from graceful_plan.query.candidates.maker import MotionMaker
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import PlanResult
-from graceful_plan.scene.mobile.room import mobile_room
+from graceful_plan.scene.mobile.room import import_mobile
 from graceful_plan.scene.scene import Scene
 
 
-class Driving(ABC):
+class BasePlanning(ABC):
     """The parts of `plan` that differ for robots with a mobile base."""
 
     @property
@@ -48,8 +48,8 @@ class Driving(ABC):
         """
 
 
-def driving_of(scene: Scene) -> Driving | None:
-    """Return the `Driving` for a scene whose robot has a mobile base; None if it has none.
+def base_planning(scene: Scene) -> BasePlanning | None:
+    """Return the `BasePlanning` for a scene whose robot has a mobile base; None if it has none.
 
     Raises:
         UnsupportedError: If the robot has a base, and `graceful_plan.mobile` is not installed.
@@ -65,6 +65,6 @@ def planners_by_name() -> Mapping[str, type[Planner]]:
         return {}
 
 
-def _room() -> Driving:
-    driving: Driving = mobile_room("query.driving").PlansForBases()
+def _room() -> BasePlanning:
+    driving: BasePlanning = import_mobile("query.driving").PlansForBases()
     return driving

@@ -25,7 +25,7 @@ from graceful_plan.mobile.floor.furnishing import furnished
 from graceful_plan.mobile.floor.slicing import sliced
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.regular_file import path_of
-from graceful_plan.scene.edit import Solid
+from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.sensed.height_map import HeightMap
 
@@ -43,7 +43,7 @@ WALL_HEIGHT = 1.0
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FloorMap:
+class OccupancyGrid:
     """A map of a floor; frozen, like a Scene. Its arrays are read-only.
 
     | field         | meaning                                                               | unit      | shape      |
@@ -63,7 +63,7 @@ class FloorMap:
     occupancy: ArrayLike
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    entities: tuple[Solid, ...] = ()
+    entities: tuple[StaticBody, ...] = ()
     occupied_from: int = 65
     name: str = "floor"
 
@@ -94,7 +94,7 @@ class FloorMap:
         if not isinstance(self.name, str) or not self.name.isprintable():
             raise SettingError("name", self.name, "a text without control characters")
         for solid in self.entities:
-            if not isinstance(solid, Solid):
+            if not isinstance(solid, StaticBody):
                 raise SettingError("entities", solid, "Solids with a class")
             if solid.entity is None:
                 raise SettingError(f"entity of {solid.name}", None, "a class of the severity table")
@@ -104,7 +104,7 @@ class FloorMap:
     # --- construction -------------------------------------------------------------------------------------------------
 
     @classmethod
-    def from_map_server(cls, file: str | Path, image: str | Path | None = None) -> FloorMap:
+    def from_map_server(cls, file: str | Path, image: str | Path | None = None) -> OccupancyGrid:
         """Read a map of the ROS map_server: a YAML file, and the PGM or PNG that it names.
 
         Args:
@@ -118,7 +118,7 @@ class FloorMap:
         return cls(occupancy=read.occupancy, resolution=read.resolution, origin=read.origin, name=_name_of(file))
 
     @classmethod
-    def from_moving_ai(cls, file: str | Path, resolution: float = 1.0) -> FloorMap:
+    def from_moving_ai(cls, file: str | Path, resolution: float = 1.0) -> OccupancyGrid:
         """Read a .map file of the MovingAI benchmarks; "." "G" and "S" are free, and its first row is the uppermost.
 
         Raises:
@@ -135,7 +135,7 @@ class FloorMap:
         heights: tuple[float, float] = (0.03, 1.0),
         resolution: float = 0.05,
         bounds: Sequence[float] | None = None,
-    ) -> FloorMap:
+    ) -> OccupancyGrid:
         """Build a map from the exact geometry of a scene between two heights, without robot and carried object.
 
         Args:
@@ -150,7 +150,7 @@ class FloorMap:
         occupied, corner = sliced(scene, heights, resolution, bounds, MAX_CELLS)
         return cls(occupancy=occupied, resolution=resolution, origin=(*corner, 0.0), name=scene.name)
 
-    def with_entities(self, *entities: Solid) -> FloorMap:
+    def with_entities(self, *entities: StaticBody) -> OccupancyGrid:
         """Return this map with additional entities.
 
         Raises:

@@ -1,7 +1,7 @@
 """Interruptible evaluation of problem and objective in slices.
 
 A planner that evaluates thousands of edges at once must still stop within milliseconds when its time is over or the
-call is cancelled, even with a slow custom cost. `Questions` cuts every batch into slices and raises `Interrupted`
+call is cancelled, even with a slow custom cost. `InterruptibleProblem` cuts every batch into slices and raises `Interrupted`
 between two of them; `solve` methods end on it.
 """
 
@@ -44,7 +44,7 @@ def checked_costs(objective: BoundObjective, what: str, costs: Float[Array, "...
     return costs
 
 
-class Questions:
+class InterruptibleProblem:
     """Evaluates problem and objective in slices of some milliseconds.
 
     Without a time limit the size of slices is fixed, so that results do not depend on the speed of the machine.

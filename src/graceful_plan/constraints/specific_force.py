@@ -55,7 +55,7 @@ _AIMED = 0.92
 
 @final
 @dataclass(frozen=True, eq=False)
-class FeltCone:
+class SpecificForceCone:
     """Limits that keep the specific force at a point within an angle of an axis.
 
     | field   | meaning                                        | unit  | shape |
@@ -102,23 +102,23 @@ class FeltCone:
         return np.append(np.zeros(FACETS), [most * self.gravity, -least * self.gravity])
 
     @cached_property
-    def native(self) -> _native.FeltLimit:
+    def native(self) -> _native.SpecificForceLimit:
         """The limit for descents of motions."""
         return self._limit(_AIMED if self.slosh is not None else None)
 
     @cached_property
-    def timed(self) -> _native.FeltLimit:
+    def timed(self) -> _native.SpecificForceLimit:
         """The limit for timing."""
         return self._limit(_BELOW)
 
-    def _limit(self, part: float | None) -> _native.FeltLimit:
+    def _limit(self, part: float | None) -> _native.SpecificForceLimit:
         """Return the limit for the core, with the surface limited to `part` of the brim tilt unless that is None."""
         facets = np.ascontiguousarray(self.facets)
         if part is None or self.brim is None:
-            return _native.FeltLimit(
+            return _native.SpecificForceLimit(
                 link=self.link, point=self.point, facets=facets, room=self.room, gravity=self.gravity
             )
-        return _native.FeltLimit(
+        return _native.SpecificForceLimit(
             link=self.link,
             point=self.point,
             facets=facets,
@@ -133,7 +133,7 @@ class FeltCone:
 
 @final
 @dataclass(frozen=True, eq=False)
-class FeltLoad:
+class SpecificForceLoad:
     """Limits of the specific force f at a point along given directions: each facet times f is at most its `room`.
 
     | field   | meaning                            | unit  | shape     |
@@ -154,32 +154,34 @@ class FeltLoad:
     gravity: float
 
     @cached_property
-    def native(self) -> _native.FeltLimit | None:
+    def native(self) -> _native.SpecificForceLimit | None:
         """The limit for descents of motions; None if no facet is likely to be active."""
         often = self.room < _SELDOM_FELT
         return self._limit(often) if often.any() else None
 
     @cached_property
-    def timed(self) -> _native.FeltLimit:
+    def timed(self) -> _native.SpecificForceLimit:
         """The limit for timing."""
         return self._limit(np.ones(len(self.room), dtype=bool))
 
-    def _limit(self, kept: Bool[Array, " facet"]) -> _native.FeltLimit:
+    def _limit(self, kept: Bool[Array, " facet"]) -> _native.SpecificForceLimit:
         facets, room = np.ascontiguousarray(self.facets[kept]), self.room[kept]
-        return _native.FeltLimit(link=self.link, point=self.point, facets=facets, room=room, gravity=self.gravity)
+        return _native.SpecificForceLimit(
+            link=self.link, point=self.point, facets=facets, room=room, gravity=self.gravity
+        )
 
 
-Felt = FeltCone | FeltLoad
+Felt = SpecificForceCone | SpecificForceLoad
 
 
-class FeltConstraint(Constraint):
+class SpecificForceConstraint(Constraint):
     """Base class of constraints on the specific force of a carried object, at rest and in motion."""
 
     @abstractmethod
     def felt(self, scene: Scene) -> Felt:
         """Return the limits in motion."""
 
-    def around(self, q: Float[Array, "n nq"], scene: Scene) -> FeltConstraint:
+    def around(self, q: Float[Array, "n nq"], scene: Scene) -> SpecificForceConstraint:
         """Return a constraint relaxed, where it can be, to admit the given configurations."""
         return self
 
@@ -189,12 +191,12 @@ class FeltConstraint(Constraint):
 
 
 @per_layout(most=_KEPT)
-def felt_in(scene: Scene, constraint: FeltConstraint) -> Felt:
+def felt_in(scene: Scene, constraint: SpecificForceConstraint) -> Felt:
     """Return the limits of a constraint in motion; cached per scene."""
     return constraint.felt(scene)
 
 
 @per_layout(most=_KEPT)
-def resting_in(scene: Scene, constraint: FeltConstraint) -> tuple[AxisRule, ...]:
+def resting_in(scene: Scene, constraint: SpecificForceConstraint) -> tuple[AxisRule, ...]:
     """Return the axis rules of a constraint at rest; cached per scene."""
     return constraint.resting(scene)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from failbench.recording.bounds import Bounds
-from failbench.recording.closeup import Closeup
+from failbench.recording.contact_query import ContactQuery
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float, Int
 
@@ -25,7 +25,7 @@ DROPPED = 0.03
 """Displacement in the tool frame above which a carried object that touches no finger counts as dropped [m]."""
 
 
-class Aftermath:
+class FinalState:
     """Compare the end of a simulation with its beginning.
 
     Args:
@@ -34,7 +34,7 @@ class Aftermath:
         bounds: Boxes around the entities.
     """
 
-    def __init__(self, world: World, closeup: Closeup, bounds: Bounds) -> None:
+    def __init__(self, world: World, closeup: ContactQuery, bounds: Bounds) -> None:
         self._world = world
         self._closeup = closeup
         self._bounds = bounds

@@ -18,7 +18,7 @@ Array = np.ndarray
 
 
 @dataclass(kw_only=True, eq=False)
-class Plant:
+class Simulation:
     """One simulation from the onset of a fault on. Its arrays are live: writing to them changes the next step.
 
     | field       | meaning                                                                                  |
@@ -40,7 +40,7 @@ class Plant:
     | measured    | positions and velocities of the joints in the healthy run up to the onset, the latest     |
     |             | last; read only                                                                          |
     | world       | the simulated world; None for a robot alone                                              |
-    | walk        | poses of moving entities before each step and after the last, see `walkers.Walk`         |
+    | walk        | poses of moving entities before each step and after the last, see `walkers.EntityPoses`         |
     | xfrc        | force and torque on each body in W; they act until changed                               |
     | planned     | function that returns the planned joint positions at times since the onset [s]           |
     | step        | steps since the onset                                                                    |

@@ -8,11 +8,11 @@ of that search.
 from __future__ import annotations
 
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.costs.objective import Objective, SceneObjective
 
 
-def related_objective(objective: SceneObjective) -> SceneObjective | None:
+def proxy_objective(objective: SceneObjective) -> SceneObjective | None:
     """Return a related objective that is much cheaper to evaluate; None if this one is cheap itself.
 
     It is the contacts of drops for a mixture with arm failures or for damage by energy, and the length for a custom
@@ -23,8 +23,8 @@ def related_objective(objective: SceneObjective) -> SceneObjective | None:
         return None
     if not isinstance(impact, ImpactCost):
         return Objective(w=0.0).bind(objective.scene, objective.paces)
-    drops = ImpactCost(model=Footprint())
-    mixed = isinstance(impact.model, Footprint) and impact.model.components != drops.components
+    drops = ImpactCost(model=FailureMixture())
+    mixed = isinstance(impact.model, FailureMixture) and impact.model.components != drops.components
     if mixed or impact.consequence != "contact":
         return Objective(impact=drops, w=objective.w).bind(objective.scene, objective.paces)
     return None

@@ -12,7 +12,7 @@ from types import ModuleType
 from graceful_plan.exceptions import UnsupportedError
 
 
-def mobile_room(part: str, of: str = "graceful_plan") -> ModuleType:
+def import_mobile(part: str, of: str = "graceful_plan") -> ModuleType:
     """Import a module of the subpackage `mobile`.
 
     Args:

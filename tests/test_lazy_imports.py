@@ -11,7 +11,7 @@ import pytest
 
 import failbench
 import graceful_plan as gp
-from graceful_plan import on_demand
+from graceful_plan import lazy_imports
 
 PACKAGES = (gp, failbench)
 names = pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
@@ -98,13 +98,13 @@ def test_other_packages_can_do_the_same(tmp_path, monkeypatch):
     folder.mkdir()
     (folder / "__init__.py").write_text(
         "from graceful_plan import on_demand\n"
-        "on_demand.install(__name__, {'lift': 'lazy_one.lift', 'parts': 'lazy_one.parts'})\n"
+        "lazy_imports.install(__name__, {'lift': 'lazy_one.lift', 'parts': 'lazy_one.parts'})\n"
     )
     (folder / "lift.py").write_text("def lift(): return 1\n")
     (folder / "parts.py").write_text("HEIGHT = 2\n")
     monkeypatch.syspath_prepend(tmp_path)
     lazy = importlib.import_module("lazy_one")
-    assert isinstance(lazy, on_demand.PackageOnDemand)
+    assert isinstance(lazy, lazy_imports.LazyPackage)
     assert (lazy.parts.HEIGHT, lazy.lift()) == (2, 1)
     monkeypatch.setattr(lazy, "lift", len)  # what tests put in its place stays
     assert lazy.lift is len

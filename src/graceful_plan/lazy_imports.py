@@ -15,7 +15,7 @@ _HOMES = "_homes"
 
 
 @final
-class PackageOnDemand(ModuleType):
+class LazyPackage(ModuleType):
     """A package with lazily imported public names: PEP 562, but as a class, since `__setattr__` is needed, too."""
 
     def __getattr__(self, name: str) -> Any:
@@ -46,4 +46,4 @@ def install(package: str, homes: Mapping[str, str]) -> None:
     """
     module = sys.modules[package]
     setattr(module, _HOMES, dict(homes))
-    module.__class__ = PackageOnDemand
+    module.__class__ = LazyPackage

@@ -15,8 +15,8 @@ import numpy as np
 
 from graceful_plan import MovingEntity, Scene
 from graceful_plan.array_types import Float
-from graceful_plan.scene.edit import Solid
-from graceful_plan.scene.elements import EntityNote
+from graceful_plan.scene.edit import StaticBody
+from graceful_plan.scene.elements import EntityAnnotation
 
 Array = np.ndarray
 
@@ -46,8 +46,8 @@ def staged(scene: Scene) -> Scene:
         pose[:2, :2] = [[np.cos(first.yaw), -np.sin(first.yaw)], [np.sin(first.yaw), np.cos(first.yaw)]]
         pose[:3, 3] = first.position
         kind = "cylinder" if entity.is_round else "box"
-        Solid(name=entity.name, kind=kind, size=entity.size, pose=pose).add_to(spec)
-        notes[entity.name] = EntityNote(category=entity.category, severity=entity.severity)
+        StaticBody(name=entity.name, kind=kind, size=entity.size, pose=pose).add_to(spec)
+        notes[entity.name] = EntityAnnotation(category=entity.category, severity=entity.severity)
     moving = MappingProxyType({})
     return Scene.build(spec, dataclasses.replace(scene.notes, entities=notes, moving=moving))
 
@@ -58,7 +58,7 @@ def set_free(spec: mujoco.MjSpec, walkers: Sequence[MovingEntity]) -> None:
         spec.body(walker.name).mocap = True
 
 
-class Walk:
+class EntityPoses:
     """Poses of the moving entities in one simulation: the prediction, plus random deviations.
 
     Args:
@@ -129,13 +129,13 @@ class Walk:
         return rows
 
 
-def put_walkers(model: mujoco.MjModel, data: mujoco.MjData, row: Float[Array, " mocap"]) -> None:
+def set_entity_poses(model: mujoco.MjModel, data: mujoco.MjData, row: Float[Array, " mocap"]) -> None:
     """Set the poses of the moving entities from a row."""
     data.mocap_pos[:] = row[: 3 * model.nmocap].reshape(-1, 3)
     data.mocap_quat[:] = row[3 * model.nmocap : 7 * model.nmocap].reshape(-1, 4)
 
 
-def with_walkers(
+def append_entity_states(
     qpos: Float[Array, "*batch qpos"],
     qvel: Float[Array, "*batch qvel"],
     rows: Float[Array, "*batch_and_next mocap"],

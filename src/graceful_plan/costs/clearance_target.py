@@ -20,7 +20,7 @@ SURROUNDINGS, SELF = "surroundings", "self"
 
 
 @per_scene
-def kernels_of_one_thing(scene: Scene, to: str) -> Kernels:
+def kernels_for_target(scene: Scene, to: str) -> Kernels:
     """Return collision kernels that ignore everything but one target.
 
     Args:

@@ -29,8 +29,8 @@ from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
+from graceful_plan.planners.interruptible import out_of_time
 from graceful_plan.planners.planner import Budget, Planner
-from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
 from graceful_plan.query.candidates.search import ALL, Search, search, thinned
@@ -83,7 +83,7 @@ class Preference:
     def total(self, motion: Path | Trajectory) -> float:
         """J_rho of a path, or of a trajectory with its actual times."""
         if isinstance(motion, Trajectory) and self.objective.objective.exposure == "time":
-            charged = self.objective.charged_states(motion)
+            charged = self.objective.cost_samples(motion)
             mass = charged.weight @ self.law.states(charged.batch)
             length = np.array([self.objective.breakdown(motion).motion])
             return float(self.totals(length, charged.weight.sum(keepdims=True), mass[None])[0])

@@ -2,7 +2,7 @@
 
 A planner is written `name` or `name:setting=value,setting=value`, followed by `+refine` if `plan` shall refine its
 paths. The name is one of `PLANNERS`, a custom class `package.module:Class`, or a function `package.module:function`
-(see `PlainProblem`). Importing that module runs its code in this process and in every worker.
+(see `ExternalProblem`). Importing that module runs its code in this process and in every worker.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import yaml
 
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
 from graceful_plan.planners import PLANNERS, Planner
-from graceful_plan.planners.external import adapted
+from graceful_plan.planners.external import planner_from_function
 
 REFINED = "+refine"
 """Suffix of a planner whose paths `plan` refines."""
@@ -44,7 +44,7 @@ class PlannerImportError(GracefulPlanError, ImportError):
 
 @final
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PlannerNote:
+class PlannerSpec:
     """A requested planner, as plain data that can be sent to another process.
 
     Args:
@@ -82,7 +82,7 @@ class PlannerNote:
         return document | digest | ({"refine": True} if self.refine else {})
 
 
-def read_planners(words: Sequence[str] | None) -> tuple[PlannerNote, ...]:
+def read_planners(words: Sequence[str] | None) -> tuple[PlannerSpec, ...]:
     """Parse planners with settings.
 
     Args:
@@ -105,7 +105,7 @@ def read_planners(words: Sequence[str] | None) -> tuple[PlannerNote, ...]:
     return tuple(notes)
 
 
-def _check(note: PlannerNote) -> None:
+def _check(note: PlannerSpec) -> None:
     """Create a planner once, to report its errors early."""
     try:
         note.make()
@@ -117,7 +117,7 @@ def _check(note: PlannerNote) -> None:
         ) from error
 
 
-def _parsed(label: str) -> PlannerNote:
+def _parsed(label: str) -> PlannerSpec:
     refine = label.endswith(REFINED)
     word = label.removesuffix(REFINED)
     name, rest = _split(word)
@@ -136,7 +136,7 @@ def _parsed(label: str) -> PlannerNote:
     for key in given:
         if key not in valid:
             raise UnknownNameError(f"setting of planner {name}", key, valid)
-    return PlannerNote(label=label, name=name, settings=settings, digest=digest, refine=refine)
+    return PlannerSpec(label=label, name=name, settings=settings, digest=digest, refine=refine)
 
 
 def _split(word: str) -> tuple[str, str | None]:
@@ -197,7 +197,7 @@ def imported_planner(name: str) -> type[Planner]:
         ) from error
     planner = getattr(module, cls_name, None)
     if inspect.isfunction(planner):
-        planner = adapted(planner)
+        planner = planner_from_function(planner)
     if planner is None:
         valid = [
             key

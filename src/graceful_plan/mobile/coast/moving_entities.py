@@ -32,7 +32,7 @@ def moving_coast(scene: Scene, settings: CoastSettings) -> _native.MovingCoast:
     return _native.MovingCoast(moving_table(scene), coast_model(scene, settings), bottom=bottom, top=top)
 
 
-def seen_from_above(
+def planar_shapes(
     entity: MovingEntity, t: Float[Array, " n"]
 ) -> tuple[Float[Array, "n 7"], Float[Array, "n 2"], Float[Array, " n"]]:
     """Return planar shapes of a moving entity at times, as in `CoastTables`, its velocities [m/s] and spreads [m]."""

@@ -13,8 +13,8 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.core import _native
-from graceful_plan.mobile.floor.floor_map import FloorMap
 from graceful_plan.mobile.floor.grid_paths import FloorGrid
+from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.mobile.planners.footprint import floor_around, footprint, radii
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.scene.per_scene import per_scene
@@ -69,7 +69,7 @@ def ways(scene: Scene, start: Float[Array, " nq"], goal: Float[Array, " nq"]) ->
 
 
 @per_scene(most=4)
-def _floor(scene: Scene, top: float, low: tuple[float, float], high: tuple[float, float]) -> FloorMap:
+def _floor(scene: Scene, top: float, low: tuple[float, float], high: tuple[float, float]) -> OccupancyGrid:
     return floor_around(scene, top, np.array([low, high]), (_CELL, _AROUND))
 
 
@@ -84,7 +84,7 @@ def _differs(way: Float[Array, "point 2"], others: Sequence[Float[Array, "_ 2"]]
     return all(float(one.max()) > _APART for one in apart)
 
 
-def _dear(floor: FloorMap, found: Sequence[Float[Array, "_ 2"]]) -> Float[Array, "row column"]:
+def _dear(floor: OccupancyGrid, found: Sequence[Float[Array, "_ 2"]]) -> Float[Array, "row column"]:
     """Return the additional cost of cells near previous paths."""
     near = np.zeros(floor.shape, dtype=np.uint8)
     for way in found:

@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from graceful_plan.constraints import felt
 from graceful_plan.constraints.distance import distance_kernels
-from graceful_plan.constraints.felt import FACETS, Felt, FeltCone
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.constraints.slosh import Slosh
+from graceful_plan.constraints.specific_force import FACETS, Felt, SpecificForceCone
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import Objective, search_paces
@@ -26,7 +25,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline
-from graceful_plan.timing.topp import FeltLevels, fastest
+from graceful_plan.timing.topp import SpecificForceLevels, fastest
 
 Array = np.ndarray
 G = 9.81
@@ -44,14 +43,14 @@ def curve(task: gp.Task, size: float = 0.1, seed: int = 0) -> Spline:
     return Spline(start + s * (goal - start) + size * s * (1.0 - s) * noise)
 
 
-def cone_of(task: gp.Task, angle: float) -> FeltCone:
+def cone_of(task: gp.Task, angle: float) -> SpecificForceCone:
     """Return what holds for a vessel at some angle; its surface is not followed."""
     return replace(gp.KeepContents().felt(task.scene), angle=angle, brim=None)
 
 
-def level(task: gp.Task, *felt: Felt) -> FeltLevels:
+def level(task: gp.Task, *felt: Felt) -> SpecificForceLevels:
     names, limits = tuple(one.name for one in felt), tuple(one.timed for one in felt)
-    return FeltLevels(compile_scene(task.scene).kernels.core, names, (limits,))
+    return SpecificForceLevels(compile_scene(task.scene).kernels.core, names, (limits,))
 
 
 def held(task: gp.Task, spline: Spline, *felt: Felt, speed: float = 1.0) -> gp.Trajectory:
@@ -124,7 +123,7 @@ def test_timed_motions_feel_what_they_may(coffee: gp.Task) -> None:
     trajectory = held(coffee, spline, cone)
     free = timed(spline, scene.limits, scene.joints)
     assert trajectory.duration > 1.1 * free.duration
-    assert felt_angle(trajectory, cone, coffee) < 0.26 < felt_angle(free, cone, coffee)
+    assert specific_force_angle(trajectory, cone, coffee) < 0.26 < specific_force_angle(free, cone, coffee)
 
 
 def test_what_is_carried_is_never_near_free_fall(coffee: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,7 +172,7 @@ def test_motions_are_slowed_down_until_the_surface_stays_below_the_rim(coffee: g
 def test_no_level_alone_is_faster_than_what_is_chosen_among_them(coffee: gp.Task) -> None:
     scene, chosen = coffee.scene, set()
 
-    def duration(spline: Spline, felt: FeltLevels) -> float:
+    def duration(spline: Spline, felt: SpecificForceLevels) -> float:
         try:
             return timed(spline, scene.limits, scene.joints, felt=felt).duration
         except RetimingError:  # the most careful ones do not even hold at rest
@@ -190,7 +189,7 @@ def test_no_level_alone_is_faster_than_what_is_chosen_among_them(coffee: gp.Task
     assert len(chosen) > 1 and chosen != {0}
 
 
-def felt_along(trajectory: gp.Trajectory, cone: FeltCone, task: gp.Task) -> np.ndarray:
+def felt_along(trajectory: gp.Trajectory, cone: SpecificForceCone, task: gp.Task) -> np.ndarray:
     dt = 0.002
     X = compile_scene(task.scene).kernels.link_poses(trajectory.sample(dt).q[:-1])[:, cone.link]
     p = X[:, :3, 3] + X[:, :3, :3] @ cone.point
@@ -198,7 +197,7 @@ def felt_along(trajectory: gp.Trajectory, cone: FeltCone, task: gp.Task) -> np.n
     return (felt * (X[:, :3, :3] @ cone.axis)[1:-1]).sum(axis=1)
 
 
-def felt_angle(trajectory: gp.Trajectory, cone: FeltCone, task: gp.Task) -> float:
+def specific_force_angle(trajectory: gp.Trajectory, cone: SpecificForceCone, task: gp.Task) -> float:
     dt = 0.002
     X = compile_scene(task.scene).kernels.link_poses(trajectory.sample(dt).q[:-1])[:, cone.link]
     p = X[:, :3, 3] + X[:, :3, :3] @ cone.point
@@ -228,7 +227,7 @@ def test_gradients_of_descents_know_what_is_felt(coffee: gp.Task, sloshing: bool
     problem = SceneProblem(kernels=clear, start=path[0], goals=path[-1:], margin=0.002)
     cone = replace(cone_of(coffee, 0.3), brim=0.2)
 
-    def descent(felt: list[_native.FeltLimit]) -> _native.MotionDescent:
+    def descent(felt: list[_native.SpecificForceLimit]) -> _native.MotionDescent:
         return _native.MotionDescent(
             native_space(problem, objective),
             path=path,
