@@ -343,6 +343,10 @@ def broken(value: Any, rng: random.Random, others: list[Any]) -> Any:
         return rng.choice([math.nan, math.inf, -math.inf, 0.0, -1.0, 1e308, -1e308, 5e-324, 1e-9, 1e9, "1"])
     if isinstance(value, str):
         return rng.choice(["", "x" * 10000, "\0", None])
+    if isinstance(value, dict):
+        name = rng.choice(list(value))
+        others_of = {key: number for key, number in value.items() if key != name}
+        return rng.choice([{**value, name: broken(value[name], rng, others)}, others_of, {**value, "other": 1.0}, None])
     if isinstance(value, list):
         return rng.choice([[], [math.nan], value * 3, None])
     return rng.choice([None, *others])

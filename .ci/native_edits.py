@@ -130,7 +130,7 @@ EDITS = {
         DROPS,
         (
             ("return («vz + square_root(vz * vz + 2.0 * kGravity * k)»)", "square_root(2.0 * kGravity * k)"),
-            ("over *= «1.0 - f * h»", "D{} + 1.0"),
+            ("over *= «1.0 - f * h»", "V{} + 1.0"),
             ("if («!joint.slide») {", "true"),
             ("part.bottom = «z - up»", "z + up"),
         ),
@@ -138,12 +138,12 @@ EDITS = {
     "impact/drop.hpp": (
         DROPS,
         (
-            ("near = where(«flight.highest_bottom - top > kAbove»", "(flight.highest_bottom - top > -kAbove)"),
+            ("near = where(«flight.highest_bottom - top > kAbove<V>»", "(flight.highest_bottom - top > -kAbove<V>)"),
             ("best = «maximum(best, value)»", "best + value"),
             ("maximum(o.x - r.x, «-s.carries[0] - at.x»)", "-s.carries[0] + at.x"),
             ("«2.0 * k.leave_tilt * flight.tilt»", "0.0 * flight.tilt"),
             ("arrives *= «missed»", "(1.0 - missed)"),
-            ("keep -= «caught»", "D{}"),
+            ("keep -= «caught»", "V{}"),
             ("mass = «mass * keep + leaving»", "mass * keep + 0.5 * leaving"),
             ("top = «landing.height + flight.high - flight.low»", "landing.height + flight.high"),
         ),
@@ -152,8 +152,8 @@ EDITS = {
         SPILLS,
         (
             ("hard.below((«at.u - k.soft_speed»)", "at.u + k.soft_speed"),
-            ("const D stays = at.flows * («1.0 - at.past»)", "at.past"),
-            ("const D U = «sum[stands.end] - sum[stands.first]»", "sum[stands.end]"),
+            ("const V stays = at.flows * («1.0 - at.past»)", "at.past"),
+            ("const V U = «sum[stands.end] - sum[stands.first]»", "sum[stands.end]"),
             ("mouth.vx = «flight.v.x + swing.x»", "flight.v.x"),
         ),
     ),
@@ -222,7 +222,10 @@ EDITS = {
         (
             ("slower * «push»", "0.0"),
             ("«x[i + end]», vessel", "x[i]"),
-            ("if (!liquid && «!below(vessel.axis[i + end]»", "below(vessel.axis[i + end]"),
+            (
+                "if (!liquid && «!below(vessel.axis[i + end], felt[end], std::sqrt(dot3(felt[end], felt[end])))»",
+                "below(vessel.axis[i + end], felt[end], std::sqrt(dot3(felt[end], felt[end])))",
+            ),
         ),
     ),
     "timing/travel.hpp": (

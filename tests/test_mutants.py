@@ -32,7 +32,10 @@ def test_files_of_edits_and_their_tests_exist(native_mutants):
     edits = list(native_mutants.edits())
     assert edits
     for edit in edits:
-        assert (ROOT / native_mutants.NATIVE / edit.file).is_file()
+        text = (ROOT / native_mutants.NATIVE / edit.file).read_text(encoding="utf-8")
+        assert edit.entered(text) != text
+        for part in (edit.before.partition("«")[2].partition("»")[0], edit.after):
+            assert part.count("(") == part.count(")"), f"{part} is no expression"
         assert edit.tests and all((ROOT / name).exists() for name in edit.tests)
 
 

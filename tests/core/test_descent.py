@@ -126,7 +126,7 @@ def test_misuse_is_refused(task, problem, bad):
 
 def test_a_space_without_slopes_is_refused(task, problem):
     space = native_space(problem, gp.Objective(impact=gp.ImpactCost("box_overlap")).bind(task.scene))
-    with pytest.raises(ValueError, match="slopes"):
+    with pytest.raises(ValueError, match="gradients"):
         descent(space, straight(problem))
 
 

@@ -60,7 +60,7 @@ def test_ends_of_a_search_have_the_width_of_its_space() -> None:
         (np.zeros(2), np.zeros((1, 3))),
         (np.full(2, np.nan), np.zeros((1, 2))),
     ):
-        with pytest.raises(ValueError, match="bad table"):
+        with pytest.raises(ValueError, match="invalid argument"):
             _native.Connect(space, start=start, goals=goals, **given)
 
 

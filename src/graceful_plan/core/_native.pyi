@@ -105,11 +105,20 @@ class DropModel:
         level_start: Integers,
         n_entity: int,
         speed: Reals,
-        constants: Reals,
+        constants: dict[str, float],
     ) -> None: ...
-    def add_contents(self, container: Reals, stands: Integers, visible: Reals, constants: Reals) -> None: ...
-    def add_stop(self, deceleration: Reals, constants: Reals, places: Reals) -> None: ...
-    def add_loss(self, strength: Reals, loss: Reals) -> None: ...
+    def add_contents(
+        self,
+        *,
+        mouth: Reals,
+        axis: Reals,
+        container: dict[str, float],
+        stands: Integers,
+        visible: Reals,
+        constants: list[dict[str, float]],
+    ) -> None: ...
+    def add_stop(self, *, deceleration: Reals, constants: dict[str, float], places: dict[str, float]) -> None: ...
+    def add_loss(self, *, strength: Reals, sharpness: float, shift: Reals, weight: Reals) -> None: ...
     def add_network(self, hidden: int, bound: float, weights: Reals) -> None: ...
     def sights(self, q: Reals, qd: Reals) -> Reals: ...
     def probability(self, q: Reals, qd: Reals) -> Reals: ...
@@ -129,7 +138,7 @@ class BodyModel:
         n_row: int,
         n_entity: int,
         n_step: int,
-        constants: Reals,
+        constants: dict[str, float],
     ) -> None: ...
     def distances(self, q: Reals, qd: Reals, ahead: Reals | None = None) -> Reals: ...
     def impact(self, weight: Reals, severity: Reals, q: Reals, qd: Reals) -> Reals: ...
@@ -228,7 +237,7 @@ class CoastModel:
         n_entity: int,
         outline: Reals,
         stops: Reals,
-        constants: Reals,
+        constants: dict[str, float],
         share: Reals,
         speeds: Reals,
         rates: Reals,
@@ -590,7 +599,7 @@ def timed_path(
     beside: NDArray[np.float32],
     apart: float,
     outline: Reals,
-    rules: Reals,
+    rules: dict[str, float],
     ticks: int,
     start: NDArray[np.int32],
     goal: NDArray[np.int32],
@@ -605,14 +614,14 @@ class DynamicWindow:
         *,
         outline: Reals,
         stops: Reals,
-        constants: Reals,
+        constants: dict[str, float],
         share: Reals,
         speeds: Reals,
         rates: Reals,
         places: Reals,
         astray: Reals,
-        limits: Reals,
-        settings: Reals,
+        limits: dict[str, float],
+        settings: dict[str, float],
         n_v: int,
         n_omega: int,
     ) -> None: ...

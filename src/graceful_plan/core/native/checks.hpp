@@ -1,22 +1,14 @@
 // Checks of Python's arguments, made before anything is built from them: a wrong width would be read past the end, and
 // NaN would pass through every comparison. All failures raise ValueError.
 #pragma once
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-
 #include <atomic>
 #include <cmath>
 #include <stdexcept>
 #include <string>
 
-namespace nb = nanobind;
+#include "arrays.hpp"
 
 namespace gp {
-
-using Reals = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Integers = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
-using Bits = nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>;
-template <class T> using Out = nb::ndarray<nb::numpy, T, nb::c_contig>;
 
 constexpr double kMaxPosition = 1000;  // largest joint position [rad or m]; single precision is too coarse beyond
 constexpr double kMaxExtent = 1e4;   // largest position and size [m]; single precision resolves half a millimetre there
@@ -25,7 +17,7 @@ constexpr double kMaxSamples = 1e6;  // largest number of configurations that an
 constexpr double kLeastStep = 1e-6;  // least distance between configurations of an edge [rad]
 
 inline void require(bool ok, const char* what) {
-  if (!ok) throw std::invalid_argument(std::string("bad table: ") + what);
+  if (!ok) throw std::invalid_argument(std::string("invalid argument: ") + what);
 }
 
 // Requires n finite numbers of absolute value at most `most`.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <limits>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "search/planning.hpp"
@@ -35,14 +36,6 @@ inline Isa choose(const std::string& isa) {
   for (const Isa& candidate : available())
     if (isa == "auto" || isa == candidate.name) return candidate;
   throw std::invalid_argument("this machine cannot run instruction set " + isa);
-}
-
-template <class T> Out<T> make(std::vector<size_t> shape, T*& data) {
-  size_t size = 1;
-  for (size_t n : shape) size *= n;
-  data = new T[size ? size : 1];
-  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
-  return Out<T>(data, shape.size(), shape.data(), owner);
 }
 
 // Solve A y = b by Cramer's rule; A is positive definite.
@@ -105,7 +98,7 @@ class Core {
     const Reals& tool_position = robot.tool_position;
     const Integers& self_pair = robot.self_pair;
     const int n_link = int(robot.parent.size());
-    require_numbers(robot.self_slack, self_pair.size() / 2, "a slack of each pair of links");
+    require_numbers(robot.self_slack, self_pair.size() / 2, "one slack per pair of links");
     require(self_pair.size() % 2 == 0, "pairs of links");
     require_within(self_pair, 0, n_link, "pair of links");
     require(tool_link_ >= 0 && tool_link_ < n_link, "tool");
@@ -166,7 +159,6 @@ class Core {
   auto link_poses(Reals q) const {
     double* out;
     auto array = make<double>({rows(q), size_t(tables_.n_link), 4, 4}, out);
-    nb::gil_scoped_release release;
     kernels().link_poses(tables_, states(q), out);
     return array;
   }
@@ -174,7 +166,6 @@ class Core {
     bool* out;
     auto array = make<bool>({rows(q)}, out);
     require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
-    nb::gil_scoped_release release;
     kernels().free_states(tables_, states(q), margin, reinterpret_cast<uint8_t*>(out));
     return array;
   }
@@ -183,7 +174,6 @@ class Core {
     auto array = make<bool>({rows(q0)}, out);
     const Edges all = edges(q0, q1, step);
     require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
-    nb::gil_scoped_release release;
     kernels().free_edges(tables_, all, margin, reinterpret_cast<uint8_t*>(out));
     return array;
   }
@@ -194,7 +184,6 @@ class Core {
     auto array = make<double>({all.n, nq}, out);
     require_limits(lower, upper);
     require(in_range(clearance, -kMaxExtent, kMaxExtent), "clearance");
-    nb::gil_scoped_release release;
     std::copy_n(all.q, all.n * nq, out);
     for (size_t k = 0; has_bounds() && k < all.n; ++k) project(out + k * nq, lower.data(), upper.data(), clearance);
     return array;
@@ -202,7 +191,6 @@ class Core {
   auto clearance(Reals q) const {
     double* out;
     auto array = make<double>({rows(q)}, out);
-    nb::gil_scoped_release release;
     kernels().clearance(tables_, states(q), std::numeric_limits<double>::infinity(), out, nullptr);
     return array;
   }
@@ -210,16 +198,12 @@ class Core {
     double *out, *gradient;
     auto values = make<double>({rows(q)}, out);
     auto gradients = make<double>({q.shape(0), size_t(tables_.n_joint)}, gradient);
-    {
-      nb::gil_scoped_release release;
-      kernels().clearance(tables_, states(q), std::numeric_limits<double>::infinity(), out, gradient);
-    }
-    return nb::make_tuple(values, gradients);
+    kernels().clearance(tables_, states(q), std::numeric_limits<double>::infinity(), out, gradient);
+    return std::tuple(std::move(values), std::move(gradients));
   }
   auto interaction(Reals q) const {
     double* out;
     auto array = make<double>({rows(q), size_t(tables_.n_component), size_t(tables_.n_entity)}, out);
-    nb::gil_scoped_release release;
     kernels().interaction(tables_, states(q), out);
     return array;
   }
@@ -229,21 +213,18 @@ class Core {
              int iterations, int patience) const {
     double *q, *missing;
     const size_t n = rows(seed), nq = size_t(tables_.n_joint);
-    require_numbers(X_WG, 12 * n, "a pose for each seed");
-    require_numbers(X_LT, 16, "the tool in its link", kMaxExtent);
-    require(free_yaw.size() == n, "whether each pose leaves the yaw free");
-    require(held.size() == nq, "joints that are held");
+    require_numbers(X_WG, 12 * n, "one pose per seed");
+    require_numbers(X_LT, 16, "pose of the tool in its link", kMaxExtent);
+    require(free_yaw.size() == n, "one free-yaw flag per pose");
+    require(held.size() == nq, "one held flag per joint");
     require_limits(lower, upper);
     require(iterations >= 0 && patience >= 1, "iterations");
     auto ended = make<double>({n, nq}, q), twists = make<double>({n, 6}, missing);
-    {
-      nb::gil_scoped_release release;
-      kernels().reach(tables_,
-                      {seed.data(), X_WG.data(), free_yaw.data(), n, X_LT.data(), tool_link_, lower.data(),
-                       upper.data(), held.data(), iterations, patience},
-                      q, missing);
-    }
-    return nb::make_tuple(ended, twists);
+    kernels().reach(tables_,
+                    {seed.data(), X_WG.data(), free_yaw.data(), n, X_LT.data(), tool_link_, lower.data(), upper.data(),
+                     held.data(), iterations, patience},
+                    q, missing);
+    return std::tuple(std::move(ended), std::move(twists));
   }
   // e^x and ln e^x as the drop model computes them, for tests.
   auto elementary(Reals x) const {
@@ -252,7 +233,7 @@ class Core {
     auto first = make<double>({x.size()}, exponential);
     auto second = make<double>({x.size()}, logarithm);
     kernels().elementary(x.data(), x.size(), exponential, logarithm);
-    return nb::make_tuple(first, second);
+    return std::tuple(std::move(first), std::move(second));
   }
 
   // The Jacobian J of the tool's position, and gram = J J^T, damped.
@@ -311,7 +292,7 @@ class Core {
 
   // Applies Newton's method to the bound with the least clearance, until the clearance of all is `wanted` [m].
   bool project(double* q, const double* lower, const double* upper, double wanted) const {
-    constexpr int kSteps = 30;
+    constexpr int kSteps = 30;        // of Newton's method
     constexpr double kLongest = 0.5;  // longest step [rad]
     const size_t nq = size_t(tables_.n_joint);
     Ride ride;
@@ -405,7 +386,7 @@ class Core {
     for (int l = 0; l < n; ++l) {
       Link link{};
       link.parent = parent.data()[l], link.joint = joint.data()[l], link.slide = slide.data()[l];
-      require(l == 0 ? link.parent == -1 : link.parent >= 0 && link.parent < l, "parents come first");
+      require(l == 0 ? link.parent == -1 : link.parent >= 0 && link.parent < l, "parents of links are not first");
       link.frame = l == 0 || link.joint >= 0 ? l : link_[size_t(link.parent)].frame;
       for (int r = 0; r < 3; ++r) {
         for (int c = 0; c < 3; ++c) link.R[3 * r + c] = X_PL.data()[16 * l + 4 * r + c];
@@ -509,11 +490,11 @@ class Core {
   void add_obstacles(const WorldArrays& world) {
     const auto& [kind, pose, size, bound, ignores, hull_start, triangles, keep] = world;
     const size_t n = kind.size();
-    require_numbers(keep, n, "a distance to keep from each obstacle", kMaxExtent);
+    require_numbers(keep, n, "one distance to keep per obstacle", kMaxExtent);
     require_numbers(pose, 12 * n, "poses of obstacles", kMaxExtent);
     require_numbers(size, 3 * n, "sizes of obstacles", kMaxExtent);
     require_numbers(bound, 4 * n, "bounding spheres of obstacles", 2 * kMaxExtent);
-    require(ignores.size() == n && hull_start.size() == n + 1, "what ignores obstacles, and their hulls");
+    require(ignores.size() == n && hull_start.size() == n + 1, "ignored links and hull ranges of obstacles");
     require_within(hull_start, 0, int(triangle_.size()) + 1, "hull range");
     for (size_t j = 0; j < n; ++j) {
       Obstacle o{};

@@ -1,87 +1,23 @@
-// The kernels of one instruction set. This file is compiled once per set; GP_ISA names the result. It uses no inline
-// functions of headers that other files share, so that the linker cannot mix code of different instruction sets.
+// The kernels of one instruction set. This file is compiled once per set, see target.hpp.
+#include "blocks.hpp"
+#include "cutoffs.hpp"
+#include "geometry/bounds.hpp"
+#include "geometry/clearance.hpp"
+#include "geometry/gradient.hpp"
+#include "geometry/kinematics.hpp"
+#include "geometry/nearest.hpp"
+#include "geometry/reach.hpp"
+#include "impact/body.hpp"
+#include "impact/body_gradient.hpp"
+#include "impact/impact_of_drop.hpp"
+#include "impact/interaction.hpp"
+#include "impact/moving/hit.hpp"
+#include "impact/moving/hit_gradient.hpp"
+#include "impact/moving/near.hpp"
 #include "tables.hpp"
-
-#if defined(__x86_64__)
-#include <algorithm>
-#include <immintrin.h>
-#endif
 
 namespace gp {
 namespace GP_ISA {
-
-#include "lanes.hpp"
-#include "single.hpp"
-#include "geometry/kinematics.hpp"
-#include "geometry/bounds.hpp"
-#include "geometry/one_lane.hpp"
-#include "geometry/clearance.hpp"
-#include "geometry/nearest.hpp"
-#include "geometry/gradient.hpp"
-#include "geometry/tangent.hpp"
-#include "impact/interaction.hpp"
-
-constexpr double kTail = 29.0;      // distance beyond which hits are neglected [scales of noise]; e^-29 = 3e-13
-constexpr double kHeld = 60.0;      // exponents are clamped to +-kHeld
-constexpr double kNothing = 1e-13;  // probabilities below this are neglected
-constexpr double kRare = 1e-11;     // the same for rare events, of which few are summed
-constexpr double kTiny = 1e-300;
-#include "geometry/reach.hpp"
-#include "impact/flight/flight.hpp"
-#include "impact/drop.hpp"
-#include "impact/learned/network.hpp"
-#include "impact/own_loss.hpp"
-#include "impact/drop_gradient.hpp"
-#include "impact/flight/flight_gradient.hpp"
-#include "impact/own_loss_gradient.hpp"
-#include "impact/tumble_gradient.hpp"
-#include "impact/learned/network_gradient.hpp"
-#include "impact/contents/spill.hpp"
-#include "impact/contents/spill_gradient.hpp"
-#include "impact/contents/stop.hpp"
-#include "impact/impact_of_drop.hpp"
-#include "impact/body_dynamics.hpp"
-#include "impact/body_distance.hpp"
-#include "impact/body.hpp"
-#include "impact/body_gradient.hpp"
-#include "impact/moving/path.hpp"
-#include "impact/moving/hit.hpp"
-#include "impact/moving/hit_gradient.hpp"
-
-// The drop model in single precision, with shorter tails.
-namespace rough {
-using D = Single;
-constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kRare = 1e-6,
-                 kTiny = 1e-30;  // products of five e^kHeld are finite
-#include "impact/flight/flight.hpp"
-#include "impact/drop.hpp"
-#include "impact/learned/network.hpp"
-#include "impact/own_loss.hpp"
-#include "impact/drop_gradient.hpp"
-#include "impact/flight/flight_gradient.hpp"
-#include "impact/own_loss_gradient.hpp"
-#include "impact/tumble_gradient.hpp"
-#include "impact/learned/network_gradient.hpp"
-#include "impact/contents/spill.hpp"
-#include "impact/contents/spill_gradient.hpp"
-#include "impact/contents/stop.hpp"
-#include "impact/impact_of_drop.hpp"
-}  // namespace rough
-
-// Calls visit(first, count, poses) for every block of lanes: rows first to first + count of q, and their frames.
-template <class V, class Visit>
-static inline void for_each_block(const Tables& tables, const States& states, Visit visit) {
-  V qs[kMaxJoints];
-  Frame<V> X_W[kMaxLinks];
-  for (size_t first = 0; first < states.n; first += kAbreast<V>) {
-    load(tables, states.q, first, states.n, qs);
-    forward_kinematics(tables, qs, X_W);
-    const size_t left = states.n - first;
-    visit(first, left < size_t(kAbreast<V>) ? int(left) : kAbreast<V>, X_W);
-  }
-}
-
-#include "impact/moving/near.hpp"
 
 static void link_poses(const Tables& tables, const States& states, double* X_WL) {
   for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
@@ -252,7 +188,7 @@ static inline void paced_edge_costs(const Tables& tables, const double* pace, co
 static void drop(const Tables& tables, const DropTables& drop, const States& states, double* probability) {
   D P[kDropRows * kMaxEntities + 1];
   const size_t count = size_t(kDropRows * drop.n_entity + 1);
-  for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
+  for_each_release<D>(tables, states, [&](size_t first, const D* qs, const D* rates) {
     drop_probability(tables, drop, nullptr, qs, rates, P);
     for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i)
       for (size_t e = 0; e < count; ++e) probability[(first + size_t(i)) * count + e] = P[e][i];
@@ -261,10 +197,10 @@ static void drop(const Tables& tables, const DropTables& drop, const States& sta
 
 static void drop_sights(const Tables& tables, const DropTables& drop, const States& states, double* out) {
   const size_t count = size_t(kNetworkInputs + 1), row = count * size_t(drop.n_surface);
-  for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
-    const Fall fall(tables, drop, qs, rates);
-    for_each_hit(drop, fall.flight, fall.landing, [&](int k, const Leaving& leaving, const Hits& hits, D lower) {
-      const Sight sight(drop, fall.flight, fall.landing, leaving, drop.surface[k], hits, lower);
+  for_each_release<D>(tables, states, [&](size_t first, const D* qs, const D* rates) {
+    const Fall<D> fall(tables, drop, qs, rates);
+    for_each_hit(drop, fall.flight, fall.landing, [&](int k, const Leaving<D>& leaving, const Hits<D>& hits, D lower) {
+      const Sight<D> sight(drop, fall.flight, fall.landing, leaving, drop.surface[k], hits, lower);
       const D P = hits.any_of_them();
       for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i) {
         double* own = out + (first + size_t(i)) * row + size_t(k) * count;
@@ -383,11 +319,11 @@ extern const Kernels GP_JOIN(kernels_, GP_ISA) = {
     .edge_costs = GP_ISA::edge_costs,
     .drop = GP_ISA::drop,
     .drop_sights = GP_ISA::drop_sights,
-    .drop_impact = GP_ISA::drop_impact,
-    .drop_gradient = GP_ISA::drop_gradient,
+    .drop_impact = GP_ISA::drop_impact<GP_ISA::D>,
+    .drop_gradient = GP_ISA::drop_gradient<GP_ISA::D>,
     .drop_edge_costs = GP_ISA::drop_edge_costs,
-    .rough_drop_impact = GP_ISA::rough::drop_impact,
-    .rough_drop_gradient = GP_ISA::rough::drop_gradient,
+    .rough_drop_impact = GP_ISA::drop_impact<GP_ISA::Single>,
+    .rough_drop_gradient = GP_ISA::drop_gradient<GP_ISA::Single>,
     .body = GP_ISA::body,
     .body_impact = GP_ISA::body_impact,
     .body_gradient = GP_ISA::body_gradient,

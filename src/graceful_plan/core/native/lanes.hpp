@@ -1,6 +1,13 @@
-// W configurations side by side (lanes): GCC/Clang vector types, and the functions on them that the kernels need. The
-// file is included once per instruction set, inside a namespace, so that no inline function is shared between sets.
+// W configurations side by side (lanes): GCC/Clang vector types, and the functions on them that the kernels need.
+#pragma once
+#include <cstddef>
+#include <cstdint>
 
+#include "target.hpp"
+
+namespace gp::GP_ISA {
+
+// Width of vectors [bytes].
 #if defined(__AVX512F__)
 constexpr int kWidth = 64;
 #elif defined(__AVX2__)
@@ -242,3 +249,9 @@ template <class V> static inline V squared_distance(const Vec<V>& a, const Vec<V
   V dx = a.x - b.x, dy = a.y - b.y, dz = a.z - b.z;
   return dx * dx + dy * dy + dz * dz;
 }
+template <class V> static inline V dot(const Vec<V>& a, const Vec<V>& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+template <class V> static inline Vec<V> cross(const Vec<V>& a, const Vec<V>& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+}  // namespace gp::GP_ISA

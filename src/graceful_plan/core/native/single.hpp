@@ -1,5 +1,9 @@
-// Single-precision numbers for models written for `D`, with twice as many lanes; arithmetic with doubles is allowed.
-// Descents use them whose paths are afterwards compared by their exact costs.
+// Single-precision numbers in the place of lanes of double precision (D), with twice as many lanes; arithmetic with
+// doubles is allowed. Descents use them; their paths are compared by exact costs afterwards.
+#pragma once
+#include "lanes.hpp"
+
+namespace gp::GP_ISA {
 
 struct Single {
   F v;
@@ -75,3 +79,5 @@ static inline void sine_cosine(Single x, Single& s, Single& c) { sine_cosine(x.v
 static inline F reciprocal(F x) { return reciprocal(Single(x)).v; }
 static inline F inverse_root(F x) { return inverse_root(Single(x)).v; }
 [[gnu::always_inline]] static inline F exponential(F x) { return exponential(Single(x)).v; }
+
+}  // namespace gp::GP_ISA

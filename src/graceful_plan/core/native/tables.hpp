@@ -7,6 +7,9 @@
 
 namespace gp {
 
+constexpr double kGravity = 9.81;  // gravitational acceleration of the models of failures [m/s^2]
+
+// Capacities of the kernels.
 constexpr int kMaxLinks = 48;
 constexpr int kMaxJoints = 32;
 constexpr int kMaxSpheres = 2048;
@@ -20,8 +23,8 @@ constexpr int kMaxEntities = 512;
 constexpr int kMaxDropParts = 32;
 constexpr int kMaxSurfaces = 512;
 constexpr int kMaxSteps = 64;
-constexpr int kNetworkInputs = 18;
-constexpr int kMaxHidden = 32;
+constexpr int kNetworkInputs = 18;  // costs/models/drop/network.py lists them
+constexpr int kMaxHidden = 32;      // units of each hidden layer
 
 enum Kind : int32_t { kPlane, kSphere, kCapsule, kEllipsoid, kCylinder, kBox, kMesh };
 
@@ -133,7 +136,7 @@ struct Surface {                       // a target: a box turned about the verti
   double strength;               // ln of the energy per mass that damages half of the objects that fall on it [J/kg]
 };
 
-// Constants of the model, in the order of kDropConstants in impact.hpp.
+// Constants of the model; fields() in impact.hpp names them.
 struct DropConstants {
   double delay, velocity_spread, height_spread, carry_spread, side_spread, side_reach, side_height, catches, leave_tilt;
   double position_spread, size_spread, tumble_reach, catch_margin, leave, leave_offset, leave_narrow, leave_speed;
@@ -233,7 +236,7 @@ struct Limb {
   float centre[3], half[3], radius, bound;  // radius: of the largest sphere; bound: of the ball
 };
 
-// Constants of the model, in the order of kBodyConstants in body_impact.hpp.
+// Constants of the model; fields() in body_impact.hpp names them.
 struct BodyConstants {
   double brake_time, brake_stop, step, carry_on;
   double stop_gain[kGenerators], stop_tolerance[kGenerators];

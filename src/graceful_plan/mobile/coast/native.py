@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import reals
@@ -39,17 +40,20 @@ def coast_model(scene: Scene, settings: CoastSettings) -> _native.CoastModel:
     )
 
 
-def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Float[Array, "..."]]:
-    """Return the arrays that describe a base and its failures, by their parameter names in the core."""
+def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Any]:
+    """Return the arrays and constants that describe a base and its failures, by their parameter names in the core."""
     assert scene.base is not None
     tables = coast_tables(scene)
     ways = one_sided_trajectories(tables.body, settings)
     return {
         "outline": reals(tables.outline),
         "stops": reals(settings.stops(scene.base.load)),
-        "constants": reals(
-            [settings.reference_speed, settings.position_spread, settings.drift, _turns_on(scene, settings)]
-        ),
+        "constants": {
+            "reference_speed": settings.reference_speed,
+            "position_spread": settings.position_spread,
+            "drift": settings.drift,
+            "straightens": _turns_on(scene, settings),
+        },
         **{name: reals(value) for name, value in ways._asdict().items()},
         "astray": reals(settings.beside(scene.base)),
     }

@@ -161,14 +161,15 @@ class DynamicWindow:
     def __post_init__(self) -> None:
         assert self.scene.base is not None
         s = self.settings
-        numbers = (
-            s.heading, s.velocity, s.path, s.clearance, s.impact, s.horizon, s.period, s.near, s.margin,
-            min(s.most_impact, _MUCH), s.ahead, s.window,
+        names = (
+            "heading", "velocity", "path", "clearance", "impact", "horizon", "period", "near", "margin", "ahead",
+            "window",
         )  # fmt: skip
+        numbers = {name: float(getattr(s, name)) for name in names} | {"most": min(s.most_impact, _MUCH)}
         native = _native.DynamicWindow(
             **coasting_arrays(self.scene, self.coast.without_drift()),
             limits=_limits(self.scene.base),
-            settings=np.array(numbers, dtype=float),
+            settings=numbers,
             n_v=s.speeds,
             n_omega=s.rates,
         )
@@ -235,9 +236,14 @@ def _standing(scene: Scene) -> tuple[Array, Array]:
     return tables.shape, tables.entity
 
 
-def _limits(base: DiffDrive) -> Float[Array, " 8"]:
-    least = -base.v_max if base.reverse else 0.0
-    values = (
-        least, base.v_max, base.omega_max, base.a_max, base.alpha_max, base.lateral_max, base.lever, base.rim_max,
-    )  # fmt: skip
-    return np.array(values, dtype=float)
+def _limits(base: DiffDrive) -> dict[str, float]:
+    return {
+        "least": -base.v_max if base.reverse else 0.0,
+        "v": base.v_max,
+        "omega": base.omega_max,
+        "a": base.a_max,
+        "alpha": base.alpha_max,
+        "lateral": base.lateral_max,
+        "lever": base.lever,
+        "rim": base.rim_max,
+    }

@@ -1,7 +1,7 @@
 // Bindings of scene tables: kinematics, collision, capacities of the core.
 #include "core.hpp"
 
-#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include "bindings/bindings.hpp"
@@ -47,15 +47,15 @@ void bind_core(nb::module_& m) {
           "tool_position"_a, "keep"_a, "cone_link"_a, "cone"_a, "room_link"_a, "room"_a, "isa"_a)
       .def_prop_ro("isa", &Core::isa)
       .def_prop_ro("lanes", &Core::lanes)
-      .def("link_poses", &Core::link_poses, "q"_a)
-      .def("free_states", &Core::free_states, "q"_a, "margin"_a)
-      .def("free_edges", &Core::free_edges, "q0"_a, "q1"_a, "step"_a, "margin"_a)
-      .def("projected", &Core::projected, "q"_a, "lower"_a, "upper"_a, "clearance"_a)
-      .def("clearance", &Core::clearance, "q"_a)
-      .def("clearance_gradient", &Core::clearance_gradient, "q"_a)
-      .def("interaction", &Core::interaction, "q"_a)
+      .def("link_poses", &Core::link_poses, "q"_a, WithoutGil())
+      .def("free_states", &Core::free_states, "q"_a, "margin"_a, WithoutGil())
+      .def("free_edges", &Core::free_edges, "q0"_a, "q1"_a, "step"_a, "margin"_a, WithoutGil())
+      .def("projected", &Core::projected, "q"_a, "lower"_a, "upper"_a, "clearance"_a, WithoutGil())
+      .def("clearance", &Core::clearance, "q"_a, WithoutGil())
+      .def("clearance_gradient", &Core::clearance_gradient, "q"_a, WithoutGil())
+      .def("interaction", &Core::interaction, "q"_a, WithoutGil())
       .def("reach", &Core::reach, nb::kw_only(), "seed"_a, "X_WG"_a, "free_yaw"_a, "X_LT"_a, "lower"_a, "upper"_a,
-           "held"_a, "iterations"_a, "patience"_a)
+           "held"_a, "iterations"_a, "patience"_a, WithoutGil())
       .def("elementary", &Core::elementary, "x"_a);
 }
 

@@ -2,69 +2,63 @@
 #include "impact/impact.hpp"
 
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include "bindings/bindings.hpp"
+#include "bindings/own_cost.hpp"
 #include "impact/body_impact.hpp"
-#include "impact/own/own_cost.hpp"
 #include "impact/own/posture_costs.hpp"
 #include "impact/own/state_cost.hpp"
 
 using namespace nb::literals;
 
 namespace gp {
-namespace {
-
-template <size_t n> std::vector<std::string> names(const char* const (&constants)[n]) {
-  return {std::begin(constants), std::end(constants)};
-}
-
-}  // namespace
 
 void bind_impact(nb::module_& m) {
-  m.def("drop_constants", [] { return names(kDropConstants); });
-  m.def("spill_constants", [] { return names(kSpillConstants); });
-  m.def("body_constants", [] { return names(kBodyConstants); });
+  m.def("drop_constants", [] { return names_of<DropConstants>(); });
+  m.def("spill_constants", [] { return names_of<SpillConstants>(); });
+  m.def("body_constants", [] { return names_of<BodyConstants>(); });
   nb::class_<DropModel>(m, "DropModel")
       .def(
           "__init__",
           [](DropModel* self, const Core& core, int link, Reals centre, Integers part_shape, Reals part_offset,
              Reals part_rotation, Reals part_half, int main, double size, Integers target_entity, Reals target,
-             Integers level_start, int n_entity, Reals speed, Reals constants) {
+             Integers level_start, int n_entity, Reals speed, Named constants) {
             new (self) DropModel(core, {link, centre, part_shape, part_offset, part_rotation, part_half, main, size,
                                         target_entity, target, level_start, n_entity, speed, constants});
           },
           nb::kw_only(), "core"_a, "link"_a, "centre"_a, "part_shape"_a, "part_offset"_a, "part_rotation"_a,
           "part_half"_a, "main"_a, "size"_a, "target_entity"_a, "target"_a, "level_start"_a, "n_entity"_a, "speed"_a,
           "constants"_a, nb::keep_alive<1, 2>())
-      .def("add_contents", &DropModel::add_contents, "container"_a, "stands"_a, "visible"_a, "constants"_a)
-      .def("add_stop", &DropModel::add_stop, "deceleration"_a, "constants"_a, "places"_a)
-      .def("add_loss", &DropModel::add_loss, "strength"_a, "loss"_a)
+      .def("add_contents", &DropModel::add_contents, nb::kw_only(), "mouth"_a, "axis"_a, "container"_a, "stands"_a,
+           "visible"_a, "constants"_a)
+      .def("add_stop", &DropModel::add_stop, nb::kw_only(), "deceleration"_a, "constants"_a, "places"_a)
+      .def("add_loss", &DropModel::add_loss, nb::kw_only(), "strength"_a, "sharpness"_a, "shift"_a, "weight"_a)
       .def("add_network", &DropModel::add_network, "hidden"_a, "bound"_a, "weights"_a)
-      .def("probability", &DropModel::probability, "q"_a, "qd"_a)
-      .def("sights", &DropModel::sights, "q"_a, "qd"_a)
-      .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
-      .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a, "rough"_a = false);
+      .def("probability", &DropModel::probability, "q"_a, "qd"_a, WithoutGil())
+      .def("sights", &DropModel::sights, "q"_a, "qd"_a, WithoutGil())
+      .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a, WithoutGil())
+      .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a, "rough"_a = false, WithoutGil());
   nb::class_<BodyModel>(m, "BodyModel")
       .def(
           "__init__",
           [](BodyModel* self, const Core& core, Reals inertia, Reals drive, Integers row, Integers entity, int n_row,
-             int n_entity, int n_step, Reals constants) {
+             int n_entity, int n_step, Named constants) {
             new (self) BodyModel(core, {inertia, drive, row, entity, n_row, n_entity, n_step, constants});
           },
           nb::kw_only(), "core"_a, "inertia"_a, "drive"_a, "row"_a, "entity"_a, "n_row"_a, "n_entity"_a, "n_step"_a,
           "constants"_a, nb::keep_alive<1, 2>())
-      .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
-      .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
-      .def("gradient", &BodyModel::gradient, "weight"_a, "severity"_a, "q"_a, "qd"_a)
-      .def("dynamics", &BodyModel::dynamics, "q"_a);
+      .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none(), WithoutGil())
+      .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a, WithoutGil())
+      .def("gradient", &BodyModel::gradient, "weight"_a, "severity"_a, "q"_a, "qd"_a, WithoutGil())
+      .def("dynamics", &BodyModel::dynamics, "q"_a, WithoutGil());
   nb::class_<Impact>(m, "Impact")
-      .def("states", &Impact::states_array, "q"_a)
-      .def("moving_states", &Impact::moving_states_array, "q"_a, "qd"_a)
-      .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a, "rough"_a = false)
-      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a, "rough"_a = false)
-      .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a);
+      .def("states", &Impact::states_array, "q"_a, WithoutGil())
+      .def("moving_states", &Impact::moving_states_array, "q"_a, "qd"_a, WithoutGil())
+      .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a, "rough"_a = false, WithoutGil())
+      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a, "rough"_a = false, WithoutGil())
+      .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a, WithoutGil());
   nb::class_<BoxOverlapImpact, Impact>(m, "BoxOverlapImpact")
       .def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
   nb::class_<DropImpact, Impact>(m, "DropImpact")

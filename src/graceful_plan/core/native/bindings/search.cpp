@@ -1,10 +1,9 @@
 // Bindings of the native planners, their spaces, and graph search.
-#include "search/graph_search.hpp"
-
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
 #include "bindings/bindings.hpp"
+#include "bindings/graph_search.hpp"
 #include "impact/impact.hpp"
 #include "impact/moving/moving_impact.hpp"
 #include "mobile/rolling_curve.hpp"
@@ -57,14 +56,14 @@ class SceneSpace final : public Space {
         custom_(std::move(custom)),
         among_(among) {
     margin = settings.margin;
-    require(dim == core.tables().n_joint && impact.core().tables().n_joint == dim, "limits of another robot");
+    require(dim == core.tables().n_joint && impact.core().tables().n_joint == dim, "limits of a different robot");
     for (double step : {settings.check_step, settings.fine_step, settings.cost_step})
       require(in_range(step, kLeastStep) && extent() <= step * kMaxSamples, "step of an edge");
     require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
     require(custom_.holds.is_none() == custom_.clearance.is_none(), "holds and clearance come together");
-    require(!among.moving == !among.still, "what moves and what stands still come together");
+    require(!among.moving == !among.still, "costs of moving entities and of the static scene come together");
     for (const Core* other : {among.moving ? &among.moving->core() : &core, among.still ? &among.still->core() : &core})
-      require(other->tables().n_joint == dim, "limits of another robot");
+      require(other->tables().n_joint == dim, "limits of a different robot");
   }
   bool edge_free(const double* a, const double* b) override { return free_at(a, b, settings_.check_step); }
   bool edge_certain(const double* a, const double* b) override { return free_at(a, b, settings_.fine_step); }
@@ -169,7 +168,7 @@ class SceneSpace final : public Space {
     double* data;
     auto array = make<double>({n, size_t(dim)}, data);
     std::copy_n(points, n * size_t(dim), data);
-    return nb::cast(array);
+    return nb::cast(std::move(array));
   }
 
   bool free_at(const double* a, const double* b, double step) const {
@@ -206,7 +205,7 @@ class CallbackSpace final : public Space {
   // If a core is given, configurations are projected onto its bounds.
   CallbackSpace(Callbacks ask, Reals low, Reals high, double weight, bool motion_is_length, const Core* core)
       : Space(point(low), point(high), weight), ask_(std::move(ask)), motion_is_length_(motion_is_length), core_(core) {
-    require(!core || core->tables().n_joint == dim, "limits of another robot");
+    require(!core || core->tables().n_joint == dim, "limits of a different robot");
   }
   bool has_bounds() const override { return core_ && core_->has_bounds(); }
   bool project(double* q) override {
@@ -214,8 +213,7 @@ class CallbackSpace final : public Space {
   }
   bool edge_free(const double* a, const double* b) override {
     nb::gil_scoped_acquire gil;
-    auto free = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(
-        ask_.edges_free(rows(a), rows(b)));
+    auto free = nb::cast<Answer<bool, 1>>(ask_.edges_free(rows(a), rows(b)));
     require(free.size() == 1, "one answer per edge");
     return free.data()[0];
   }
@@ -223,8 +221,7 @@ class CallbackSpace final : public Space {
   double impact(const double* a, const double* b) override { return costs(a, b).second; }
   void impacts(const double* points, int n, double* out) override {
     nb::gil_scoped_acquire gil;
-    auto cost = nb::cast<nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(
-        ask_.state_costs(rows(points, n)));
+    auto cost = nb::cast<Answer<double, 1>>(ask_.state_costs(rows(points, n)));
     require(cost.size() == size_t(n), "one cost per state");
     std::copy(cost.data(), cost.data() + n, out);
   }
@@ -234,7 +231,7 @@ class CallbackSpace final : public Space {
   bool motion_is_length() const override { return motion_is_length_; }
 
  private:
-  Out<double> rows(const double* points, int n = 1) {
+  Array<double> rows(const double* points, int n = 1) {
     double* data;
     auto array = make<double>({size_t(n), size_t(dim)}, data);
     std::copy(points, points + n * dim, data);
@@ -242,8 +239,7 @@ class CallbackSpace final : public Space {
   }
   std::pair<double, double> costs(const double* a, const double* b) {
     nb::gil_scoped_acquire gil;
-    auto cost = nb::cast<nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>>(
-        ask_.edge_costs(rows(a), rows(b)));
+    auto cost = nb::cast<Answer<double, 2>>(ask_.edge_costs(rows(a), rows(b)));
     require(cost.size() == 2, "V and S per edge");
     return {cost.data()[0], cost.data()[1]};
   }
@@ -252,7 +248,7 @@ class CallbackSpace final : public Space {
   const Core* core_;
 };
 
-Out<double> as_array(const std::vector<Point>& rows, int dim) {
+Array<double> as_array(const std::vector<Point>& rows, int dim) {
   double* data;
   auto array = make<double>({rows.size(), size_t(dim)}, data);
   for (const Point& row : rows) data = std::copy(row.begin(), row.end(), data);
@@ -290,7 +286,7 @@ class ConnectPlanner {
     }
     return nb::make_tuple(solved_, slice.used());
   }
-  Out<double> path() const { return as_array(connect_.path(), space_.dim); }
+  Array<double> path() const { return as_array(connect_.path(), space_.dim); }
 
  private:
   static double checked(double range) {
@@ -328,7 +324,7 @@ class DriveRun {
     return nb::make_tuple(solved_, slice.used());
   }
   bool over() const { return drive_.over(); }
-  Out<double> path() const { return as_array(drive_.path(), space_.dim); }
+  Array<double> path() const { return as_array(drive_.path(), space_.dim); }
 
  private:
   static Space& checked(Space& space, const Reals& start, const Reals& goals) {
@@ -355,13 +351,13 @@ class DescentRun {
     return done;
   }
   void harden() { descent_.harden(); }
-  Out<double> path() const { return as_array(descent_.path(), space_.dim); }
+  Array<double> path() const { return as_array(descent_.path(), space_.dim); }
   double value() const { return descent_.value(); }
   double energy() const { return descent_.energy(); }
 
  private:
   static Space& checked(Space& space, int pieces, double step) {
-    require(space.has_slopes(), "the space has no slopes");
+    require(space.has_slopes(), "the space has no edge gradients");
     require(pieces >= 1 && pieces <= kMaxPieces, "pieces of a descent");
     require(in_range(step, kLeastStep) && space.extent() <= step * kMaxSamples, "step of a descent");
     return space;
@@ -389,9 +385,9 @@ class MotionDescentRun {
     return done;
   }
   void harden() { descent_.harden(); }
-  Out<double> controls() const { return as_array(descent_.controls(), space_.dim); }
+  Array<double> controls() const { return as_array(descent_.controls(), space_.dim); }
   // The inner control points, in the order of energy().
-  Out<double> inner() const { return as_array({descent_.inner()}, int(descent_.unknowns())); }
+  Array<double> inner() const { return as_array({descent_.inner()}, int(descent_.unknowns())); }
   double value() const { return descent_.value(); }
   double duration() const { return descent_.duration(); }
   double gap() const { return descent_.gap(); }
@@ -411,7 +407,7 @@ class MotionDescentRun {
     return std::make_unique<RollingCurve>(space, of.controls, of.density, *rolling);
   }
   static Space& checked(Space& space, const MotionSettings& settings) {
-    require(space.has_state_slopes(), "the space has no slopes of states");
+    require(space.has_state_slopes(), "the space has no state gradients");
     require(settings.controls >= 4 && settings.controls <= 200, "controls of a descent");
     require(settings.density >= 1 && settings.density <= 1000, "density of a descent");
     require(settings.velocity.size() == size_t(space.dim) && settings.acceleration.size() == size_t(space.dim),
@@ -461,7 +457,7 @@ class AnytimePlanner {
     }
     return nb::make_tuple(improved, slice.used());
   }
-  Out<double> path() const { return as_array(anytime_.best().q, space_.dim); }
+  Array<double> path() const { return as_array(anytime_.best().q, space_.dim); }
   bool optimal() const { return anytime_.optimal(); }
 
  private:

@@ -21,13 +21,13 @@ struct TimedCurve {
   size_t dim;
 };
 
-Out<double> rows(const std::vector<double>& values, size_t dim) {
+Array<double> rows(const std::vector<double>& values, size_t dim) {
   double* out;
   auto array = make<double>({values.size() / dim, dim}, out);
   std::copy(values.begin(), values.end(), out);
   return array;
 }
-Out<double> row(const std::vector<double>& values) {
+Array<double> row(const std::vector<double>& values) {
   double* out;
   auto array = make<double>({values.size()}, out);
   std::copy(values.begin(), values.end(), out);
@@ -62,10 +62,10 @@ TimedCurve fastest(Reals step, Reals q, Reals slope, Reals bend, Flags stop, Rea
   require(stop.size() == n + 1, "a curve");
   require(!limit || (limit->ndim() == 3 && limit->shape(0) == n && limit->shape(2) == 3), "limits are [n, m, 3]");
   for (size_t i = 0; limit && i < limit->size(); ++i) require(!std::isnan(limit->data()[i]), "limits are numbers");
-  require(in_range(speed, 1e-9, 1), "a share of the speed");
+  require(in_range(speed, 1e-9, 1), "speed, a share of at most 1");
   for (const CurveTiming::Level& level : levels) {
-    require(level.size() == levels.front().size(), "levels of the same limits");
-    require(level.empty() || (core && core->tables().n_joint == int(dim)), "a core of the robot that feels");
+    require(level.size() == levels.front().size(), "levels with equal numbers of felt limits");
+    require(level.empty() || (core && core->tables().n_joint == int(dim)), "felt limits need a core of the same robot");
   }
   if (!levels.empty()) require_numbers(q, "a curve", kMaxPosition);
   const std::vector<uint8_t> rests(stop.data(), stop.data() + n + 1);
@@ -102,7 +102,7 @@ double excess(Reals t, Reals q, Reals qd, Reals qdd, Reals velocity, Reals accel
 }
 
 // First and second derivatives of a point of a link along a curve: [2, n, 3].
-Out<double> point_derivatives(const Core& core, int link, Reals where, Reals q, Reals slope, Reals bend) {
+Array<double> point_derivatives(const Core& core, int link, Reals where, Reals q, Reals slope, Reals bend) {
   const size_t n = core.rows(q), dim = size_t(core.tables().n_joint), links = size_t(core.tables().n_link);
   require_numbers(where, 3, "a point", kMaxExtent);
   require_numbers(slope, n * dim, "a slope"), require_numbers(bend, n * dim, "a bend");
@@ -121,7 +121,7 @@ Out<double> point_derivatives(const Core& core, int link, Reals where, Reals q, 
 }
 
 // A spline and its first two derivatives at given parameters: [3, n, dim].
-Out<double> spline(Reals controls, Reals u) {
+Array<double> spline(Reals controls, Reals u) {
   require(controls.ndim() == 2 && controls.shape(0) >= 4, "controls are [n >= 4, nq]");
   require_numbers(controls, "controls");
   const SplineBasis basis(controls.shape(0));
@@ -153,10 +153,11 @@ void bind_timing(nb::module_& m) {
              std::optional<Reals> axis, double angle, double length, double drag) {
             require(link >= 0 && facets.ndim() == 2 && facets.shape(1) == 3 && in_range(gravity, 1e-9), "a felt limit");
             require_numbers(point, 3, "point of a felt limit", kMaxExtent), require_numbers(facets, "a felt limit");
-            require_numbers(room, facets.shape(0), "room for every facet");
+            require_numbers(room, facets.shape(0), "one limit per facet");
             for (double number : {angle, length, drag}) require(in_range(number, 0), "a slosh limit");
             const std::vector<double> rooms(room.data(), room.data() + room.size());
-            new (self) SpecificForceLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, {}, rooms, gravity, {}};
+            new (self) SpecificForceLimit{
+                link, {point.data()[0], point.data()[1], point.data()[2]}, {}, {}, rooms, gravity, {}};
             if (axis) {
               require_numbers(*axis, 3, "axis of a slosh limit");
               require(in_range(angle, 1e-9), "a slosh limit");

@@ -1,5 +1,11 @@
 // Bounds beyond collision for every configuration: axes within cones, points within boxes (rooms). Bounds are numbered
 // cones first, then rooms. Each has a clearance, positive inside.
+#pragma once
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 template <class V> static inline Vec<V> turned(const Frame<V>& X, const double v[3]) {
   using T = Scalar<V>;
@@ -52,3 +58,5 @@ template <class Visit> static inline void for_each_bound(const Tables& tables, c
   }
   for (int k = 0; k < tables.n_room; ++k) visit(tables.n_cone + k, room_clearance(tables.room[k], X_W));
 }
+
+}  // namespace gp::GP_ISA

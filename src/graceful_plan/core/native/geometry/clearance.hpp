@@ -1,5 +1,12 @@
 // Distances of links' spheres to exact primitives, convex hulls and each other. Each pair of a link and an obstacle is
 // first tested with bounding spheres, which mostly settles it.
+#pragma once
+#include "geometry/one_lane.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 // A square root that allows 0; square_root of doubles in lanes.hpp does not.
 static inline F root(F a) { return square_root(a); }
@@ -295,3 +302,5 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
   }
   return hit;
 }
+
+}  // namespace gp::GP_ISA

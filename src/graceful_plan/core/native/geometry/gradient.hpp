@@ -1,4 +1,11 @@
 // The gradient of the clearance of a known nearest pair: scalar, in double precision, one configuration at a time.
+#pragma once
+#include <initializer_list>
+
+#include "lanes.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 static inline double norm3(const double* v) { return __builtin_sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 static inline double clamp(double v, double lower, double upper) { return v < lower ? lower : v > upper ? upper : v; }
@@ -224,3 +231,5 @@ static inline void clearance_gradient(const Posture& at, int a, int b, double* g
   add_jacobian(at, group.link, p, normal, 1.0, gradient);
   add_jacobian(at, other_group.link, other, normal, -1.0, gradient);
 }
+
+}  // namespace gp::GP_ISA

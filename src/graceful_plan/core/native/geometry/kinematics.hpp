@@ -1,4 +1,12 @@
 // Forward kinematics of a tree of hinges and slides, W configurations at a time.
+#pragma once
+#include <cstddef>
+
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 // Computes the poses of all links that own a frame: the base, and every link with a joint, whose axis is its local z.
 // Frames before `first` are already computed.
@@ -59,3 +67,5 @@ static inline double distance(const Tables& tables, const double* q0, const doub
   for (int j = 0; j < tables.n_joint; ++j) d2 += (q1[j] - q0[j]) * (q1[j] - q0[j]);
   return __builtin_sqrt(d2);
 }
+
+}  // namespace gp::GP_ISA

@@ -1,4 +1,13 @@
 // The nearest pair of spheres, or of a sphere and an obstacle, in each lane.
+#pragma once
+#include "geometry/bounds.hpp"
+#include "geometry/clearance.hpp"
+#include "geometry/one_lane.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 // a >= 0: sphere `a` and obstacle `b`, or sphere -1 - b if b < 0. a < -1: bound -2 - a. a == -1: none.
 struct Nearest {
@@ -180,3 +189,5 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W, float f
   }
   return best;
 }
+
+}  // namespace gp::GP_ISA

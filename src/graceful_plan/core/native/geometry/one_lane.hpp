@@ -1,5 +1,13 @@
 // Spheres of a cluster side by side, in one lane of a block of configurations. Dissimilar configurations need few
 // clusters each, but different ones; evaluating these in all lanes would take several times as long.
+#pragma once
+#include <cstddef>
+
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 constexpr int kPacks = (kClusterSize + kLanes<float> - 1) / kLanes<float>;
 
@@ -47,3 +55,5 @@ static inline bool are_few(int lanes) { return __builtin_popcount(unsigned(lanes
 template <class Visit> static inline void for_each_lane(int lanes, Visit visit) {
   for (; lanes; lanes &= lanes - 1) visit(__builtin_ctz(unsigned(lanes)));
 }
+
+}  // namespace gp::GP_ISA

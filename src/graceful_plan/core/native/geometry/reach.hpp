@@ -3,6 +3,16 @@
 //
 // C. W. Wampler, "Manipulator inverse kinematic solutions based on vector formulations and damped least-squares
 // methods", IEEE Transactions on Systems, Man, and Cybernetics 16 (1986).
+#pragma once
+#include <cstddef>
+
+#include "cutoffs.hpp"
+#include "geometry/kinematics.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 constexpr double kReached = 1e-10;      // norm of the missing twist [m and rad] at which a seed has converged
 constexpr double kFarDamping = 1e-2;    // damping = kFarDamping |missing|^2 + kLeastDamping: steady far from the pose,
@@ -60,7 +70,7 @@ struct Reaching {
     }
     D squared = {};
     for (const D& part : missing) squared += part * part;
-    norm = square_root(squared + kTiny);
+    norm = square_root(squared + kTiny<D>);
   }
 
   // Computes the rotation vector from the tool's axes to the goal's, or from z axis to z axis if yaw is free.
@@ -77,7 +87,7 @@ struct Reaching {
       sine[i] = where(free_yaw, R[3 * k + 2] * g[4 * l + 2] - R[3 * l + 2] * g[4 * k + 2], 0.5 * (lk - kl));
     }
     const D cosine = where(free_yaw, R[2] * g[2] + R[5] * g[6] + R[8] * g[10], 0.5 * (trace - 1.0));
-    const D length = square_root(sine[0] * sine[0] + sine[1] * sine[1] + sine[2] * sine[2] + kTiny);
+    const D length = square_root(sine[0] * sine[0] + sine[1] * sine[1] + sine[2] * sine[2] + kTiny<D>);
     D scale = D{} + 1.0;
     for (int i = 0; i < kLanes<double>; ++i) {
       if (length[i] > kNoAngle)
@@ -102,7 +112,7 @@ struct Reaching {
       for (int k = 0; k <= i; ++k) {
         D left = gram[i][k] + (k == i ? damping : D{});
         for (int c = 0; c < k; ++c) left -= gram[i][c] * gram[k][c];
-        gram[i][k] = k < i ? left * gram[k][k] : inverse_root(maximum(left, D{} + kTiny));
+        gram[i][k] = k < i ? left * gram[k][k] : inverse_root(maximum(left, D{} + kTiny<D>));
       }
     }
     for (int i = 0; i < kTwist; ++i) {
@@ -121,7 +131,7 @@ struct Reaching {
       out[m] = where(blocked[m], D{}, out[m]);
       longest = maximum(longest, absolute(out[m]));
     }
-    const D scale = minimum(D{} + 1.0, kLongestStep / maximum(longest, D{} + kTiny));
+    const D scale = minimum(D{} + 1.0, kLongestStep / maximum(longest, D{} + kTiny<D>));
     for (int m = 0; m < n_mover; ++m) out[m] *= scale;
   }
 
@@ -181,3 +191,5 @@ static void reach(const Tables& tables, const Reach& ask, double* q, double* mis
     now.advance(going);
   }
 }
+
+}  // namespace gp::GP_ISA

@@ -1,13 +1,18 @@
 // Tangent planes below signed distances. Obstacles are convex, and so are their distance functions d: with the normal n
 // at a point c, d(p) >= d(c) + n . (p - c) for all p. One plane bounds the distances of all spheres of a link from
 // below, also after the link has moved.
+#pragma once
+#include "geometry/clearance.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 template <class V> struct Tangent {
   V d;
   Vec<V> n;  // n: unit vector in W; d: the distance, or a lower bound where the distance is expensive
 };
-
-template <class V> static inline V dot(const Vec<V>& a, const Vec<V>& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
 template <class V> static inline Vec<V> to_world(const Obstacle& o, const Vec<V>& n) {
   return {o.R[0] * n.x + o.R[1] * n.y + o.R[2] * n.z, o.R[3] * n.x + o.R[4] * n.y + o.R[5] * n.z,
@@ -118,3 +123,5 @@ template <class V>
   const Tangent<V> t = box_tangent(o.size, local(o, point));
   return {t.d, to_world(o, t.n)};
 }
+
+}  // namespace gp::GP_ISA

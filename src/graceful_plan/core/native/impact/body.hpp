@@ -5,10 +5,24 @@
 // - Tangent planes below the distances at the failure rule out most obstacles that a falling limb might hit.
 // - A joint that fails alone moves all links beyond it as one rigid body, relative to the expected motion.
 // - The other links follow the expected motion; their hits are the same for all joints and evaluated once.
+#pragma once
+#include <initializer_list>
+#include <cstddef>
+#include <cstdint>
 
-constexpr double kFar = 8.0;     // U: spreads beyond which nothing is hit
-constexpr double kNearby = 0.4;  // smallest gap for which no tangent plane is stored [m]
-template <class T> constexpr T kStill = sizeof(T) == 4 ? 1e-6 : 1e-12;  // motion of the arm by rounding [m]
+#include "cutoffs.hpp"
+#include "geometry/kinematics.hpp"
+#include "geometry/tangent.hpp"
+#include "impact/body_distance.hpp"
+#include "impact/body_dynamics.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
+
+constexpr double kPlaneGap = 0.4;  // smallest gap for which no tangent plane is stored [m]
+template <class T> constexpr T kStillByRounding = sizeof(T) == 4 ? 1e-6 : 1e-12;  // motion of the arm by rounding [m]
 
 // Least distances in one failure mode for each row and entity, and the depth of the arm in obstacles that stop it.
 template <class V, bool kNamed> struct WayToFail {
@@ -51,11 +65,11 @@ template <class V> struct FallingJoint {
 };
 
 // An array that leaves its numbers uninitialised.
-template <class T> class Room {
+template <class T> class Buffer {
  public:
-  explicit Room(size_t n) : data_(new T[n + 1]) {}
-  Room(const Room&) = delete;
-  ~Room() { delete[] data_; }
+  explicit Buffer(size_t n) : data_(new T[n + 1]) {}
+  Buffer(const Buffer&) = delete;
+  ~Buffer() { delete[] data_; }
   T* at(size_t k) const { return data_ + k; }
   T& operator[](size_t k) const { return data_[k]; }
   T& operator[](int k) const { return data_[k]; }
@@ -72,7 +86,7 @@ template <class V, bool kNamed = false> class Arm {
   using Id = Mask<T>;
   using Way = WayToFail<V, kNamed>;
   static constexpr int W = kAbreast<V>;
-  static constexpr int kPending = 512;
+  static constexpr int kPending = 512;  // capacity for prospects, which are evaluated when it is full
 
  public:
   Way way;  // the most recent failure mode
@@ -240,7 +254,7 @@ template <class V, bool kNamed = false> class Arm {
       if (frame < first || frame >= last) continue;
       const Vec<V> c = place.centre(i, frame);
       const V turn = place.turned(frame) * limb.bound, away = root(squared_distance(c, stances_[0].centre[i]));
-      const V shift = away + T(kSlack), motion = away + turn > kStill<T> ? shift + turn : V{};
+      const V shift = away + T(kSlack), motion = away + turn > kStillByRounding<T> ? shift + turn : V{};
       const T farthest = greatest_lane(shift), most = greatest_lane(motion);
       for (int o = 0; o < padded_; o += W) {
         const V gap = maximum(loose_gap(i, o) - farthest, tight_gap(i, o) - most);
@@ -285,7 +299,7 @@ template <class V, bool kNamed = false> class Arm {
       const Vec<V> middle = {V{} + o.bound[0], V{} + o.bound[1], V{} + o.bound[2]};
       const T away = T(__builtin_sqrt(double(least_lane(squared_distance(c, middle))))) - (o.bound[3] + limb.bound);
       loose = gap = away - T(kSlack);
-      if (away > T(kNearby)) return;
+      if (away > T(kPlaneGap)) return;
     }
     const Tangent<V> t = tangent(tables_, o, c);
     const Plane<V> plane(X, t, limb.centre);
@@ -447,7 +461,7 @@ template <class V, bool kNamed = false> class Arm {
   };
   const End& end_of(int generator, int r, int e) const { return ends_[(generator * 2 + r) * body_.n_entity + e]; }
   void end_tails(const Tail* tail) {
-    const double usual = 1.0 / (1.0 + scalar_exponential(kFar));
+    const double usual = 1.0 / (1.0 + scalar_exponential(kFarSpreads));
     for (int g = 0; g < kGenerators; ++g)
       for (int r = 0; r < 2; ++r)
         for (int e = 0; e < body_.n_entity; ++e) {
@@ -455,7 +469,7 @@ template <class V, bool kNamed = false> class Arm {
           const bool none = r >= body_.n_row || (severity_ && severity_[r * body_.n_entity + e] == 0.0);
           const Tail its = none   ? Tail{-1.0, 0.0}
                            : tail ? tail[(g * body_.n_row + r) * body_.n_entity + e]
-                                  : Tail{kFar, usual};
+                                  : Tail{kFarSpreads, usual};
           const double cut = body_.constants.offset[g][r] + its.far * body_.constants.spread[g][r];
           ends_[at] = {its.far < 0 ? T(-kAnywhere) : T(cut), T(its.least)};
         }
@@ -513,27 +527,27 @@ template <class V, bool kNamed = false> class Arm {
   Way home_, along_, end_;        // home: at the failure; along: on the expected motion; end: at its last step
   V inertia_[kMaxJoints];         // M_jj at the failure
 
-  Room<Frame<V>> frames_;
-  Room<Vec<V>> centres_;
-  Room<V> turned_;
-  Room<Stance<V>> stances_;  // of the expected motion, then of a collapse
-  Room<Place<V>> places_;
-  Room<V> reference_;      // [step, joint]
-  Room<Load<V>> load_;     // [step, joint]
-  Room<V> share_, depth_;  // [step] share: d r/d qd inside the joint's range; depth: depth of the frames that follow
-                           // the expected motion
-  Room<FallingJoint<V>> trace_;  // [step] of the joint that fell last
-  Room<V> penalty_;              // [place]
-  Room<Id> stopper_;             // [place] the Meeting that determines the depth
-  Room<Floor<V>> floors_;        // [limb, obstacle]
-  Room<uint8_t> planes_;         // [limb, obstacle] whether there is a floor
-  Room<V> gaps_;
-  Room<int32_t> hits_;
-  Room<V> best_;
-  Room<T> worst_;
-  Room<Id> who_;
-  Room<End> ends_;  // [generator, row, entity]
-  Room<Prospect<V>> pending_;
+  Buffer<Frame<V>> frames_;
+  Buffer<Vec<V>> centres_;
+  Buffer<V> turned_;
+  Buffer<Stance<V>> stances_;  // of the expected motion, then of a collapse
+  Buffer<Place<V>> places_;
+  Buffer<V> reference_;      // [step, joint]
+  Buffer<Load<V>> load_;     // [step, joint]
+  Buffer<V> share_, depth_;  // [step] share: d r/d qd inside the joint's range; depth: depth of the frames that follow
+                             // the expected motion
+  Buffer<FallingJoint<V>> trace_;  // [step] of the joint that fell last
+  Buffer<V> penalty_;              // [place]
+  Buffer<Id> stopper_;             // [place] the Meeting that determines the depth
+  Buffer<Floor<V>> floors_;        // [limb, obstacle]
+  Buffer<uint8_t> planes_;         // [limb, obstacle] whether there is a floor
+  Buffer<V> gaps_;
+  Buffer<int32_t> hits_;
+  Buffer<V> best_;
+  Buffer<T> worst_;
+  Buffer<Id> who_;
+  Buffer<End> ends_;  // [generator, row, entity]
+  Buffer<Prospect<V>> pending_;
   int n_pending_ = 0;
 };
 
@@ -546,3 +560,5 @@ template <class V> static inline V body_impact_of(Arm<V>& arm, const V* q, const
   });
   return impact;
 }
+
+}  // namespace gp::GP_ISA

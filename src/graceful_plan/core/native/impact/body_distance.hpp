@@ -1,4 +1,14 @@
 // The arm in one configuration, and the distances of its limbs to obstacles.
+#pragma once
+#include <cstdint>
+
+#include "geometry/clearance.hpp"
+#include "geometry/tangent.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 constexpr double kSlack = 1e-5;    // margin above rounding for distances that are ruled out [m]
 constexpr double kAnywhere = 1e9;  // a distance beyond all others [m]
@@ -167,3 +177,5 @@ static inline void look_at_limb(const Tables& tables, const Obstacle& o, const L
       look_at_cluster(tables, o, cluster, X, plane, least);
   }
 }
+
+}  // namespace gp::GP_ISA

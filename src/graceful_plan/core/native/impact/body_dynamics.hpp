@@ -1,8 +1,10 @@
 // Rigid-body dynamics of an arm whose drives fail; letters as in costs/models/body. W states side by side.
+#pragma once
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
 
-template <class V> static inline Vec<V> cross(const Vec<V>& a, const Vec<V>& b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
+namespace gp::GP_ISA {
 
 // Composite inertia of a frame and all frames beyond it: mass, first moment h and inertia J about the origin of W.
 template <class V> struct Composite {
@@ -178,3 +180,5 @@ static inline void fall_alone(const JointDrive& drive, double h, V inertia, V to
   const V next = (inertia * motion.v - T(h) * torque) * share;
   move_joint(drive, motion.x, motion.v, towards_zero(next, T(h * drive.friction) * share), h);
 }
+
+}  // namespace gp::GP_ISA

@@ -3,6 +3,18 @@
 // the expected motion, become joint torques there, and are mapped back through that motion to q and qd. Forces on links
 // beyond a failed joint act where that joint has moved them; the joint itself is mapped back through its fall.
 // Neglected: how inertia depends on q, the coupling of joints in a collapse, and contacts that stop a fall.
+#pragma once
+#include <cstddef>
+
+#include "geometry/kinematics.hpp"
+#include "impact/body.hpp"
+#include "impact/body_distance.hpp"
+#include "impact/body_dynamics.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 // Force on a frame, and moment about the origin of W.
 template <class V> struct Wrench {
@@ -236,7 +248,9 @@ template <class V> class BodySlopes {
   const Tables& tables_;
   const BodyTables& body_;
   const int n_wrench_;
-  Room<Wrench<V>> wrenches_;     // [configuration, frame]
+  Buffer<Wrench<V>> wrenches_;   // [configuration, frame]
   V own_torque_[kMaxSteps + 1];  // of the failed joint
-  Room<Slot> slots_;             // [row, entity, at the failure or later]
+  Buffer<Slot> slots_;           // [row, entity, at the failure or later]
 };
+
+}  // namespace gp::GP_ISA

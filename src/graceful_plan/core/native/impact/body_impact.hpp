@@ -1,41 +1,35 @@
 // The tables of the body model from Python, and the impact model for native planners.
 #pragma once
-#include <nanobind/stl/optional.h>
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <string>
+#include <tuple>
+#include <vector>
 
 #include "impact/impact.hpp"
+#include "named.hpp"
 
 namespace gp {
 
-constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
-    "brake_time",
-    "brake_stop",
-    "step",
-    "carry_on",
-    "collapse.stop_gain",
-    "joint.stop_gain",
-    "stuck.stop_gain",
-    "stray.stop_gain",
-    "collapse.stop_tolerance",
-    "joint.stop_tolerance",
-    "stuck.stop_tolerance",
-    "stray.stop_tolerance",
-    "collapse.body.offset",
-    "collapse.carried.offset",
-    "joint.body.offset",
-    "joint.carried.offset",
-    "stuck.body.offset",
-    "stuck.carried.offset",
-    "stray.body.offset",
-    "stray.carried.offset",
-    "collapse.body.spread",
-    "collapse.carried.spread",
-    "joint.body.spread",
-    "joint.carried.spread",
-    "stuck.body.spread",
-    "stuck.carried.spread",
-    "stray.body.spread",
-    "stray.carried.spread"};
-static_assert(sizeof(BodyConstants) == sizeof(kBodyConstants) / sizeof(kBodyConstants[0]) * sizeof(double));
+// Names of constants; costs/models/body explains them.
+template <class Visit> void fields(BodyConstants& of, Visit visit) {
+  constexpr const char* kModes[kGenerators] = {"collapse", "joint", "stuck", "stray"};
+  constexpr const char* kRows[2] = {"body", "carried"};
+  visit("brake_time", of.brake_time);
+  visit("brake_stop", of.brake_stop);
+  visit("step", of.step);
+  visit("carry_on", of.carry_on);
+  for (int g = 0; g < kGenerators; ++g) {
+    const std::string mode = std::string(kModes[g]) + ".";
+    visit(mode + "stop_gain", of.stop_gain[g]);
+    visit(mode + "stop_tolerance", of.stop_tolerance[g]);
+    for (int r = 0; r < 2; ++r) {
+      visit(mode + kRows[r] + ".offset", of.offset[g][r]);
+      visit(mode + kRows[r] + ".spread", of.spread[g][r]);
+    }
+  }
+}
 
 constexpr int kFallSteps = 5;  // steps of a collapse, see costs/models/body
 
@@ -53,7 +47,7 @@ struct BodyArrays {
   Reals drive;    // per joint: limits (2), armature, damping, friction, resistance, speed
   Integers row, entity;
   int n_row, n_entity, n_step;
-  Reals constants;
+  Named constants;
 };
 
 // Hits by links and the carried object.
@@ -63,9 +57,9 @@ class BodyModel {
       : core_(core), entity_(of.entity.data(), of.entity.data() + of.entity.size()) {
     const Tables& t = core.tables();
     const auto& [inertia, drive, row, entity, n_row, n_entity, n_step, constants] = of;
-    require_numbers(constants, sizeof(BodyConstants) / sizeof(double), "constants of the body model");
-    std::copy(constants.data(), constants.data() + constants.size(), &tables_.constants.brake_time);
-    for (size_t g = 0; g < 2 * kGenerators; ++g) require((&tables_.constants.spread[0][0])[g] > 0, "spread");
+    fill(tables_.constants, constants, "constants of the body model");
+    for (const auto& spreads : tables_.constants.spread)
+      for (double spread : spreads) require(spread > 0, "spread");
     require(n_row >= 1 && n_row <= 2 && n_entity >= 0 && n_entity <= kMaxEntities, "rows and entities");
     require(t.n_obstacle <= kMaxObstacles, "obstacles of the body model");
     require(n_step >= 0 && n_step <= kMaxSteps && tables_.constants.step > 0, "steps");
@@ -111,7 +105,6 @@ class BodyModel {
       tables.n_reference = int(ahead->shape(1));
     }
     const double* known = ahead ? ahead->data() : nullptr;
-    nb::gil_scoped_release release;
     core_.kernels().body(core_.tables(), tables, states, known, out);
     return array;
   }
@@ -120,23 +113,19 @@ class BodyModel {
     auto array = make<double>({core_.rows(q)}, out);
     check(weight, severity);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     core_.kernels().body_impact(core_.tables(), tables_, {weight.data(), severity.data(), nullptr}, states, out);
     return array;
   }
   // Impact and its derivatives with respect to q and qd.
-  nb::tuple gradient(Reals weight, Reals severity, Reals q, Reals qd) const {
+  auto gradient(Reals weight, Reals severity, Reals q, Reals qd) const {
     Slopes out;
     check(weight, severity);
     const States states = core_.states(q, qd);
     const size_t n = q.shape(0), nq = q.shape(1);
     auto values = make<double>({n}, out.value);
     auto by_q = make<double>({n, nq}, out.d_q), by_qd = make<double>({n, nq}, out.d_qd);
-    {
-      nb::gil_scoped_release release;
-      core_.kernels().body_gradient(core_.tables(), tables_, {weight.data(), severity.data(), nullptr}, states, out);
-    }
-    return nb::make_tuple(values, by_q, by_qd);
+    core_.kernels().body_gradient(core_.tables(), tables_, {weight.data(), severity.data(), nullptr}, states, out);
+    return std::tuple(std::move(values), std::move(by_q), std::move(by_qd));
   }
   // Tails that neglect hits worth less than a share of the worst possible.
   std::vector<Tail> tails(const Point& weight, const Point& severity, double share) const {
@@ -164,7 +153,7 @@ class BodyModel {
     auto first = make<double>({core_.rows(q), q.shape(1), q.shape(1)}, mass_matrix);
     auto second = make<double>({q.shape(0), q.shape(1)}, gravity);
     core_.kernels().body_dynamics(core_.tables(), tables_, core_.states(q), mass_matrix, gravity);
-    return nb::make_tuple(first, second);
+    return std::tuple(std::move(first), std::move(second));
   }
 
  private:
@@ -176,7 +165,7 @@ class BodyModel {
       rigid.mass = row[0];
       std::copy(row + 1, row + 4, rigid.centre);
       std::copy(row + 4, row + 13, rigid.inertia);
-      require(core_.frame(int(l)) == int(l), "frames come first");
+      require(core_.frame(int(l)) == int(l), "links that own a frame are not first");
       inertia_.push_back(rigid);
     }
   }

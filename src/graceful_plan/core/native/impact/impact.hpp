@@ -1,9 +1,14 @@
 // Impact models with severities, from which native planners compute the cost of edges.
 #pragma once
+#include <algorithm>
 #include <cmath>
+#include <optional>
+#include <tuple>
+#include <vector>
 
 #include "core.hpp"
 #include "edge_states.hpp"
+#include "named.hpp"
 
 namespace gp {
 
@@ -63,7 +68,6 @@ class Impact {
   auto states_array(Reals q) const {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
-    nb::gil_scoped_release release;
     states(q.data(), q.shape(0), out);
     return array;
   }
@@ -71,7 +75,6 @@ class Impact {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
     const States all = core_.states(q, qd);
-    nb::gil_scoped_release release;
     moving_states(all, out);
     return array;
   }
@@ -82,34 +85,28 @@ class Impact {
     auto by_q = make<double>({q.shape(0), q.shape(1)}, out.d_q),
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
     const States states = core_.states(q, qd);
-    {
-      nb::gil_scoped_release release;
-      state_slopes(states, rough, out);
-    }
-    return nb::make_tuple(values, by_q, by_qd);
+    state_slopes(states, rough, out);
+    return std::tuple(std::move(values), std::move(by_q), std::move(by_qd));
   }
   // V and S, and the derivatives of S with respect to q0 and q1; None if the model has none.
-  nb::object edge_gradients_array(Reals q0, Reals q1, double step) const {
+  std::optional<std::tuple<Array<double>, Array<double>, Array<double>>> edge_gradients_array(Reals q0, Reals q1,
+                                                                                              double step) const {
     const Edges all = core_.edges(q0, q1, step);
-    if (!has_gradients()) return nb::none();
+    if (!has_gradients()) return std::nullopt;
     EdgeSlopes out;
     auto costs = make<double>({all.n, 2}, out.cost);
     auto by_q0 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q0),
          by_q1 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q1);
-    {
-      const size_t nq = q0.shape(1);
-      nb::gil_scoped_release release;
-      in_parts(all, [&](const Edges& part, size_t first) {
-        edge_gradients(part, Sampling::kExact, {out.cost + 2 * first, out.d_q0 + first * nq, out.d_q1 + first * nq});
-      });
-    }
-    return nb::make_tuple(costs, by_q0, by_q1);
+    const size_t nq = q0.shape(1);
+    in_parts(all, [&](const Edges& part, size_t first) {
+      edge_gradients(part, Sampling::kExact, {out.cost + 2 * first, out.d_q0 + first * nq, out.d_q1 + first * nq});
+    });
+    return std::tuple(std::move(costs), std::move(by_q0), std::move(by_q1));
   }
   auto edges_array(Reals q0, Reals q1, double step, bool rough) const {
     double* out;
     auto array = make<double>({core_.rows(q0), 2}, out);
     const Edges all = core_.edges(q0, q1, step);
-    nb::gil_scoped_release release;
     in_parts(all, [&](const Edges& part, size_t first) {
       rough ? rough_edges(part, out + 2 * first) : edges(part, out + 2 * first);
     });
@@ -166,17 +163,57 @@ class BoxOverlapImpact final : public Impact {
 
 constexpr double kWide = 0.1;  // narrower half width of a top at which it stops half of the falls that one of no width
                                // would not (step 3 of the specification) [m]
-constexpr const char* kDropConstants[] = {  // in the order of DropConstants
-    "delay",        "velocity_spread", "height_spread", "carry_spread",    "side_spread", "side_reach",
-    "side_height",  "catch",           "leave_tilt",    "position_spread", "size_spread", "tumble_reach",
-    "catch_margin", "leave",           "leave_offset",  "leave_narrow",    "leave_speed", "drift",
-    "carry",        "slide",           "topple_reach"};
-static_assert(sizeof(DropConstants) == sizeof(kDropConstants) / sizeof(kDropConstants[0]) * sizeof(double));
-
-constexpr const char* kSpillConstants[] = {  // in the order of SpillConstants
-    "position_spread", "rim_spread", "speed_spread", "height_spread", "carry",      "margin",
-    "reach",           "run_off",    "edge",         "slosh",         "soft_speed", "soft_spread"};
-static_assert(sizeof(SpillConstants) == sizeof(kSpillConstants) / sizeof(kSpillConstants[0]) * sizeof(double));
+// Names of constants; costs/models/drop and costs/models/spill explain them.
+template <class Visit> void fields(DropConstants& of, Visit visit) {
+  visit("delay", of.delay);
+  visit("velocity_spread", of.velocity_spread);
+  visit("height_spread", of.height_spread);
+  visit("carry_spread", of.carry_spread);
+  visit("side_spread", of.side_spread);
+  visit("side_reach", of.side_reach);
+  visit("side_height", of.side_height);
+  visit("catch", of.catches);
+  visit("leave_tilt", of.leave_tilt);
+  visit("position_spread", of.position_spread);
+  visit("size_spread", of.size_spread);
+  visit("tumble_reach", of.tumble_reach);
+  visit("catch_margin", of.catch_margin);
+  visit("leave", of.leave);
+  visit("leave_offset", of.leave_offset);
+  visit("leave_narrow", of.leave_narrow);
+  visit("leave_speed", of.leave_speed);
+  visit("drift", of.drift);
+  visit("carry", of.carry);
+  visit("slide", of.slide);
+  visit("topple_reach", of.topple_reach);
+}
+template <class Visit> void fields(SpillConstants& of, Visit visit) {
+  visit("position_spread", of.position_spread);
+  visit("rim_spread", of.rim_spread);
+  visit("speed_spread", of.speed_spread);
+  visit("height_spread", of.height_spread);
+  visit("carry", of.carry);
+  visit("margin", of.margin);
+  visit("reach", of.reach);
+  visit("run_off", of.run_off);
+  visit("edge", of.edge);
+  visit("slosh", of.slosh);
+  visit("soft_speed", of.soft_speed);
+  visit("soft_spread", of.soft_spread);
+}
+template <class Visit> void fields(SpillTables& of, Visit visit) {
+  visit("rim", of.rim);
+  visit("depth", of.depth);
+  visit("full", of.full);
+  visit("radius", of.radius);
+  visit("power", of.power);
+  visit("repose", of.repose);
+}
+template <class Visit> void fields(StopTables& of, Visit visit) {
+  visit("amplification", of.amplification);
+  visit("response", of.response);
+  visit("spread", of.spread);
+}
 
 constexpr const char* kDropSeverities = "severities are not [row, entity] and one of the object itself";
 
@@ -192,7 +229,8 @@ struct DropArrays {
   Reals target;  // centre (2), axis (2), half sizes (2), diagonal, half sizes that support (2), bottom, top
   Integers level_start;
   int n_entity;
-  Reals speed, constants;
+  Reals speed;
+  Named constants;
 };
 
 // The drop model of the carried object and, after `add_contents`, the spill model of its contents.
@@ -204,9 +242,8 @@ class DropModel {
         speed_(point(of.speed)) {
     require_numbers(of.centre, 3, "centre of the drop model", kMaxExtent);
     require_positive(of.speed, size_t(core.tables().n_joint), "speed of each joint");
-    require_numbers(of.constants, sizeof(DropConstants) / sizeof(double), "constants of the drop model");
-    require(in_range(of.size, 0, kMaxExtent), "size of what is carried");
-    std::copy(of.constants.data(), of.constants.data() + of.constants.size(), &tables_.constants.delay);
+    fill(tables_.constants, of.constants, "constants of the drop model");
+    require(in_range(of.size, 0, kMaxExtent), "size of the carried object");
     std::copy(of.centre.data(), of.centre.data() + 3, tables_.centre);
     tables_.link = of.link, tables_.frame = core.frame(of.link), tables_.main = of.main, tables_.size = of.size;
     tables_.n_entity = of.n_entity;
@@ -222,51 +259,48 @@ class DropModel {
   }
   DropModel(const DropModel&) = delete;
 
-  // container: mouth (3), axis (3), rim, depth, full, radius, power, repose; constants: contents after a drop, contents
-  // in the gripper
-  void add_contents(Reals container, Integers stands, Reals visible, Reals constants) {
+  // mouth, axis: in the axes of the link, see SpillTables; container: its other numbers; constants: of contents after a
+  // drop, and of contents in the gripper.
+  void add_contents(Reals mouth, Reals axis, const Named& container, Integers stands, Reals visible,
+                    const std::vector<Named>& constants) {
     const size_t n = surface_.size();
     require(!tables_.spill.surface && spill_.empty() && stands.size() == 2 * n, "tables of the spill model");
-    require_numbers(container, 12, "container"), require_numbers(visible, n, "what is visible of surfaces");
-    require_numbers(constants, kSpillUses * std::size(kSpillConstants), "constants of the spill model");
-    const double* c = container.data();
+    require_numbers(mouth, 3, "mouth of the container"), require_numbers(axis, 3, "axis of the container");
+    require_numbers(visible, n, "visible shares of surfaces");
+    require(constants.size() == kSpillUses, "constants of the spill model");
     SpillTables& spill = tables_.spill;
-    std::copy(c, c + 3, spill.mouth), std::copy(c + 3, c + 6, spill.axis);
-    spill.rim = c[6], spill.depth = c[7], spill.full = c[8], spill.radius = c[9], spill.power = c[10],
-    spill.repose = c[11];
+    fill(spill, container, "container");
+    std::copy_n(mouth.data(), 3, spill.mouth), std::copy_n(axis.data(), 3, spill.axis);
     require(spill.rim > 0 && spill.depth > 0 && spill.full > 0 && spill.radius > 0, "container");
     for (size_t k = 0; k < n; ++k) {
       const SpillSurface s{stands.data()[2 * k], stands.data()[2 * k + 1], visible.data()[k]};
       require(s.first >= 0 && s.first <= s.end && s.end <= tables_.n_level, "levels that a surface stands on");
       spill_.push_back(s);
     }
-    for (int use = 0; use < kSpillUses; ++use)
-      std::copy_n(constants.data() + use * int(std::size(kSpillConstants)), std::size(kSpillConstants),
-                  &spill.use[use].position_spread);
+    for (size_t use = 0; use < kSpillUses; ++use) fill(spill.use[use], constants[use], "constants of the spill model");
     spill.surface = spill_.data();  // null if there is nothing to land on
   }
 
-  // deceleration: of each joint in a protective stop; constants: amplification, response, spread; places: constants of
-  // the spill model
-  void add_stop(Reals deceleration, Reals constants, Reals places) {
+  // deceleration: of each joint in a protective stop; places: for the places where thrown-out contents land
+  void add_stop(Reals deceleration, const Named& constants, const Named& places) {
     const size_t nq = size_t(core_.tables().n_joint);
     require_positive(deceleration, nq, "deceleration of a joint");
-    require_numbers(constants, 3, "constants of stops");
-    require_numbers(places, std::size(kSpillConstants), "places of stops");
     StopTables& stop = tables_.stop;
-    std::copy_n(places.data(), places.size(), &stop.places.position_spread);
-    stop.amplification = constants.data()[0], stop.response = constants.data()[1], stop.spread = constants.data()[2];
+    fill(stop, constants, "constants of stops"), fill(stop.places, places, "spill constants of stops");
     require(stop.amplification >= 0 && stop.response > 0 && stop.spread > 0, "constants of stops");
     for (size_t j = 0; j < nq; ++j) stop.slowness[j] = 1.0 / deceleration.data()[j];
   }
 
-  // strength: per surface; loss: sharpness, shifts (2), weights (2)
-  void add_loss(Reals strength, Reals loss) {
+  // strength: per surface; the others as in LossTables
+  void add_loss(Reals strength, double sharpness, Reals shift, Reals weight) {
     require_numbers(strength, surface_.size(), "strength of surfaces");
-    require_numbers(loss, sizeof(LossTables) / sizeof(double), "tables of the loss of what is carried");
+    require_numbers(shift, 2, "own-loss constants of the carried object");
+    require_numbers(weight, 2, "own-loss constants of the carried object");
     for (size_t k = 0; k < surface_.size(); ++k) surface_[k].strength = strength.data()[k];
-    std::copy(loss.data(), loss.data() + loss.size(), &tables_.loss.sharpness);
-    require(tables_.loss.sharpness > 0, "sharpness of damage");
+    LossTables& loss = tables_.loss;
+    loss.sharpness = sharpness;
+    std::copy_n(shift.data(), 2, loss.shift), std::copy_n(weight.data(), 2, loss.weight);
+    require(in_range(sharpness, 0) && sharpness > 0, "sharpness of damage");
   }
 
   // weights: in the order of DropNetwork, biases of each surface last
@@ -289,7 +323,6 @@ class DropModel {
     const size_t row = surface_.size() * size_t(kNetworkInputs + 1);
     auto array = make<double>({core_.rows(q), surface_.size(), size_t(kNetworkInputs + 1)}, out);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     std::fill(out, out + states.n * row, 0.0);
     core_.kernels().drop_sights(core_.tables(), tables_, states, out);
     return array;
@@ -299,7 +332,6 @@ class DropModel {
     double* out;
     auto array = make<double>({core_.rows(q), size_t(kDropRows * tables_.n_entity + 1)}, out);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     core_.kernels().drop(core_.tables(), tables_, states, out);
     return array;
   }
@@ -308,7 +340,6 @@ class DropModel {
     auto array = make<double>({core_.rows(q)}, out);
     require_numbers(severity, size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), states, out);
     return array;
   }
@@ -320,12 +351,9 @@ class DropModel {
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
     require_numbers(severity, size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
-    {
-      nb::gil_scoped_release release;
-      const auto compute = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
-      compute(core_.tables(), tables_, severity.data(), states, out);
-    }
-    return nb::make_tuple(values, by_q, by_qd);
+    const auto compute = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
+    compute(core_.tables(), tables_, severity.data(), states, out);
+    return std::tuple(std::move(values), std::move(by_q), std::move(by_qd));
   }
 
  private:

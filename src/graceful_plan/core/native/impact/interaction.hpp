@@ -1,5 +1,12 @@
 // Algorithm 1 of the paper: entities below or beside the robot's boxes. In double precision, so that results equal a
 // NumPy transcription.
+#pragma once
+#include "geometry/kinematics.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA {
 
 constexpr double kLeastArea = 1e-12;  // least area of a body seen from above [m^2]; thinner bodies cannot be hit from
                                       // above
@@ -49,7 +56,8 @@ struct CountedComponents {
   double of(const Tables& tables, int r, int e) const { return severity[r * tables.n_entity + e]; }
 };
 
-static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const CountedComponents& hazard, PartBoxes& boxes) {
+static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const CountedComponents& hazard,
+                               PartBoxes& boxes) {
   for (int r = 0; r < tables.n_component; ++r) {
     boxes.area[r] = D{}, boxes.bottom[r] = D{} + 1e9, boxes.top[r] = D{} - 1e9;
     boxes.all[r] = {{1e9, 1e9}, {-1e9, -1e9}, -1e9};
@@ -83,8 +91,8 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const 
 // P(entity, component) = min(1, max(sum I / sum A_entity, sum I / sum A_component)), with I the overlap of a pair of
 // boxes in xy, A the area of a box in xy, and sums over all pairs or boxes. P is 0 unless the component as a whole is
 // above the entity as a whole, or their heights overlap. Returns false, with P = 0, if no box comes near.
-static inline bool interactions(const Tables& tables, const CountedComponents& hazard, const PartBoxes& boxes, int component,
-                                const Harmed& entity, D& P) {
+static inline bool interactions(const Tables& tables, const CountedComponents& hazard, const PartBoxes& boxes,
+                                int component, const Harmed& entity, D& P) {
   P = D{};
   const Target& whole = entity.bound;
   if (!boxes.all[component].may_hit(whole)) return false;
@@ -113,7 +121,8 @@ static inline bool interactions(const Tables& tables, const CountedComponents& h
 }
 
 template <class Visit>
-static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const CountedComponents& hazard, Visit visit) {
+static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const CountedComponents& hazard,
+                                        Visit visit) {
   PartBoxes boxes;
   place_parts(tables, X_W, hazard, boxes);
   for (int entity = 0; entity < tables.n_entity; ++entity)
@@ -131,3 +140,5 @@ static inline D impact_of(const Tables& tables, const CountedComponents& hazard,
   for_each_interaction(tables, X_W, hazard, [&](int r, int e, D P) { impact += P * hazard.of(tables, r, e); });
   return impact;
 }
+
+}  // namespace gp::GP_ISA

@@ -1,47 +1,59 @@
 // The gradient of step 3, falls onto lower surfaces, and of the own loss they cause; see drop_gradient.hpp.
+#pragma once
+#include "impact/drop.hpp"
+#include "impact/drop_gradient.hpp"
+#include "impact/flight/flight.hpp"
+#include "impact/own_loss.hpp"
+#include "impact/own_loss_gradient.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
 
-struct TumbleSlope {
-  D mass = {}, inverse_scale = {};
-  Point2 drift = {D{}, D{}}, start = {D{}, D{}};
+namespace gp::GP_ISA {
+
+template <class V> struct TumbleSlope {
+  V mass = {}, inverse_scale = {};
+  Point2<V> drift = {V{}, V{}}, start = {V{}, V{}};
 };
 
 // One level. `tumble` is at its state before the level, d holds the derivatives with respect to the state after it.
 // `own` is null if own loss does not count; otherwise `loss` is also at its state before the level.
-static inline void back_tumble_level(Backward& back, Tumble& tumble, int level, const D* d_G, TumbleSlope& d,
-                                     OwnLoss& loss, OwnLossSlope* own) {
+template <class V>
+static inline void back_tumble_level(Backward<V>& back, Tumble<V>& tumble, int level, const V* d_G, TumbleSlope<V>& d,
+                                     OwnLoss<V>& loss, OwnLossSlope<V>* own) {
   auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
-  const Point2& n = landing.away[level];
-  const D M = landing.leaving[level];
+  const Point2<V>& n = landing.away[level];
+  const V M = landing.leaving[level];
   if (own) own->back_leave(back, level);
   d_landing.leaving[level] += d.mass + d.drift.x * n.x + d.drift.y * n.y;
   d_landing.away[level].x += d.drift.x * M, d_landing.away[level].y += d.drift.y * M;
   if (!tumble.enter(drop)) return;
   const int first = drop.level_start[level], last = drop.level_start[level + 1];
-  D before[kMaxSurfaces], keep = D{} + 1.0;
+  V before[kMaxSurfaces], keep = V{} + 1.0;
   for (int k = first; k < last; ++k) {
     before[k] = keep;
-    const Point2 at = placed(drop.surface[k], tumble.x, tumble.y);
+    const Point2<V> at = placed(drop.surface[k], tumble.x, tumble.y);
     if (!tumble.may_meet(drop.surface[k], at)) continue;
-    const Within x(at.x, D{} + drop.surface[k].inside[0], tumble.inverse_scale),
-        y(at.y, D{} + drop.surface[k].inside[1], tumble.inverse_scale);
+    const Within<V> x(at.x, V{} + drop.surface[k].inside[0], tumble.inverse_scale),
+        y(at.y, V{} + drop.surface[k].inside[1], tumble.inverse_scale);
     keep *= 1.0 - drop.surface[k].catches * x.value * y.value;
   }
-  D d_keep = d.mass * tumble.mass + d.drift.x * tumble.drift.x + d.drift.y * tumble.drift.y;
+  V d_keep = d.mass * tumble.mass + d.drift.x * tumble.drift.x + d.drift.y * tumble.drift.y;
   d.mass *= keep, d.drift.x *= keep, d.drift.y *= keep;
   if (own) d_keep += own->back_keep(level, keep), loss.enter(tumble);
-  D after = D{} + 1.0, d_x = {}, d_y = {};
+  V after = V{} + 1.0, d_x = {}, d_y = {};
   for (int k = last; k-- > first;) {
     const Surface& s = drop.surface[k];
-    const Point2 at = placed(s, tumble.x, tumble.y);
+    const Point2<V> at = placed(s, tumble.x, tumble.y);
     if (!tumble.may_meet(s, at)) continue;
-    const Within in_x(at.x, D{} + s.inside[0], tumble.inverse_scale),
-        in_y(at.y, D{} + s.inside[1], tumble.inverse_scale);
-    const Within hit_x(at.x, D{} + s.reached[0], tumble.inverse_scale),
-        hit_y(at.y, D{} + s.reached[1], tumble.inverse_scale);
-    const D ends = s.catches * in_x.value * in_y.value, d_hit = d_G[k] * tumble.mass;
-    D d_ends = -d_keep * before[k] * after;
+    const Within<V> in_x(at.x, V{} + s.inside[0], tumble.inverse_scale),
+        in_y(at.y, V{} + s.inside[1], tumble.inverse_scale);
+    const Within<V> hit_x(at.x, V{} + s.reached[0], tumble.inverse_scale),
+        hit_y(at.y, V{} + s.reached[1], tumble.inverse_scale);
+    const V ends = s.catches * in_x.value * in_y.value, d_hit = d_G[k] * tumble.mass;
+    V d_ends = -d_keep * before[k] * after;
     if (own) d_ends += own->back_end(drop, s, loss, tumble.mass * before[k], ends);
-    const D d_caught = s.catches * d_ends;
+    const V d_caught = s.catches * d_ends;
     after *= 1.0 - ends;
     d.mass += d_G[k] * hit_x.value * hit_y.value;
     back_turned(s,
@@ -51,20 +63,22 @@ static inline void back_tumble_level(Backward& back, Tumble& tumble, int level, 
     d.inverse_scale += d_caught * (in_x.inverse_scale * in_y.value + in_x.value * in_y.inverse_scale) +
                        d_hit * (hit_x.inverse_scale * hit_y.value + hit_x.value * hit_y.inverse_scale);
   }
-  const D share = reciprocal(tumble.mass + kLeastMass), moved = drop.constants.drift * drop.size * share;
+  const V share = reciprocal(tumble.mass + kLeastMass), moved = drop.constants.drift * drop.size * share;
   d.start.x += d_x, d.start.y += d_y;
   d.drift.x += d_x * moved, d.drift.y += d_y * moved;
   d.mass -= (d_x * tumble.drift.x + d_y * tumble.drift.y) * moved * share;
   if (own) d.mass += own->back_enter(loss);
 }
 
-static inline void back_tumble(Backward& back, const Tumble& tumble, const TumbleSlope& d) {
+template <class V> static inline void back_tumble(Backward<V>& back, const Tumble<V>& tumble, const TumbleSlope<V>& d) {
   auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const DropConstants& k = drop.constants;
-  const D d_variance =
+  const V d_variance =
       -0.5 * kBeta * kBeta * tumble.inverse_scale * tumble.inverse_scale * tumble.inverse_scale * d.inverse_scale;
-  const D per_speed = 2.0 * k.carry_spread * k.carry_spread * d_variance;
+  const V per_speed = 2.0 * k.carry_spread * k.carry_spread * d_variance;
   d_landing.blur += d_variance;
   d_landing.mean_time += back_travelled(back, landing.mean_time + k.carry, d.start.x, d.start.y);
   d_flight.v.x += per_speed * flight.v.x, d_flight.v.y += per_speed * flight.v.y;
 }
+
+}  // namespace gp::GP_ISA

@@ -1,18 +1,8 @@
-// The coast model for one instruction set. This file is compiled several times; GP_ISA names the result.
-#include <cstring>
-
-#include "mobile/coast/coast_tables.hpp"
-
-#if defined(__x86_64__)
-#include <immintrin.h>
-#endif
+// The coast model for one instruction set. This file is compiled once per set, see target.hpp.
+#include "mobile/coast/following.hpp"
 
 namespace gp {
 namespace GP_ISA {
-
-#include "lanes.hpp"
-#include "mobile/coast/places_abreast.hpp"
-#include "mobile/coast/following.hpp"
 
 static bool coast_hits(const CoastTables& of, const CoastState<double>& at, const std::vector<FloorShape>& shape,
                        const double* severity, CoastWork& work, int only) {

@@ -12,12 +12,12 @@
 namespace gp {
 
 // Limits of a base; see DiffDrive.
-struct DriveLimits {
+struct RollingLimits {
   double speed, turning, acceleration, turning_acceleration, across, rim, lever;
 };
 
 struct RollingSettings {
-  DriveLimits limits;
+  RollingLimits limits;
   bool forward = true;
   double heading_before = 0, heading_after = 0;  // heading of the base before and after [rad]
   // Whether it turns in place before and after, so that the directions of the curve at its ends are free.
@@ -39,11 +39,11 @@ class RollingCurve final : public MotionCurve {
 
   size_t axes() const override { return kAxes + arm_; }
   Point axis_velocity(const Point& velocity) const override {
-    const DriveLimits& l = settings_.limits;
+    const RollingLimits& l = settings_.limits;
     return with_arm({l.speed, l.turning, std::sqrt(l.across), l.rim}, velocity);
   }
   Point axis_acceleration(const Point& acceleration) const override {
-    const DriveLimits& l = settings_.limits;
+    const RollingLimits& l = settings_.limits;
     return with_arm({l.acceleration, l.turning_acceleration, kUnlimited, kUnlimited}, acceleration);
   }
 
@@ -191,6 +191,7 @@ class RollingCurve final : public MotionCurve {
 
  private:
   static constexpr size_t kBase = 3, kAxes = 4;
+  // kUnlimited: acceleration of axes without a limit; kLeastRoot: lower bound of a square root that is divided by.
   static constexpr double kPi = 3.14159265358979323846, kUnlimited = 1e9, kLeastRoot = 1e-6;
   static constexpr double kLeastSquared = 1e-8;  // least squared length of the tangent [m2]
   static constexpr double kSoft = 0.02;          // angle below which the cost of a turn in place is smoothed [rad]

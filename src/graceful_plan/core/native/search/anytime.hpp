@@ -74,7 +74,7 @@ class Anytime {
   };
   static constexpr int64_t kFirstRound = 150, kLastRound = 5000;  // moves of each candidate in a contest
   static constexpr int kFirstScout = 150, kLastScout = 600;       // nodes of a roadmap
-  static constexpr size_t kElite = 6;
+  static constexpr size_t kElite = 6;                             // best paths kept
 
   bool step() {
     ++steps_;
@@ -236,7 +236,7 @@ class Anytime {
       const double s = 2.0 * (k - i) / (j - i) - 1.0, bump = std::min(1.0, 1.6 * (1.0 - s * s));
       Point& q = points[size_t(k)];
       Point d(q.size());
-      constexpr int kSteps = 6;
+      constexpr int kSteps = 6;  // linearised steps of a move of the tool
       const double step[3] = {aside[0] * bump / kSteps, aside[1] * bump / kSteps, aside[2] * bump / kSteps};
       for (int count = 0; count < kSteps; ++count) {
         if (!space_.move_tool(q.data(), step, d.data())) return false;
@@ -247,7 +247,7 @@ class Anytime {
   }
 
   Point via_point(const Point& a, const Point& b) {
-    constexpr int kTried = 16;
+    constexpr int kTried = 16;  // samples compared by their impact; the best one is kept
     const size_t dim = a.size();
     std::vector<double> points(kTried * dim);
     const int tried = space_.w > 0 ? kTried : 1;

@@ -65,10 +65,12 @@ class Challenger {
   }
 
  private:
+  // Pieces of the path in the coarse, the fine and the last descent.
   static constexpr int kPieces = 14, kFinePieces = 40, kLastPieces = 100;
   static constexpr double kStep = 0.15, kFineStep = 0.05, kLastStep = 0.04;  // distance between samples of the impact
                                                                              // [rad]
   // Evaluations in the coarse, fine and final descent, and after each hardening; moves of the refiner.
+  // Steps of each descent and after a hardening; random moves of a refinement.
   static constexpr int kSteps = 30, kFineSteps = 50, kLastSteps = 200, kMoreSteps = 30, kMoves = 30;
   static constexpr int kHardenings = 2;  // then the candidate is dropped
 

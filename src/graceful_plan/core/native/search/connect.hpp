@@ -21,8 +21,8 @@ constexpr int kPatience = 40;          // failed attempts of the smaller tree be
 // deviation of this share of each joint's range. If start or goal is in a cage, nearly all uniform samples are outside,
 // and the tree runs into the same bars repeatedly. On 320 problems of benchmarks/motion_problems.py ("cage",
 // "bookshelf_thin"), shares of 0.3 to 0.6 and widths of 0.15 to 0.3 performed about equally.
-constexpr double kNearbyShare = 0.4;
-constexpr double kNearby = 0.2;
+constexpr double kNearbyShare = 0.4;  // share of samples of a first path drawn near a node
+constexpr double kNearby = 0.2;       // standard deviation of these, relative to the ranges of joints
 
 class Connect {
  public:

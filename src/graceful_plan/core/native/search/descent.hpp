@@ -81,6 +81,8 @@ class Descent {
   };
   static constexpr double kKeep = 0.001;   // clearance to keep in addition to the space's margin [m]
   static constexpr double kLongest = 0.5;  // longest step of a vertex [rad]
+  // Levenberg-Marquardt damping: at the start, least after a rejected step, factors after rejected and accepted steps,
+  // and the value below which it is 0.
   static constexpr double kBegin = 1.0, kDamping = 0.3, kMoreDamping = 4.0, kLessDamping = 0.25, kLeastDamping = 1e-3;
   static constexpr int kRefusals = 12;    // consecutive rejections before it stops
   static constexpr size_t kLookBack = 8;  // steps over which the decrease is measured

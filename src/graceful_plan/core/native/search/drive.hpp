@@ -81,7 +81,7 @@ class Drive {
   static constexpr int kMoves[kHeadings][2] = {{1, 0},  {2, 1},  {1, 1},  {1, 2},   {0, 1},   {-1, 2},
                                                {-1, 1}, {-2, 1}, {-1, 0}, {-2, -1}, {-1, -1}, {-1, -2},
                                                {0, -1}, {1, -2}, {1, -1}, {2, -1}};
-  static constexpr double kUnknown = -1;
+  static constexpr double kUnknown = -1;  // cost of an edge that has not been evaluated
 
   using Key = std::array<int, 3>;  // cells along and across the first heading, heading
   struct Hash {

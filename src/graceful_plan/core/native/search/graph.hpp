@@ -35,7 +35,7 @@ struct Found {
 
 class Digraph {
  public:
-  static constexpr double kFar = std::numeric_limits<double>::infinity();
+  static constexpr double kUnreached = std::numeric_limits<double>::infinity();
 
   Digraph(int n, std::vector<int> tail, std::vector<int> head)
       : n_(n), tail_(std::move(tail)), head_(std::move(head)), out_(n, tail_), in_(n, head_) {}
@@ -45,7 +45,7 @@ class Digraph {
   // The edges of the cheapest path to the nearest goal, and its cost, infinite if there is none. Edge costs are at
   // least 0; infinite ones disable an edge.
   FoundPath cheapest(const double* cost, int start, const std::vector<int>& goals) const {
-    std::vector<double> distance(size_t(n_), kFar);
+    std::vector<double> distance(size_t(n_), kUnreached);
     std::vector<int> from(size_t(n_), -1);
     std::vector<uint8_t> is_goal = flags(goals);
     Heap heap;
@@ -61,7 +61,7 @@ class Digraph {
         if (d + cost[e] < distance[j]) distance[j] = d + cost[e], from[j] = int(e), heap.push({distance[j], int(j)});
       }
     }
-    return {{}, kFar, kFar};
+    return {{}, kUnreached, kUnreached};
   }
 
   // All non-dominated paths to a goal, by ascending first cost; of equal ones, one. With epsilon, a subset: for each
@@ -74,8 +74,8 @@ class Digraph {
   Found front(const double* cost, int start, const std::vector<int>& goals, double epsilon, double seconds) const {
     const std::vector<double> first_to_go = to_go(cost, goals), second_to_go = to_go(cost + 1, goals);
     const std::vector<uint8_t> is_goal = flags(goals);
-    std::vector<double> least(size_t(n_), kFar);  // least second cost at each node
-    double least_at_goal = kFar;
+    std::vector<double> least(size_t(n_), kUnreached);  // least second cost at each node
+    double least_at_goal = kUnreached;
     std::vector<Label> labels;
     std::priority_queue<Waiting, std::vector<Waiting>, Later> heap;
     Found found{{}, true};
@@ -83,7 +83,7 @@ class Digraph {
       return second >= least[size_t(node)] || (second + second_to_go[size_t(node)]) * (1 + epsilon) >= least_at_goal;
     };
     const auto offer = [&](int node, int edge, int parent, double first, double second) {
-      if (first + first_to_go[size_t(node)] == kFar || dominated(node, second)) return;
+      if (first + first_to_go[size_t(node)] == kUnreached || dominated(node, second)) return;
       labels.push_back({node, edge, parent, first, second});
       heap.push({first + first_to_go[size_t(node)], second + second_to_go[size_t(node)], int(labels.size()) - 1});
     };
@@ -138,7 +138,7 @@ class Digraph {
   // Least cost from each node to a goal, for the first or second cost; slightly reduced, so that rounding never hides a
   // path.
   std::vector<double> to_go(const double* cost, const std::vector<int>& goals) const {
-    std::vector<double> distance(size_t(n_), kFar);
+    std::vector<double> distance(size_t(n_), kUnreached);
     Heap heap;
     for (int i : goals) distance[size_t(i)] = 0, heap.push({0, i});
     while (!heap.empty()) {

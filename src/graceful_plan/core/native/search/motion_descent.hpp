@@ -34,9 +34,9 @@ struct MotionSettings {
   // reaches places that are tight for the covering spheres.
   double tight_start = 0, tight_end = 0;
   std::vector<SpecificForceLimit> felt;  // limits on felt acceleration at carried objects
-  bool fitted = false;          // whether the path consists of the control points of a curve
-  bool slosh = true;            // whether sloshing of a liquid is penalised
-  double points = 1;            // number of samples of the motion, for sums over samples
+  bool fitted = false;                   // whether the path consists of the control points of a curve
+  bool slosh = true;                     // whether sloshing of a liquid is penalised
+  double points = 1;                     // number of samples of the motion, for sums over samples
 };
 
 class MotionDescent {
@@ -58,7 +58,7 @@ class MotionDescent {
     step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0),
         stop_.front() = stop_.back() = 1;
     if (settings.fitted && path.size() != settings.controls)
-      throw std::invalid_argument("other control points than those of a curve");
+      throw std::invalid_argument("control points that are not those of the curve");
     x_ = settings.fitted ? curve_->adopted(path) : curve_->fitted(path);
     for (size_t i = 0; i < x_.size(); ++i) x_[i] = clipped(i, x_[i]);
     trial_ = x_;
@@ -116,10 +116,11 @@ class MotionDescent {
   };
   static constexpr double kKeep = 0.001;   // clearance to keep in addition to the space's margin [m]
   static constexpr double kLongest = 0.3;  // longest step of a control point [rad]
+  // Wolfe conditions of the line search (Nocedal and Wright, Numerical Optimization, ch. 3.1), and its longest step.
   static constexpr double kArmijo = 1e-4, kWolfe = 0.9, kLongestShare = 8.0;
-  static constexpr double kLeastShrink = 0.05;
-  static constexpr int kTries = 10;       // evaluations of a line search
-  static constexpr size_t kLookBack = 6;  // steps over which the decrease is measured
+  static constexpr double kLeastShrink = 0.05;  // least factor on a rejected step
+  static constexpr int kTries = 10;             // evaluations of a line search
+  static constexpr size_t kLookBack = 6;        // steps over which the decrease is measured
 
   // Factor for a step that was too long: the minimum of the parabola through its value and its initial slope, or a half
   // if the step did not start at the present point.
@@ -420,7 +421,7 @@ class MotionDescent {
 
   static constexpr double kPassing = 0.15;  // wanted clearance to moving entities [m]; the judge requires more than 0
   static constexpr double kPassingWeight = 20.0;  // weight of its square, relative to that of other clearance
-  static constexpr double kSlowest = 1e-9;
+  static constexpr double kSlowest = 1e-9;        // lower bound of speeds of the curve parameter [1/s]
 
   Space& space_;
   const MotionSettings settings_;

@@ -177,7 +177,7 @@ class Refiner {
   }
 
   Point displacement(const Point& before, const Point& vertex, const Point& after, double sigma) {
-    constexpr int kTried = 8;
+    constexpr int kTried = 8;  // moves compared by their impact; the best one is kept
     const size_t dim = size_t(space_.dim);
     const int tried = space_.w > 0 && random_.uniform() < 0.7 ? kTried : 1;
     std::vector<double> moved(size_t(tried) * dim);

@@ -64,7 +64,7 @@ class CurveTiming {
                                              // motion
   static constexpr double kLeastRoom = 1e-3;  // of gravity: least reserve of a facet at rest
   static constexpr double kSlowdown = 1.01;   // factor of each slowdown
-  static constexpr int kMostSlowdowns = 310;
+  static constexpr int kMostSlowdowns = 310;  // most of them: a factor of 22 in all
 
   struct Further {
     const double* row;

@@ -45,8 +45,8 @@ inline double rests(const SpecificForceLimit& limit, const Vector3& up, double* 
 // Adds the facets of a limit at the beginning of the current interval, or at its end, where the squared speed is x + S
 // u. If the motion is slowed down afterwards to a share `speed`, the limits may be wider by 1/speed^2. Facet f has the
 // tag `tag` + 2 f.
-inline void add_facets(const SpecificForceLimit& limit, const FeltMotion& at, const double* rests, double S, double speed,
-                       size_t tag, CurveLimits& out) {
+inline void add_facets(const SpecificForceLimit& limit, const FeltMotion& at, const double* rests, double S,
+                       double speed, size_t tag, CurveLimits& out) {
   const double per = 1 / (speed * speed);
   Vector3 velocity = at.velocity;
   add3(velocity, S, at.bend);

@@ -42,7 +42,7 @@ class CurveLimits {
   struct Slope {  // derivatives with respect to a, b and c
     double a = 0, b = 0, c = 0;
   };
-  static constexpr double kLeast = 1e-12;
+  static constexpr double kLeast = 1e-12;  // least absolute coefficient of a limit that is divided by
 
   void clear() { first_.assign(1, 0), middle_.clear(), bound_.clear(), row_.clear(); }
   const std::vector<Row>& rows() const { return row_; }
@@ -153,6 +153,7 @@ class SpeedProfile {
   }
 
  private:
+  // kUnbounded: squared speed without a limit [1/s^2].
   static constexpr double kUnbounded = 1e12, kLeast = CurveLimits::kLeast;
   static constexpr size_t kBeta = size_t(-1), kEnd = size_t(-1);
   enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain, kStill, kCorner };

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "timing/slosh.hpp"
+#include "timing/speed_profile.hpp"
 
 namespace gp {
 

@@ -254,11 +254,13 @@ def native_model_of(scene: Scene, settings: BodySettings, kernels: Kernels) -> _
     resistance = np.full(len(tables.lower), settings.resistance)
     drive = [tables.lower, tables.upper, tables.armature, tables.damping, tables.friction, resistance, tables.speed]
     inertia = [tables.mass[:, None], tables.centre, tables.inertia.reshape(n_frame, 9)]
-    margins = [settings.margin(generator, row) for generator in GENERATORS for row in ROWS]
-    constants = [getattr(settings, name) for name in _MOTION]
-    for name in ("stop_gain", "stop_tolerance"):
-        constants += [getattr(getattr(settings, generator), name) for generator in GENERATORS]
-    constants += [margin.offset for margin in margins] + [margin.spread for margin in margins]
+    constants = {name: getattr(settings, name) for name in _MOTION}
+    for generator in GENERATORS:
+        for name in ("stop_gain", "stop_tolerance"):
+            constants[f"{generator}.{name}"] = getattr(getattr(settings, generator), name)
+        for row in ROWS:
+            margin = settings.margin(generator, row)
+            constants |= {f"{generator}.{row}.offset": margin.offset, f"{generator}.{row}.spread": margin.spread}
     return _native.BodyModel(
         core=kernels.core,
         inertia=_reals(np.concatenate(inertia, axis=1)),
@@ -268,7 +270,7 @@ def native_model_of(scene: Scene, settings: BodySettings, kernels: Kernels) -> _
         n_row=tables.n_row,
         n_entity=len(scene.entities),
         n_step=settings.steps,
-        constants=np.array(constants),
+        constants=constants,
     )
 
 

@@ -28,9 +28,9 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 CONSTANTS: tuple[str, ...] = tuple(_native.drop_constants())
-"""Names of the constants in the order in which the core takes them."""
+"""Names of the constants that the core takes."""
 SPILL_CONSTANTS: tuple[str, ...] = tuple(_native.spill_constants())
-"""Names of the constants of the spill model, in the order of the core."""
+"""Names of the constants of the spill model that the core takes."""
 ROWS = ("carried", *USES, "stopped")
 """Rows of probabilities and severities: the object after a drop; contents after a drop; contents that leave a held
 container; contents spilled by a protective stop."""
@@ -98,32 +98,37 @@ class DropKernel:
             level_start=np.ascontiguousarray(tables.level_start, dtype=np.int32),
             n_entity=n_entity,
             speed=_reals(speed),
-            constants=np.array([getattr(constants, name) for name in CONSTANTS]),
+            constants={name: getattr(constants, name) for name in CONSTANTS},
         )
         if contents is not None:
             self._add_contents(*contents)
         if stop is not None:
             self._add_stop(stop.settings, stop.acceleration)
         if loss is not None:
-            numbers = (1.0, *(LANDING_LOSS * node for node in NODES))
-            self.native.add_loss(_reals(loss.strength), np.array([*(x / loss.spread for x in numbers), *WEIGHTS]))
+            self.native.add_loss(
+                strength=_reals(loss.strength),
+                sharpness=1.0 / loss.spread,
+                shift=np.array([LANDING_LOSS * node / loss.spread for node in NODES]),
+                weight=np.array(WEIGHTS),
+            )
         if network is not None:
             self.native.add_network(len(network.last), network.bound, _reals(network.weights_for(tables)))
 
     def _add_contents(self, tables: SpillTables, settings: SpillSettings) -> None:
-        numbers = (tables.rim, tables.depth, tables.full, tables.radius, tables.power, tables.repose)
         self.native.add_contents(
-            container=np.array([*tables.mouth, *tables.axis, *numbers]),
+            mouth=_reals(tables.mouth),
+            axis=_reals(tables.axis),
+            container={name: getattr(tables, name) for name in ("rim", "depth", "full", "radius", "power", "repose")},
             stands=np.ascontiguousarray(tables.stands, dtype=np.int32),
             visible=_reals(tables.visible),
-            constants=np.array([getattr(settings.of(use), name) for use in USES for name in SPILL_CONSTANTS]),
+            constants=[{name: getattr(settings.of(use), name) for name in SPILL_CONSTANTS} for use in USES],
         )
 
     def _add_stop(self, settings: StopSettings, acceleration: Float[Array, " nq"]) -> None:
         self.native.add_stop(
             deceleration=_reals(settings.deceleration * acceleration),
-            constants=np.array([settings.amplification, settings.response, settings.spread]),
-            places=np.array([getattr(settings.places, name) for name in SPILL_CONSTANTS]),
+            constants={name: getattr(settings, name) for name in ("amplification", "response", "spread")},
+            places={name: getattr(settings.places, name) for name in SPILL_CONSTANTS},
         )
 
     def of(self, batch: StateBatch) -> tuple[Float[Array, "n row entity"], Float[Array, " n"]]:

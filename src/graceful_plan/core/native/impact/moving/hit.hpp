@@ -1,31 +1,43 @@
 // P that a dropped object hits a moving entity, for places and times of the entity side by side: D, G and H of
 // costs/models/moving/drops.py. The fall is that of one state.
+#pragma once
+#include <cstddef>
 
-namespace moving {
+#include "cutoffs.hpp"
+#include "impact/drop.hpp"
+#include "impact/drop_gradient.hpp"
+#include "impact/flight/flight.hpp"
+#include "impact/impact_of_drop.hpp"
+#include "impact/moving/path.hpp"
+#include "impact/moving/tables.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA::moving {
 
 constexpr double kRoam = 0.3;        // time from landing to rest, or to falling off [s]; from the specification
 constexpr double kLevelSoft = 0.01;  // smoothing width for comparing a level's height with the entity's [m]
 constexpr double kSideSoft = 0.02;   // smoothing width for the object passing above or below the entity [m]
 constexpr double kStandsOn = 0.1;    // surfaces less than this above an entity's bottom support it [m]
-constexpr double kFar = 8.0;         // standard deviations beyond which nothing is hit
 constexpr double kCertain = 0.01;    // for smaller standard deviations one place is enough [m]
-constexpr double kStill = 1e-9;      // shorter moves have no direction [m]
-constexpr double kHardly = 1e-9;     // below this probability of a hit, places are not checked for being free
+constexpr double kNoMove = 1e-9;     // shorter moves have no direction [m]
+constexpr double kHardlyHit = 1e-9;  // below this probability of a hit, places are not checked for being free
 
 // --- falls of states side by side -----------------------------------------------------------------------------------
 
 // Falls side by side; per level, the P and drift of objects that have left it or a higher level and were not caught.
-struct Falling : Placed {
-  const Fall fall;
-  const Sweep sweep;
-  Tumble tumble;
+struct Falling : BuiltInPlace {
+  const Fall<D> fall;
+  const Sweep<D> sweep;
+  Tumble<D> tumble;
   D top[kMaxDropParts];
   D loose[kMaxSurfaces + 1];
-  Point2 drift[kMaxSurfaces + 1];
+  Point2<D> drift[kMaxSurfaces + 1];
 
   Falling(const Tables& tables, const DropTables& drop, const D* q, const D* qd)
       : fall(tables, drop, q, qd), sweep(drop, fall.flight, fall.landing), tumble(drop, fall.flight, fall.landing) {
-    const Flight& flight = fall.flight;
+    const Flight<D>& flight = fall.flight;
     for (int p = 0; p < drop.n_part; ++p)
       top[p] = flight.c.z + flight.part[p].o.z + reach(drop.part[p], flight.part[p].axis + 6);
     for (int l = 0; l <= drop.n_level; ++l) {
@@ -39,7 +51,7 @@ struct Falling : Placed {
 };
 
 // One lane of these falls.
-struct Dropped : Placed {
+struct Dropped : BuiltInPlace {
   double c[2], v[3], low, nothing, time, landed[2], rest[2], start[2];
   double fall_variance, side_variance, side_reach, side_top;
   struct {
@@ -59,7 +71,7 @@ struct Dropped : Placed {
     fall_variance = variance_of(of.tumble.inverse_scale[i]), side_variance = variance_of(of.sweep.inverse_scale[i]);
     side_reach = of.sweep.reach[i], side_top = of.sweep.top[i];
     for (int p = 0; p < drop.n_part; ++p) {
-      const FlyingPart& flying = flight.part[p];
+      const FlyingPart<D>& flying = flight.part[p];
       part[p].o[0] = flying.o.x[i], part[p].o[1] = flying.o.y[i], part[p].u[0] = flying.u.x[i],
       part[p].u[1] = flying.u.y[i], part[p].bottom = flying.bottom[i], part[p].top = of.top[p][i];
       for (int k = 0; k < 6; ++k) part[p].axis[k] = flying.axis[k][i];
@@ -118,8 +130,8 @@ struct Directions {
 
   void set(const Outline& o, D move_x, D move_y) {
     const D square = move_x * move_x + move_y * move_y;
-    const auto moves = square > kStill * kStill;
-    const D inverse = where(moves, inverse_root(maximum(square, D{} + kStill * kStill)), D{});
+    const auto moves = square > kNoMove * kNoMove;
+    const D inverse = where(moves, inverse_root(maximum(square, D{} + kNoMove * kNoMove)), D{});
     const D ax = where(moves, move_x * inverse, o.cosine), ay = where(moves, move_y * inverse, o.sine);
     turn_x = -ay * inverse, turn_y = ax * inverse;
     const D c = o.round ? ax : o.cosine, s = o.round ? ay : o.sine;
@@ -137,28 +149,28 @@ struct Directions {
 
 // Relative motion of the object from one place to another; it hits the entity if it comes within reach.
 struct Way {
-  Point2 from, to;
+  Point2<D> from, to;
   Directions u;
   D reach[5], inverse_scale;
 
-  Within within(int i) const {
+  Within<D> within(int i) const {
     const D x0 = u.x[i] * from.x + u.y[i] * from.y, x1 = u.x[i] * to.x + u.y[i] * to.y;
-    return Within(0.5 * (x0 + x1), reach[i] + 0.5 * absolute(x1 - x0), inverse_scale);
+    return Within<D>(0.5 * (x0 + x1), reach[i] + 0.5 * absolute(x1 - x0), inverse_scale);
   }
   D met() const {
-    Chance chance;
+    Chance<D> chance;
     auto near = inverse_scale > 0.0;
     for (int i = 0; i < 4; ++i) {
       D middle, half;
       interval(i, middle, half);
-      near &= (absolute(middle) - half) * inverse_scale < kTail;
+      near &= (absolute(middle) - half) * inverse_scale < kTail<D>;
       if (!any(near)) return D{};
       chance.within(middle, half, inverse_scale);
     }
     D P = chance.value();
     if (u.n == 5) {
       // A fifth direction is not as independent of the others, but its P is still an upper bound.
-      Chance fifth;
+      Chance<D> fifth;
       D middle, half;
       interval(4, middle, half);
       fifth.within(middle, half, inverse_scale);
@@ -178,7 +190,7 @@ static inline D inverse_scale_of(D variance) { return (1.0 / kBeta) * inverse_ro
 
 // --- P that an entity is hit ----------------------------------------------------------------------------------------
 
-struct Meeting {
+struct PathMeeting {
   const DropTables& drop;
   const Dropped& fall;
   const MovingEntity& entity;
@@ -195,14 +207,14 @@ struct Hit {
   D higher;                      // number of levels higher than the entity
   D loose, left, meets, beyond, edge;  // B_l, M_l; P of the sweep; P of falling past the wide top that covers most, and
                                        // its index
-  Point2 drift;
+  Point2<D> drift;
   Way falls, slides;
   D over, beside;  // P that the sliding object meets the outline; the same at the entity's height
   D D_, G, H, value;
 
-  Person person(const Meeting& of) const { return {of.entity, off_x, off_y, cell}; }
+  Person person(const PathMeeting& of) const { return {of.entity, off_x, off_y, cell}; }
 
-  void run(const Meeting& of) {
+  void run(const PathMeeting& of) {
     D place[4], rate[4];
     follow<0, 4>(of.entity, time, place, rate);
     const double half = of.entity.half[2];
@@ -215,7 +227,7 @@ struct Hit {
   }
 
   // Relative motion of part p during its flight past the entity; `first`, `last`: start and end times.
-  Way past(const Meeting& of, int p, D& first, D& last) const {
+  Way past(const PathMeeting& of, int p, D& first, D& last) const {
     const DropConstants& k = of.drop.constants;
     const auto& part = of.fall.part[p];
     const Person who = person(of);
@@ -227,8 +239,8 @@ struct Hit {
         inverse_scale_of(k.position_spread * k.position_spread + late * late + who.variance(time + middle).value);
     const auto at = [&](D t) {
       const Person::Place there = who.at(time + t);
-      return Point2{of.fall.c[0] + part.o[0] + part.u[0] * t - there.x,
-                    of.fall.c[1] + part.o[1] + part.u[1] * t - there.y};
+      return Point2<D>{of.fall.c[0] + part.o[0] + part.u[0] * t - there.x,
+                       of.fall.c[1] + part.o[1] + part.u[1] * t - there.y};
     };
     way.from = at(first), way.to = at(last);
     across.reach(outline, D{}, way.reach);
@@ -239,9 +251,9 @@ struct Hit {
     }
     return way;
   }
-  D above_bottom(const Meeting& of, int p) const { return (of.fall.part[p].top - bottom) * (1.0 / kSideSoft); }
+  D above_bottom(const PathMeeting& of, int p) const { return (of.fall.part[p].top - bottom) * (1.0 / kSideSoft); }
   // P that a falling object lands on the entity instead of a wide top above it, beyond the top's edge.
-  D past_edge(const Meeting& of, int k, D level) const {
+  D past_edge(const PathMeeting& of, int k, D level) const {
     const Edge edge(of, *this, k);
     return where(level < higher, relu(edge.whole() - edge.covered()), D{} + 1.0);
   }
@@ -250,19 +262,19 @@ struct Hit {
     D offset[2], reach[2], there[2], entity[2], low[2], high[2], inverse_scale;
     double half[2];
 
-    Edge(const Meeting& of, const Hit& hit, int k) {
+    Edge(const PathMeeting& of, const Hit& hit, int k) {
       const Surface& s = of.drop.surface[k];
       const Way& way = hit.falls;
-      const Point2 between = {0.5 * (way.from.x + way.to.x), 0.5 * (way.from.y + way.to.y)};
-      const Point2 point = hit.comes_to(of);
-      const Point2 apart = turned(s, between.x, between.y), object = placed(s, point.x, point.y),
-                   centre = placed(s, point.x - between.x, point.y - between.y);
+      const Point2<D> between = {0.5 * (way.from.x + way.to.x), 0.5 * (way.from.y + way.to.y)};
+      const Point2<D> point = hit.comes_to(of);
+      const Point2<D> apart = turned(s, between.x, between.y), object = placed(s, point.x, point.y),
+                      centre = placed(s, point.x - between.x, point.y - between.y);
       const D move_x = absolute(way.to.x - way.from.x), move_y = absolute(way.to.y - way.from.y);
       const D margin = D{} + of.drop.constants.tumble_reach * of.drop.size;
       inverse_scale = way.inverse_scale;
       for (int j = 0; j < 2; ++j) {
         offset[j] = j ? apart.y : apart.x, there[j] = j ? object.y : object.x, entity[j] = j ? centre.y : centre.x;
-        const double x = Extents::axis_x(s, j), y = Extents::axis_y(s, j);
+        const double x = Extents<D>::axis_x(s, j), y = Extents<D>::axis_y(s, j);
         reach[j] = hit.outline.reach(hit.outline.cosine * x + hit.outline.sine * y,
                                      hit.outline.cosine * y - hit.outline.sine * x, margin) +
                    0.5 * (move_x * __builtin_fabs(x) + move_y * __builtin_fabs(y));
@@ -271,9 +283,9 @@ struct Hit {
       }
     }
     auto hides() const { return (high[0] > low[0]) & (high[1] > low[1]); }
-    Within whole_of(int j) const { return Within(offset[j], reach[j], inverse_scale); }
-    Within covered_of(int j) const {
-      return Within(there[j] - 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j]), inverse_scale);
+    Within<D> whole_of(int j) const { return Within<D>(offset[j], reach[j], inverse_scale); }
+    Within<D> covered_of(int j) const {
+      return Within<D>(there[j] - 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j]), inverse_scale);
     }
     D whole() const { return whole_of(0).value * whole_of(1).value; }
     D covered() const {
@@ -282,7 +294,7 @@ struct Hit {
     }
   };
   // Where an object that has left its support lands.
-  Point2 comes_to(const Meeting& of) const {
+  Point2<D> comes_to(const PathMeeting& of) const {
     const D moved = of.drop.constants.drift * of.drop.size * reciprocal(loose + kLeastMass);
     return {of.fall.start[0] + drift.x * moved, of.fall.start[1] + drift.y * moved};
   }
@@ -290,32 +302,32 @@ struct Hit {
  private:
   static D moving_reach(const DropPart& part, const D d[3]) { return ::gp::GP_ISA::reach(part, d); }
 
-  void come_down(const Meeting& of) {
+  void come_down(const PathMeeting& of) {
     const DropTables& drop = of.drop;
     D sum = {};
     lower = D{};
     for (int l = 0; l < drop.n_level; ++l) {
-      if (!(of.fall.mass[l] > kNothing)) continue;
-      const D mass = of.fall.mass[l] * Below(below(of, l)).value;
+      if (!(of.fall.mass[l] > kNothing<D>)) continue;
+      const D mass = of.fall.mass[l] * Below<D>(below(of, l)).value;
       lower += mass, sum += mass * of.fall.times[l];
     }
     fallen = fall(D{} + of.fall.v[2], of.fall.low - bottom) + drop.constants.delay;
     down = (sum + of.fall.nothing * fallen) * reciprocal(lower + (of.fall.nothing + kLeastMass));
   }
-  void fly(const Meeting& of) {
+  void fly(const PathMeeting& of) {
     const Person who = person(of);
     const Person::Place now = who.at(time), then = who.at(time + down);
     across.set(outline, of.fall.v[0] * down - then.x + now.x, of.fall.v[1] * down - then.y + now.y);
     passes = D{}, foremost = D{} - 1.0;
     for (int p = 0; p < of.drop.n_part; ++p) {
       const D above = above_bottom(of, p);
-      if (!any(above > -kTail * kBeta)) continue;
+      if (!any(above > -kTail<D> * kBeta)) continue;
       D first, last;
-      const D P = past(of, p, first, last).met() * Below(above).value;
+      const D P = past(of, p, first, last).met() * Below<D>(above).value;
       foremost = where(P > passes, D{} + double(p), foremost), passes = maximum(passes, P);
     }
   }
-  void count_higher(const Meeting& of) {
+  void count_higher(const PathMeeting& of) {
     const DropTables& drop = of.drop;
     const D limit = minimum(top, bottom + kStandsOn);
     higher = loose = left = D{}, drift = {D{}, D{}};
@@ -326,21 +338,21 @@ struct Hit {
       drift.x[i] = of.fall.drift[level][0], drift.y[i] = of.fall.drift[level][1];
     }
   }
-  void fall_off(const Meeting& of) {
+  void fall_off(const PathMeeting& of) {
     count_higher(of);
     G = meets = beyond = D{}, edge = D{} - 1.0;
-    if (!any(loose > kNothing)) return;
+    if (!any(loose > kNothing<D>)) return;
     const DropConstants& k = of.drop.constants;
     const Person who = person(of);
     const D t = time + (of.fall.time + kRoam);
     const Person::Place before = who.at(t - 0.5 * kRoam), after = who.at(t + 0.5 * kRoam);
-    const Point2 point = comes_to(of);
+    const Point2<D> point = comes_to(of);
     falls.from = {point.x - before.x, point.y - before.y}, falls.to = {point.x - after.x, point.y - after.y};
     falls.inverse_scale = inverse_scale_of(of.fall.fall_variance + who.variance(t).value);
     falls.u.set(outline, falls.to.x - falls.from.x, falls.to.y - falls.from.y);
     falls.u.reach(outline, D{} + k.tumble_reach * of.drop.size, falls.reach);
     meets = falls.met();
-    if (!any(loose * meets > kNothing)) return;
+    if (!any(loose * meets > kNothing<D>)) return;
     beyond = D{} + 1.0;
     const double most = greatest_lane(higher);
     for (int l = 0; l < of.drop.n_level && l < most; ++l)
@@ -351,11 +363,11 @@ struct Hit {
       }
     G = minimum(loose * meets, left * beyond);
   }
-  void slide(const Meeting& of) {
+  void slide(const PathMeeting& of) {
     beside = over = D{};
-    if (!any(lower > kNothing)) return;
+    if (!any(lower > kNothing<D>)) return;
     const D above = over_side(of);
-    if (!any(above > -kTail * kBeta)) return;
+    if (!any(above > -kTail<D> * kBeta)) return;
     const Person who = person(of);
     const D t = time + of.fall.time;
     const Person::Place before = who.at(t), after = who.at(t + kRoam);
@@ -365,14 +377,16 @@ struct Hit {
     slides.u.set(outline, slides.to.x - slides.from.x, slides.to.y - slides.from.y);
     slides.u.reach(outline, D{} + of.fall.side_reach, slides.reach);
     over = slides.met();
-    beside = over * Below(above).value;
+    beside = over * Below<D>(above).value;
   }
 
  public:
-  D below(const Meeting& of, int level) const {
+  D below(const PathMeeting& of, int level) const {
     return (top - of.drop.surface[of.drop.level_start[level]].top) * (1.0 / kLevelSoft) + 2.0;
   }
-  D over_side(const Meeting& of) const { return (of.fall.side_top - bottom) * (1.0 / of.drop.constants.side_height); }
+  D over_side(const PathMeeting& of) const {
+    return (of.fall.side_top - bottom) * (1.0 / of.drop.constants.side_height);
+  }
 };
 
 // --- where an entity may be -----------------------------------------------------------------------------------------
@@ -410,7 +424,7 @@ struct Pairs {
 struct Nearness {
   double c[2], duration, blur, speed, size;
 
-  Nearness(const DropTables& drop, const Flight& flight, const MovingEntity& e, int i) {
+  Nearness(const DropTables& drop, const Flight<D>& flight, const MovingEntity& e, int i) {
     const DropConstants& k = drop.constants;
     const double lowest_top = drop.n_surface ? drop.surface[drop.n_surface - 1].top : e.lowest;
     const double lowest = lowest_top < e.lowest ? lowest_top : e.lowest;
@@ -431,7 +445,7 @@ struct Nearness {
     const Person::Place at = who.at(time);
     const D grown = square_root(who.off_x * who.off_x + who.off_y * who.off_y + 1e-24) * e.growth;
     const D reach = __builtin_sqrt(e.half[0] * e.half[0] + e.half[1] * e.half[1]) + 4.0 * size +
-                    kFar * square_root(blur + spread * spread) + (e.top_speed + grown + speed) * duration;
+                    kFarSpreads * square_root(blur + spread * spread) + (e.top_speed + grown + speed) * duration;
     const D dx = c[0] - at.x, dy = c[1] - at.y;
     return dx * dx + dy * dy < reach * reach;
   }
@@ -496,7 +510,7 @@ struct Encounter {
       if (any(nearness.of(person(e, b), pairs.time[b]))) return true;
     return false;
   }
-  void run(const Tables& tables, const Meeting& of, const Nearness& nearness, const Frame<D>* X_W, int lane,
+  void run(const Tables& tables, const PathMeeting& of, const Nearness& nearness, const Frame<D>* X_W, int lane,
            const MovingPlaces& places, bool timed) {
     double most = 0;
     for (int b = 0; b < pairs.blocks; ++b) {
@@ -510,7 +524,7 @@ struct Encounter {
       const double here = greatest_lane(h.value);
       most = here > most ? here : most;
     }
-    if (timed && pairs.n > 1 && most > kHardly) clear(tables, of.entity, X_W, lane, places.protrusion);
+    if (timed && pairs.n > 1 && most > kHardlyHit) clear(tables, of.entity, X_W, lane, places.protrusion);
     value = 0;
     for (int b = 0; b < pairs.blocks; ++b) value += sum_of(hit[b].value * pairs.shares(b));
   }
@@ -535,11 +549,11 @@ template <class Work>
 static inline void for_each_encounter(const Tables& tables, const DropTables& drop, const MovingPaths& paths,
                                       const MovingPlaces& places, const double* severity, const States& states,
                                       const double* t, Work&& work) {
-  Room<Falling> falling;
-  Room<Dropped> dropped;
-  for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
+  Storage<Falling> falling;
+  Storage<Dropped> dropped;
+  for_each_release<D>(tables, states, [&](size_t first, const D* qs, const D* rates) {
     Frame<D> X_W[kMaxLinks];
-    Flight flight;
+    Flight<D> flight;
     forward_kinematics(tables, qs, X_W);
     release(tables, drop, X_W, rates, flight);
     falling.clear();
@@ -554,7 +568,7 @@ static inline void for_each_encounter(const Tables& tables, const DropTables& dr
         if (!encounter.near(nearness, entity)) continue;
         if (!falling.get()) work.start(falling.make(tables, drop, qs, rates));
         const Dropped& fall = dropped.get() ? *dropped.get() : dropped.make(drop, *falling.get(), i);
-        const Meeting meeting{drop, fall, entity};
+        const PathMeeting meeting{drop, fall, entity};
         encounter.run(tables, meeting, nearness, X_W, i, places, t != nullptr);
         work.visit(i, row, e, meeting, encounter);
       }
@@ -571,7 +585,7 @@ static void drop_probability(const Tables& tables, const DropTables& drop, const
     double* out;
     size_t count;
     void start(const Falling&) {}
-    void visit(int, size_t row, int e, const Meeting&, const Encounter& met) {
+    void visit(int, size_t row, int e, const PathMeeting&, const Encounter& met) {
       out[row * count + size_t(e)] = met.value;
     }
     void finish(const Falling&, size_t, const D*) {}
@@ -580,4 +594,4 @@ static void drop_probability(const Tables& tables, const DropTables& drop, const
   for_each_encounter(tables, drop, paths, places, severity, states, t, work);
 }
 
-}  // namespace moving
+}  // namespace gp::GP_ISA::moving

@@ -1,7 +1,23 @@
 // The gradient of P that a moving entity is hit: hit.hpp in reverse mode, back to the quantities of a fall;
 // drop_gradient.hpp does the rest.
+#pragma once
+#include <cstddef>
 
-namespace moving {
+#include "cutoffs.hpp"
+#include "impact/drop.hpp"
+#include "impact/drop_gradient.hpp"
+#include "impact/flight/flight.hpp"
+#include "impact/flight/flight_gradient.hpp"
+#include "impact/moving/hit.hpp"
+#include "impact/moving/path.hpp"
+#include "impact/moving/tables.hpp"
+#include "impact/own_loss.hpp"
+#include "impact/tumble_gradient.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA::moving {
 
 // Derivatives with respect to the quantities of a fall and to the time, summed over lanes at the end.
 struct DroppedSlope {
@@ -23,15 +39,15 @@ struct DroppedSlope {
 // Derivatives with respect to a relative motion: its ends, directions and extents; and to rotations of motion and
 // entity.
 struct WaySlope {
-  Point2 from = {D{}, D{}}, to = {D{}, D{}};
+  Point2<D> from = {D{}, D{}}, to = {D{}, D{}};
   D x[5] = {}, y[5] = {}, reach[5] = {}, inverse_scale = {}, move = {}, yaw = {};
 
   WaySlope(const Way& way, D d) {
-    const Within of[4] = {way.within(0), way.within(1), way.within(2), way.within(3)};
+    const Within<D> of[4] = {way.within(0), way.within(1), way.within(2), way.within(3)};
     D others = D{} + 1.0, before[4];
     for (int i = 0; i < 4; ++i) before[i] = others, others *= of[i].value;
     if (way.u.n == 5) {
-      const Within fifth = way.within(4);
+      const Within<D> fifth = way.within(4);
       const auto less = fifth.value < others;
       add(way, 4, fifth, where(less, d, D{}));
       d = where(less, D{}, d);
@@ -52,7 +68,7 @@ struct WaySlope {
     return d_margin;
   }
   // Maps derivatives with respect to directions to those with respect to the motion, which it returns.
-  Point2 back_directions(const Way& way) {
+  Point2<D> back_directions(const Way& way) {
     const Directions& u = way.u;
     for (int i = 0; i < u.n; ++i) (u.n == 4 || i == 4 ? move : yaw) += y[i] * u.x[i] - x[i] * u.y[i];
     return {move * u.turn_x, move * u.turn_y};
@@ -72,7 +88,7 @@ struct WaySlope {
   }
 
  private:
-  void add(const Way& way, int i, const Within& of, D d) {
+  void add(const Way& way, int i, const Within<D>& of, D d) {
     const D ux = way.u.x[i], uy = way.u.y[i];
     const D x0 = ux * way.from.x + uy * way.from.y, x1 = ux * way.to.x + uy * way.to.y;
     const D middle = 0.5 * d * of.x, half = d * of.A, length = where(x1 < x0, -0.5 * half, 0.5 * half);
@@ -84,13 +100,13 @@ struct WaySlope {
 };
 
 struct HitBack {
-  const Meeting& of;
+  const PathMeeting& of;
   const Hit& hit;
   DroppedSlope& slope;
   const Person who;
   D d_top = {}, d_bottom = {}, d_yaw = {}, d_lower = {}, d_down = {};
 
-  HitBack(const Meeting& meeting, const Hit& h, DroppedSlope& s)
+  HitBack(const PathMeeting& meeting, const Hit& h, DroppedSlope& s)
       : of(meeting), hit(h), slope(s), who(h.person(meeting)) {}
 
   void run(D d) {
@@ -110,16 +126,16 @@ struct HitBack {
 
  private:
   // A place relative to the entity at a time; returns the derivative with respect to the time.
-  static D back_place(const Person::Place& at, const Point2& d) { return -(at.vx * d.x + at.vy * d.y); }
+  static D back_place(const Person::Place& at, const Point2<D>& d) { return -(at.vx * d.x + at.vy * d.y); }
 
   void back_slide(D d) {
     const double softness = 1.0 / of.drop.constants.side_height;
-    const Below above(hit.over_side(of));
+    const Below<D> above(hit.over_side(of));
     const D d_above = d * hit.over * above.u * softness;
     slope.side_top += d_above, d_bottom -= d_above;
     WaySlope way(hit.slides, d * above.value);
     slope.side_reach += way.back_outline(hit.slides, hit.outline, D{} + of.fall.side_reach);
-    const Point2 move = way.back_directions(hit.slides);
+    const Point2<D> move = way.back_directions(hit.slides);
     way.to.x += move.x, way.to.y += move.y, way.from.x -= move.x, way.from.y -= move.y;
     d_yaw += way.yaw;
     const D t = hit.time + of.fall.time, d_variance = WaySlope::variance(hit.slides.inverse_scale, way.inverse_scale);
@@ -138,9 +154,9 @@ struct HitBack {
     WaySlope way(falls, d_swept * hit.loose);
     const D margin = D{} + of.drop.constants.tumble_reach * of.drop.size;
     way.back_outline(falls, hit.outline, margin);
-    const Point2 move = way.back_directions(falls);
+    const Point2<D> move = way.back_directions(falls);
     way.to.x += move.x, way.to.y += move.y, way.from.x -= move.x, way.from.y -= move.y;
-    Point2 d_point = {D{}, D{}};
+    Point2<D> d_point = {D{}, D{}};
     if (any(d_past * hit.left != 0.0)) back_edges(d_past * hit.left, way, d_point);
     d_yaw += way.yaw;
     d_point.x += way.from.x + way.to.x, d_point.y += way.from.y + way.to.y;
@@ -160,7 +176,7 @@ struct HitBack {
     slope.time += d_t, slope.clock += d_t;
   }
   // The parts of wide tops that do not cover the entity.
-  void back_edges(D d, WaySlope& way, Point2& d_point) {
+  void back_edges(D d, WaySlope& way, Point2<D>& d_point) {
     for (int s = 0; s < of.drop.n_surface; ++s) {
       const auto mine = hit.edge == double(s);
       if (!any(mine)) continue;
@@ -169,12 +185,12 @@ struct HitBack {
       back_edge(edge, s, where(mine & (left > 0.0), d, D{}), way, d_point);
     }
   }
-  void back_edge(const Hit::Edge& edge, int surface, D d, WaySlope& way, Point2& d_point) {
+  void back_edge(const Hit::Edge& edge, int surface, D d, WaySlope& way, Point2<D>& d_point) {
     const Surface& s = of.drop.surface[surface];
     const D d_covered = where(edge.hides(), -d, D{});
     D d_offset[2], d_there[2], d_entity[2];
     for (int j = 0; j < 2; ++j) {
-      const Within whole = edge.whole_of(j), covered = edge.covered_of(j);
+      const Within<D> whole = edge.whole_of(j), covered = edge.covered_of(j);
       const D d_w = d * edge.whole_of(1 - j).value, d_c = d_covered * edge.covered_of(1 - j).value;
       way.inverse_scale += d_w * whole.inverse_scale + d_c * covered.inverse_scale;
       const D d_x = d_c * covered.x, d_half = 0.5 * d_c * covered.A;
@@ -183,7 +199,7 @@ struct HitBack {
       d_offset[j] = d_w * whole.x, d_there[j] = d_x, d_entity[j] = d_low + d_high;
       back_edge_reach(s, j, d_w * whole.A + d_high - d_low, way);
     }
-    Point2 offset = {D{}, D{}}, there = {D{}, D{}}, entity = {D{}, D{}};
+    Point2<D> offset = {D{}, D{}}, there = {D{}, D{}}, entity = {D{}, D{}};
     back_turned(s, {d_offset[0], d_offset[1]}, offset.x, offset.y);
     back_turned(s, {d_there[0], d_there[1]}, there.x, there.y);
     back_turned(s, {d_entity[0], d_entity[1]}, entity.x, entity.y);
@@ -194,7 +210,7 @@ struct HitBack {
     d_point.x += there.x + entity.x, d_point.y += there.y + entity.y;
   }
   void back_edge_reach(const Surface& s, int j, D d, WaySlope& way) const {
-    const double x = Extents::axis_x(s, j), y = Extents::axis_y(s, j);
+    const double x = Extents<D>::axis_x(s, j), y = Extents<D>::axis_y(s, j);
     const Outline& o = hit.outline;
     const D half_x = 0.5 * __builtin_fabs(x) * d, half_y = 0.5 * __builtin_fabs(y) * d;
     const D mx = where(hit.falls.to.x < hit.falls.from.x, -half_x, half_x),
@@ -207,21 +223,21 @@ struct HitBack {
   }
 
   void back_fly(D d) {
-    Point2 move_slope = {D{}, D{}};
+    Point2<D> move_slope = {D{}, D{}};
     for (int p = 0; p < of.drop.n_part; ++p) {
       const auto mine = hit.foremost == double(p);
       if (!any(mine)) continue;
       const D own = where(mine, d, D{});
       D first, last;
       const Way way = hit.past(of, p, first, last);
-      const Below above(hit.above_bottom(of, p));
+      const Below<D> above(hit.above_bottom(of, p));
       auto& part = slope.part[p];
       const D d_above = own * way.met() * above.u * (1.0 / kSideSoft);
       part.top += d_above, d_bottom -= d_above;
       WaySlope d_way(way, own * above.value);
       d_way.back_outline(way, hit.outline, D{});
       back_part_reach(p, way, d_way);
-      const Point2 d_move = d_way.back_directions(way);
+      const Point2<D> d_move = d_way.back_directions(way);
       move_slope.x += d_move.x, move_slope.y += d_move.y;
       d_yaw += d_way.yaw;
       back_times(p, way, d_way, first, last);
@@ -253,7 +269,7 @@ struct HitBack {
     const D late = d_variance * who.variance(hit.time + middle).rate;
     D clock = late;
     const D d_middle = 0.5 * (late + d_variance * 2.0 * k.velocity_spread * k.velocity_spread * middle);
-    const auto back_end = [&](D t, const Point2& d) {
+    const auto back_end = [&](D t, const Point2<D>& d) {
       const D theirs = back_place(who.at(hit.time + t), d);
       d_part.o[0] += d.x, d_part.o[1] += d.y, d_part.u[0] += d.x * t, d_part.u[1] += d.y * t;
       clock += theirs;
@@ -278,8 +294,8 @@ struct HitBack {
     back_fall(D{} + of.fall.v[2], of.fall.low - hit.bottom, d_sum * of.fall.nothing, slope.v[2], d_h);
     slope.low += d_h, d_bottom -= d_h;
     for (int l = 0; l < drop.n_level; ++l) {
-      if (!(of.fall.mass[l] > kNothing)) continue;
-      const Below lower(hit.below(of, l));
+      if (!(of.fall.mass[l] > kNothing<D>)) continue;
+      const Below<D> lower(hit.below(of, l));
       const D d = d_lower + d_sum * of.fall.times[l];
       slope.mass[l] += d * lower.value, slope.times[l] += d_sum * of.fall.mass[l] * lower.value;
       d_top += d * of.fall.mass[l] * lower.u * (1.0 / kLevelSoft);
@@ -288,12 +304,12 @@ struct HitBack {
 };
 
 // Derivatives with respect to falls side by side, collected state by state.
-struct FallingSlope : Placed {
-  Backward back;
-  SweepSlope d_sweep;
-  TumbleSlope d_tumble;
+struct FallingSlope : BuiltInPlace {
+  Backward<D> back;
+  SweepSlope<D> d_sweep;
+  TumbleSlope<D> d_tumble;
   D top[kMaxDropParts], loose[kMaxSurfaces + 1];
-  Point2 drift[kMaxSurfaces + 1];
+  Point2<D> drift[kMaxSurfaces + 1];
 
   FallingSlope(const Tables& tables, const DropTables& drop, const Falling& falling)
       : back(tables, drop, falling.fall) {
@@ -303,8 +319,8 @@ struct FallingSlope : Placed {
 
   void add(const DroppedSlope& s, const Dropped& of, const Falling& falling, int i) {
     const DropTables& drop = back.drop;
-    FlightSlope& flight = back.d_flight;
-    LandingSlope& landing = back.d_landing;
+    FlightSlope<D>& flight = back.d_flight;
+    LandingSlope<D>& landing = back.d_landing;
     flight.v.x[i] += sum_of(s.v[0]), flight.v.y[i] += sum_of(s.v[1]), flight.v.z[i] += sum_of(s.v[2]);
     flight.low[i] += sum_of(s.low), landing.mean_time[i] += sum_of(s.time);
     landing.x[i] += sum_of(s.landed[0]), landing.y[i] += sum_of(s.landed[1]);
@@ -337,14 +353,14 @@ struct FallingSlope : Placed {
   void finish(const Falling& falling, const D* qd, D* d_q, D* d_qd) {
     const DropTables& drop = back.drop;
     back_up();
-    Tumble tumble = falling.tumble;
-    OwnLoss none;
+    Tumble<D> tumble = falling.tumble;
+    OwnLoss<D> none;
     D d_G[kMaxSurfaces];
     for (int k = 0; k < drop.n_surface; ++k) d_G[k] = D{};
     for (int l = drop.n_level; l >= 0; --l) {
       if (l < drop.n_level) {
         tumble.mass = falling.loose[l], tumble.drift = falling.drift[l];
-        back_tumble_level(back, tumble, l, d_G, d_tumble, none, nullptr);
+        back_tumble_level<D>(back, tumble, l, d_G, d_tumble, none, nullptr);
       }
       d_tumble.mass += loose[l], d_tumble.drift.x += drift[l].x, d_tumble.drift.y += drift[l].y;
     }
@@ -382,17 +398,17 @@ static void drop_gradient(const Tables& tables, const DropTables& drop, const Mo
     const double* severity;
     const MovingSlopes& out;
     size_t n;
-    Room<FallingSlope> slope;
+    Storage<FallingSlope> slope;
     const Falling* falling;
 
     void start(const Falling& of) { slope.clear(), falling = &of; }
-    void visit(int lane, size_t row, int e, const Meeting& meeting, const Encounter& met) {
+    void visit(int lane, size_t row, int e, const PathMeeting& meeting, const Encounter& met) {
       out.value[row] += severity[e] * met.value;
-      if (!(met.value > kHardly)) return;
+      if (!(met.value > kHardlyHit)) return;
       FallingSlope& all = slope.get() ? *slope.get() : slope.make(tables, drop, *falling);
       DroppedSlope dropped(drop);
       for (int b = 0; b < met.pairs.blocks; ++b) {
-        const D d = where(met.hit[b].value > kNothing, severity[e] * met.pairs.shares(b), D{});
+        const D d = where(met.hit[b].value > kNothing<D>, severity[e] * met.pairs.shares(b), D{});
         if (any(d > 0.0)) HitBack(meeting, met.hit[b], dropped).run(d);
       }
       out.d_t[row] += sum_of(dropped.clock);
@@ -413,4 +429,4 @@ static void drop_gradient(const Tables& tables, const DropTables& drop, const Mo
   for_each_encounter(tables, drop, paths, places, severity, states, t, work);
 }
 
-}  // namespace moving
+}  // namespace gp::GP_ISA::moving

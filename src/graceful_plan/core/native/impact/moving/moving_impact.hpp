@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <tuple>
 #include <vector>
 
 #include "impact/impact.hpp"
@@ -115,8 +116,7 @@ class MovingSource {
     double* out;
     auto array = make<double>({core_.rows(q), table_.size()}, out);
     const States all = core_.states(q, qd);
-    if (t) require_numbers(*t, all.n, "a time of each state", kMaxTime);
-    nb::gil_scoped_release release;
+    if (t) require_numbers(*t, all.n, "one time per state", kMaxTime);
     probability(all, t ? t->data() : nullptr, nullptr, out);
     return array;
   }
@@ -192,8 +192,7 @@ class MovingImpact {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
     const States all = core_.states(q, qd);
-    if (t) require_numbers(*t, all.n, "a time of each state", kMaxTime);
-    nb::gil_scoped_release release;
+    if (t) require_numbers(*t, all.n, "one time per state", kMaxTime);
     std::fill_n(out, all.n, 0.0);
     Point P(all.n * table_.size());
     for (size_t k = 0; k < source_.size(); ++k) {
@@ -207,25 +206,19 @@ class MovingImpact {
     auto value = make<double>({core_.rows(q)}, out.impact), by_q = make<double>({q.shape(0), q.shape(1)}, out.by_q),
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.by_qd), by_t = make<double>({q.shape(0)}, out.by_t);
     const States all = core_.states(q, qd);
-    require_numbers(t, all.n, "a time of each state", kMaxTime);
-    {
-      nb::gil_scoped_release release;
-      std::fill_n(out.impact, all.n, 0.0), std::fill_n(out.by_q, q.size(), 0.0), std::fill_n(out.by_qd, q.size(), 0.0);
-      slopes({all.q, all.qd, t.data(), int(all.n)}, out);
-    }
-    return nb::make_tuple(value, by_q, by_qd, by_t);
+    require_numbers(t, all.n, "one time per state", kMaxTime);
+    std::fill_n(out.impact, all.n, 0.0), std::fill_n(out.by_q, q.size(), 0.0), std::fill_n(out.by_qd, q.size(), 0.0);
+    slopes({all.q, all.qd, t.data(), int(all.n)}, out);
+    return std::tuple(std::move(value), std::move(by_q), std::move(by_qd), std::move(by_t));
   }
   auto gaps_array(Reals q, Reals t, double wanted) const {
     GapSlopes out;
     auto gap = make<double>({core_.rows(q)}, out.gap), by_q = make<double>({q.shape(0), q.shape(1)}, out.by_q),
          by_t = make<double>({q.shape(0)}, out.by_t);
-    require_numbers(t, q.shape(0), "a time of each state", kMaxTime);
+    require_numbers(t, q.shape(0), "one time per state", kMaxTime);
     require(!std::isnan(wanted), "wanted gap");
-    {
-      nb::gil_scoped_release release;
-      gaps({q.data(), t.data(), int(q.shape(0)), wanted}, out);
-    }
-    return nb::make_tuple(gap, by_q, by_t);
+    gaps({q.data(), t.data(), int(q.shape(0)), wanted}, out);
+    return std::tuple(std::move(gap), std::move(by_q), std::move(by_t));
   }
 
  private:

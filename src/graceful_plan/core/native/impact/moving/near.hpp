@@ -1,7 +1,20 @@
 // Distances of links and the carried object to moving entities: P that a collapsing arm hits them, by a rule of thumb
 // (costs/models/moving), and the gap between the intact robot and the nearest entity.
+#pragma once
+#include <cstddef>
 
-namespace moving {
+#include "blocks.hpp"
+#include "cutoffs.hpp"
+#include "geometry/gradient.hpp"
+#include "impact/drop_gradient.hpp"
+#include "impact/flight/flight.hpp"
+#include "impact/moving/path.hpp"
+#include "impact/moving/tables.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+#include "tables.hpp"
+
+namespace gp::GP_ISA::moving {
 
 constexpr double kBodyReach = 0.15, kBodySpread = 0.1;  // reach of a collapsing arm, and its spread [m]; not fitted
 constexpr double kPassesBelow = 0.02;                   // smoothing width for a link passing below an entity [m]
@@ -125,14 +138,14 @@ struct Reached {
         tables, X_W, met,
         [&](double radius, const Vec<D>& away) {
           const D u = (radius + kBodyReach - Beside(met.outline, away.x, away.y).far) * inverse_spread;
-          return any(u > -kTail * kBeta) && any(Below(u).value > value);
+          return any(u > -kTail<D> * kBeta) && any(Below<D>(u).value > value);
         },
         [&](int s, const Vec<D>& away) {
           const double radius = double(tables.sphere[4 * s + 3]);
           const D u = (radius + kBodyReach - Beside(met.outline, away.x, away.y).far) * inverse_spread;
           const D z = (away.z + (radius + met.entity.half[2])) * (1.0 / kPassesBelow);
-          if (!any((u > -kTail * kBeta) & (z > -kTail * kBeta))) return;
-          const D P = Below(u).value * Below(z).value;
+          if (!any((u > -kTail<D> * kBeta) & (z > -kTail<D> * kBeta))) return;
+          const D P = Below<D>(u).value * Below<D>(z).value;
           sphere = where(P > value, D{} + double(s), sphere), value = maximum(value, P);
         });
   }
@@ -180,13 +193,13 @@ static void arm_gradient(const Tables& tables, const MovingPaths& paths, const d
       for (int i = 0; i < count; ++i) {
         const size_t row = first + size_t(i);
         out.value[row] += severity[e] * reached.value[i];
-        if (!(reached.value[i] > kNothing)) continue;
+        if (!(reached.value[i] > kNothing<D>)) continue;
         const int s = int(reached.sphere[i]);
         const double radius = double(tables.sphere[4 * s + 3]);
         const Vec<D> away = met.from(X_W[tables.group[group_of(tables, s)].frame], tables.sphere + 4 * s);
         const Reached::Beside beside(met.outline, away.x, away.y);
-        const Below near((radius + kBodyReach - beside.far) * inverse);
-        const Below above((away.z + (radius + entity.half[2])) * (1.0 / kPassesBelow));
+        const Below<D> near((radius + kBodyReach - beside.far) * inverse);
+        const Below<D> above((away.z + (radius + entity.half[2])) * (1.0 / kPassesBelow));
         const D d_far = -severity[e] * near.u * above.value * inverse,
                 d_z = severity[e] * near.value * above.u * (1.0 / kPassesBelow);
         const D d_spread = d_far * (radius + kBodyReach - beside.far) * inverse;
@@ -201,4 +214,4 @@ static void arm_gradient(const Tables& tables, const MovingPaths& paths, const d
   });
 }
 
-}  // namespace moving
+}  // namespace gp::GP_ISA::moving

@@ -1,6 +1,12 @@
 // The predicted place of a moving entity at lanes of times, its outline, and distances to it.
+#pragma once
+#include <cstddef>
 
-namespace moving {
+#include "impact/moving/tables.hpp"
+#include "lanes.hpp"
+#include "single.hpp"
+
+namespace gp::GP_ISA::moving {
 
 // The last knot not after a time, or the first one.
 static inline int knot_before(const MovingEntity& e, double t) {
@@ -98,11 +104,11 @@ static inline Apart apart(const Outline& o, double half, D dx, D dy, D dz) {
 }
 
 // A large object that may be needed, built in preallocated memory; it has no destructor.
-struct Placed {
+struct BuiltInPlace {
   static void* operator new(size_t, void* at) { return at; }
   static void operator delete(void*, void*) {}
 };
-template <class T> class Room {
+template <class T> class Storage {
  public:
   T* get() const { return made_; }
   template <class... Given> T& make(const Given&... given) {
@@ -128,4 +134,4 @@ static inline D load_times(const double* t, size_t first, size_t n) {
   return out;
 }
 
-}  // namespace moving
+}  // namespace gp::GP_ISA::moving

@@ -45,7 +45,7 @@ class EnergyCost final : public StateCost {
       Inertia rigid{};
       rigid.mass = row[0];
       std::copy(row + 1, row + 4, rigid.centre), std::copy(row + 4, row + 13, rigid.inertia);
-      require(core.frame(int(f)) == int(f), "frames come first");
+      require(core.frame(int(f)) == int(f), "links that own a frame are not first");
       inertia_.push_back(rigid);
     }
     drive_.resize(joints());

@@ -66,7 +66,7 @@ class ClearanceCost final : public StateCost {
  public:
   ClearanceCost(const Core& core, const Core& seen, double distance)
       : StateCost(core), seen_(seen), distance_(distance) {
-    require(seen.tables().n_joint == core.tables().n_joint, "another robot");
+    require(seen.tables().n_joint == core.tables().n_joint, "core of a different robot");
     require(in_range(distance, 1e-9, kMaxExtent), "distance");
   }
 

@@ -12,22 +12,26 @@ namespace {
 constexpr int kMostSamples = 1000;
 constexpr size_t kMostEntities = 100000;
 
-DriveLimits limits_of(const Reals& values) {
-  require_numbers(values, 8, "limits of a base", kMaxPosition);
-  const double* x = values.data();
-  for (int k = 1; k < 8; ++k) require(x[k] > 0, "limits of a base");
-  require(x[0] <= 0, "least speed of a base");
-  return {x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]};
+BaseLimits limits_of(const Named& values) {
+  BaseLimits limits;
+  fill(limits, values, "limits of a base");
+  fields(limits, [&](const std::string& name, double& limit) {
+    require(limit <= kMaxPosition && (name == "least" ? limit <= 0 && limit >= -kMaxPosition : limit > 0),
+            "limits of a base");
+  });
+  return limits;
 }
 
-WindowSettings settings_of(const Reals& values, int n_v, int n_omega) {
-  require_numbers(values, 12, "settings of a dynamic window");
-  const double* x = values.data();
-  for (int k = 0; k < 12; ++k) require(x[k] >= 0, "settings of a dynamic window");
-  require(x[5] >= 0.05 && x[5] <= 60 && x[6] > 0 && x[6] <= x[5] && x[7] > 0 && x[11] >= x[6],
+WindowSettings settings_of(const Named& values, int n_v, int n_omega) {
+  WindowSettings set;
+  fill(set, values, "settings of a dynamic window");
+  fields(set, [](const std::string&, double& number) { require(number >= 0, "settings of a dynamic window"); });
+  require(set.horizon >= 0.05 && set.horizon <= 60 && set.period > 0 && set.period <= set.horizon && set.near > 0 &&
+              set.window >= set.period,
           "settings of a dynamic window");
   require(n_v >= 2 && n_omega >= 2 && n_v <= kMostSamples && n_omega <= kMostSamples, "samples of a dynamic window");
-  return {x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], n_v, n_omega};
+  set.n_v = n_v, set.n_omega = n_omega;
+  return set;
 }
 
 nb::tuple choose_command(const DynamicWindow& window, Reals state, Reals path, Integers entity, Reals shape,
@@ -54,8 +58,8 @@ void bind_control(nb::module_& m) {
   nb::class_<DynamicWindow>(m, "DynamicWindow")
       .def(
           "__init__",
-          [](DynamicWindow* self, Reals outline, Reals stops, Reals constants, Reals share, Reals speeds, Reals rates,
-             Reals places, Reals astray, Reals limits, Reals settings, int n_v, int n_omega) {
+          [](DynamicWindow* self, Reals outline, Reals stops, Named constants, Reals share, Reals speeds, Reals rates,
+             Reals places, Reals astray, Named limits, Named settings, int n_v, int n_omega) {
             new (self) DynamicWindow({outline, stops, constants, share, speeds, rates, places, astray},
                                      limits_of(limits), settings_of(settings, n_v, n_omega));
           },

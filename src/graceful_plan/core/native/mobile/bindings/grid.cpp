@@ -5,7 +5,6 @@
 #include <chrono>
 
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
 
 #include "mobile/bindings/mobile.hpp"
 #include "core.hpp"
@@ -15,16 +14,10 @@ using namespace nb::literals;
 namespace gp {
 namespace {
 
-using Bytes = nb::ndarray<const uint8_t, nb::c_contig, nb::device::cpu>;
-using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+using Bytes = Given<uint8_t>;
+using Floats = Given<float>;
 
 constexpr size_t kMaxCells = size_t(1) << 26;
-
-template <class T> Out<T> owned(std::vector<T> values, std::vector<size_t> shape) {
-  auto* kept = new std::vector<T>(std::move(values));
-  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
-  return Out<T>(kept->data(), shape.size(), shape.data(), owner);
-}
 
 void require_cells(const Bytes& cells) {
   require(cells.ndim() == 2 && cells.size() > 0 && cells.shape(0) <= kMaxCells && cells.shape(1) <= kMaxCells &&

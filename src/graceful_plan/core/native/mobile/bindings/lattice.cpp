@@ -2,7 +2,6 @@
 #include "mobile/lattice/search.hpp"
 
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
@@ -18,13 +17,7 @@ using lattice::Curve;
 using lattice::Piece;
 using lattice::Pose;
 using lattice::Steering;
-using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
-
-template <class T> Out<T> owned(std::vector<T> values, std::vector<size_t> shape) {
-  auto* kept = new std::vector<T>(std::move(values));
-  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
-  return Out<T>(kept->data(), shape.size(), shape.data(), owner);
-}
+using Floats = Given<float>;
 
 Pose pose_of(const double* at) { return {at[0], at[1], at[2]}; }
 

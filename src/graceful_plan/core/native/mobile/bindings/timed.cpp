@@ -2,7 +2,8 @@
 #include "mobile/lattice/timed.hpp"
 
 #include "mobile/bindings/mobile.hpp"
-#include "core.hpp"
+#include "checks.hpp"
+#include "named.hpp"
 
 using namespace nb::literals;
 
@@ -10,12 +11,11 @@ namespace gp {
 namespace {
 
 using lattice::TimedMove;
-using Bytes = nb::ndarray<const uint8_t, nb::c_contig, nb::device::cpu>;
-using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+using Bytes = Given<uint8_t>;
+using Floats = Given<float>;
 
 constexpr size_t kMaxTimed = size_t(1) << 28;  // largest number of states: cells, headings and ticks
 constexpr size_t kColumns = 6;                 // columns of moves: heading, columns, rows, turn, ticks, kind
-constexpr size_t kRules = 6;
 
 void require_rates(const Floats& rate, const char* what) {
   for (size_t i = 0; i < rate.size(); ++i) require(in_range(double(rate.data()[i]), 0, 1e12), what);
@@ -37,44 +37,46 @@ std::vector<TimedMove> moves_of(const Integers& moves, const Reals& price, int h
 }
 
 lattice::TimedEntities walkers_of(const Reals& shape, const Integers& velocity, const Floats& rate, double apart,
-                                 size_t headings) {
-  require(shape.ndim() == 3 && shape.shape(2) == 7 && velocity.ndim() == 2, "those who move");
-  require(velocity.shape(0) == shape.shape(0) && velocity.shape(1) == shape.shape(1), "velocities of those who move");
-  require(shape.shape(0) == 0 || shape.shape(1) > 0, "times of those who move");
-  require_numbers(shape, "those who move", 2 * kMaxExtent);
-  require(rate.ndim() == 4 && in_range(apart, 1e-3, 1e3), "impact beside those who move");
+                                  size_t headings) {
+  require(shape.ndim() == 3 && shape.shape(2) == 7 && velocity.ndim() == 2, "shapes of moving entities");
+  require(velocity.shape(0) == shape.shape(0) && velocity.shape(1) == shape.shape(1),
+          "velocity classes of moving entities");
+  require(shape.shape(0) == 0 || shape.shape(1) > 0, "times of moving entities");
+  require_numbers(shape, "shapes of moving entities", 2 * kMaxExtent);
+  require(rate.ndim() == 4 && in_range(apart, 1e-3, 1e3), "impact near moving entities");
   const size_t classes = rate.shape(0), places = rate.shape(2);
   require(classes == 0 || (rate.shape(1) == headings && places == rate.shape(3) && places % 2 == 1 && places < 10000),
-          "impact beside those who move");
-  require_rates(rate, "impact beside those who move");
+          "impact near moving entities");
+  require_rates(rate, "impact near moving entities");
   if (classes) require_within(velocity, 0, int(classes), "class of a velocity");
   return {shape.shape(0), shape.shape(1), places, classes, shape.data(), velocity.data(), rate.data(), apart};
 }
 
-lattice::TimedRules rules_of(const Reals& outline, const Reals& rules, int ticks) {
+lattice::TimedRules rules_of(const Reals& outline, const Named& given, int ticks) {
   require_numbers(outline, "outline of a base", kMaxExtent);
   require(outline.size() > 0 && outline.size() % 3 == 0, "outline of a base");
   for (size_t k = 2; k < outline.size(); k += 3) require(outline.data()[k] >= 0, "radius of a disc");
-  require_numbers(rules, kRules, "rules beside those who move", 1e9);
-  const double* r = rules.data();
-  require(r[3] >= 0 && r[4] >= 0 && r[5] > 0, "rules beside those who move");
-  return {{outline.data(), outline.data() + outline.size()}, r[0], r[1], r[2], r[3], r[4], r[5], ticks};
+  lattice::TimedRules rules;
+  fill(rules, given, "rules near moving entities");
+  fields(rules,
+         [](const std::string&, double& number) { require(std::fabs(number) <= 1e9, "rules near moving entities"); });
+  require(rules.price >= 0 && rules.slow >= 0 && rules.tick > 0, "rules near moving entities");
+  rules.outline.assign(outline.data(), outline.data() + outline.size()), rules.ticks = ticks;
+  return rules;
 }
 
 nb::dict answer(const lattice::TimedPath& path) {
-  auto* nodes = new std::vector<int32_t>();
-  for (const lattice::TimedNode& n : path.nodes) nodes->insert(nodes->end(), {n.x, n.y, n.heading, n.tick});
-  nb::capsule owner(nodes, [](void* p) noexcept { delete static_cast<std::vector<int32_t>*>(p); });
+  std::vector<int32_t> nodes;
+  for (const lattice::TimedNode& n : path.nodes) nodes.insert(nodes.end(), {n.x, n.y, n.heading, n.tick});
   nb::dict out;
   out["found"] = path.found, out["stopped"] = path.stopped, out["cost"] = path.cost;
   out["expansions"] = path.expansions;
-  const size_t shape[2] = {path.nodes.size(), 4};
-  out["nodes"] = Out<int32_t>(nodes->data(), 2, shape, owner);
+  out["nodes"] = owned(std::move(nodes), {path.nodes.size(), 4});
   return out;
 }
 
 nb::dict timed_path(Bytes open, Floats rate, double width, Integers moves, Reals price, Reals shape, Integers velocity,
-                    Floats beside, double apart, Reals outline, Reals rules, int ticks, Integers start, Integers goal,
+                    Floats beside, double apart, Reals outline, Named rules, int ticks, Integers start, Integers goal,
                     Reals ending, const nb::callable& late) {
   require(open.ndim() == 3 && open.size() > 0 && in_range(width, 1e-6, 1e6), "cells of a floor");
   require(ticks >= 0 && open.size() < kMaxTimed && (size_t(ticks) + 1) * open.size() < kMaxTimed, "cells and ticks");

@@ -1,5 +1,9 @@
 // Impact of a base that fails while driving, for planners.
 #pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
 #include "mobile/coast/coasting.hpp"
 #include "impact/impact.hpp"
 
@@ -25,7 +29,6 @@ class CoastModel {
     double* out;
     auto array = make<double>({core_.rows(q), n_entity_}, out);
     const States states = core_.states(q, qd);
-    nb::gil_scoped_release release;
     const size_t nq = size_t(core_.tables().n_joint);
     Coasting::Work work = this->work();
     for (size_t i = 0; i < states.n; ++i) {

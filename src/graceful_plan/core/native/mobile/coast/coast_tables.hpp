@@ -31,8 +31,9 @@ struct CoastTables {
   explicit CoastTables(const Footprint2d& base) : footprint(base) {}
   bool has(const Family& one) const { return std::find(family.begin(), family.end(), one) != family.end(); }
 
-  static constexpr double kFarOff = 6;   // number of standard deviations beyond which nothing is touched
-  static constexpr double kNext = 0.05;  // distance to the next state at which a drifting base is evaluated [m]
+  static constexpr double kFarOff = 6;         // number of standard deviations beyond which nothing is touched
+  static constexpr double kStandstill = 1e-6;  // speed below which a base stands [m/s]
+  static constexpr double kNext = 0.05;        // distance to the next state at which a drifting base is evaluated [m]
 
   const Footprint2d footprint;
   std::vector<Stop> stop;

@@ -5,6 +5,7 @@
 
 #include "core.hpp"
 #include "mobile/coast/coast_tables.hpp"
+#include "named.hpp"
 
 namespace gp {
 
@@ -23,10 +24,18 @@ inline std::vector<FloorShape> floor_shapes(const Integers& entity, const Reals&
   return out;
 }
 
+// Reference speed of severities; spread of positions; drift; angle turned after a release by turning rate squared.
+template <class Visit> void fields(CoastTables& of, Visit visit) {
+  visit("reference_speed", of.unit);
+  visit("position_spread", of.spread);
+  visit("drift", of.drift);
+  visit("straightens", of.turn);
+}
+
 struct CoastingArrays {
   Reals outline;    // parts of the base in its frame: rectangles, possibly rounded
   Reals stops;      // probability, deceleration, drag, delay, whether wheels are released, added curvature
-  Reals constants;  // reference speed of severities, position spread, drift, angle by rate squared after a release
+  Named constants;  // see fields()
   Reals share;      // probability of each table of places
   Reals speeds;     // speeds along the heading of the tables, from 0 [m/s]
   Reals rates;      // turning rates of the tables [rad/s]
@@ -39,10 +48,8 @@ struct CoastingArrays {
 class CheckedTables {
  public:
   explicit CheckedTables(const CoastingArrays& of) : made(Footprint2d(outline(of.outline))) {
-    require_numbers(of.stops, "ways to come to rest"), require_numbers(of.constants, 4, "constants of a base");
-    const double* c = of.constants.data();
-    require(c[0] > 0 && c[1] > 0 && c[2] >= 0 && c[3] >= 0, "constants of a base");
-    made.unit = c[0], made.spread = c[1], made.drift = c[2], made.turn = c[3];
+    require_numbers(of.stops, "stopping modes of a base"), fill(made, of.constants, "constants of a base");
+    require(made.unit > 0 && made.spread > 0 && made.drift >= 0 && made.turn >= 0, "constants of a base");
     stops(of.stops), places(of), strays(of.astray);
   }
   CoastTables made;
@@ -62,10 +69,10 @@ class CheckedTables {
     return parts;
   }
   void stops(const Reals& of) {
-    require(of.size() % kStop == 0, "ways to come to rest");
+    require(of.size() % kStop == 0, "stopping modes of a base");
     for (size_t k = 0; k < of.size(); k += kStop) {
       const double* s = of.data() + k;
-      require(s[0] >= 0 && s[1] > 0 && s[2] >= 0 && s[3] >= 0, "way to come to rest");
+      require(s[0] >= 0 && s[1] > 0 && s[2] >= 0 && s[3] >= 0, "stopping mode of a base");
       made.stop.push_back({s[0], s[1], s[2], s[3], s[4] != 0, s[5]});
     }
     for (const CoastTables::Stop& one : made.stop)
@@ -106,11 +113,11 @@ class CheckedTables {
       }
   }
   void strays(const Reals& of) {
-    require_numbers(of, "bases astray");
-    require(of.size() % kStrayed == 0, "bases astray");
+    require_numbers(of, "drifting bases");
+    require(of.size() % kStrayed == 0, "drifting bases");
     for (size_t k = 0; k < of.size(); k += kStrayed) {
       const double* s = of.data() + k;
-      require(s[0] >= 0 && s[3] > 0, "base astray");
+      require(s[0] >= 0 && s[3] > 0, "drifting base");
       made.stray.push_back({s[0], s[1], s[2], s[3], std::cos(s[2]), std::sin(s[2])});
       made.aside = std::max(made.aside, std::fabs(s[1]) + CoastTables::kNext + CoastTables::kFarOff * s[3]);
     }
@@ -141,7 +148,7 @@ class Coasting {
   // Whether an entity may be hit at all; a base never goes farther than at its initial speed.
   bool reaches(const State& at, const FloorShape& who) const {
     const double speed = std::fabs(at.v);
-    if (speed <= kStill) return false;
+    if (speed <= CoastTables::kStandstill) return false;
     double far = std::max(of_.farthest, of_.aside), longest = of_.lasts;
     for (const CoastTables::Stop& stop : of_.stop) {
       far = std::max(far, speed * stop.delay + speed * speed / (2 * stop.a));
@@ -167,8 +174,7 @@ class Coasting {
   }
 
  private:
-  static constexpr int kLooks = 16;       // number of times at which `reaches` checks the distance
-  static constexpr double kStill = 1e-6;  // speed below which a base stands [m/s]
+  static constexpr int kLooks = 16;  // number of times at which `reaches` checks the distance
 
   const CoastTables of_;
   const CoastKernels& kernels_;

@@ -1,13 +1,27 @@
 // Evaluates one state of a failing base: its trajectories and the entities it hits. Included once per instruction set,
 // inside its own namespace.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "dual.hpp"
+#include "lanes.hpp"
+#include "mobile/coast/coast_tables.hpp"
+#include "mobile/coast/floor_shape.hpp"
+#include "mobile/coast/places_abreast.hpp"
+
+namespace gp::GP_ISA {
 
 constexpr int kLooks = 16;        // number of times at which distances to moving shapes are checked
 constexpr double kSpacing = 0.1;  // between places along an arc [m]
-constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
-constexpr double kFarOff = CoastTables::kFarOff, kNext = CoastTables::kNext;
-constexpr double kNudge = 1e-6;   // speed step of a finite difference [m/s]
-constexpr double kHardly = 1e-9;  // probability below which a touch is ignored
-constexpr double kSlowest = 0.1;  // least share of the initial speed at which times are computed
+constexpr double kFarOff = CoastTables::kFarOff, kNext = CoastTables::kNext, kStandstill = CoastTables::kStandstill;
+constexpr double kNudge = 1e-6;          // speed step of a finite difference [m/s]
+constexpr double kHardlyTouched = 1e-9;  // probability below which a touch is ignored
+constexpr double kSlowest = 0.1;         // least share of the initial speed at which times are computed
 constexpr double kUnknown = std::numeric_limits<double>::max();
 constexpr double kLeast = 1e-12;  // least braking distance [m]
 
@@ -34,7 +48,7 @@ class Following {
   bool all(const std::vector<FloorShape>& shape, const double* severity, int only) {
     std::fill(work_.hit.begin(), work_.hit.end(), 0.0);
     if (slopes_) work_.hit_slopes.assign(work_.hit.size(), Dual(0.0));
-    if (speed_ <= kStill) return false;
+    if (speed_ <= kStandstill) return false;
     double longest = 0;
     for (size_t i = 0; i < of_.stop.size(); ++i) {
       const CoastTables::Stop& stop = of_.stop[i];
@@ -375,11 +389,11 @@ class Following {
         const D likely = ratio <= kFarOff ? upper_tail(ratio) : D{};
         D gone = load_row(&work_.place.gone[k]);
         if (k == 0 && n_place_ > 1) gone[0] = gone[1];
-        const D closing = (load_row(apart + k - 1) - d) / maximum(gone, D{} + kHardly);
+        const D closing = (load_row(apart + k - 1) - d) / maximum(gone, D{} + kHardlyTouched);
         const D straight = minimum(relu(closing), D{} + 1.0), unknown = blur * blur / (blur * blur + size * size);
         store_row(likely, &work_.touched[j * all + k]);
         store_row((1.0 - unknown) * straight * straight + 0.5 * unknown, &work_.along[j * all + k]);
-        work_.touched_at[j] |= (uint64_t(lanes_below(D{} + kHardly, likely)) & lanes) << k;
+        work_.touched_at[j] |= (uint64_t(lanes_below(D{} + kHardlyTouched, likely)) & lanes) << k;
       }
       at_all |= work_.touched_at[j];
     }
@@ -441,7 +455,7 @@ class Following {
       const size_t k = size_t(__builtin_ctzll(touched));
       const uint64_t here = uint64_t(1) << k;
       const double stopped = work_.stopped[k];
-      if (stopped >= 1 - kHardly) break;
+      if (stopped >= 1 - kHardlyTouched) break;
       for (size_t j = 0; j < n; ++j) {
         if (!(work_.touched_at[j] & here) || j >= work_.asked) continue;
         const FloorShape& who = *work_.whom[j].shape;
@@ -512,7 +526,7 @@ class Following {
       if (!obstacle && n_place_ > 1) {
         const Dual from = pair.place > 0 ? distance(of_.footprint, who, at(to - 1)) : apart;
         const Dual there = pair.place > 0 ? apart : distance(of_.footprint, who, at(to));
-        one.along = normal_share(Dual((from - there) / larger(at(to).gone, Dual(kHardly))), who, spread);
+        one.along = normal_share(Dual((from - there) / larger(at(to).gone, Dual(kHardlyTouched))), who, spread);
       } else if (!obstacle) {
         one.along = normal_share(Dual(0.0), who, spread);
       }
@@ -682,7 +696,7 @@ class Following {
       // Rotates by half of the turn until the next step, twice.
       const D middle_c = c * ch - s * sh, middle_s = s * ch + c * sh;
       const PlaceLanes next{now.x + step * middle_c, now.y + step * middle_s, middle_c * ch - middle_s * sh,
-                               middle_s * ch + middle_c * sh, time};
+                            middle_s * ch + middle_c * sh, time};
       const auto blurred = [&](const FloorShape& shape) {
         return shape.spread > 0 ? hypotenuse(spread, D{} + shape.spread) : spread;
       };
@@ -695,12 +709,12 @@ class Following {
         const D then = apart_abreast(of_.footprint, who, next, cut),
                 before = apart_abreast(of_.footprint, who, now, cut);
         const D more = likely(then / blur) - likely(before / blur);
-        if (!any_below(D{} + kHardly, more)) continue;
+        if (!any_below(D{} + kHardlyTouched, more)) continue;
         const D straight = minimum(relu((before - then) / kNext), D{} + 1.0);
         const double size = who.around();
         const D unknown = blur * blur / (blur * blur + size * size);
         const D along = (1.0 - unknown) * straight * straight + 0.5 * unknown;
-        const D worth = more > kHardly ? more * minimum(D{} + 1.0, along * whole) : D{};
+        const D worth = more > kHardlyTouched ? more * minimum(D{} + 1.0, along * whole) : D{};
         const size_t e = size_t(who.entity);
         double* most = work_.most_worth.data() + e * CoastWork::padded(1);
         if (std::find(work_.seen.begin(), work_.seen.end(), int(e)) == work_.seen.end()) {
@@ -764,7 +778,7 @@ class Following {
         if (!is_near(who, next)) continue;
         const Dual before = distance(of_.footprint, who, now), then = distance(of_.footprint, who, next);
         const Dual blurred = blur(who, spread), more = touch(then, blurred) - touch(before, blurred);
-        if (more.value() <= kHardly) continue;
+        if (more.value() <= kHardlyTouched) continue;
         const Dual along = normal_share(Dual((before - then) / kNext), who, blurred);
         Dual& most = work_.met_slopes[size_t(who.entity)];
         if (std::find(work_.seen.begin(), work_.seen.end(), who.entity) == work_.seen.end()) {
@@ -798,3 +812,5 @@ class Following {
   double whole_ = 0, arc_far_ = 0;
   double widest_ = 0, strides_ = 0;  // greatest spread of a place, and greatest distance between consecutive places
 };
+
+}  // namespace gp::GP_ISA

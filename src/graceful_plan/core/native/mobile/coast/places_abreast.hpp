@@ -1,5 +1,13 @@
 // Distances and touches at several places of a trajectory at once (SIMD). Included once per instruction set, inside its
 // own namespace.
+#pragma once
+#include <cstddef>
+#include <cstring>
+
+#include "lanes.hpp"
+#include "mobile/coast/floor_shape.hpp"
+
+namespace gp::GP_ISA {
 
 constexpr size_t kAbreastPlaces = size_t(kLanes<double>);
 
@@ -79,3 +87,5 @@ static inline D apart_abreast(const Footprint2d& base, const FloorShape& shape, 
   }
   return least;
 }
+
+}  // namespace gp::GP_ISA

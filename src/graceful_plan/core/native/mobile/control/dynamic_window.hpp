@@ -8,11 +8,12 @@
 #include <vector>
 
 #include "mobile/coast/coasting.hpp"
+#include "named.hpp"
 
 namespace gp {
 
 // Limits of a base, as in scene/mobile/diff_drive.py.
-struct DriveLimits {
+struct BaseLimits {
   double least, v, omega, a, alpha, lateral, lever, rim;
 };
 
@@ -24,6 +25,31 @@ struct WindowSettings {
   double window;                                      // time of acceleration that bounds the candidate speeds [s]
   int n_v, n_omega;
 };
+
+template <class Visit> void fields(BaseLimits& of, Visit visit) {
+  visit("least", of.least);
+  visit("v", of.v);
+  visit("omega", of.omega);
+  visit("a", of.a);
+  visit("alpha", of.alpha);
+  visit("lateral", of.lateral);
+  visit("lever", of.lever);
+  visit("rim", of.rim);
+}
+template <class Visit> void fields(WindowSettings& of, Visit visit) {
+  visit("heading", of.heading);
+  visit("velocity", of.velocity);
+  visit("path", of.path);
+  visit("clearance", of.clearance);
+  visit("impact", of.impact);
+  visit("horizon", of.horizon);
+  visit("period", of.period);
+  visit("near", of.near);
+  visit("margin", of.margin);
+  visit("most", of.most);
+  visit("ahead", of.ahead);
+  visit("window", of.window);
+}
 
 // A polyline with the length up to each of its vertices.
 class FloorPath {
@@ -68,7 +94,7 @@ class FloorPath {
 
 class DynamicWindow {
  public:
-  DynamicWindow(const CoastingArrays& of, const DriveLimits& limits, const WindowSettings& settings)
+  DynamicWindow(const CoastingArrays& of, const BaseLimits& limits, const WindowSettings& settings)
       : coasting_(of, gp::choose("auto").name), limits_(limits), set_(settings) {}
 
   struct Choice {
@@ -299,7 +325,7 @@ class DynamicWindow {
   static constexpr double kTurn = 6.283185307179586;
 
   const Coasting coasting_;
-  const DriveLimits limits_;
+  const BaseLimits limits_;
   const WindowSettings set_;
 };
 

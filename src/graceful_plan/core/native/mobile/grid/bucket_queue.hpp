@@ -50,7 +50,7 @@ class BucketQueue {
   bool more() const { return !ring_[size_t(now_)].empty(); }
 
  private:
-  static constexpr int kRing = 2048;
+  static constexpr int kRing = 2048;  // buckets; later ones wait in a list
   struct Later {
     double place;
     uint32_t item;

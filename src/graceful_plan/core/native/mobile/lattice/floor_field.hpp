@@ -67,7 +67,7 @@ class Guide {
   const Eight& back(size_t at) const { return back_[at]; }
 
  private:
-  static constexpr float kTight = 1000.0F;
+  static constexpr float kTight = 1000.0F;  // cost of a cell where the footprint hardly fits, relative to others
 
   Guide(const Floor& floor, double inner, const float* tight)
       : map_(closed(floor, inner).data(), tight, floor.rows, floor.columns, floor.resolution, true) {}
@@ -157,12 +157,12 @@ class CostToGo {
       };
       edge_ = search_.flood_towards(from, to, share, more, false, charged, late);
     }
-    return edge_ >= 0.0 && search_.costs()[to] < kFar && guide_.map().free(to);
+    return edge_ >= 0.0 && search_.costs()[to] < kUnreached && guide_.map().free(to);
   }
   // Lower bound [m] on the cost from a cell to the goal's cell.
   double at(const Cell& cell) const {
     const size_t k = guide_.map().index(cell.x, cell.y);
-    if (!guide_.map().free(k)) return kFar;
+    if (!guide_.map().free(k)) return kUnreached;
     const double known = search_.costs()[k], aside = far(cell, start_);
     // An estimate may be too high: cells that were not reached lead away from the goal.
     if (guide_.map().charged()) return std::min(known, edge_ + far(cell, goal_));
@@ -171,7 +171,7 @@ class CostToGo {
   }
 
  private:
-  static constexpr double kFar = std::numeric_limits<double>::infinity();
+  static constexpr double kUnreached = std::numeric_limits<double>::infinity();
   using Four = grid::GridSearch::Four;
   double far(const Cell& a, const Cell& b) const {  // octile
     const int dx = std::abs(a.x - b.x), dy = std::abs(a.y - b.y);
@@ -182,7 +182,7 @@ class CostToGo {
   grid::GridSearch search_;
   double w_, penalty_;
   Cell start_{}, goal_{};
-  double edge_ = kFar;
+  double edge_ = kUnreached;
 };
 
 }  // namespace gp::lattice

@@ -59,7 +59,7 @@ struct Word {
   double length = kInfinity, cost = kInfinity;
 };
 
-constexpr double kZero = 1e-14;
+constexpr double kZero = 1e-14;  // rounding of lengths in units of the turning radius
 
 class ReedsShepp {
  public:

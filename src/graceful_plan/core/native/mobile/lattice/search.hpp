@@ -77,6 +77,7 @@ class StateLattice::Search {
     Curve curve;
     double cost, impact;
   };
+  // Expansions between looks at the clock, and before the first restart with a larger lead.
   static constexpr int64_t kClockEvery = 2048, kLost = 2048;
   static constexpr double kSame = 1e-9;  // rounding tolerance [m]
 

@@ -118,7 +118,7 @@ class StateLattice {
   // Its radius is the least over directions of the farthest reach of a disc of the cover.
   double inner() const {
     double least = kInfinity;
-    constexpr int kDirections = 720;
+    constexpr int kDirections = 720;  // sampled directions of the outline's width
     for (int k = 0; k < kDirections; ++k) {
       const double c = std::cos(2.0 * kPi * k / kDirections), s = std::sin(2.0 * kPi * k / kDirections);
       double most = 0.0;

@@ -53,6 +53,14 @@ struct TimedRules {
   double tick;                  // [s]
   int ticks;                    // last tick
 };
+template <class Visit> void fields(TimedRules& of, Visit visit) {
+  visit("driving", of.driving);
+  visit("standing", of.standing);
+  visit("wanted", of.wanted);
+  visit("price", of.price);
+  visit("slow", of.slow);
+  visit("tick", of.tick);
+}
 
 struct TimedNode {
   int x, y, heading, tick;
@@ -136,7 +144,8 @@ class Timed {
 
  private:
   static constexpr float kNone = std::numeric_limits<float>::infinity();
-  static constexpr int64_t kClockEvery = 1024, kMost = 2'000'000;
+  static constexpr int64_t kClockEvery = 1024;  // expansions between looks at the clock
+  static constexpr int64_t kMost = 2'000'000;   // most expansions
   struct Known {
     float cost = kNone;
     int16_t came = -1;

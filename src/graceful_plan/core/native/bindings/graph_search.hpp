@@ -1,8 +1,12 @@
 // Python bindings of graph.hpp.
 #pragma once
+#include <algorithm>
 #include <cmath>
+#include <limits>
+#include <vector>
 
-#include "core.hpp"
+#include "bindings/bindings.hpp"
+#include "checks.hpp"
 #include "search/graph.hpp"
 
 namespace gp {
@@ -42,7 +46,7 @@ class GraphSearch {
       paths.append(ids(path.edge));
       *data++ = path.first, *data++ = path.second;
     }
-    return nb::make_tuple(paths, costs, found.complete);
+    return nb::make_tuple(paths, std::move(costs), found.complete);
   }
 
  private:
@@ -64,7 +68,7 @@ class GraphSearch {
   static void check(const Reals& cost) {
     for (size_t i = 0; i < cost.size(); ++i) require(cost.data()[i] >= 0, "costs are numbers of at least 0");
   }
-  static Out<int32_t> ids(const std::vector<int>& edges) {
+  static Array<int32_t> ids(const std::vector<int>& edges) {
     int32_t* data;
     auto array = make<int32_t>({edges.size()}, data);
     std::copy(edges.begin(), edges.end(), data);

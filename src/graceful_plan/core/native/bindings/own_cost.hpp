@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "bindings/bindings.hpp"
 #include "impact/impact.hpp"
 
 namespace gp {
@@ -52,17 +53,17 @@ class OwnCost final : public Impact {
   }
 
  private:
-  static constexpr double kLongestStep = 1.0;
+  static constexpr double kLongestStep = 1.0;  // longest step of an edge that Python is asked for [rad or m]
 
   nb::object rows(const double* data, size_t n) const {
     double* copy;
     auto array = make<double>({n, speed_.size()}, copy);
     std::copy_n(data, n * speed_.size(), copy);
-    return nb::cast(array);
+    return nb::cast(std::move(array));
   }
   static void copy_answer(const nb::handle& answer, size_t size, double* out) {
-    const auto array = nb::cast<Reals>(answer);
-    require(array.size() == size, "one answer for each that was asked for");
+    const auto array = nb::cast<Given<double>>(answer);
+    require(array.size() == size, "one value per requested state or edge");
     std::copy_n(array.data(), size, out);
   }
   void ask_slopes(const nb::object& question, const States& of, const Slopes& out) const {
