@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks import suite
 from failbench.calibrations import skill
-from failbench.calibrations.failure_jobs import FailureJob, do_job
+from failbench.calibrations.failure_jobs import FailureJob, run_job
 from failbench.calibrations.failures import Failures
 
 Array = np.ndarray
@@ -73,4 +73,4 @@ def fail(jobs: Sequence[FailureJob], options: suite.Options) -> tuple[list[Failu
 
 
 def _numbered(job: tuple[int, FailureJob]) -> tuple[int, Failures | str]:
-    return job[0], do_job(job[1])
+    return job[0], run_job(job[1])

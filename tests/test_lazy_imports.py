@@ -97,7 +97,7 @@ def test_other_packages_can_do_the_same(tmp_path, monkeypatch):
     folder = tmp_path / "lazy_one"
     folder.mkdir()
     (folder / "__init__.py").write_text(
-        "from graceful_plan import on_demand\n"
+        "from graceful_plan import lazy_imports\n"
         "lazy_imports.install(__name__, {'lift': 'lazy_one.lift', 'parts': 'lazy_one.parts'})\n"
     )
     (folder / "lift.py").write_text("def lift(): return 1\n")

@@ -21,7 +21,7 @@ from places import LIBRARY, ROOT
 import failbench
 import graceful_plan as gp
 from failbench.rollouts import execution
-from failbench.simulated import plant, robot, world
+from failbench.simulated import robot, simulation, world
 from graceful_plan.analysis.explanation import Explanation
 from graceful_plan.analysis.impact_maps import ImpactMap
 from graceful_plan.core import arrays

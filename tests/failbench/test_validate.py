@@ -156,7 +156,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
                 for job in jobs
             ]
 
-        monkeypatch.setattr(sys.modules["failbench.validation"], "run", run)
+        monkeypatch.setattr(sys.modules["failbench.validation"], "run_rollouts", run)
 
     return replace
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from motions import EVERY_DEGREE, execution
 
-from failbench import Fault, Job, SimSettings, steps
+from failbench import Fault, Job, SimSettings, rollout_steps
 
 SETTINGS = SimSettings()
 WELD = SimSettings(grasp="weld")
@@ -41,7 +41,7 @@ class Record:
         self.job = Job(fault=fault, onset=when * done.duration, seed=seed)
         self.robot, self.onset_step = robot, 5 * done.checkpoint(self.job.onset)
         rows = {name: [] for name in ("q", "qd", "force", "command", "tool", "object", "gain", "limit", "bias", "all")}
-        for model, data in steps(done, self.job, horizon=horizon):
+        for model, data in rollout_steps(done, self.job, horizon=horizon):
             self.model, self.data = model, data
             rows["q"].append(data.qpos[robot.qpos])
             rows["qd"].append(data.qvel[robot.dofs])

@@ -55,7 +55,7 @@ def test_a_weight_counts_as_copies():
 def parts():
     faults, kinds = faults_of(gp.load_scene("tabletop_l1")), failure_jobs.KINDS[:1]
     jobs = failure_jobs.failure_jobs(gp.load_scene, ["tabletop_l1"], faults, n=2 * len(faults), kinds=kinds)
-    return [failure_jobs.do_job(job) for job in jobs[:2]]
+    return [failure_jobs.run_job(job) for job in jobs[:2]]
 
 
 def test_labels_tell_what_was_struck(parts):

@@ -19,7 +19,7 @@ SCENES = ("tabletop", "tabletop_l1")
 def drops(names) -> list[Failures]:
     kinds = failure_jobs.KINDS[:1]
     jobs = [job for name in names for job in failure_jobs.failure_jobs(gp.load_scene, [name], n=30, kinds=kinds)[:2]]
-    found = [failure_jobs.do_job(job) for job in jobs]
+    found = [failure_jobs.run_job(job) for job in jobs]
     return [part for part in found if isinstance(part, Failures)]
 
 

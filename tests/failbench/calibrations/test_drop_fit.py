@@ -47,7 +47,7 @@ def test_it_predicts_what_the_model_does() -> None:
 def calibrated() -> family_fit.FamilyCalibration:
     kinds = failure_jobs.KINDS[:1]
     jobs = [failure_jobs.failure_jobs(gp.load_scene, [x], n=20, kinds=kinds)[0] for x in ("tabletop", "desk")]
-    parts = [part for part in map(failure_jobs.do_job, jobs) if isinstance(part, Failures)]
+    parts = [part for part in map(failure_jobs.run_job, jobs) if isinstance(part, Failures)]
     return family_fit.fit_family(FAMILY, parts, model="drop", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
 
 

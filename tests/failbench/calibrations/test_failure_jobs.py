@@ -34,7 +34,7 @@ def test_a_job_for_every_kind_of_motion_and_every_task_with_an_object() -> None:
     jobs = failure_jobs.failure_jobs(gp.load_scene, [SCENE], n=2, seed=5, kinds=failure_jobs.KINDS[:2])
     assert len(jobs) == 2 * len(gp.load_scene(SCENE).tasks)
     assert len({job.seed for job in jobs}) == len(jobs)
-    made = failure_jobs.do_job(jobs[0])
+    made = failure_jobs.run_job(jobs[0])
     assert isinstance(made, Failures)
     assert (made.scene, made.task, made.motion, len(made)) == (SCENE, jobs[0].task, str(jobs[0].kind), 2)
 
@@ -42,4 +42,4 @@ def test_a_job_for_every_kind_of_motion_and_every_task_with_an_object() -> None:
 def test_jobs_that_cannot_be_done_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
     (job, *_) = failure_jobs.failure_jobs(gp.load_scene, [SCENE], n=2, kinds=[MotionKind(way="via", iterations=1)])
     monkeypatch.setattr(failure_jobs, "make_motion", lambda *_: None)
-    assert failure_jobs.do_job(job) == f"{SCENE}/{job.task}, via, w 0, speed 0.5: no motion"
+    assert failure_jobs.run_job(job) == f"{SCENE}/{job.task}, via, w 0, speed 0.5: no motion"

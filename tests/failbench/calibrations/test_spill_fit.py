@@ -77,7 +77,7 @@ def parts() -> list[Failures]:
     for name in ("desk", "kitchen_counter"):
         faults, kinds = spill_fit.faults_of(gp.load_scene(name)), failure_jobs.KINDS[:1]
         jobs += failure_jobs.failure_jobs(gp.load_scene, [name], faults, n=2 * len(faults), kinds=kinds)[:1]
-    return [part for part in map(failure_jobs.do_job, jobs) if isinstance(part, Failures)]
+    return [part for part in map(failure_jobs.run_job, jobs) if isinstance(part, Failures)]
 
 
 @pytest.mark.long

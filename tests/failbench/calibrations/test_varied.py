@@ -99,7 +99,7 @@ def test_every_second_motion_of_a_calibration_varies(monkeypatch: pytest.MonkeyP
         asked.append(job.variation)
         return "not done"
 
-    monkeypatch.setattr(failure_jobs, "do_job", not_done)
+    monkeypatch.setattr(failure_jobs, "run_job", not_done)
     for variation in (None, VARIED):
         asked.clear()
         _, about = failure_jobs.fetch(["desk"], lambda: DROP, failure_jobs.FailureSettings(n=2, variation=variation))

@@ -12,7 +12,7 @@ from motions import EVERY_DEGREE
 from mujoco.batch import MODEL_FIELDS
 
 import failbench
-from failbench import AtFraction, AtTime, Fault, Job, Uniform, run, steps
+from failbench import AtFraction, AtTime, Fault, Job, Uniform, rollout_steps, run_rollouts
 from failbench.fault.registry import DEGREES, PowerLoss, StuckGripper, faults, from_document, load_class, to_document
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
@@ -115,8 +115,8 @@ def test_native_rollouts_are_the_plain_loop(ramp):
         Job(fault=dataclasses.replace(cls(), ramp=ramp), onset=0.05 * i * done.duration, seed=i)
         for i, cls in enumerate(faults().values())
     ]
-    for job, rollout in zip(jobs, run(done, jobs, horizon=0.2), strict=True):
-        *_, (_, data) = steps(done, job, horizon=0.2)
+    for job, rollout in zip(jobs, run_rollouts(done, jobs, horizon=0.2), strict=True):
+        *_, (_, data) = rollout_steps(done, job, horizon=0.2)
         body = done.world.carried_body
         pose = np.concatenate([data.qpos[done.world.model.jnt_qposadr[done.world.model.body_jntadr[body]] :][:7]])
         assert any(np.array_equal(_wxyz_xyz(pose), seen) for seen in rollout.poses.values()), job.fault.NAME

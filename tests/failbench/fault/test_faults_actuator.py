@@ -9,7 +9,7 @@ from breaking import WELD, Nothing, Record, healthy_run, joint
 from motions import ARM, SERVO, arm
 
 import graceful_plan as gp
-from failbench import Job, build_world, execute, run, steps
+from failbench import Job, build_world, execute, rollout_steps, run_rollouts
 from failbench.fault.registry import (
     DEGREES,
     CompleteShutdown,
@@ -172,9 +172,9 @@ def test_a_stuck_joint_stays_where_it_is_whatever_the_model_calls_zero():
 def test_friction_and_brakes_need_to_know_the_greatest_torque(fault):
     job = Job(fault=fault, onset=0.1, seed=0)
     with pytest.raises(UnsupportedError, match="'shoulder'"):
-        run(execute([[0.0], [0.6]], build_world(arm())), [job])
+        run_rollouts(execute([[0.0], [0.6]], build_world(arm())), [job])
     done = execute([[0.0], [0.6]], build_world(arm(torque=[80.0])))
-    *_, (_, data) = steps(done, job, horizon=0.6)
+    *_, (_, data) = rollout_steps(done, job, horizon=0.6)
     held = abs(data.qvel[done.world.robot.dofs]) < 1e-3
     assert held or isinstance(fault, IncreasedFriction)  # whose motor goes on
 
@@ -186,6 +186,6 @@ def test_a_weld_does_not_hold_for_a_gripper_that_is_dead(fault):
         Job(fault=fault(degree=degree, targets=("gripper",)), onset=0.2 * done.duration, seed=0)
         for degree in ("minor", "critical")
     ]
-    kept, lost = (rollout.dropped for rollout in run(done, jobs))
+    kept, lost = (rollout.dropped for rollout in run_rollouts(done, jobs))
     assert lost == (fault is not PartialDegradation)  # a tenth of the force carries the can
     assert not kept or fault is CompleteShutdown

@@ -8,7 +8,7 @@ from breaking import WELD, Nothing, Record, healthy_run
 from mujoco.batch import MODEL_FIELDS
 
 import failbench
-from failbench import Job, run, steps
+from failbench import Job, rollout_steps, run_rollouts
 from failbench.fault.registry import DEGREES, ProtectiveStop, faults, from_document, reactions, to_document
 from failbench.testing import check_fault
 from graceful_plan.exceptions import SettingError
@@ -93,8 +93,8 @@ def test_native_rollouts_are_the_plain_loop():
         for category in (0, 1)
         for ramp in (0.0, 0.1)
     ]
-    for job, rollout in zip(jobs, run(done, jobs, horizon=0.2), strict=True):
-        *_, (_, data) = steps(done, job, horizon=0.2)
+    for job, rollout in zip(jobs, run_rollouts(done, jobs, horizon=0.2), strict=True):
+        *_, (_, data) = rollout_steps(done, job, horizon=0.2)
         joint = done.world.model.body_jntadr[done.world.carried_body]
         x = data.qpos[done.world.model.jnt_qposadr[joint] :][:7]
         pose = np.concatenate([x[3:7], x[:3]])

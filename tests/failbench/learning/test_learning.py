@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import check_grad
 
 from failbench import cli
-from failbench.calibrations.failure_jobs import do_job
+from failbench.calibrations.failure_jobs import run_job
 from failbench.calibrations.failures import Failures, write_failures
 from failbench.learning import rollouts
 from failbench.learning import training as fits
@@ -88,7 +88,7 @@ def test_things_stand_by_themselves(name: str) -> None:
 @pytest.fixture(scope="module")
 def drops() -> list[Failures]:
     data = DropData(scenes=2, rollouts=84)
-    found = [do_job(job) for job in (drop_jobs(data)[0], bundled_jobs(data)[0])]
+    found = [run_job(job) for job in (drop_jobs(data)[0], bundled_jobs(data)[0])]
     return [part for part in found if isinstance(part, Failures)]
 
 
@@ -192,7 +192,7 @@ def test_the_command_learns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     kept, first, second = tmp_path / "drops.npz", tmp_path / "a.npz", tmp_path / "b.npz"
     data = DropData(scenes=2, rollouts=28)
     jobs = (drop_jobs(data)[0], drop_jobs(data)[-1], bundled_jobs(data)[0])
-    write_failures(kept, [part for part in map(do_job, jobs) if isinstance(part, Failures)])
+    write_failures(kept, [part for part in map(run_job, jobs) if isinstance(part, Failures)])
     size = ["--drops", str(kept), "--workers", "1"]
     assert cli.main(["learn", "--output", str(first), *size]) == 0
     assert "network" in capsys.readouterr().out

@@ -16,7 +16,7 @@ from motions import EVERY_DEGREE, Drop, Shake, Weaken, arm, execution
 from PIL import Image
 from places import ROOT
 
-from failbench import Fault, Job, SimSettings, build_world, faults, run
+from failbench import Fault, Job, SimSettings, build_world, faults, run_rollouts
 from failbench.basics.errors import NoPicture
 from failbench.pictures import contact_sheet, film, offscreen
 from failbench.pictures.drawing import TouchPaint, outlined
@@ -128,7 +128,7 @@ class TestFrames:
 
     def test_a_simulation_that_blows_up_is_shown_until_then(self, done, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
-        [rollout] = run(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.3)
+        [rollout] = run_rollouts(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.3)
         assert (rollout.status, rollout.state is None) == ("diverged", False)
         files = replay(done, rollout, output=tmp_path / "x", horizon=0.3, lead=0.0, fps=100.0, size=SIZE)
         assert 1 <= len(files) < 30
@@ -174,7 +174,7 @@ def test_the_film_is_the_rollout(done):
         if moment.time < 0.0:
             before = moment.data.qpos.copy()
         last = moment
-    [rollout] = run(done, [LATE], horizon=0.3)
+    [rollout] = run_rollouts(done, [LATE], horizon=0.3)
     assert last.time == pytest.approx(0.3 - done.dt)
     assert not last.diverged
     start = mujoco.MjData(done.world.model)
@@ -193,7 +193,7 @@ def test_what_is_marked_as_hit_is_what_the_recorder_has(done, fault, onset):
     touches = TouchPaint(done.world, done.baseline)
     for moment in moments_of(done, job, horizon=0.5, lead=0.1):
         touches.observe(moment.model, moment.data, moment.time)
-    [rollout] = run(done, [job], horizon=0.5)
+    [rollout] = run_rollouts(done, [job], horizon=0.5)
     assert touches.struck == {event.entity for event in rollout.events if not event.secondary}
     assert touches.struck
 
@@ -293,7 +293,7 @@ def test_unknown_cameras_and_targets_are_refused(done, tmp_path):
 
 
 def test_a_rollout_of_another_execution_is_refused(done, tmp_path):
-    [rollout] = run(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.1)
+    [rollout] = run_rollouts(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.1)
     with pytest.raises(SettingError, match="execution"):
         replay(done, replace(rollout, state=rollout.state + 1.0), output=tmp_path / "x")
 
@@ -404,13 +404,13 @@ class TestContactSheet:
         [worst] = contact_sheet.worst_of(done, ["gripper_failure"])
         spacing = done.duration / 12
         jobs = [Job(fault=worst.job.fault, onset=i * spacing, seed=i) for i in range(12)]
-        blows = [(e.energy * severity(done, e), e.time) for one in run(done, jobs) for e in one.events]
+        blows = [(e.energy * severity(done, e), e.time) for one in run_rollouts(done, jobs) for e in one.events]
         assert worst.job in jobs
         assert worst.time == pytest.approx(max(blows)[1] + 0.02)
         assert worst.text.startswith("object hits ")
 
     def test_shows_how_far_the_tool_strays_where_nothing_is_hit(self, done):
-        rollouts = run(
+        rollouts = run_rollouts(
             done, [Job(fault=Nothing(), onset=0.2, seed=0), Job(fault=BLIND, onset=0.2, seed=0)], horizon=0.1
         )
         assert not any(one.events for one in rollouts)

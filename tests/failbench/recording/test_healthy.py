@@ -10,7 +10,7 @@ import pytest
 from motions import Drop, Weaken, arm, execution, world
 
 import graceful_plan as gp
-from failbench import Execution, Job, ObjectLost, SimSettings, build_world, execute, run
+from failbench import Execution, Job, ObjectLost, SimSettings, build_world, execute, run_rollouts
 from failbench.recording.healthy import HealthyHarm, whole_execution
 from failbench.recording.records import ContactEvent, Rollout
 from failbench.recording.score import observed_impact
@@ -88,7 +88,7 @@ def test_what_had_left_before_the_onset_is_not_the_failures() -> None:
     """The same drop before and after the mug has been turned over: what it spills is spilt once."""
     done = _done(_OVER)
     jobs = [Job(fault=Drop(), onset=onset, seed=0) for onset in (0.0, done.duration)]
-    early, late = run(done, jobs, horizon=0.6)
+    early, late = run_rollouts(done, jobs, horizon=0.6)
     assert early.spilled > 0.8 and late.spilled == 0.0
     assert done.healthy.kept is not None and done.healthy.kept[-1] < 0.01 * done.healthy.kept[0]
     wet = [{event.entity for event in rollout.events if event.striker == "contents"} for rollout in (early, late)]
@@ -107,7 +107,7 @@ def test_every_pair_counts_once_in_an_execution() -> None:
     nothing = Weaken(degree="minor", duration=0.002)
     middle = float(np.median(list(done.healthy.poured.values())))
     jobs = [Job(fault=nothing, onset=onset, seed=0) for onset in (0.0, middle, done.duration)]
-    rollouts = run(done, jobs, horizon=done.duration + 0.2)
+    rollouts = run_rollouts(done, jobs, horizon=done.duration + 0.2)
     for rollout in (rollouts[0], rollouts[-1]):
         whole = observed_impact(whole_execution(rollout, done.healthy), done.world.scene)
         assert whole == pytest.approx(done.healthy.harm)
@@ -156,7 +156,7 @@ def test_what_a_healthy_robot_bumps_into_is_harm() -> None:
     assert "vase: harm 15 " in str(bump.healthy)
     assert execute(np.array([[0.5], [1.0]]), made).healthy.harmless
     # Failures leave it out, so it counts in every execution.
-    (rollout,) = run(bump, [Job(fault=Weaken(degree="minor", duration=0.002), onset=0.0, seed=0)], horizon=1.0)
+    (rollout,) = run_rollouts(bump, [Job(fault=Weaken(degree="minor", duration=0.002), onset=0.0, seed=0)], horizon=1.0)
     assert observed_impact(rollout, scene) == 0.0
     assert observed_impact(whole_execution(rollout, bump.healthy), scene) == bump.healthy.harm
 

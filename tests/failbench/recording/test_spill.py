@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from motions import Drop, Weaken, execution
 
-from failbench import Job, run
+from failbench import Job, run_rollouts
 from failbench.recording.contact_query import ContactQuery
 from failbench.recording.puddle import DEPTH, Parcel, Puddles
 from failbench.recording.recorder import Recorder
@@ -240,12 +240,12 @@ def test_coffee_is_lost_by_failures_only() -> None:
     jobs = [
         Job(fault=fault, onset=part * done.duration, seed=0) for fault in (nothing, drop) for part in (0.2, 0.5, 0.8)
     ]
-    rollouts = run(done, jobs, horizon=0.6)
+    rollouts = run_rollouts(done, jobs, horizon=0.6)
     assert [rollout.spilled for rollout in rollouts[:3]] == [0.0] * 3
     assert all(rollout.spilled > 0.8 for rollout in rollouts[3:])
     wet = [[event for event in rollout.events if event.striker == "contents"] for rollout in rollouts]
     assert not any(wet[:3]) and all(wet[3:])
-    for rollout, alone in zip(rollouts, (run(done, [job], horizon=0.6)[0] for job in jobs), strict=True):
+    for rollout, alone in zip(rollouts, (run_rollouts(done, [job], horizon=0.6)[0] for job in jobs), strict=True):
         assert (alone.spilled, alone.events) == (rollout.spilled, rollout.events)
 
 

@@ -167,7 +167,7 @@ def integrated(
         if step % _KEPT == 0:
             ox, oy = px + cx - (c * cx - s * cy), py + cy - (s * cx + c * cy)
             speed = np.hypot(vx + w * cy, vy - w * cx)
-            disk_cache.append(np.stack([ox, oy, turned, speed, np.full_like(w, step * _STEP)], axis=-1))
+            kept.append(np.stack([ox, oy, turned, speed, np.full_like(w, step * _STEP)], axis=-1))
             drive.tell(step * _STEP, (ox, oy, turned), w, rim)
         rim = np.where(broken, rim, drive.going(step * _STEP, rim))
         sx, sy = vx[..., None] - w[..., None] * (y - cy) - rim, vy[..., None] + w[..., None] * (x - cx)
