@@ -195,7 +195,7 @@ EDITS = {
         ),
     ),
     "timing/felt.hpp": (
-        ("tests/constraints/test_felt.py",),
+        ("tests/constraints/test_specific_force.py",),
         (
             ("add3(velocity, «S», at.bend)", "0.0"),
             (
@@ -206,7 +206,7 @@ EDITS = {
         ),
     ),
     "timing/felt_samples.hpp": (
-        ("tests/constraints/test_felt.py", "tests/constraints/test_grasp.py"),
+        ("tests/constraints/test_specific_force.py", "tests/constraints/test_grasp.py"),
         (
             ("d.b + («end ? 2 * h_ * d.a : 0.0»)", "0.0"),
             ("add3(about, 1, «cross3(by.bend, motion.bend)»)", "cross3(by.bend, by.bend)"),
@@ -214,11 +214,11 @@ EDITS = {
         ),
     ),
     "timing/rider.hpp": (
-        ("tests/constraints/test_felt.py",),
+        ("tests/constraints/test_specific_force.py",),
         (("add3(second, s, cross3(«both», J))", "turning"), ("add3(about, 1, «d_turn»)", "d_p")),
     ),
     "timing/spill.hpp": (
-        ("tests/constraints/test_felt.py",),
+        ("tests/constraints/test_specific_force.py",),
         (
             ("slower * «push»", "0.0"),
             ("«x[i + end]», vessel", "x[i]"),
@@ -237,11 +237,11 @@ EDITS = {
         ),
     ),
     "timing/slosh.hpp": (
-        ("tests/constraints/test_felt.py",),
+        ("tests/constraints/test_specific_force.py",),
         (("lack = («std::acos(cosine) - limit_.angle») / unit", "std::acos(cosine)"),),
     ),
     "timing/pendulum.hpp": (
-        ("tests/constraints/test_felt.py",),
+        ("tests/constraints/test_specific_force.py",),
         (("add3(rate, «-dot3(rate, d)», d)", "0.0"), ("- «drag * rate[i]»)", "0 * drag")),
     ),
     "mobile/grid/distance_field.hpp": (

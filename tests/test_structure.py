@@ -31,7 +31,7 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 HARNESS = ROOT / "sim" / "failbench"
 HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
-BASICS = {"_version", "array_types", "exceptions", "kept", "on_demand", "path", "regular_file", "yaml_file"}
+BASICS = {"_version", "array_types", "exceptions", "disk_cache", "lazy_imports", "path", "regular_file", "yaml_file"}
 """Modules at the root that every room may use."""
 FLOORS = (
     {"basics"},
@@ -284,14 +284,14 @@ def test_every_python_that_is_supported_gets_a_wheel():
 
 
 def field_tables() -> list[type]:
-    modules = (arrays, elements, robot, plant, world, execution)
+    modules = (arrays, elements, robot, simulation, world, execution)
     classes = [cls for module in modules for _, cls in inspect.getmembers(module, dataclasses.is_dataclass)]
     classes += [Explanation, ImpactMap]  # their modules have the names of functions of the package
     return list(dict.fromkeys(cls for cls in classes if "| field" in (cls.__doc__ or "")))
 
 
 def test_every_table_of_arrays_is_found():
-    assert {cls.__name__ for cls in field_tables()} >= {"RobotArrays", "WorldArrays", "HazardArrays", "Limits"}
+    assert {cls.__name__ for cls in field_tables()} >= {"RobotArrays", "WorldArrays", "ImpactArrays", "Limits"}
 
 
 @pytest.mark.parametrize("cls", field_tables(), ids=lambda cls: cls.__name__)

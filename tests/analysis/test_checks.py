@@ -85,7 +85,7 @@ def test_what_stands_beside_the_base_blocks_all_or_nothing(gap: float, free: boo
 
 def test_the_default_interaction_model_is_the_one_that_is_stated():
     stated = re.search(
-        r'by default "(\w+)".*ImpactCost` is\s+another one, "(\w+)"', str(gp.interaction_probability.__doc__)
+        r'by default "(\w+)"[^"]*of\s+`ImpactCost` is\s+"(\w+)"', str(gp.interaction_probability.__doc__)
     )
     default = inspect.signature(gp.interaction_probability).parameters["model"].default
     (costs,) = (field.default for field in dataclasses.fields(gp.ImpactCost) if field.name == "model")

@@ -141,7 +141,7 @@ def test_the_worst_place_is_where_it_says(task, result):
     path = result.path
     length = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
     entities, components = list(task.scene.entities), list(task.scene.components)
-    for row in gp.explain(path, task.scene, _OBJECTIVES["aabb-length"]).contributions[:5]:
+    for row in gp.explain(path, task.scene, _OBJECTIVES["box_overlap-length"]).contributions[:5]:
         q = np.array([np.interp(row.worst, length, joint) for joint in path.q.T])
         P = gp.interaction_probability(q, task.scene, "box_overlap")[
             components.index(row.component), entities.index(row.entity)
@@ -151,14 +151,14 @@ def test_the_worst_place_is_where_it_says(task, result):
 
 
 def test_times_are_those_of_the_trajectory(task, result):
-    found = gp.explain(result.trajectory, task.scene, _OBJECTIVES["footprint-length"])
+    found = gp.explain(result.trajectory, task.scene, _OBJECTIVES["mixture-length"])
     length = np.concatenate([[0.0], np.cumsum(result.trajectory.path.segment_lengths)])
     np.testing.assert_allclose(np.interp(found.place, length, result.trajectory.t), found.time, atol=1e-6)
     assert gp.explain(result.path, task.scene).contributions[0].worst_time is None
 
 
 def test_backwards_it_is_the_mirror_image(task, result):
-    objective = _OBJECTIVES["aabb-length"]  # boxes do not ask which way things move
+    objective = _OBJECTIVES["box_overlap-length"]  # boxes do not ask which way things move
     there, back = (gp.explain(path, task.scene, objective) for path in (result.path, result.path.reversed()))
     assert back.cost.impact == pytest.approx(there.cost.impact, rel=1e-9)
     first, mirrored = there.contributions[0], back.contributions[0]
@@ -197,13 +197,13 @@ def test_who_moves_is_met_where_it_is_then(task, result):
     away = below + [9.0, 0.0, 0.0]
     cat = gp.MovingEntity("tom", "pet", size=[0.1, 0.1], t=[0.0, 0.5, 0.51], position=[below, below, away])
     scene = task.scene.with_moving(cat)
-    found = gp.explain(trajectory, scene, _OBJECTIVES["footprint-time"])
+    found = gp.explain(trajectory, scene, _OBJECTIVES["mixture-time"])
     assert sum(row.impact for row in found.contributions) == pytest.approx(found.cost.impact, rel=_ROUNDING)
     mine = [row for row in found.contributions if row.entity == "tom"]
     assert sum(row.impact for row in mine) == pytest.approx(found.cost.impact_by_entity["tom"], rel=_ROUNDING)
     assert {row.component for row in mine} == {"carried", "contents"}
     assert max(row.end_time for row in mine) < 0.6
-    later = gp.explain(trajectory, scene, _OBJECTIVES["footprint-time"], start_time=1.0)
+    later = gp.explain(trajectory, scene, _OBJECTIVES["mixture-time"], start_time=1.0)
     assert later.cost.impact_by_entity["tom"] < 1e-3 * found.cost.impact_by_entity["tom"]
     with pytest.raises(SettingError, match="start_time = nan"):
         gp.explain(trajectory, scene, start_time=np.nan)
@@ -252,7 +252,7 @@ def test_nothing_to_explain(task, result):
 def test_standing_still_costs_nothing_but_a_waypoint_does(task):
     q = gp.Path(task.start[None])
     assert gp.explain(q, task.scene).contributions == ()
-    point = gp.explain(q, task.scene, _OBJECTIVES["aabb-waypoints"])
+    point = gp.explain(q, task.scene, _OBJECTIVES["box_overlap-waypoints"])
     assert point.cost.impact == pytest.approx(sum(row.impact for row in point.contributions))
     assert point.cost.impact > 0.0
     assert {row.begin for row in point.contributions} | {row.end for row in point.contributions} == {0.0}

@@ -190,7 +190,7 @@ def test_broken_costs_are_told_what_is_wrong(task, value, error, message):
 
 
 def test_misuse_names_the_culprit():
-    with pytest.raises(UnknownNameError, match=r"'magic'.*aabb"):
+    with pytest.raises(UnknownNameError, match=r"'magic'.*box_overlap"):
         gp.ImpactCost(model="magic")
     with pytest.raises(UnknownNameError, match="body, carried, contents"):
         gp.ImpactCost(components=("arm",))

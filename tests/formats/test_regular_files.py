@@ -18,7 +18,7 @@ from failbench.cli import main as failbench_main
 from failbench.policies.mlp import Mlp
 from failbench.sweeps.sweep import generate_dataset, read_sweep
 from failbench.sweeps.work import Sweep, SweepMotion
-from graceful_plan import documents, kept
+from graceful_plan import disk_cache, documents
 from graceful_plan.annotation.annotations import Annotations
 from graceful_plan.compare.problems.suite import load_suite
 from graceful_plan.compare.runs.best_motions import BestMotions
@@ -166,9 +166,9 @@ def test_what_stands_where_folders_have_their_files_is_as_well(kind: str, tmp_pa
 
 @pytest.mark.parametrize("kind", _KINDS)
 def test_the_cache_does_without(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    monkeypatch.setattr(disk_cache, "folder", lambda: tmp_path)
     _make(kind, tmp_path / "0.npz")
-    assert kept.read("0") is None
+    assert disk_cache.read("0") is None
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder"])

@@ -405,7 +405,7 @@ def test_demo_says_what_the_graceful_motion_costs_and_buys():
 
     found = demo.DemoResults(results={"a": result(2.0, 8.0, 1.5, 0.0), "b": result(3.66, 0.4, 4.0, 1.0)}, files=())
     assert found.comparison() == (
-        "Beside the shortest motion, the one planned with w = 1 has 83 % more joint motion (3.66 rad for 2 rad)"
+        "Compared with the shortest motion, the one planned with w = 1 has 83 % more joint motion (3.66 rad for 2 rad)"
         " and 95 % less impact (0.4 for 8); it takes 4 s for 1.5 s."
     )
     other = demo.DemoResults(results={"a": result(2.0, 0.0, 1.5, 0.0), "b": result(1.0, 0.4, 4.0, 1.0)}, files=())

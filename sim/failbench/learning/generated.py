@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 import graceful_plan as gp
-from failbench.learning.things import Part, Taken, extent, free_spot, thing, with_asymmetry
+from failbench.learning.things import MassPart, Taken, extent, free_spot, thing, with_asymmetry
 from graceful_plan.exceptions import SceneError, UnknownNameError
 from graceful_plan.scene.elements import EntityAnnotation, Notes, ObjectNote, TaskNote
 
@@ -118,12 +118,19 @@ def _boards(rng: np.random.Generator) -> list[Board]:
 
 def _furnish(spec: mujoco.MjSpec, boards: list[Board], rng: np.random.Generator) -> dict[str, EntityAnnotation]:
     """Add boards, floor and things; return the classes of the entities."""
-    _add(spec, "pedestal", [Part("box", (0.12, 0.12, 0.5 * _STAND), z=0.5 * _STAND)], (0.0, 0.0, 0.0), 0.0, free=False)
-    _add(spec, "floor", [Part("box", (2.0, 2.0, 0.05), z=-0.05)], (0.5, 0.0, 0.0), 0.0, free=False)
+    _add(
+        spec,
+        "pedestal",
+        [MassPart("box", (0.12, 0.12, 0.5 * _STAND), z=0.5 * _STAND)],
+        (0.0, 0.0, 0.0),
+        0.0,
+        free=False,
+    )
+    _add(spec, "floor", [MassPart("box", (2.0, 2.0, 0.05), z=-0.05)], (0.5, 0.0, 0.0), 0.0, free=False)
     entities = {"floor": EntityAnnotation(category="floor")}
     for i, board in enumerate(boards):
         at = (board.x, board.y, board.top)
-        _add(spec, f"board{i}", [Part("box", (board.a, board.b, _BOARD), z=-_BOARD)], at, 0.0, free=False)
+        _add(spec, f"board{i}", [MassPart("box", (board.a, board.b, _BOARD), z=-_BOARD)], at, 0.0, free=False)
         entities[f"board{i}"] = EntityAnnotation(category="table")
         taken: list[Taken] = []
         for j in range(int(rng.integers(5, 13) if i == 0 else rng.integers(1, 5))):
@@ -142,7 +149,7 @@ def _furnish(spec: mujoco.MjSpec, boards: list[Board], rng: np.random.Generator)
 def _add(
     spec: mujoco.MjSpec,
     name: str,
-    parts: list[Part],
+    parts: list[MassPart],
     at: tuple[float, float, float],
     yaw: float,
     *,

@@ -17,7 +17,7 @@ _TRIES = 40
 
 
 @dataclass(frozen=True)
-class Part:
+class MassPart:
     """A geom of a thing: kind and sizes as in MJCF, and its place in the thing's frame [m]."""
 
     kind: str
@@ -44,22 +44,22 @@ class Taken(NamedTuple):
     radius: float
 
 
-def thing(rng: np.random.Generator, *, carried: bool = False) -> list[Part]:
+def thing(rng: np.random.Generator, *, carried: bool = False) -> list[MassPart]:
     """Return a random thing that stands: a box, can, ball, slab, dish, tower, bottle, screen or hump."""
     makers = _CARRIED if carried else _MAKERS
     return makers[int(rng.integers(len(makers)))](rng, 0.6 if carried else 1.0)
 
 
-def with_asymmetry(parts: list[Part], rng: np.random.Generator) -> list[Part]:
+def with_asymmetry(parts: list[MassPart], rng: np.random.Generator) -> list[MassPart]:
     """Return a thing that in 3 of 10 cases gets an asymmetric part, like the handle of a cup."""
     if rng.random() < 0.7:
         return parts
     low, high = extent(parts)
     size = rng.uniform(0.005, 0.015), 0.006, 0.3 * float(high[2] - low[2])
-    return [*parts, Part("box", size, x=float(high[0]) + size[0], z=0.5 * float(low[2] + high[2]))]
+    return [*parts, MassPart("box", size, x=float(high[0]) + size[0], z=0.5 * float(low[2] + high[2]))]
 
 
-def extent(parts: list[Part], turn: Float[Array, "3 3"] | None = None) -> tuple[Array, Array]:
+def extent(parts: list[MassPart], turn: Float[Array, "3 3"] | None = None) -> tuple[Array, Array]:
     """Return the lowest and highest corner of a thing's bounding box, after an optional rotation [m]."""
     R = np.eye(3) if turn is None else turn
     centre = np.array([[part.x, part.y, part.z] for part in parts]) @ R.T
@@ -68,7 +68,7 @@ def extent(parts: list[Part], turn: Float[Array, "3 3"] | None = None) -> tuple[
 
 
 def free_spot(
-    parts: list[Part], a: float, b: float, taken: list[Taken], rng: np.random.Generator
+    parts: list[MassPart], a: float, b: float, taken: list[Taken], rng: np.random.Generator
 ) -> tuple[float, float, float] | None:
     """Find and occupy a free place on a board with half sizes a and b; return x, y and yaw, or None."""
     low, high = extent(parts)
@@ -86,49 +86,49 @@ def free_spot(
 # --- kinds ------------------------------------------------------------------------------------------------------------
 
 
-def _raised(kind: str, size: tuple[float, ...], z: float = 0.0) -> Part:
-    part = Part(kind, size)
+def _raised(kind: str, size: tuple[float, ...], z: float = 0.0) -> MassPart:
+    part = MassPart(kind, size)
     return replace(part, z=z + float(part.half[2]))
 
 
-def _box(rng: np.random.Generator, scale: float) -> list[Part]:
+def _box(rng: np.random.Generator, scale: float) -> list[MassPart]:
     return [_raised("box", tuple((scale * rng.uniform(0.02, 0.07, size=3)).tolist()))]
 
 
-def _can(rng: np.random.Generator, scale: float) -> list[Part]:
+def _can(rng: np.random.Generator, scale: float) -> list[MassPart]:
     return [_raised("cylinder", (scale * rng.uniform(0.02, 0.06), scale * rng.uniform(0.03, 0.1)))]
 
 
-def _ball(rng: np.random.Generator, scale: float) -> list[Part]:
+def _ball(rng: np.random.Generator, scale: float) -> list[MassPart]:
     return [_raised("sphere", (scale * rng.uniform(0.025, 0.07),))]
 
 
-def _slab(rng: np.random.Generator, scale: float) -> list[Part]:
+def _slab(rng: np.random.Generator, scale: float) -> list[MassPart]:
     return [_raised("box", (*(scale * rng.uniform(0.05, 0.16, size=2)).tolist(), rng.uniform(0.004, 0.02)))]
 
 
-def _dish(rng: np.random.Generator, scale: float) -> list[Part]:
+def _dish(rng: np.random.Generator, scale: float) -> list[MassPart]:
     return [_raised("cylinder", (scale * rng.uniform(0.06, 0.13), rng.uniform(0.005, 0.02)))]
 
 
-def _tower(rng: np.random.Generator, scale: float) -> list[Part]:
+def _tower(rng: np.random.Generator, scale: float) -> list[MassPart]:
     return [_raised("box", (*(scale * rng.uniform(0.02, 0.05, size=2)).tolist(), scale * rng.uniform(0.08, 0.17)))]
 
 
-def _bottle(rng: np.random.Generator, scale: float) -> list[Part]:
+def _bottle(rng: np.random.Generator, scale: float) -> list[MassPart]:
     body = _raised("cylinder", (scale * rng.uniform(0.025, 0.05), scale * rng.uniform(0.05, 0.1)))
     top = 2.0 * float(body.half[2])
     return [body, _raised("cylinder", (0.4 * body.size[0], scale * rng.uniform(0.02, 0.05)), top)]
 
 
-def _screen(rng: np.random.Generator, scale: float) -> list[Part]:
+def _screen(rng: np.random.Generator, scale: float) -> list[MassPart]:
     """Return a foot with an upright back, like a laptop."""
     foot = _raised("box", (scale * rng.uniform(0.06, 0.12), scale * rng.uniform(0.08, 0.18), 0.01))
     back = _raised("box", (0.008, foot.size[1], scale * rng.uniform(0.06, 0.14)), 0.02)
     return [foot, replace(back, x=float(foot.size[0]) - 0.01)]
 
 
-def _hump(rng: np.random.Generator, scale: float) -> list[Part]:
+def _hump(rng: np.random.Generator, scale: float) -> list[MassPart]:
     """Return a low rounded thing, like a sitting animal."""
     return [_raised("capsule", (scale * rng.uniform(0.03, 0.07), scale * rng.uniform(0.02, 0.06)))]
 

@@ -185,7 +185,7 @@ def test_policies_are_found_by_name(tmp_path, monkeypatch):
     for name, error, words in (
         ("my_policies", SettingError, "factory"),
         ("my_policies:none", UnknownNameError, "hold"),
-        ("my_policies:NUMBER", PolicyError, "called"),
+        ("my_policies:NUMBER", PolicyError, "callable"),
         ("my_broken_policies:x", PolicyError, "ZeroDivisionError"),
         ("no_such_module_here:x", PolicyError, "ModuleNotFoundError"),
     ):

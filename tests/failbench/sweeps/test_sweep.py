@@ -7,7 +7,6 @@ from pathlib import Path
 import fake_work
 import pytest
 import yaml
-from benchmarks.kill_sweep import Trial
 from places import SUPPORT
 
 from failbench.basics.chunks import attempt
@@ -23,6 +22,7 @@ from failbench.sweeps.sweep import JOURNAL, generate_dataset, read_sweep, resume
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 from sizes import first_quick
+from support.sweeps.kill_sweep import Trial
 
 DROP, LOOSE, NOISE = (to_document(faults()[name]()) for name in ("gripper_failure", "loose_joint", "noise"))
 

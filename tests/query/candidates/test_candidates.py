@@ -139,7 +139,7 @@ def test_a_first_motion_is_there_if_all_that_follows_is_refused(task: gp.Task, m
         if not passed:
             passed.append(1)
             return found
-        return answer_module.Judged(motion=motion, verdict=Verdict(checks={"mood": Check(passed=False)}))
+        return answer_module.VerifiedMotion(motion=motion, verdict=Verdict(checks={"mood": Check(passed=False)}))
 
     monkeypatch.setattr(answer_module, "judged", strict)
     result = gp.plan(task.start, task.goal, task.scene, iterations=100)
@@ -149,7 +149,7 @@ def test_a_first_motion_is_there_if_all_that_follows_is_refused(task: gp.Task, m
 def test_what_the_judge_never_passes_is_not_solved_and_says_why(task: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
     refusal = Verdict(checks={"mood": Check(passed=False, detail="bad")})
     monkeypatch.setattr(
-        answer_module, "judged", lambda motion, request: answer_module.Judged(motion=motion, verdict=refusal)
+        answer_module, "judged", lambda motion, request: answer_module.VerifiedMotion(motion=motion, verdict=refusal)
     )
     result = gp.plan(task.start, task.goal, task.scene, iterations=100)
     assert result.status is PlanStatus.TIMEOUT and result.trajectory is None
