@@ -166,7 +166,7 @@ def _work(kernels: Kernels, q: Array, heavy: Array, edges: tuple[Array, Array]) 
 
 def _kernels(scene: Scene, isa: str) -> Kernels:
     compiled = compile_scene(scene)
-    return Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    return Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa=isa)
 
 
 def _impact_work(scene: Scene, isa: str, heavy: Array, edges: tuple[Array, Array]) -> Work:

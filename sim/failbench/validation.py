@@ -186,7 +186,7 @@ class _Expected(NamedTuple):
     """The predicted impact, and the cost that predicts it."""
 
     cost: ImpactCost
-    impact: Float[Array, " hazard"]
+    impact: Float[Array, " harmed"]
 
 
 class _Failures(NamedTuple):
@@ -278,7 +278,7 @@ def _counted(healthy: HealthyHarm, scene: Scene, fragility: FragilityTable, *, o
 
 def _shares(
     scene: Scene, rollouts: Sequence[Touches], fragility: FragilityTable, *, own: bool
-) -> Float[Array, "n hazard"]:
+) -> Float[Array, "n harmed"]:
     """Return each entity's part of the observed impacts, with the carried object's own loss last if it counts."""
     names = [*scene.entities, *([scene.carried.body] if own and scene.carried is not None else [])]
     found = [impact_by_entity(rollout, scene, fragility, own=own) for rollout in rollouts]

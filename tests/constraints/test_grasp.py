@@ -177,9 +177,9 @@ def test_an_end_that_needs_more_gets_more():
 
 def test_descents_leave_to_timing_what_is_hardly_ever_felt():
     mug = SceneConstraints(gp.load_scene("desk").tasks["bring_coffee"].scene, [gp.GraspHolds()])
-    assert mug.felt and not mug.charged
+    assert mug.felt and not mug.penalised
     bottle = SceneConstraints(task_of("pass_bottle").scene, [gp.GraspHolds()])
-    assert bottle.charged
+    assert bottle.penalised
 
 
 def test_a_grasp_goes_without_saying_only_where_it_holds_at_home():

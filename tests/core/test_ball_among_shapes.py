@@ -55,7 +55,7 @@ def test_distances_to_blades_are_those_of_mujoco(seed: int) -> None:
 def test_a_distance_that_is_kept_counts_like_a_margin(shape: str) -> None:
     compiled = compile_scene(scene_of(SOLIDS[shape]))
     bounds = replace(BoundArrays.none(len(compiled.world.kind)), keep=np.full(len(compiled.world.kind), 0.07))
-    kept = Kernels(compiled.robot, compiled.world, compiled.hazards, bounds=bounds)
+    kept = Kernels(compiled.robot, compiled.world, compiled.impact_tables, bounds=bounds)
     q = places(2000, 1, 0.6)
     plain = compiled.kernels.clearance(q)
     np.testing.assert_allclose(kept.clearance(q), plain - 0.07, atol=2e-6)

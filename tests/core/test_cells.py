@@ -48,7 +48,7 @@ def _with(scene: gp.Scene, chosen: Bool[np.ndarray, " obstacle"], keep: float = 
         hull_start=np.zeros(chosen.sum() + 1, dtype=world.hull_start.dtype),
     )
     bounds = replace(BoundArrays.none(len(world.kind)), keep=kept[chosen])
-    return Kernels(compiled.robot, some, compiled.hazards, bounds=bounds)
+    return Kernels(compiled.robot, some, compiled.impact_tables, bounds=bounds)
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.03])

@@ -79,10 +79,10 @@ def test_ignored_obstacles_are_those_without_a_pair(scene):
 
 
 def test_severities_follow_the_scene(scene):
-    hazards = compile_scene(scene).hazards
+    impact_tables = compile_scene(scene).impact_tables
     for r, component in enumerate(scene.components):
         for e, entity in enumerate(scene.entities.values()):
-            assert hazards.severity[r, e] == entity.severity[component]
+            assert impact_tables.severity[r, e] == entity.severity[component]
 
 
 def test_a_carried_shape_that_cannot_be_covered_is_named():

@@ -237,7 +237,7 @@ def test_edge_cost_is_length_and_integral(table):
 @pytest.mark.parametrize("isa", instruction_sets())
 def test_instruction_sets_agree(table, isa):
     compiled = compile_scene(table)
-    other = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    other = Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa=isa)
     q = _random(table, 501, seed=11)
     best = compiled.kernels
     np.testing.assert_allclose(other.clearance(q), best.clearance(q), atol=_FLOAT32)
@@ -249,7 +249,7 @@ def test_instruction_sets_agree(table, isa):
 
 def test_the_name_of_an_instruction_set_asks_for_it(table):
     compiled = compile_scene(table)
-    tables = compiled.robot, compiled.world, compiled.hazards
+    tables = compiled.robot, compiled.world, compiled.impact_tables
     assert compiled.kernels.isa == instruction_sets()[0]
     for name in instruction_sets():
         assert Kernels(*tables, isa=Kernels(*tables, isa=name).isa).isa == name
@@ -276,7 +276,7 @@ def test_batch_axes_pass_through(batch, seed):
     assert kernels.free(q).shape == batch
     assert kernels.clearance(q).shape == batch
     assert kernels.tool_pose(q).shape == (*batch, 4, 4)
-    assert kernels.interaction(q).shape == (*batch, *kernels.hazards.severity.shape)
+    assert kernels.interaction(q).shape == (*batch, *kernels.impact_tables.severity.shape)
     assert kernels.edges_free(q, np.zeros(7)).shape == batch
     flat = kernels.clearance(q.reshape(-1, 7))
     assert np.array_equal(kernels.clearance(q).ravel(), flat)
@@ -300,7 +300,7 @@ def test_misuse_names_the_culprit(table):
     with pytest.raises(SettingError, match="step"):
         kernels.edges_free(np.zeros(7), np.ones(7), step=0.0)
     with pytest.raises(SettingError, match="isa"):
-        Kernels(kernels.robot, kernels.world, kernels.hazards, isa="avx1024")
+        Kernels(kernels.robot, kernels.world, kernels.impact_tables, isa="avx1024")
 
 
 def test_numbers_that_single_precision_cannot_hold_are_refused(table):

@@ -68,7 +68,7 @@ def test_clearance_and_free_are_those_of_all_pairs(compiled: CompiledScene, isa:
     assert np.bincount(robot.sphere_link).max() > 24  # several clusters
     rng = np.random.default_rng(1)
     q = np.clip(rng.uniform(-2.5, 2.5, 4) * (spread < 1.0) + rng.uniform(-spread, spread, (70, 4)), -3.0, 3.0)
-    kernels = Kernels(robot, compiled.world, compiled.hazards, isa)
+    kernels = Kernels(robot, compiled.world, compiled.impact_tables, isa)
     expected = _all_pairs(compiled, q)
     np.testing.assert_allclose(kernels.clearance(q), expected, atol=_FLOAT32)
     np.testing.assert_array_equal(kernels.clearance(q), [kernels.clearance(one) for one in q])

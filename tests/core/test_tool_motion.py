@@ -105,7 +105,7 @@ def test_one_iteration_is_a_damped_step_beside_the_limits(kernels, q):
 @pytest.mark.parametrize("isa", instruction_sets())
 def test_seeds_reach_near_poses_as_exactly_as_doubles_allow(scene, kernels, q, isa):
     compiled = compile_scene(scene)
-    own = Kernels(compiled.robot, compiled.world, compiled.hazards, isa)
+    own = Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa)
     X_WG, free_yaw = kernels.tool_pose(q + 0.01), np.arange(len(q)) % 2 == 1
     ended, missing = own.reach(q, X_WG, free_yaw, iterations=20, patience=9)
     assert np.abs(missing).max() < 1e-10

@@ -160,7 +160,7 @@ def test_it_can_be_left_out_and_algorithm_1_does_not_know_it(impact: gp.ImpactCo
     scene = room()
     cost = gp.evaluate(path(scene), scene, gp.Objective(impact=impact))
     assert "cup" not in cost.impact_by_entity
-    assert impact.hazards(scene) == scene.hazards and not impact.counts_own_loss(scene)
+    assert impact.harmed_entities(scene) == scene.entity_names and not impact.counts_own_loss(scene)
 
 
 def test_without_it_the_rest_is_the_same() -> None:

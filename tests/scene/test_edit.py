@@ -34,7 +34,7 @@ def _solids() -> list[StaticBody]:
 
 def _same_tables(first: Scene, second: Scene) -> None:
     a, b = compile_scene(first), compile_scene(second)
-    _same_fields((a.robot, b.robot), (a.world, b.world), (a.hazards, b.hazards))
+    _same_fields((a.robot, b.robot), (a.world, b.world), (a.impact_tables, b.impact_tables))
 
 
 def _same_fields(*pairs: tuple[object, object]) -> None:

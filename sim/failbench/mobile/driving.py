@@ -18,7 +18,7 @@ from failbench.mobile.following import (
     Course,
     CourseFollower,
     check_course,
-    thinned,
+    subsampled_points,
     timed,
     untimed,
 )
@@ -228,7 +228,7 @@ class _Loop:
 
 def _to_polyline(points: Float[Array, "n 2"], path: Float[Array, "k 2"]) -> Float[Array, " n"]:
     """Return the distances of points to a polyline [m]."""
-    path = thinned(path)
+    path = subsampled_points(path)
     begin, way = path[:-1], np.diff(path, axis=0)
     if not len(way):
         return np.linalg.norm(points - path[0], axis=1)

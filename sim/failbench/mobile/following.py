@@ -63,10 +63,10 @@ def untimed(motion: Trajectory, dt: float, seconds: float | None = None) -> Cour
     """Return a course along the path of a motion; the default limit is three times the motion's duration plus 5 s."""
     whole = timed(motion, dt, motion.duration)
     limit = 3.0 * motion.duration + 5.0 if seconds is None else seconds
-    return Course(None, thinned(whole.path), limit, whole.begins)
+    return Course(None, subsampled_points(whole.path), limit, whole.begins)
 
 
-def thinned(path: Float[Array, "n 2"]) -> Float[Array, "k 2"]:
+def subsampled_points(path: Float[Array, "n 2"]) -> Float[Array, "k 2"]:
     """Subsample a path to about one point per 2 cm of its length; the last point is kept."""
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     _, kept = np.unique(np.floor(s / _APART), return_index=True)

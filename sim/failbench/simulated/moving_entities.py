@@ -35,7 +35,7 @@ _ASIDE, _HASTE = 0.6, 1.0
 def staged(scene: Scene) -> Scene:
     """Return a scene in which each moving entity is a body with a geom, and an entity like a static one.
 
-    All other ids are unchanged. The entities are in the order of `scene.hazards`.
+    All other ids are unchanged. The entities are in the order of `scene.entity_names`.
     """
     if not scene.moving:
         return scene

@@ -171,23 +171,23 @@ def explain(
             raise PlanningFailed(motion)
         motion = motion.trajectory
     bound = objective.bind(scene)
-    charged = bound.cost_samples(motion, start_time)
-    along = _Along(charged, motion)
-    sources = objective.impact.sources(charged.batch)
+    samples = bound.cost_samples(motion, start_time)
+    along = _Along(samples, motion)
+    sources = objective.impact.sources(samples.batch)
     severity = objective.impact.severity_table(scene)
     cost = bound.breakdown(motion, start_time)
     by_entity = np.sum([np.einsum("nce,ce->ne", P, severity) for P in sources.values()], axis=0)
-    found = float(charged.weight @ by_entity.sum(axis=1))
+    found = float(samples.weight @ by_entity.sum(axis=1))
     if abs(found - cost.impact) > _ROUNDING * cost.impact:
         problem = f"sources() add up to an impact of {found:.6g}, probability() to {cost.impact:.6g}"
         raise CostError(objective.impact.interaction, problem)
     return Explanation(
         cost=cost,
         exposure=objective.exposure,
-        entities=objective.impact.hazards(scene),
+        entities=objective.impact.harmed_entities(scene),
         place=along.place,
         time=along.time,
-        weight=charged.weight,
+        weight=samples.weight,
         by_entity=by_entity,
         contributions=_contributions(scene, along, objective.impact, sources),
     )
@@ -197,13 +197,13 @@ def explain(
 class _Along:
     """The evaluated states of a motion, with their places and times."""
 
-    def __init__(self, charged: CostSamples, motion: Path | Trajectory) -> None:
+    def __init__(self, samples: CostSamples, motion: Path | Trajectory) -> None:
         points = motion.path if isinstance(motion, Trajectory) else motion
         vertices = np.arange(len(points))
         length = np.concatenate([[0.0], np.cumsum(points.segment_lengths)])
-        self.batch, self.weight = charged.batch, charged.weight
-        self.place = np.interp(charged.place, vertices, length)
-        self.time = np.interp(charged.place, vertices, motion.t) if isinstance(motion, Trajectory) else None
+        self.batch, self.weight = samples.batch, samples.weight
+        self.place = np.interp(samples.place, vertices, length)
+        self.time = np.interp(samples.place, vertices, motion.t) if isinstance(motion, Trajectory) else None
 
     def time_at(self, index: int) -> float | None:
         """Time of a state [s], None on a path."""
@@ -221,11 +221,11 @@ def _contributions(
 ) -> tuple[Contribution, ...]:
     """Return the parts of the impact by source, component and entity, the largest first."""
     severity, faults = objective.severity_table(scene), objective.interaction.fault_shares()
-    components, hazards = tuple(scene.components), objective.hazards(scene)
+    components, entities = tuple(scene.components), objective.harmed_entities(scene)
     parts = {name: np.tensordot(along.weight, P, axes=1) * severity for name, P in sources.items()}
     total = math.fsum(float(part.sum()) for part in parts.values())
     rows = [
-        _contribution(along, name, (components[c], hazards[e]), sources[name][:, c, e], float(severity[c, e]), total)
+        _contribution(along, name, (components[c], entities[e]), sources[name][:, c, e], float(severity[c, e]), total)
         for name, part in parts.items()
         for c, e in np.argwhere(part > 0.0).tolist()
     ]

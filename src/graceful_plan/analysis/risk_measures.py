@@ -213,11 +213,11 @@ def risk(
     law = HarmLaw(cost, scene)
     objective = Objective(impact=cost).bind(scene, (speed, speed))
     points = motion if isinstance(motion, Path | Trajectory) else Path(finite_array("motion", motion, ndim=2))
-    charged = objective.cost_samples(points)  # also rejects motions that do not fit the scene
+    samples = objective.cost_samples(points)  # also rejects motions that do not fit the scene
     if isinstance(points, Trajectory):
         batch, weight = _moments(points, scene, start_time)
-    elif charged.weight.sum() > 0.0:
-        batch, weight = charged.batch, charged.weight
+    elif samples.weight.sum() > 0.0:
+        batch, weight = samples.batch, samples.weight
     else:  # a path without length
         batch, weight = StateBatch(scene, points.q[:1]), np.ones(1)
     mass, worst = law.mixture(batch, weight)

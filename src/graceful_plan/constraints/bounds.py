@@ -78,7 +78,7 @@ def _kernels(scene: Scene, bounds: RuleBounds, room: float) -> Kernels:
         room=np.array(rooms).reshape(-1, 21),
         keep=kept,
     )
-    return Kernels(robot, world, compiled.hazards, bounds=arrays)
+    return Kernels(robot, world, compiled.impact_tables, bounds=arrays)
 
 
 def frame_in_link(scene: Scene, robot: RobotArrays, frame: str) -> Float[Array, "4 4"]:

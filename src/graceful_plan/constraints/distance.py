@@ -75,4 +75,4 @@ def distance_kernels(scene: Scene, entity: str) -> Kernels:
         geom=world.geom[mine],
     )
     robot = replace(compiled.robot, self_pair=compiled.robot.self_pair[:0], self_slack=np.zeros(0))
-    return Kernels(robot, only, compiled.hazards)
+    return Kernels(robot, only, compiled.impact_tables)

@@ -64,7 +64,7 @@ class SceneConstraints:
         carrying = self._carrying(share)
         self.felt = tuple(felt_in(scene, c) for c in carrying)
         """Limits on the specific force of the carried object."""
-        self.charged = tuple(limit for felt in self.felt if (limit := felt.native) is not None)
+        self.penalised = tuple(limit for felt in self.felt if (limit := felt.native) is not None)
         """The subset of these limits that descents penalise; timing enforces all of them."""
         self.level = any(isinstance(felt, SpecificForceCone) for felt in self.felt)
         """Whether a constraint keeps part of the carried object level."""

@@ -1,6 +1,6 @@
-"""The tables that kernels read: robot, world, hazards, bounds.
+"""The tables that kernels read: robot, world, impact, bounds.
 
-Axis words: `*batch time nq nv link geom sphere obstacle pair component entity hazard xyz(3) wxyz(4)`. Order: batch,
+Axis words: `*batch time nq nv link geom sphere obstacle pair component entity harmed xyz(3) wxyz(4)`. Order: batch,
 time, item, component. Tables are frozen; `compile.py` builds them from a scene, `kernels.py` passes them to the core.
 """
 

@@ -45,7 +45,7 @@ class CompiledScene:
 
     robot: RobotArrays
     world: WorldArrays
-    hazards: ImpactArrays
+    impact_tables: ImpactArrays
     kernels: Kernels
 
     @cached_property
@@ -54,7 +54,7 @@ class CompiledScene:
         if not self.robot.self_slack.any():
             return self.kernels
         strict = replace(self.robot, self_slack=np.zeros_like(self.robot.self_slack))
-        return Kernels(strict, self.world, self.hazards)
+        return Kernels(strict, self.world, self.impact_tables)
 
 
 @per_scene
@@ -71,7 +71,7 @@ def compile_scene(scene: Scene) -> CompiledScene:
 
 def _compiled(scene: Scene) -> CompiledScene:
     data, parts = reference_data(scene), _robot_parts(scene)
-    hazards = replace(parts.hazards, target_box=_world_boxes(scene.model, data, parts.targets))
+    impact_tables = replace(parts.impact_tables, target_box=_world_boxes(scene.model, data, parts.targets))
     blocked = _blocked(scene, data, parts)
     robot = replace(
         parts.arrays,
@@ -79,7 +79,9 @@ def _compiled(scene: Scene) -> CompiledScene:
         self_slack=np.concatenate([parts.arrays.self_slack, np.zeros(len(blocked))]),
     )
     world = _world_arrays(scene, data, parts.obstacles)
-    return CompiledScene(robot=robot, world=world, hazards=hazards, kernels=Kernels(robot, world, hazards))
+    return CompiledScene(
+        robot=robot, world=world, impact_tables=impact_tables, kernels=Kernels(robot, world, impact_tables)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +91,7 @@ class _RobotParts:
     groups: list[_Group]
     arrays: RobotArrays
     """Without the links of the base that touch surroundings."""
-    hazards: ImpactArrays
+    impact_tables: ImpactArrays
     """Without the boxes of entities."""
     targets: list[int]
     """The geoms of the entities."""
@@ -101,28 +103,30 @@ def _robot_parts(scene: Scene) -> _RobotParts:
     data = reference_data(scene)
     frames = _frames(scene, data)
     groups = _groups(scene, frames)
-    hazards = _hazard_arrays(scene, data, frames)
+    impact_tables = _impact_arrays(scene, data, frames)
     arrays = _robot_arrays(scene, data, frames, groups)
     pairs = _self_pairs(groups, len(frames.parent), _overlapping(scene.model, data))
     arrays = replace(arrays, self_pair=pairs, self_slack=np.zeros(len(pairs)))
-    _check_capacity(scene.model, groups, arrays, hazards)
+    _check_capacity(scene.model, groups, arrays, impact_tables)
     touchable = [_touchable(groups, pair - len(frames.parent)) for pair in pairs]
     return _RobotParts(
         groups=groups,
-        arrays=replace(arrays, self_slack=self_slack(scene, arrays, touchable, hazards)),
-        hazards=hazards,
+        arrays=replace(arrays, self_slack=self_slack(scene, arrays, touchable, impact_tables)),
+        impact_tables=impact_tables,
         targets=[geom for entity in scene.entities.values() for geom in entity.geoms],
         obstacles=_obstacles(scene, groups),
     )
 
 
-def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, hazards: ImpactArrays) -> None:
+def _check_capacity(
+    model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, impact_tables: ImpactArrays
+) -> None:
     counts = {
         "joints": len(robot.lower),
         "links": len(robot.parent),
         "spheres": len(robot.sphere),
-        "parts": len(hazards.part_link),
-        "entities": hazards.severity.shape[1],
+        "parts": len(impact_tables.part_link),
+        "entities": impact_tables.severity.shape[1],
     }
     for what, count in counts.items():
         if count <= CAPACITY[what]:
@@ -457,10 +461,10 @@ def _world_arrays(scene: Scene, data: mujoco.MjData, obstacles: _Obstacles) -> W
     )
 
 
-# --- hazards --------------------------------------------------------------------------------------------------------
+# --- impact --------------------------------------------------------------------------------------------------------
 
 
-def _hazard_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> ImpactArrays:
+def _impact_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> ImpactArrays:
     model = scene.model
     parts = [(r, geom) for r, component in enumerate(scene.components.values()) for geom in component.geoms]
     boxes = []

@@ -55,7 +55,7 @@ class Kernels:
     Args:
         robot: Tables of the robot.
         world: Tables of the obstacles.
-        hazards: Components and entities.
+        impact_tables: Components and entities.
         isa: Instruction set, "auto" for the best; see `instruction_sets`.
         bounds: Bounds beyond collision. They count in "free" and "clearance", too; an angle [rad] counts as `LEVER`
             metres.
@@ -65,13 +65,13 @@ class Kernels:
         self,
         robot: RobotArrays,
         world: WorldArrays,
-        hazards: ImpactArrays,
+        impact_tables: ImpactArrays,
         isa: str = "auto",
         bounds: BoundArrays | None = None,
     ) -> None:
         if isa != "auto" and isa not in instruction_sets():
             raise SettingError("isa", isa, f"'auto' or one of {', '.join(instruction_sets())}")
-        self.robot, self.world, self.hazards = robot, world, hazards
+        self.robot, self.world, self.impact_tables = robot, world, impact_tables
         bounds = BoundArrays.none(len(world.kind)) if bounds is None else bounds
         self.nq = len(robot.lower)
         try:
@@ -93,13 +93,13 @@ class Kernels:
                 ignores=np.ascontiguousarray(world.ignores, dtype=np.uint64),
                 hull_start=_integers(world.hull_start),
                 triangles=reals(world.triangles),
-                part_component=_integers(hazards.part_component),
-                part_link=_integers(hazards.part_link),
-                part_box=reals(hazards.part_box),
-                target_entity=_integers(hazards.target_entity),
-                target_box=reals(hazards.target_box),
-                n_component=hazards.severity.shape[0],
-                n_entity=hazards.severity.shape[1],
+                part_component=_integers(impact_tables.part_component),
+                part_link=_integers(impact_tables.part_link),
+                part_box=reals(impact_tables.part_box),
+                target_entity=_integers(impact_tables.target_entity),
+                target_box=reals(impact_tables.target_box),
+                n_component=impact_tables.severity.shape[0],
+                n_entity=impact_tables.severity.shape[1],
                 tool_link=robot.tool_link,
                 tool_position=reals(robot.X_LT[:3, 3]),
                 keep=reals(bounds.keep),
@@ -209,12 +209,12 @@ class Kernels:
     def interaction(self, q: ArrayLike) -> Float[Array, "*batch component entity"]:
         """Return the probability that each component hits each entity given a failure at q, by Algorithm 1."""
         flat, batch = self.rows("q", q)
-        return self.core.interaction(flat).reshape(*batch, *self.hazards.severity.shape)
+        return self.core.interaction(flat).reshape(*batch, *self.impact_tables.severity.shape)
 
     def overlap(self, severity: Float[Array, "component entity"]) -> ImpactKernel:
         """Return the impact model of Algorithm 1 with these severities."""
-        if np.shape(severity) != self.hazards.severity.shape:
-            raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
+        if np.shape(severity) != self.impact_tables.severity.shape:
+            raise ShapeError("severity", np.shape(severity), str(self.impact_tables.severity.shape))
         return ImpactKernel(self, _native.BoxOverlapImpact(self.core, reals(finite_array("severity", severity))))
 
     def impact(self, q: ArrayLike, severity: Float[Array, "component entity"]) -> Float[Array, "*batch"]:

@@ -50,7 +50,7 @@ def self_slack(
     scene: Scene,
     robot: RobotArrays,
     geoms: Sequence[Sequence[tuple[int, int]]],
-    hazards: ImpactArrays,
+    impact_tables: ImpactArrays,
 ) -> Float[Array, " pair"]:
     """Return the clearance of spheres at which the links of each pair touch [m], at most 0.
 
@@ -58,7 +58,7 @@ def self_slack(
         scene: The scene.
         robot: Tables with pairs of links.
         geoms: For each pair of links, the pairs of geoms that may touch.
-        hazards: Tables of the scene.
+        impact_tables: Tables of the scene.
     """
     slack = np.zeros(len(robot.self_pair))
     for k, (pair, touchable) in enumerate(zip(robot.self_pair, geoms, strict=True)):
@@ -66,7 +66,7 @@ def self_slack(
             key = _key(robot, pair)
             with _lock:
                 known = _known.get(key)
-            slack[k] = _slack(scene, robot, pair, touchable, hazards) if known is None else known
+            slack[k] = _slack(scene, robot, pair, touchable, impact_tables) if known is None else known
             with _lock:
                 _known[key] = float(slack[k])
                 while len(_known) > _KEPT:
@@ -106,9 +106,11 @@ def _slack(
     robot: RobotArrays,
     pair: Int[Array, " 2"],
     geoms: Sequence[tuple[int, int]],
-    hazards: ImpactArrays,
+    impact_tables: ImpactArrays,
 ) -> float:
-    kernels = Kernels(replace(robot, self_pair=pair[None], self_slack=np.zeros(1)), WorldArrays.nothing(), hazards)
+    kernels = Kernels(
+        replace(robot, self_pair=pair[None], self_slack=np.zeros(1)), WorldArrays.nothing(), impact_tables
+    )
     of_meshes = any(scene.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH for both in geoms for geom in both)
     samples, most = (_SAMPLES_OF_MESHES, _LOST_OF_MESHES) if of_meshes else (_SAMPLES, _LOST)
     drawn = np.random.default_rng(0).uniform(robot.lower, robot.upper, (samples, len(robot.lower)))

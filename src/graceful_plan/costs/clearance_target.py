@@ -35,11 +35,11 @@ def kernels_for_target(scene: Scene, to: str) -> Kernels:
     compiled = compile_scene(scene)
     robot, world = compiled.robot, compiled.world
     if to == SELF:
-        return Kernels(robot, _some(world, np.zeros(0, dtype=int)), compiled.hazards)
+        return Kernels(robot, _some(world, np.zeros(0, dtype=int)), compiled.impact_tables)
     if to != SURROUNDINGS:
         world = _some(world, np.flatnonzero(np.isin(world.geom, scene.entities[to].geoms)))
     return Kernels(
-        replace(robot, self_pair=robot.self_pair[:0], self_slack=robot.self_slack[:0]), world, compiled.hazards
+        replace(robot, self_pair=robot.self_pair[:0], self_slack=robot.self_slack[:0]), world, compiled.impact_tables
     )
 
 

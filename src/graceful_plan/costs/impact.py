@@ -120,14 +120,14 @@ class ImpactCost(Cost):
         carried = scene.carried is not None and "carried" in self.components
         return self.own_loss and carried and self.interaction.knows_own_loss
 
-    def hazards(self, scene: Scene) -> tuple[str, ...]:
+    def harmed_entities(self, scene: Scene) -> tuple[str, ...]:
         """Return the names of all that may be harmed: entities, moving entities, last the carried object itself."""
         if scene.carried is None or not self.counts_own_loss(scene):
-            return scene.hazards
-        return (*scene.hazards, scene.carried.body)
+            return scene.entity_names
+        return (*scene.entity_names, scene.carried.body)
 
-    def severity_table(self, scene: Scene) -> Float[Array, "component hazard"]:
-        """Return S by component and name in `hazards`; only the component "carried" harms the object itself."""
+    def severity_table(self, scene: Scene) -> Float[Array, "component harmed"]:
+        """Return S by component and name in `harmed_entities`; only the component "carried" harms the object itself."""
         counted = self.counted(scene)
         moving = [
             [severity[name] if name in counted else 0.0 for severity in scene.moving_severity.values()]
@@ -139,8 +139,8 @@ class ImpactCost(Cost):
             parts.append(scene.own_severity * _struck_itself(scene)[:, None])
         return np.concatenate(parts, axis=1)
 
-    def probability(self, batch: StateBatch) -> Float[Array, "n component hazard"]:
-        """Compute P of each component against each of `hazards`, given a failure at each state."""
+    def probability(self, batch: StateBatch) -> Float[Array, "n component harmed"]:
+        """Compute P of each component against each of `harmed_entities`, given a failure at each state."""
         parts, scene = [self.interaction.probability(batch)], batch.scene
         if scene.moving:
             parts.append(np.asarray(sum(moving_model(self.interaction).sources(batch, self.counted(scene)).values())))
@@ -148,7 +148,7 @@ class ImpactCost(Cost):
             parts.append(np.asarray(sum(self._own_sources(batch).values())))
         return np.concatenate(parts, axis=2)
 
-    def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component hazard"]]:
+    def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component harmed"]]:
         """Return `probability` by kind of failure."""
         scene = batch.scene
         parts = [(self.interaction.sources(batch), len(scene.entities))]
@@ -228,7 +228,7 @@ class ImpactCost(Cost):
         return moving_model(self.interaction).impact(scene, self._moving_severity(scene), rough=rough)
 
     def _moving_severity(self, scene: Scene) -> Float[Array, "component moving"]:
-        return self.severity_table(scene)[:, len(scene.entities) : len(scene.hazards)]
+        return self.severity_table(scene)[:, len(scene.entities) : len(scene.entity_names)]
 
     def is_published(self) -> bool:
         """Tell whether this is the published model, Algorithm 1, which a verdict can recompute independently."""

@@ -296,11 +296,11 @@ class SceneObjective:
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
         """Compute the cost of a whole path or trajectory, with its impact by entity and component."""
         motion, impact = self._motion(self._points(path)), self.objective.impact
-        if isinstance(impact, ImpactCost) and not impact.hazards(self.scene):
+        if isinstance(impact, ImpactCost) and not impact.harmed_entities(self.scene):
             nothing = dict.fromkeys(self.scene.components, 0.0)
             return CostBreakdown(motion=motion, impact=0.0, w=self.w, impact_by_component=nothing)
-        charged = self.cost_samples(path, start_time)
-        return self._breakdown(motion, charged.batch, charged.weight)
+        samples = self.cost_samples(path, start_time)
+        return self._breakdown(motion, samples.batch, samples.weight)
 
     def cost_samples(self, path: Path | Trajectory, start_time: float = 0.0) -> CostSamples:
         """Return the states at which a path or trajectory is evaluated, with weights: sums over them are integrals.
@@ -359,7 +359,7 @@ class SceneObjective:
             motion=motion,
             impact=float(parts.sum()),
             w=self.w,
-            impact_by_entity=dict(zip(impact.hazards(self.scene), parts.sum(axis=0).tolist(), strict=True)),
+            impact_by_entity=dict(zip(impact.harmed_entities(self.scene), parts.sum(axis=0).tolist(), strict=True)),
             impact_by_component=dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)),
         )
 

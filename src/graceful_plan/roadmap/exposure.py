@@ -52,19 +52,19 @@ class Exposure:
         self.objective, self.scene, self.step, self.paces = objective, scene, step, paces
         impact = objective.impact
         self.by_entity = isinstance(impact, ImpactCost)
-        self.hazards: tuple[str, ...] = ()
+        self.entities: tuple[str, ...] = ()
         self.columns: tuple[tuple[str, str], ...] = (("", ""),)
         if isinstance(impact, ImpactCost):
-            self.hazards = impact.hazards(scene)
+            self.entities = impact.harmed_entities(scene)
             counted = [name for name in scene.components if name in impact.components]
-            self.columns = tuple((name, hazard) for name in counted for hazard in self.hazards)
+            self.columns = tuple((name, entity) for name in counted for entity in self.entities)
 
     def severity(self, scene: Scene) -> Float[Array, " column"]:
         """Return the severity of each column in a scene, 0 if it has none; 1 for an impact without severities."""
         impact = self.objective.impact
         if not (self.by_entity and isinstance(impact, ImpactCost)):
             return np.ones(1)
-        pairs = product(scene.components, impact.hazards(scene))
+        pairs = product(scene.components, impact.harmed_entities(scene))
         known = dict(zip(pairs, impact.severity_table(scene).flat, strict=True))
         return np.array([known.get(column, 0.0) for column in self.columns], dtype=np.float64)
 
@@ -90,12 +90,12 @@ class Exposure:
         motion, impact = float(prices.motion.sum()), float(parts.sum())
         if not self.by_entity:
             return CostBreakdown(motion=motion, impact=impact, w=w)
-        components, hazards = dict.fromkeys(self.scene.components, 0.0), dict.fromkeys(self.hazards, 0.0)
-        for (component, hazard), part in zip(self.columns, parts.tolist(), strict=True):
+        components, by_entity = dict.fromkeys(self.scene.components, 0.0), dict.fromkeys(self.entities, 0.0)
+        for (component, entity), part in zip(self.columns, parts.tolist(), strict=True):
             components[component] += part
-            hazards[hazard] += part
+            by_entity[entity] += part
         return CostBreakdown(
-            motion=motion, impact=impact, w=w, impact_by_entity=hazards, impact_by_component=components
+            motion=motion, impact=impact, w=w, impact_by_entity=by_entity, impact_by_component=components
         )
 
     def _density(self, batch: StateBatch) -> Float[Array, "n column"]:

@@ -110,7 +110,7 @@ class SceneFacts:
         return self.notes.moving
 
     @property
-    def hazards(self) -> tuple[str, ...]:
+    def entity_names(self) -> tuple[str, ...]:
         """Names of everything that can be harmed: static entities, then moving ones."""
         return (*self.entities, *self.moving)
 

@@ -47,7 +47,7 @@ def examine() -> list[Finding]:
     probability = reference_probability(scene, q)
     tables = compile_scene(scene)
     for isa in instruction_sets():
-        kernels = Kernels(tables.robot, tables.world, tables.hazards, isa=isa)
+        kernels = Kernels(tables.robot, tables.world, tables.impact_tables, isa=isa)
         findings.append(_tried(f"collision ({isa})", lambda k=kernels: _compare_collision(k, q, in_contact)))
         findings.append(_tried(f"Algorithm 1 ({isa})", lambda k=kernels: _compare_impact(k, q, probability)))
     findings.append(_tried("plan", lambda: _plan(task)))

@@ -56,7 +56,7 @@ class Candidate:
             CostError: If the objective returns a NaN, an infinity or a negative number.
         """
         q = path.without_duplicates().q
-        edges = charged(objective, q[:-1], q[1:])
+        edges = edge_costs(objective, q[:-1], q[1:])
         return cls(q=q, edges=edges, made_by=made_by, made_with=made_with)
 
     def moved_to(self, q: Float[Array, "n nq"], edges: Float[Array, "edge 2"]) -> Candidate:
@@ -85,7 +85,7 @@ class Target:
         return room[:, 0] * room[:, 1]
 
 
-def charged(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
+def edge_costs(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
     """Evaluate motion and impact of edges, and check them.
 
     Raises:

@@ -29,7 +29,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import out_of_time
 from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem
 from graceful_plan.planners.shortcut import Line, Replacement, cut, leave_out, move_aside, replaced, straighten_joint
-from graceful_plan.tuning.archive import Archive, Candidate, EdgeTest, Target, charged, widest_gaps
+from graceful_plan.tuning.archive import Archive, Candidate, EdgeTest, Target, edge_costs, widest_gaps
 from graceful_plan.tuning.descent import descend
 from graceful_plan.tuning.front_problem import FrontProblem
 from graceful_plan.tuning.points import dominated_area
@@ -188,7 +188,7 @@ def _spaced(candidate: Candidate, objective: BoundObjective) -> Candidate:
     if path.segment_lengths.max() <= 2.0 * step:
         return candidate
     q = path.resampled(1.5 * step).q
-    return replace(candidate, q=q, edges=charged(objective, q[:-1], q[1:]))
+    return replace(candidate, q=q, edges=edge_costs(objective, q[:-1], q[1:]))
 
 
 def improved(
@@ -210,7 +210,7 @@ def improved(
         return members
     q0, q1 = np.concatenate([p.q[:-1] for p in every]), np.concatenate([p.q[1:] for p in every])
     begin = np.cumsum([0, *(len(p.q) - 1 for p in every)])
-    edges = charged(objective, q0, q1)
+    edges = edge_costs(objective, q0, q1)
     after = np.add.reduceat(edges, begin[:-1], axis=0)
     gains = _gains(members, every, owner, after)
     wanted = gains > 0.0

@@ -268,7 +268,7 @@ def _base_replay(failure: Failure, motion: ShownMotion) -> Replay:
 def _predicted(motion: ShownMotion, onset: float, impact: ImpactCost) -> dict[str, float]:
     """Return the expected harm of a failure at a time by entity, without entities that are safe."""
     values = impact_by_entity(motion.trajectory, motion.scene, np.array([onset]), impact)[0]
-    found = zip(impact.hazards(motion.scene), values.tolist(), strict=True)
+    found = zip(impact.harmed_entities(motion.scene), values.tolist(), strict=True)
     return {name: value for name, value in found if value > 1e-6}
 
 

@@ -112,7 +112,7 @@ def shown_motion(
         poses=poses,
         tool=X_WT[:, :3, 3].copy(),
         risk_t=risk_t,
-        entities=impact.hazards(scene),
+        entities=impact.harmed_entities(scene),
         by_entity=impact_by_entity(trajectory, scene, risk_t, impact),
     )
 
@@ -120,6 +120,6 @@ def shown_motion(
 def impact_by_entity(
     trajectory: Trajectory, scene: Scene, t: Float[Array, " n"], impact: ImpactCost
 ) -> Float[Array, "n entity"]:
-    """Return P S of each of `impact.hazards(scene)`, given a failure at some times after the start [s]."""
+    """Return P S of each of `impact.harmed_entities(scene)`, given a failure at some times after the start [s]."""
     batch = trajectory_batch(scene, trajectory, trajectory.t[0] + t, t)
     return np.einsum("nce,ce->ne", impact.probability(batch), impact.severity_table(scene))

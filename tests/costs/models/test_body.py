@@ -189,7 +189,7 @@ def _along(scene, task, n, seed):
 def test_the_impact_is_that_of_the_distances_nearly(name, task, isa):
     task = gp.load_scene(name).tasks[task]
     scene, compiled = task.scene, compile_scene(task.scene)
-    native = native_model_of(scene, SETTINGS, Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa))
+    native = native_model_of(scene, SETTINGS, Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa=isa))
     q, qd = _along(scene, task, 203, seed=0)
     severity = _severity(scene)[:2]
     weight = mode_weights(_WEIGHTS, len(scene.joints))

@@ -61,7 +61,7 @@ def _states(scene, n, seed, fastest=1.5):
 
 def _kernel_of(scene, isa):
     compiled, tables = compile_scene(scene), drop_tables(scene)
-    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    kernels = Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa=isa)
     contents = None if scene.contents is None else (spill_tables(scene), SpillSettings.shipped())
     constants, loss = SETTINGS.of(tables.shape_class), loss_tables(scene, FragilityTable.shipped())
     return DropKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities), contents, loss)

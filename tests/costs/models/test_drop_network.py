@@ -102,7 +102,7 @@ def test_the_core_is_the_network_in_numpy(task: gp.Task) -> None:
 @pytest.mark.parametrize("isa", instruction_sets())
 def test_instruction_sets_agree(task: gp.Task, isa: str) -> None:
     compiled, tables = compile_scene(task.scene), drop_tables(task.scene)
-    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    kernels = Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa=isa)
     constants, network = SETTINGS.of(tables.shape_class), random_network()
     kernel = DropKernel(
         tables, constants, kernels, task.scene.limits.velocity, len(task.scene.entities), network=network

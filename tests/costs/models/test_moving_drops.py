@@ -327,9 +327,11 @@ def test_sources_add_up(scene):
     for model in ("mixture", "box_overlap"):
         cost = gp.ImpactCost(model=model, components=("body", "carried", "contents"))
         np.testing.assert_allclose(sum(cost.sources(batch).values()), cost.probability(batch), atol=1e-12)
-        assert cost.probability(batch).shape == (1, len(scene.components), len(cost.hazards(batch.scene)))
+        assert cost.probability(batch).shape == (1, len(scene.components), len(cost.harmed_entities(batch.scene)))
         own = model == "mixture"
-        assert cost.hazards(batch.scene)[len(batch.scene.hazards) :] == ((batch.scene.carried.body,) if own else ())
+        assert cost.harmed_entities(batch.scene)[len(batch.scene.entity_names) :] == (
+            (batch.scene.carried.body,) if own else ()
+        )
 
 
 def test_the_core_guides_searches_about_right(scene):

@@ -130,7 +130,7 @@ def test_severities_weigh_entities():
 def test_instruction_sets_agree(isa):
     scene = gantry(BOX | _TABLE).with_moving(_ROUND, _BOX, _SURE)
     compiled, tables = compile_scene(scene), drop_tables(scene)
-    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    kernels = Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa=isa)
     model = DropKernel(tables, DropSettings.shipped().box, kernels, scene.limits.velocity, len(scene.entities)).native
     table = moving_table(scene)
     places = {"places": np.ascontiguousarray(normal_places()), "cell": cell_of(PLACES)}

@@ -83,7 +83,7 @@ def test_instruction_sets_agree(scene, isa):
     compiled, tables = compile_scene(scene), coast_tables(scene)
 
     def impact(isa):
-        core = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa).core
+        core = Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa=isa).core
         model = _native.CoastModel(
             core, entity=tables.entity, shape=reals(tables.shape), n_entity=len(scene.entities),
             **coasting_arrays(scene, SHIPPED),

@@ -10,7 +10,7 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.moving_entities import moving_coast, planar_shapes
-from graceful_plan.mobile.coast.reduced import thinned
+from graceful_plan.mobile.coast.reduced import reduced_settings
 from hall import hall
 
 SHIPPED = CoastSettings.shipped()
@@ -96,6 +96,6 @@ def test_outlines_velocities_and_spreads():
 def test_few_ways_to_fail_are_close_to_all():
     crossing = walker([[0.0, -1.6, 0.85], [0.0, 1.6, 0.85]], t=[0.0, 4.0], spread=0.05)
     q, qd = states(600, [0.0, 0.0])
-    many, few = (met(crossing, q, qd, 2.0, settings=ways) for ways in (SHIPPED, thinned(SHIPPED)))
+    many, few = (met(crossing, q, qd, 2.0, settings=ways) for ways in (SHIPPED, reduced_settings(SHIPPED)))
     assert many.sum() > 10.0 and few.sum() == pytest.approx(many.sum(), rel=0.05)
     assert np.corrcoef(many, few)[0, 1] > 0.99

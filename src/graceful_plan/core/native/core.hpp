@@ -92,7 +92,7 @@ struct ImpactArrays {
 
 class Core {
  public:
-  Core(const RobotArrays& robot, const WorldArrays& world, const ImpactArrays& hazards, const BoundArrays& bounds,
+  Core(const RobotArrays& robot, const WorldArrays& world, const ImpactArrays& impact_tables, const BoundArrays& bounds,
        const std::string& isa)
       : isa_(choose(isa)), tool_link_(robot.tool_link) {
     const Reals& tool_position = robot.tool_position;
@@ -115,7 +115,7 @@ class Core {
     }
     add_triangles(world.triangles);
     add_obstacles(world);
-    add_hazards(hazards);
+    add_impact_tables(impact_tables);
     add_bounds(bounds);
     tables_.n_joint = robot.n_joint, tables_.n_link = int(link_.size()), tables_.n_group = int(group_.size());
     tables_.n_cluster = int(cluster_.size());
@@ -512,8 +512,8 @@ class Core {
       obstacle_.push_back(o);
     }
   }
-  void add_hazards(const ImpactArrays& hazards) {
-    const auto& [component, link, box, entity, target_box, n_component, n_entity] = hazards;
+  void add_impact_tables(const ImpactArrays& impact_tables) {
+    const auto& [component, link, box, entity, target_box, n_component, n_entity] = impact_tables;
     require(n_component >= 0 && n_component <= kMaxComponents, "number of components");
     require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
     require(component.size() <= size_t(kMaxParts), "number of parts");

@@ -121,10 +121,10 @@ static void interaction(const Tables& tables, const States& states, double* prob
 static void impact(const Tables& tables, const double* severity, const States& states, double* out) {
   const size_t n = states.n;
   D qs[kMaxJoints];
-  const CountedComponents hazard(tables, severity);
+  const CountedComponents counted(tables, severity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
     load(tables, states.q, first, n, qs);
-    const D value = impact_of(tables, hazard, qs);
+    const D value = impact_of(tables, counted, qs);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
   }
 }
@@ -156,9 +156,9 @@ static inline void edge_cost(const Tables& tables, const double* a, const double
 }
 
 static void edge_costs(const Tables& tables, const double* severity, const Edges& edges, double* cost) {
-  const CountedComponents hazard(tables, severity);
+  const CountedComponents counted(tables, severity);
   const size_t nq = size_t(tables.n_joint);
-  const auto impact_at = [&](const D* q) { return impact_of(tables, hazard, q); };
+  const auto impact_at = [&](const D* q) { return impact_of(tables, counted, q); };
   for (size_t k = 0; k < edges.n; ++k)
     edge_cost(tables, edges.q0 + k * nq, edges.q1 + k * nq, edges.step, impact_at, cost + 2 * k);
 }

@@ -54,7 +54,7 @@ from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.moving_entities import moving_coast
 from graceful_plan.mobile.coast.native import coast_model
-from graceful_plan.mobile.coast.reduced import thinned
+from graceful_plan.mobile.coast.reduced import reduced_settings
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -107,8 +107,8 @@ class Coast(NativeModel, FailingBase):
         return moving_coast(scene, self.settings)
 
     def roughly(self) -> Coast:
-        """Return a cheaper model with fewer stopping modes: see `thinned`."""
-        return Coast(thinned(self.settings))
+        """Return a cheaper model with fewer stopping modes: see `reduced_settings`."""
+        return Coast(reduced_settings(self.settings))
 
     def moving(self) -> MovingModel:
         """Return the model for moving entities: a failing base hits them at their predicted positions."""
@@ -128,7 +128,7 @@ class Coast(NativeModel, FailingBase):
             return kernels.overlap(np.zeros_like(severity))
         row = severity[list(scene.components).index("body")]
         speed = reals(scene.limits.velocity)
-        models = coast_model(scene, self.settings), coast_model(scene, thinned(self.settings))
+        models = coast_model(scene, self.settings), coast_model(scene, reduced_settings(self.settings))
         native = _native.CoastImpact(*models, reals(row), speed, *paces)
         return ImpactKernel(kernels, native)
 

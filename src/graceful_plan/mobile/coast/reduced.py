@@ -13,7 +13,7 @@ import numpy as np
 from graceful_plan.mobile.coast.constants import ONE_SIDE, CoastSettings
 
 
-def thinned(settings: CoastSettings) -> CoastSettings:
+def reduced_settings(settings: CoastSettings) -> CoastSettings:
     """Reduce settings to the mean curvature, at most two decelerations and delays per mode, and one one-sided mode."""
     happens = {name: way for name, way in settings.ways.items() if way.weight > 0.0}
     ways = {

@@ -18,7 +18,7 @@ from graceful_plan.mobile.motions.carry_postures import carry_postures
 from graceful_plan.mobile.motions.drive import Drive, joined
 from graceful_plan.mobile.motions.drive_routes import DriveRoutes
 from graceful_plan.mobile.motions.drive_starts import DriveStarts, smooth
-from graceful_plan.mobile.motions.drive_timing import along, charged, timed_drive
+from graceful_plan.mobile.motions.drive_timing import along, recosted, timed_drive
 from graceful_plan.mobile.motions.legs import ArmMove, RollingLeg, Route
 from graceful_plan.mobile.motions.rolling_spline import RollingSpline
 from graceful_plan.path import Path
@@ -152,7 +152,7 @@ class DriveSource:
         """
         if self._plain is not None:
             for plain in self._plain.first(budget):
-                motion = charged(plain, self._request)
+                motion = recosted(plain, self._request)
                 self._best, self._best_motion = self._plain._best, motion
                 yield motion
             return
@@ -204,7 +204,7 @@ class DriveSource:
                 _PLAIN_SHARE * budget.remaining_seconds, _PLAIN_SHARE * budget.remaining_iterations
             ) as part:
                 for plain in self._plain.round(part, np.inf):
-                    yield charged(plain, self._request)
+                    yield recosted(plain, self._request)
             curves, routes = self._plain.take()
             self._rough = curves[::-1] + self._rough
             self._composed += routes

@@ -56,7 +56,7 @@ def _uncharged(trajectory: Trajectory, arrival: int, request: Request) -> Motion
     return _ranked(motion, request)
 
 
-def charged(motion: Motion, request: Request) -> Motion:
+def recosted(motion: Motion, request: Request) -> Motion:
     """Return a motion, planned for another weight, with its cost under this request."""
     return _ranked(with_cost(motion, request), request)
 

@@ -75,9 +75,9 @@ class DriveLattice(Planner):
         best, short = np.inf, charging.objective.with_weight(0.0).bind(charging.scene, charging.paces)
         # The shortest path comes first: where impact decides, evaluating it everywhere takes time.
         searches = [(self.cells[0], short), *((cell, objective) for cell in self.cells)]
-        for cell, charged in searches if objective.w > 0.0 else searches[1:]:
+        for cell, with_impact in searches if objective.w > 0.0 else searches[1:]:
             for begin in postures(problem):
-                for path in self._searched(begin, cell, base, (problem, charged, budget)):
+                for path in self._searched(begin, cell, base, (problem, with_impact, budget)):
                     if (total := path_total(objective, path)) < best:
                         best = total
                         yield path

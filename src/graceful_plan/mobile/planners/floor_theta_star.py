@@ -87,8 +87,8 @@ class FloorThetaStar(Planner):
         ends = np.array([start, *problem.goals])[:, :2]
         floor = floor_around(objective.scene, top, ends, (self.resolution, self.around))
         # The search without impact comes first, because evaluating the impact takes time.
-        for charged in (False, True)[: 1 + (objective.w > 0.0)]:
-            charge = objective.w * self._impact(floor, objective, start, budget) if charged else None
+        for with_impact in (False, True)[: 1 + (objective.w > 0.0)]:
+            charge = objective.w * self._impact(floor, objective, start, budget) if with_impact else None
             for share in _SHARES:
                 grid = FloorGrid(floor=floor, radius=inside + share * (outside - inside), charge=charge)
                 for goal in goals:

@@ -116,9 +116,9 @@ class PathEnergy:
         cost, d_q0, d_q1 = self.slopes.edge_slopes(q0, q1)
         total = float(cost.sum())
         if self.potential is not None:
-            charged = self.potential.edges(q0, q1, self.slopes)
-            if charged is not None:
-                cost, d_q0, d_q1 = cost + charged[0], d_q0 + charged[1], d_q1 + charged[2]
+            energy = self.potential.edges(q0, q1, self.slopes)
+            if energy is not None:
+                cost, d_q0, d_q1 = cost + energy[0], d_q0 + energy[1], d_q1 + energy[2]
         n = len(cost)
         gradient = n * (cost[:-1, None] * d_q1[:-1] + cost[1:, None] * d_q0[1:])
         return Evaluation(q, 0.5 * n * float(cost @ cost), gradient, total, cost)

@@ -23,7 +23,7 @@ from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import Shortcut
-from graceful_plan.query.candidates.search import ALL, Search, is_solution, search, thinned
+from graceful_plan.query.candidates.search import ALL, Search, is_solution, search, subsampled
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
@@ -67,10 +67,10 @@ def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: floa
     """Return the best wait [s], and w S with this wait; the motion cost does not depend on the wait."""
     tried = waits(max_wait)
     trajectory = trajectory.sample(max(trajectory.duration / _PIECES, 1e-3))
-    charged, impact, w = objective.cost_samples(trajectory), objective.objective.impact, objective.w
-    assert charged.batch.time is not None
+    samples, impact, w = objective.cost_samples(trajectory), objective.objective.impact, objective.w
+    assert samples.batch.time is not None
     totals = [
-        w * float(charged.weight @ checked_state(impact, charged.batch.at(charged.batch.time + t))) for t in tried
+        w * float(samples.weight @ checked_state(impact, samples.batch.at(samples.batch.time + t))) for t in tried
     ]
     if objective.objective.exposure == "time" and len(tried) > 1:  # failures during the wait
         start = np.repeat(trajectory.q[:1], len(tried), axis=0)
@@ -126,7 +126,7 @@ class _Choice:
             still: Index of the best path without moving entities.
             deadline: Clock reading after which only two paths are evaluated [s].
         """
-        order = thinned(len(paths))
+        order = subsampled(len(paths))
         if order:
             order.insert(1, still)
         totals: dict[int, float] = {}

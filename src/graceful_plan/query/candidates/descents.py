@@ -75,7 +75,7 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=_keeps(lambda: replace(problem, margin=0.5 * problem.margin)),
         has_clearance=_keeps(nearly) if margin + room > problem.margin else None,
-        felt=request.constraints.charged,
+        felt=request.constraints.penalised,
         time_price=price_of_time(request),
         projected=problem.projected if request.constraints.level else None,
         counts_points=objective.objective.exposure == "waypoints",
@@ -92,8 +92,8 @@ def stray(scene: Scene) -> float:
     if scene.carried is None:
         return TRACKING_CLEARANCE
     compiled = compile_scene(scene)
-    mine = compiled.hazards.part_component == list(scene.components).index("carried")
-    box = compiled.hazards.part_box[mine]
+    mine = compiled.impact_tables.part_component == list(scene.components).index("carried")
+    box = compiled.impact_tables.part_box[mine]
     R, centre, half = box[:, :9].reshape(-1, 1, 3, 3), box[:, None, 9:12], box[:, None, 12:]
     corners = (R @ (_SIGNS * half)[..., None])[..., 0] + centre
     reach = np.linalg.norm(corners - compiled.robot.X_LT[:3, 3], axis=-1).max(initial=0.0)

@@ -24,7 +24,7 @@ from graceful_plan.query.candidates.departure import search_with_moving_entities
 from graceful_plan.query.candidates.descents import SHORTENING, motion_descents, start_along, start_of
 from graceful_plan.query.candidates.motions import Motion, along, timed_curve, with_cost
 from graceful_plan.query.candidates.proxy_objective import proxy_objective
-from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, thinned
+from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, subsampled
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 
@@ -179,7 +179,7 @@ def _spread(paths: list[Path]) -> list[Path]:
     """Return a subsample of the improvements of a search: the first, and increasingly dense towards the last."""
     if not paths:
         return []
-    chosen = [*thinned(len(paths))[: _STARTS - 1], 0]
+    chosen = [*subsampled(len(paths))[: _STARTS - 1], 0]
     return [paths[k] for k in dict.fromkeys(chosen)]
 
 

@@ -33,7 +33,7 @@ from graceful_plan.planners.interruptible import out_of_time
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
-from graceful_plan.query.candidates.search import ALL, Search, search, thinned
+from graceful_plan.query.candidates.search import ALL, Search, search, subsampled
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -83,10 +83,10 @@ class Preference:
     def total(self, motion: Path | Trajectory) -> float:
         """J_rho of a path, or of a trajectory with its actual times."""
         if isinstance(motion, Trajectory) and self.objective.objective.exposure == "time":
-            charged = self.objective.cost_samples(motion)
-            mass = charged.weight @ self.law.states(charged.batch)
+            samples = self.objective.cost_samples(motion)
+            mass = samples.weight @ self.law.states(samples.batch)
             length = np.array([self.objective.breakdown(motion).motion])
-            return float(self.totals(length, charged.weight.sum(keepdims=True), mass[None])[0])
+            return float(self.totals(length, samples.weight.sum(keepdims=True), mass[None])[0])
         path = motion.path if isinstance(motion, Trajectory) else motion
         parts = self.edges(path.q[:-1], path.q[1:])
         return float(self.totals(*(part.sum(axis=0, keepdims=True) for part in parts))[0])
@@ -115,7 +115,7 @@ class Preference:
         with budget.share(_SEARCH * budget.remaining_seconds) as part:
             found = search(planner, problem, self.objective, part, rng, kept=ALL)
         if found.paths and self.objective.w > 0.0:
-            kept = (found.paths[index] for index in thinned(len(found.paths)))
+            kept = (found.paths[index] for index in subsampled(len(found.paths)))
             found.paths = sorted(kept, key=self.total, reverse=True)
             found.paths.append(self.refined(found.paths[-1], problem, budget, rng))
         return found

@@ -121,7 +121,7 @@ def _traced(path: Path, objective: SceneObjective, budget: Budget) -> TracePoint
     return TracePoint(time=budget.elapsed, total=motion + objective.w * impact, motion=motion, impact=impact)
 
 
-def thinned(n: int) -> list[int]:
+def subsampled(n: int) -> list[int]:
     """Return a subsample of the indices of n improvements, latest first: the last one and those 1, 2, 4, 8, ... before.
 
     Late improvements have lower costs than early ones, so they are sampled more densely.

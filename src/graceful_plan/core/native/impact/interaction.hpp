@@ -56,7 +56,7 @@ struct CountedComponents {
   double of(const Tables& tables, int r, int e) const { return severity[r * tables.n_entity + e]; }
 };
 
-static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const CountedComponents& hazard,
+static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const CountedComponents& counted,
                                PartBoxes& boxes) {
   for (int r = 0; r < tables.n_component; ++r) {
     boxes.area[r] = D{}, boxes.bottom[r] = D{} + 1e9, boxes.top[r] = D{} - 1e9;
@@ -64,7 +64,7 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const 
   }
   for (int k = 0; k < tables.n_part; ++k) {
     const Part& part = tables.part[k];
-    if (!hazard.counts[part.component]) continue;
+    if (!counted.counts[part.component]) continue;
     const Frame<D>& X = X_W[part.frame];
     const Vec<D> centre = transform(X, part.p);
     const D c[3] = {centre.x, centre.y, centre.z};
@@ -91,7 +91,7 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const 
 // P(entity, component) = min(1, max(sum I / sum A_entity, sum I / sum A_component)), with I the overlap of a pair of
 // boxes in xy, A the area of a box in xy, and sums over all pairs or boxes. P is 0 unless the component as a whole is
 // above the entity as a whole, or their heights overlap. Returns false, with P = 0, if no box comes near.
-static inline bool interactions(const Tables& tables, const CountedComponents& hazard, const PartBoxes& boxes,
+static inline bool interactions(const Tables& tables, const CountedComponents& counted, const PartBoxes& boxes,
                                 int component, const Harmed& entity, D& P) {
   P = D{};
   const Target& whole = entity.bound;
@@ -102,7 +102,7 @@ static inline bool interactions(const Tables& tables, const CountedComponents& h
   if (!any(above | beside)) return false;
   D overlap = {};
   bool near = false;
-  for (int k = hazard.first_part[component]; k < hazard.first_part[component + 1]; ++k) {
+  for (int k = counted.first_part[component]; k < counted.first_part[component + 1]; ++k) {
     for (int t = entity.first; t < entity.last; ++t) {
       const Target& target = tables.target[t];
       if (!boxes.range[k].overlaps(target)) continue;
@@ -121,23 +121,23 @@ static inline bool interactions(const Tables& tables, const CountedComponents& h
 }
 
 template <class Visit>
-static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const CountedComponents& hazard,
+static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const CountedComponents& counted,
                                         Visit visit) {
   PartBoxes boxes;
-  place_parts(tables, X_W, hazard, boxes);
+  place_parts(tables, X_W, counted, boxes);
   for (int entity = 0; entity < tables.n_entity; ++entity)
     for (int r = 0; r < tables.n_component; ++r) {
-      if (!hazard.counts[r] || (hazard.severity && hazard.of(tables, r, entity) == 0.0)) continue;
+      if (!counted.counts[r] || (counted.severity && counted.of(tables, r, entity) == 0.0)) continue;
       D P;
-      if (interactions(tables, hazard, boxes, r, tables.harmed[entity], P) || !hazard.severity) visit(r, entity, P);
+      if (interactions(tables, counted, boxes, r, tables.harmed[entity], P) || !counted.severity) visit(r, entity, P);
     }
 }
 
-static inline D impact_of(const Tables& tables, const CountedComponents& hazard, const D* q) {
+static inline D impact_of(const Tables& tables, const CountedComponents& counted, const D* q) {
   Frame<D> X_W[kMaxLinks];
   forward_kinematics(tables, q, X_W);
   D impact = {};
-  for_each_interaction(tables, X_W, hazard, [&](int r, int e, D P) { impact += P * hazard.of(tables, r, e); });
+  for_each_interaction(tables, X_W, counted, [&](int r, int e, D P) { impact += P * counted.of(tables, r, e); });
   return impact;
 }
 

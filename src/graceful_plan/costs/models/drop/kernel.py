@@ -197,7 +197,7 @@ class DropKernel:
             raise ShapeError("severity", np.shape(severity), f"({len(ROWS)}, {self.n_entity})")
         return _reals(finite_array("severity", np.append(np.ravel(severity), own)))
 
-    def _all(self, q: ArrayLike, qd: ArrayLike | None) -> tuple[Float[Array, "n hazard"], tuple[int, ...]]:
+    def _all(self, q: ArrayLike, qd: ArrayLike | None) -> tuple[Float[Array, "n harmed"], tuple[int, ...]]:
         """Return P of each row and entity, last that of the own loss, and the batch axes."""
         flat, rates, batch = self._states(q, qd)
         return self.native.probability(flat, rates), batch

@@ -65,16 +65,16 @@ class EnergyCost final : public StateCost {
     core_.kernels().body_dynamics(core_.tables(), tables_, {moved.data(), nullptr, copies * n}, mass.data(),
                                   gravity.data());
     for (size_t k = 0; k < n; ++k) {
-      value[k] = charged(&gravity[k * nq]);
+      value[k] = deviation_cost(&gravity[k * nq]);
       for (size_t j = 0; slope && j < nq; ++j)
-        slope[k * nq + j] = (charged(&gravity[(j + 1) * size + k * nq]) - value[k]) / kStep;
+        slope[k * nq + j] = (deviation_cost(&gravity[(j + 1) * size + k * nq]) - value[k]) / kStep;
     }
   }
 
  private:
   static constexpr double kStep = 1e-6;  // step of finite differences, in double precision [rad]
 
-  double charged(const double* torque) const {
+  double deviation_cost(const double* torque) const {
     double sum = 0;
     for (size_t j = 0; j < limit_.size(); ++j) sum += torque[j] * torque[j] / (limit_[j] * limit_[j]);
     return sum / double(limit_.size());

@@ -22,7 +22,7 @@ class GridMap {
 
   // `charge`: additional cost per metre, at least 0, or null.
   GridMap(const uint8_t* closed, const float* charge, int rows, int columns, double resolution, bool cuts = false)
-      : rows_(rows), columns_(columns), stride_(columns + 2), resolution_(resolution), charged_(charge != nullptr) {
+      : rows_(rows), columns_(columns), stride_(columns + 2), resolution_(resolution), has_extra_cost_(charge != nullptr) {
     const size_t n = size_t(rows + 2) * size_t(stride_);
     std::vector<uint8_t> free(n, 0);
     half_.assign(n, 0.0F), steps_.assign(n, 0);
@@ -67,7 +67,7 @@ class GridMap {
   const std::vector<uint8_t>& steps() const { return steps_; }
   const std::ptrdiff_t* by() const { return by_.data(); }
   // Whether the map has charges, that is, costs per metre that differ between cells.
-  bool charged() const { return charged_; }
+  bool has_extra_cost() const { return has_extra_cost_; }
   // Least cost of a step.
   double least() const { return least_; }
 
@@ -77,7 +77,7 @@ class GridMap {
  private:
   int rows_, columns_, stride_;
   double resolution_, least_ = 0.0;
-  bool charged_;
+  bool has_extra_cost_;
   std::vector<uint8_t> free_, steps_;
   std::vector<float> half_;
   std::array<std::ptrdiff_t, kSteps> by_{};

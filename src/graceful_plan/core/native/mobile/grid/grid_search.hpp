@@ -53,7 +53,7 @@ class GridSearch {
     HeapQueue heap;
     const Mean mean{map_};
     found.stopped = !(!informed        ? run(buckets, to, none, mean, late)
-                      : map_.charged() ? run(heap, to, octile, mean, late)
+                      : map_.has_extra_cost() ? run(heap, to, octile, mean, late)
                                        : run(buckets, to, octile, mean, late));
     found.expansions = expansions_;
     if (cost_[to] == kInfinity || found.stopped) return found;

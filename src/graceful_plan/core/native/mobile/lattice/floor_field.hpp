@@ -137,13 +137,13 @@ class CostToGo {
     start_ = start, goal_ = goal;
     const double cell = map.resolution(), aslant = grid::kDiagonal * cell;
     const Four diagonal = {aslant, cell, aslant, 0.0}, straight = {cell, 0.0, cell, 0.0};
-    if (w_ == 0.0 && map.charged()) {
+    if (w_ == 0.0 && map.has_extra_cost()) {
       edge_ = search_.flood_towards(from, to, share, more, true, grid::GridSearch::Mean{map}, late);
     } else if (w_ == 0.0) {
       const grid::GridSearch::Steps same{diagonal, straight, diagonal};
       edge_ = search_.flood_towards(from, to, share, more, true, [&](size_t) { return same; }, late);
     } else {
-      const auto charged = [&](size_t at) {
+      const auto has_extra_cost = [&](size_t at) {
         const Guide::Eight &a = guide_.ahead(at), &b = guide_.back(at);
         double price[Guide::kSteps];
         for (size_t k = 0; k < Guide::kSteps; ++k) {
@@ -155,7 +155,7 @@ class CostToGo {
                                        Four{price[3], 0.0, price[4], 0.0} * straight,
                                        Four{price[5], price[6], price[7], 0.0} * diagonal};
       };
-      edge_ = search_.flood_towards(from, to, share, more, false, charged, late);
+      edge_ = search_.flood_towards(from, to, share, more, false, has_extra_cost, late);
     }
     return edge_ >= 0.0 && search_.costs()[to] < kUnreached && guide_.map().free(to);
   }
@@ -165,7 +165,7 @@ class CostToGo {
     if (!guide_.map().free(k)) return kUnreached;
     const double known = search_.costs()[k], aside = far(cell, start_);
     // An estimate may be too high: cells that were not reached lead away from the goal.
-    if (guide_.map().charged()) return std::min(known, edge_ + far(cell, goal_));
+    if (guide_.map().has_extra_cost()) return std::min(known, edge_ + far(cell, goal_));
     if (w_ == 0.0) return known + aside <= edge_ ? known : std::max(edge_ - aside, far(cell, goal_));
     return std::min(known, edge_);
   }
