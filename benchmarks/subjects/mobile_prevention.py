@@ -20,7 +20,7 @@ QUESTION = "How much less harm do failing mobile robots cause at the default wei
 HEADLINE = "harm per executed task at the default w"
 DEPENDS_ON = (*suite.PLANNING, *suite.SIMULATION, "src/graceful_plan/mobile", "sim/failbench/mobile")
 PEOPLE, HORIZON, SECONDS, SEED = 12, 3.0, 5.0, 2016
-SIZES, LONG_SIZES = (10, 2), (20, 8)
+SIZES, LONG_SIZES = (10, 4), (20, 8)
 """Generated floors, and failures per fault, in normal and long runs."""
 DEGREE = "severe"
 LEAST = 0.1
@@ -36,7 +36,9 @@ hits of the base count by the square of its speed up to 1 m/s, hits of the carri
 its own loss; "others" leaves that out. **Per task**: failures come per hour, so harm per task is harm per failure times
 duration; without any hit, {LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the
 motion, for instance because a pedestrian blocks its way. "Worse": more harm per task than at w = 0, by more than twice
-the standard error of the paired difference.
+the standard error of the paired difference. Pedestrians stop 0.4 s after a failure (`SimSettings(people="stop")`).
+"Walk on": the ratio of harm per task if they follow their prediction whatever happens, and walk into a robot that
+stands still.
 """
 
 
@@ -53,6 +55,8 @@ class Prevented:
     """Harm per failure."""
     others: tuple[float, float] = (np.nan, np.nan)
     """Harm without the loss of the carried object."""
+    walk_on: tuple[float, float] = (np.nan, np.nan)
+    """Harm per failure if pedestrians do not react."""
     predicted: tuple[float, float] = (np.nan, np.nan)
     worse: bool = False
     failures: int = 0
@@ -66,6 +70,11 @@ class Prevented:
     def others_less(self) -> float:
         """The same ratio for harm to others."""
         return self._less(self.others)
+
+    @property
+    def walk_on_less(self) -> float:
+        """The same ratio for all harm, if pedestrians do not react."""
+        return self._less(self.walk_on)
 
     def _less(self, harm: tuple[float, float]) -> float:
         plain, ours = (max(h, LEAST / self.failures) * t for h, t in zip(harm, self.duration, strict=True))
@@ -92,23 +101,28 @@ def examine(job: tuple[str, float, int]) -> Prevented:
     """Plan a task with both weights, and simulate the same failures along both motions."""
     name, seconds, each = job
     scene, start, goal, faults = asked(name)
-    found, reports = Prevented(task=name, failures=each * len(faults)), []
+    found, reports = Prevented(task=name, failures=each * len(faults)), {people: [] for people in ("stop", "walk")}
+    n, reactions = each * len(faults), ("stop", "walk") if scene.moving else ("stop",)
     gp.plan(start, goal, scene, iterations=1)  # compiles
     for w in (0.0, None):
         result = gp.plan(start, goal, scene, w=w, time_limit=seconds)
         if result.trajectory is None:
             return replace(found, note=f"not planned: {result.status.name}")
         try:
-            reports.append(fb.validate(result, scene, faults, n=each * len(faults), horizon=HORIZON, threads=1))
+            for people in reactions:
+                settings = fb.SimSettings(people=people)
+                one = fb.validate(result, scene, faults, n=n, horizon=HORIZON, threads=1, settings=settings)
+                reports[people].append(one)
         except fb.ExecutionRefused as refused:
             return replace(found, note=f"refused: {refused.what} at {refused.time:.1f} s")
-    plain, ours = reports
+    plain, ours = reports["stop"]
     more = fb.compare(ours, plain, per="task")
     return replace(
         found,
         duration=(plain.duration, ours.duration),
         harm=(plain.observed.mean, ours.observed.mean),
         others=(plain.observed.mean - plain.own_loss.mean, ours.observed.mean - ours.own_loss.mean),
+        walk_on=tuple(one.observed.mean for one in reports["walk"] or reports["stop"]),
         predicted=(plain.predicted, ours.predicted),
         worse=more.low > 0.0,
     )
@@ -126,8 +140,8 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{report.targets(_targets(found))}\n{groups}\n{table}"
 
 
-HEADER = ("task", "harm per failure, w = 0", "default", "harm per task, x less", "of others", "duration",
-          "predicted", "worse")  # fmt: skip
+HEADER = ("task", "harm per failure, w = 0", "default", "harm per task, x less", "of others", "walk on",
+          "duration", "predicted", "worse")  # fmt: skip
 GROUPED = ("group", "tasks with figures", "harm per task, x less, median", "ratio of the means",
            "of others, median", "ratio of the means", "duration, median")  # fmt: skip
 
@@ -151,13 +165,14 @@ def _of_means(done: Sequence[Prevented], harm: str) -> float:
 
 def _row(one: Prevented) -> list[str]:
     if one.note:
-        return [one.task, one.note, *[""] * 6]
+        return [one.task, one.note, *[""] * 7]
     return [
         one.task,
         f"{one.harm[0]:.3f}",
         f"{one.harm[1]:.3f}",
         f"{one.times_less:.2f}",
         f"{one.others_less:.2f}",
+        f"{one.walk_on_less:.2f}",
         f"{one.duration[0]:.2f} s, {100 * (one.longer - 1):+.1f} %",
         f"{one.predicted[0]:.2f}, {one.predicted[1]:.2f}",
         "yes" if one.worse else "",
@@ -166,23 +181,24 @@ def _row(one: Prevented) -> list[str]:
 
 def _targets(found: Sequence[Prevented]) -> Iterator[report.Target]:
     done = [one for one in found if not one.note]
-    yield report.Target(
-        what="tasks with figures", wanted="30", measured=f"{len(done)} of {len(found)}", met=len(done) >= 30
-    )
-    if not done:
-        return
-    less, longer = np.median([one.times_less for one in done]), np.median([one.longer for one in done])
-    yield report.Target(
-        what="harm per executed task at the default w against w = 0, median",
-        wanted="5 x less, <= 15 % longer",
-        measured=f"{less:.2f} x less, {100 * (longer - 1):+.1f} %",
-        met=bool(less >= 5.0 and longer <= 1.15),
-    )
-    mean = _of_means(done, "harm")
-    yield report.Target(what="ratio of the means", wanted="5 x less", measured=f"{mean:.2f} x", met=mean >= 5.0)
-    others = float(np.median([one.others_less for one in done]))
-    yield report.Target(
-        what="harm to others, median", wanted="5 x less", measured=f"{others:.2f} x less", met=others >= 5.0
-    )
-    worse = sum(one.worse for one in done)
-    yield report.none_of("worse than at w = 0", worse, "none")
+    refused = len(found) - len(done)
+    yield report.none_of("tasks that are refused", refused, "none")
+    for name, floors, wanted in (("tasks with a carried object", False, 2.0), ("floors", True, 2.5)):
+        group = [one for one in done if one.task.startswith("floor ") == floors]
+        if not group:
+            continue
+        less, longer = np.median([[one.times_less, one.longer] for one in group], axis=0)
+        yield report.Target(
+            what=f"harm per executed task at the default w against w = 0, {name}, median",
+            wanted=f"{wanted:g} x less, <= 15 % longer",
+            measured=f"{less:.2f} x less, {100 * (longer - 1):+.1f} %",
+            met=bool(less >= wanted and longer <= 1.15),
+        )
+        mean = _of_means(group, "harm")
+        yield report.Target(
+            what=f"ratio of the means, {name}",
+            wanted=f"{wanted:g} x less",
+            measured=f"{mean:.2f} x",
+            met=mean >= wanted,
+        )
+    yield report.none_of("worse than at w = 0", sum(one.worse for one in done), "none")
