@@ -62,6 +62,7 @@ def draw(scene: gp.Scene, results: dict[float | None, gp.PlanResult], file: Path
             above.set_title(f"{_NAMES[w]}: {t[-1]:.1f} s, impact {cost.impact:.1f}; numbers: severity of each entity")
             axes[2].fill_between(t, line[3], color=_COLOURS[w], alpha=0.15)
             axes[2].plot(t, line[3], color=_COLOURS[w], label=_NAMES[w])
+        axes[1].set(xlabel="x [m]")
         figure.colorbar(image, ax=axes[:2], shrink=0.8, aspect=30, pad=0.01, label="impact of a failure here")
         axes[2].set(xlabel="time [s]", ylabel="impact of a failure", ylim=(0.0, None), xlim=(0.0, None))
         axes[2].legend()
@@ -98,7 +99,7 @@ def _draw_above(axes: Any, scene: gp.Scene, line: tuple[Array, Array, Array, Arr
     axes.add_collection(image)
     for wall in (-1.2, 1.2):
         axes.axhline(wall, color="#444444", linewidth=2.0)
-    axes.set(xlim=(-1.0, 11.0), ylim=(-1.3, 1.3), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set(xlim=(-1.0, 11.0), ylim=(-1.3, 1.3), aspect="equal", ylabel="y [m]")
     return image
 
 
