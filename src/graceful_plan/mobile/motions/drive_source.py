@@ -100,11 +100,13 @@ class DriveSource:
         self._new_composed: list[tuple[Route, int]] = []
         self._first: tuple[Drive, int] | None = None
         self._results: list[DescentResult] = []
-        self._best: Start | None = None
+        self.best: Start | None = None
+        """Curve of the best motion of one leg."""
         self._best_motion: Motion | None = None
         self._posed: Motion | None = None
         self._curves: list[Start] = []
         self._path_cost = np.inf
+        self._driven_path: Path | None = None
         self._call = Budget()
         self._timing_seconds = 0.0
 
@@ -138,7 +140,7 @@ class DriveSource:
         if not found:
             self._routes.search(budget, to_first=True)
             return self._routes.searched
-        value, drive, self._best, arrival = min(found, key=lambda one: one[0])
+        value, drive, self.best, arrival = min(found, key=lambda one: one[0])
         self._first = drive, arrival
         path = Path(drive.grid(1).q)
         point = TracePoint(time=budget.elapsed, total=value, motion=path.length, impact=0.0)
@@ -153,7 +155,7 @@ class DriveSource:
         if self._plain is not None:
             for plain in self._plain.first(budget):
                 motion = recosted(plain, self._request)
-                self._best, self._best_motion = self._plain._best, motion
+                self.best, self._best_motion = self._plain.best, motion
                 yield motion
             return
         if self._first is not None:
@@ -222,8 +224,10 @@ class DriveSource:
                     self._composed.append((route, arrival))
                     self._new_composed.append((route, arrival))
         if self._descents is None or self._starts is None:  # no descents for this request
-            for path in [] if self._plain is not None else self._routes.searched.paths[-1:]:
-                yield along(*self._ends.joined(path), self._request)
+            for path in self._routes.searched.paths[-1:]:
+                if path is not self._driven_path:
+                    self._driven_path = path
+                    yield along(*self._ends.joined(path), self._request)
             return
         while self._rough and not budget.over:
             start = self._rough.pop(0)
@@ -256,7 +260,7 @@ class DriveSource:
             self._timing_seconds = self._call.elapsed - began
             if motion is not None:
                 if motion.ranking < self._ranking:
-                    self._best_motion, self._best = motion, replace(result.start, curve=result.curve)
+                    self._best_motion, self.best = motion, replace(result.start, curve=result.curve)
                 yield motion
 
     @property
@@ -267,7 +271,7 @@ class DriveSource:
     def _pose(self, budget: Budget) -> Iterator[DescentResult]:
         """Start variants of the best curve with other arm postures, if the curve is new or time allows another draw."""
         objective, motion = self._request.objective, self._best_motion
-        if self._starts is None or motion is None or self._best is None:
+        if self._starts is None or motion is None or self.best is None:
             return
         known = motion is self._posed and budget.remaining_seconds < _ANOTHER_DRAW
         moves_arm = self._problem.start.size > _BASE and self._routes.moves_arm
@@ -275,7 +279,7 @@ class DriveSource:
             return
         self._posed = motion
         arms = carry_postures(motion.trajectory, self._problem, static_objective(objective), self._rng)
-        yield from self._starts.pose(self._best, arms)
+        yield from self._starts.pose(self.best, arms)
 
     def _descended(self, route: Route, arrival: int, budget: Budget) -> Motion | None:
         """Return a motion along a route whose legs descend one after the other."""
