@@ -22,7 +22,11 @@ class GridMap {
 
   // `charge`: additional cost per metre, at least 0, or null.
   GridMap(const uint8_t* closed, const float* charge, int rows, int columns, double resolution, bool cuts = false)
-      : rows_(rows), columns_(columns), stride_(columns + 2), resolution_(resolution), has_extra_cost_(charge != nullptr) {
+      : rows_(rows),
+        columns_(columns),
+        stride_(columns + 2),
+        resolution_(resolution),
+        has_extra_cost_(charge != nullptr) {
     const size_t n = size_t(rows + 2) * size_t(stride_);
     std::vector<uint8_t> free(n, 0);
     half_.assign(n, 0.0F), steps_.assign(n, 0);

@@ -52,9 +52,9 @@ class GridSearch {
     BucketQueue buckets(map_.least());
     HeapQueue heap;
     const Mean mean{map_};
-    found.stopped = !(!informed        ? run(buckets, to, none, mean, late)
+    found.stopped = !(!informed               ? run(buckets, to, none, mean, late)
                       : map_.has_extra_cost() ? run(heap, to, octile, mean, late)
-                                       : run(buckets, to, octile, mean, late));
+                                              : run(buckets, to, octile, mean, late));
     found.expansions = expansions_;
     if (cost_[to] == kInfinity || found.stopped) return found;
     found.found = true, found.cost = cost_[to];
