@@ -30,7 +30,7 @@ from graceful_plan.core.kernels import instruction_sets
 from graceful_plan.judge import _pendulum
 from graceful_plan.mobile.floor.lattice import LatticeSettings, StateLattice
 from graceful_plan.mobile.floor.reeds_shepp import Steering
-from graceful_plan.mobile.floor.timed_paths import HEADINGS, LEAVES, STANDS, Others, TimedLattice
+from graceful_plan.mobile.floor.timed_paths import HEADINGS, LEAVES, STANDS, DynamicObstacles, TimedLattice
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.timing.retiming import slowdown
@@ -282,7 +282,7 @@ def situations() -> None:
     _native.GraphSearch(4, *ends).cheapest(np.ones(3), 0, ends[1])
     drive = next(iter(gp.load_scene("hallway").tasks.values()))
     gp.plan(drive.start, drive.goal, drive.scene, iterations=60)
-    walker = Others(shape=np.full((1, 4, 7), 0.5), velocity=np.zeros((1, 4), dtype=np.int32))
+    walker = DynamicObstacles(shape=np.full((1, 4, 7), 0.5), velocity=np.zeros((1, 4), dtype=np.int32))
     open_floor = np.full((HEADINGS, 6, 9), STANDS | LEAVES, dtype=np.uint8)
     lattice = TimedLattice(open=open_floor, width=1.0, tick=0.5, ticks=40, outline=np.array([[0.1, 0.0, 0.3]]))
     lattice.cheapest((0, 5, 0), (8, 3), others=walker)

@@ -46,7 +46,7 @@ from failbench.sweeps.dataset import read_manifest
 from failbench.sweeps.sweep import read_sweep
 from failbench.sweeps.work import Sweep, SweepMotion
 from failbench.traces.folder import chosen
-from graceful_plan import documents, kept
+from graceful_plan import disk_cache, documents
 from graceful_plan.annotation.annotations import Annotation, Annotations
 from graceful_plan.compare import summarise
 from graceful_plan.compare.problems.suite import load_suite
@@ -173,11 +173,11 @@ def urdf(file: Path) -> gp.Scene:
 
 def kept_array(folder: Path) -> Any:
     """Read from the cache, which treats a broken file as a missing one."""
-    before, kept.folder = kept.folder, lambda: folder
+    before, disk_cache.folder = disk_cache.folder, lambda: folder
     try:
-        return kept.read("0" * 64)
+        return disk_cache.read("0" * 64)
     finally:
-        kept.folder = before
+        disk_cache.folder = before
 
 
 def scene_of(scene: gp.Scene) -> dict[str, Any]:
@@ -210,7 +210,7 @@ def sealed(folder: Path) -> Path:
 
 
 def card_of(folder: Path) -> str:
-    """Write the card of a dataset, and check that a README.md of another origin is kept."""
+    """Write the card of a dataset, and check that a README.md of another origin is disk_cache."""
     manifest, file = read_manifest(sealed(folder)), folder / "README.md"
     before = file.read_bytes() if file.is_file() else b""
     write_card(folder, Sweep.from_document(manifest["sweep"]), manifest)

@@ -18,8 +18,8 @@ COUNTS = (1, 7, 65)  # batch sizes: below one SIMD block, a partial block, sever
 
 def drive(scene: gp.Scene, isa: str) -> None:
     tables = compile_scene(scene)
-    kernels = Kernels(tables.robot, tables.world, tables.hazards, isa=isa)
-    severity = tables.hazards.severity
+    kernels = Kernels(tables.robot, tables.world, tables.impact_tables, isa=isa)
+    severity = tables.impact_tables.severity
     low, high = scene.limits.position.T
     rng = np.random.default_rng(0)
     for count in COUNTS:
@@ -57,7 +57,7 @@ def roll(task: gp.Task) -> None:
     for count in COUNTS:
         q = np.tile(np.asarray(task.start), (count, 1)) + rng.normal(size=(count, len(task.scene.joints)))
         qd = rng.normal(size=q.shape)
-        gp.interaction_probability(task.scene, q, Coast(), qd)
+        gp.interaction_probability(q, task.scene, Coast(), qd)
         if kernel is not None:  # with moving entities, the objective calls the model in Python
             kernel.state_slopes(q, qd)
             kernel.edges(q, q + 0.3 * qd)

@@ -72,7 +72,7 @@ def run(options: suite.Options) -> str:
     edges = free_edges(boxes.kernels, q, count, rng)
     rates = {
         isa: _measured(
-            _work(Kernels(boxes.robot, boxes.world, boxes.hazards, isa=isa), q, q[:heavy], edges)
+            _work(Kernels(boxes.robot, boxes.world, boxes.impact_tables, isa=isa), q, q[:heavy], edges)
             | _impact_work(tabletop, isa, q[:heavy], edges)
             | _drop_work(tabletop, isa, q[:heavy], edges),
             repetitions,
