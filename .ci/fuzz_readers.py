@@ -368,7 +368,7 @@ def write_valid(folder: Path) -> None:
         horizon=0.2,
     )
     (folder / "sweep.json").write_text(json.dumps(sweep.to_document()))
-    failbench.generate(sweep, folder / "sweep")
+    failbench.generate_dataset(sweep, folder / "sweep")
     write_some_failures(folder / "failures.npz")
     write_maps(folder)
     shutil.copy(REACH, folder / "net.npz")
