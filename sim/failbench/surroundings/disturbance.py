@@ -82,6 +82,6 @@ def go(plant: Simulation, name: str, position: Array, yaw: Array) -> None:
     world = world_of(plant)
     names = [walker.name for walker in world.walkers]
     if name not in names:
-        raise UnsupportedError(f"{name!r} is not in the scene; stage it with failbench.staged_for(fault, scene)")
+        raise UnsupportedError(f"{name!r} is not in the scene; use failbench.scene_with_intruder(fault, scene)")
     walk = EntityPoses(world.model, world.walkers)
     walk.write(plant.walk[plant.step :], names.index(name), position, yaw)

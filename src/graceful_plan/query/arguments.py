@@ -122,7 +122,7 @@ def checked_wait(max_wait: object, scene: Scene) -> float:
 def checked_verification(verification: object) -> VerificationSettings | None:
     """Return the resolution of the judge; None for its default."""
     if verification is not None and not isinstance(verification, VerificationSettings):
-        raise SettingError("verification", verification, "a Verification, such as Verification(step=0.001)")
+        raise SettingError("verification", verification, "settings such as VerificationSettings(step=0.001)")
     return verification
 
 

@@ -519,7 +519,7 @@ class Scene(SceneFacts):
             removed(spec, self.model, name, kept)
         for solid in solids:
             if not callable(getattr(solid, "add_to", None)):
-                raise SettingError("add", solid, "Solids, PointClouds and HeightMaps")
+                raise SettingError("add", solid, "each a StaticBody, PointCloud or HeightMap")
             solid.add_to(spec)
         left = set(gone) - {solid.name for solid in solids}
         entities = {name: note for name, note in self.notes.entities.items() if name not in gone}

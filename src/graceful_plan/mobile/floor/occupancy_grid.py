@@ -51,7 +51,7 @@ class OccupancyGrid:
     | occupancy     | 0 free to 100 occupied, -1 unknown; row 0 is the lowest               | per cent  | row column |
     | resolution    | width of a cell                                                       | m         |            |
     | origin        | x, y, yaw in W of the lower left corner of cell (0, 0)                | m, m, rad |            |
-    | entities      | entities on the floor, as Solids with a class                         |           |            |
+    | entities      | entities on the floor, each a StaticBody with a class                 |           |            |
     | occupied_from | least occupancy of an obstacle cell; unknown cells are obstacles, too | per cent  |            |
     | name          | name of the map                                                       |           |            |
 
@@ -95,7 +95,7 @@ class OccupancyGrid:
             raise SettingError("name", self.name, "a text without control characters")
         for solid in self.entities:
             if not isinstance(solid, StaticBody):
-                raise SettingError("entities", solid, "Solids with a class")
+                raise SettingError("entities", solid, "each a StaticBody with a class")
             if solid.entity is None:
                 raise SettingError(f"entity of {solid.name}", None, "a class of the severity table")
         if not (is_real(self.occupied_from) and 1 <= self.occupied_from <= 100):
@@ -245,7 +245,7 @@ class OccupancyGrid:
             SettingError: If the map is rotated: boxes of a HeightMap are aligned with W. See `to_scene`.
         """
         if self.origin[2] != 0.0:
-            raise SettingError("origin", self.origin, "a yaw of 0: a HeightMap is not rotated; see FloorMap.to_scene")
+            raise SettingError("origin", self.origin, "a yaw of 0: a HeightMap is not rotated; see `to_scene`")
         return HeightMap(
             name=name,
             heights=np.where(self.occupied.T, height, np.nan),

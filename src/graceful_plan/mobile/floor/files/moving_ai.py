@@ -31,7 +31,7 @@ class MovingAIScenario:
     """Start and goal on a map, and the length of the shortest path.
 
     Args:
-        start: Column and row of a FloorMap, whose row 0 is the lowest.
+        start: Column and row of an OccupancyGrid, whose row 0 is the lowest.
         goal: Column and row of the goal.
         length: Length of the shortest octile path [cells].
     """
