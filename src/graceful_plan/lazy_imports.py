@@ -1,13 +1,15 @@
-"""Packages that import their public names on first access.
+"""Packages that import their public names on first access, from the modules that their stub `__init__.pyi` names.
 
-A program that only plans does not wait for imports of the viewer and the benchmarks.
+A program that only plans does not wait for imports of the viewer and the benchmarks. `lazy-loader` reads stubs in the
+same way, but there the module `plan.py`, once imported, hides the function `plan`.
 """
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any, final
 
@@ -37,13 +39,24 @@ class LazyPackage(ModuleType):
         return sorted({*super().__dir__(), *self.__dict__.get(_HOMES, ())})
 
 
-def install(package: str, homes: Mapping[str, str]) -> None:
+def install(package: str) -> None:
     """Make a package import its public names on first access; called while the package is being imported.
 
     Args:
-        package: Full name of the package.
-        homes: Full name of the module that defines each public name; a submodule maps to itself.
+        package: Full name of a package with a stub `__init__.pyi` of `from module import name as name` lines.
     """
     module = sys.modules[package]
-    setattr(module, _HOMES, dict(homes))
+    homes = _read_stub(package, Path(str(module.__file__)).with_suffix(".pyi"))
+    setattr(module, _HOMES, homes)
+    module.__dict__["__all__"] = sorted(homes)
     module.__class__ = LazyPackage
+
+
+def _read_stub(package: str, stub: Path) -> dict[str, str]:
+    """Return the full name of the module that defines each public name; a submodule maps to itself."""
+    return {
+        alias.name: f"{package}.{alias.name}" if node.module == package else str(node.module)
+        for node in ast.parse(stub.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
