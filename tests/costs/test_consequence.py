@@ -21,6 +21,7 @@ from graceful_plan.costs.consequence import (
     damaged_by_body,
     damaged_by_carried,
 )
+from graceful_plan.costs.cost import moving_batch
 from graceful_plan.exceptions import ShapeError, UnknownNameError
 from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
 from graceful_plan.testing import check_cost
@@ -176,12 +177,57 @@ def test_higher_is_worse(task: gp.Task) -> None:
     assert (arrival_energy(up)[higher] >= energy[higher] - 0.05).all()
 
 
-def test_it_is_a_cost_without_kernel_and_gradient(task: gp.Task) -> None:
+def test_mixture_multiplies_contacts_by_damage(task: gp.Task) -> None:
+    batch, scene, table = states(task, n=200, speed=0.5), task.scene, FragilityTable.shipped()
+    contact, damage = (gp.ImpactCost(consequence=word).interaction for word in ("contact", "energy"))
+    expected = contact.probability(batch) * damage_probability(batch, table)
+    found = damage.probability(batch)
+    components = list(scene.components)
+    for name in ("carried", "contents"):  # the core rounds energies near 0 and the normal distribution
+        row = components.index(name)
+        assert expected[:, row].max() > 0.1
+        np.testing.assert_allclose(found[:, row], expected[:, row], atol=3e-3)
+
+
+def test_failing_arm_does_damage_with_the_energy_of_the_body(task: gp.Task) -> None:
+    batch, scene, table = states(task, n=50, speed=0.5), task.scene, FragilityTable.shipped()
+    mixture = gp.FailureMixture(faults="arm")
+    contact, damage = (gp.ImpactCost(mixture, consequence=word).interaction for word in ("contact", "energy"))
+    of_body = np.array([damaged_by_body(table.of(entity.category)) for entity in scene.entities.values()])
+    for source in set(contact.sources(batch)) - {"drop", "spill", "stop"}:
+        np.testing.assert_allclose(damage.sources(batch)[source], contact.sources(batch)[source] * of_body)
+
+
+@pytest.mark.parametrize("faults", ["drop_only", "arm"])
+def test_kernel_of_damage_is_its_sum(task: gp.Task, faults: str) -> None:
+    batch, cost = states(task, n=40, speed=0.5), gp.ImpactCost(gp.FailureMixture(faults=faults), consequence="energy")
+    kernel = cost.kernel(task.scene, (0.3, 0.9))
+    assert kernel is not None
+    np.testing.assert_allclose(kernel.moving_states(batch.q, batch.qd), cost.state(batch), rtol=1e-5)
+
+
+def test_gradient_of_damage_is_the_finite_difference(task: gp.Task) -> None:
+    cost = gp.ImpactCost(components=("carried",), consequence="energy", own_loss=False)
+    batch, h = states(task, n=60, speed=0.5), 1e-6
+    found = cost.gradients(batch)
+    assert found is not None and np.ptp(cost.state(batch)) > 0.2
+    for of_velocity, slopes in enumerate(found):
+        for j, step in enumerate(h * np.eye(7)):
+            moved = [
+                moving_batch(task.scene, batch.q + s * step * (1 - of_velocity), batch.qd + s * step * of_velocity)
+                for s in (1.0, -1.0)
+            ]
+            difference = (cost.state(moved[0]) - cost.state(moved[1])) / (2.0 * h)
+            error = np.abs(slopes[:, j] - difference) / (1.0 + np.abs(difference))
+            assert np.median(error) < 1e-7 and np.quantile(error, 0.95) < 1e-4  # the rest are next to kinks
+
+
+def test_other_models_have_neither_kernel_nor_gradient_of_damage(task: gp.Task) -> None:
     check_cost(ENERGY, task.scene)
-    batch = states(task, n=3)
-    assert ENERGY.kernel(task.scene, (0.3, 0.9)) is None and ENERGY.gradient(batch) is None
-    assert not gp.ImpactCost(model="box_overlap", consequence="energy").is_published()
-    assert isinstance(ENERGY.interaction, Damage) and hash(ENERGY) == hash(replace(ENERGY))
+    cost = gp.ImpactCost(model="box_overlap", consequence="energy")
+    assert cost.kernel(task.scene, (0.3, 0.9)) is None and cost.gradient(states(task, n=3)) is None
+    assert not cost.is_published() and isinstance(cost.interaction, Damage)
+    assert hash(ENERGY) == hash(replace(ENERGY))
 
 
 @pytest.mark.long

@@ -13,8 +13,11 @@ things. With the part :math:`e^{-X}`, X exponential with mean b, and log-normal 
     - e^{-\frac{a}{b} + \frac{\sigma^2}{2 b^2}} \, \Phi\left(\frac{a}{\sigma} - \frac{\sigma}{b}\right),
     \qquad a = \ln \frac{E}{E_{50}}
 
-The energy of the body is log-normal, with the same parameters for every failure. Contents do harm by wetting, whatever
-their energy. A held object that a falling arm carries into something counts as if it were dropped.
+The energy of the body is log-normal, with the same parameters for every failure; a held object that a failing arm
+carries into something has the energy of the body. Contents do harm by wetting, whatever their energy.
+
+`FailureMixture` computes this in the native core. `Damage` does so for all other contact models, in NumPy, with the
+energy of a drop for the carried object whatever failed.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interaction import InteractionModel
-from graceful_plan.costs.models.drop.loss import carried_mass
+from graceful_plan.costs.models.drop.loss import CARRIED_LOSS, carried_mass
 from graceful_plan.costs.models.drop.release import heights, release
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.moving.model import MovingModel
@@ -40,10 +43,6 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
-CARRIED_LOSS = 2.0
-"""b: mean of -ln of the share of E that acts along the normal. Measured: 2.06 in 4648 touches of entities other than
-tables and floors, in 5400 drops along a motion for each of the 27 bundled tasks; see benchmarks/damage_energy at
-commit cbf77b38."""
 BODY_ENERGY = 0.5
 """Median energy of the robot's body [J]. Measured: 0.52 in 641 touches after 5400 severe failures of single drives,
 sensors and power along the same motions."""

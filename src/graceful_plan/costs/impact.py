@@ -44,8 +44,9 @@ def _struck_itself(scene: Scene) -> Float[Array, " component"]:
 class ImpactCost(Cost):
     """I(q): the sum of P S over components and entities, including moving entities.
 
-    P is the probability of a contact, or that of damage, where a hard contact counts more than a soft one. The latter
-    has neither gradient nor native kernel: planners fall back to NumPy and do far fewer iterations in the same time.
+    P is the probability of a contact, or that of damage, where a hard contact counts more than a soft one. With damage
+    and another model than the mixture there is neither gradient nor native kernel: planners fall back to NumPy and do
+    far fewer iterations in the same time.
 
     The carried object itself counts as an entity, under its own name. Its S is the severity of its loss (row "carried"
     of the table of severities). Its P is the probability that its fall damages it, which depends on the height of the
@@ -93,6 +94,8 @@ class ImpactCost(Cost):
         contact = MODELS[self.model]() if isinstance(self.model, str) else self.model
         if self.consequence == "contact":
             return contact
+        if isinstance(contact, FailureMixture):
+            return replace(contact, damage=self.fragility)
         return Damage(contact, self.fragility)
 
     def severity(self, scene: Scene) -> Float[Array, "component entity"]:

@@ -183,6 +183,18 @@ struct LossTables {
   double shift[2], weight[2];
 };
 
+// Fragility of an entity: its highest point; ln of the energy per mass at which half of the hits do damage; the inverse
+// of the spread of that logarithm.
+struct Fragility {
+  double top, strength, sharpness;
+};
+
+// Damage to entities by hits of the dropped object.
+struct DamageTables {
+  const Fragility* entity;  // null if every hit counts in full
+  double loss;              // mean of -ln of the share of the energy that acts
+};
+
 // A network that corrects probabilities of hits, with two layers of `hidden` units. Order of the weights: first layer
 // [hidden, kNetworkInputs]; second layer [hidden, hidden] and its biases; last layer [hidden] and its bias; biases of
 // the first layer for each surface [n_surface, hidden].
@@ -209,6 +221,7 @@ struct DropTables {
   const double* speed;         // per joint: its speed on an edge whose slowest joint it is
   DropConstants constants;
   LossTables loss;
+  DamageTables damage;
   SpillTables spill;
   StopTables stop;
   DropNetwork network;

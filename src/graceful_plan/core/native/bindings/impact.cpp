@@ -35,6 +35,7 @@ void bind_impact(nb::module_& m) {
            "visible"_a, "constants"_a)
       .def("add_stop", &DropModel::add_stop, nb::kw_only(), "deceleration"_a, "constants"_a, "places"_a)
       .def("add_loss", &DropModel::add_loss, nb::kw_only(), "strength"_a, "sharpness"_a, "shift"_a, "weight"_a)
+      .def("add_damage", &DropModel::add_damage, nb::kw_only(), "entity"_a, "loss"_a)
       .def("add_network", &DropModel::add_network, "hidden"_a, "bound"_a, "weights"_a)
       .def("probability", &DropModel::probability, "q"_a, "qd"_a, WithoutGil())
       .def("sights", &DropModel::sights, "q"_a, "qd"_a, WithoutGil())

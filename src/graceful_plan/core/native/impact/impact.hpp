@@ -303,6 +303,18 @@ class DropModel {
     require(in_range(sharpness, 0) && sharpness > 0, "sharpness of damage");
   }
 
+  // entity: rows of top, strength and sharpness
+  void add_damage(Reals entity, double loss) {
+    require_numbers(entity, 3 * size_t(tables_.n_entity), "fragilities of entities");
+    require(fragility_.empty() && in_range(loss, 0) && loss > 0, "damage to entities");
+    for (size_t e = 0; e < size_t(tables_.n_entity); ++e) {
+      const double* row = entity.data() + 3 * e;
+      fragility_.push_back({row[0], row[1], row[2]});
+      require(fragility_.back().sharpness > 0, "sharpness of damage");
+    }
+    tables_.damage = {fragility_.data(), loss};
+  }
+
   // weights: in the order of DropNetwork, biases of each surface last
   void add_network(int hidden, double bound, Reals weights) {
     require(hidden >= 1 && hidden <= kMaxHidden, "hidden units of a network");
@@ -419,6 +431,7 @@ class DropModel {
   std::vector<Surface> surface_;
   std::vector<SpillSurface> spill_;
   std::vector<int32_t> level_start_;
+  std::vector<Fragility> fragility_;
   Point speed_, weights_;
   std::vector<float> rough_weights_;
 };

@@ -9,6 +9,7 @@
 #include "impact/contents/stop.hpp"
 #include "impact/drop.hpp"
 #include "impact/drop_gradient.hpp"
+#include "impact/entity_damage.hpp"
 #include "impact/flight/flight.hpp"
 #include "impact/flight/flight_gradient.hpp"
 #include "impact/learned/network.hpp"
@@ -88,6 +89,7 @@ static inline V carried_probability(const DropTables& drop, const Flight<V>& fli
     tumble.leave(landing.leaving[l], landing.away[l]);
     lower -= landing.first[l];
   }
+  hits_to_damage(drop, flight, P);
   return loss.probability;
 }
 
@@ -184,7 +186,7 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
   const bool own = own_matters(drop, severity);
   OwnLoss<V> loss;
   OwnLossSlope<V> d_own(severity[kDropRows * drop.n_entity]);
-  V left = landing.landed, impact = {};
+  V left = landing.landed;
   for (int e = 0; e < drop.n_entity; ++e) P[e] = V{};
   for (int l = 0; l < drop.n_level; ++l) {
     mass[l] = tumble.mass, drift[l] = tumble.drift, lower[l] = left;
@@ -213,7 +215,7 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
   LeavingSlope<V> d_leaving;
   // open: severities of entities whose largest P has not been found yet.
   V open[kMaxEntities], d_G[kMaxSurfaces], d_brunt = {};
-  for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e], open[e] = V{} + severity[e];
+  V impact = damage_impact(drop, flight, severity, P, open, back.d_flight);
   if (own) impact += loss.probability * d_own.severity;
   V d_lowers[kMaxSurfaces];
   for (int l = 0; l < drop.n_level; ++l) {

@@ -1,6 +1,6 @@
 r"""The drop model: entities that the carried object hits if the gripper lets go at this state.
 
-A drop is computed in six steps with smooth formulas, so that the result has a gradient nearly everywhere:
+A drop is computed in these steps with smooth formulas, so that the result has a gradient nearly everywhere:
 
 0. *Blocking sides.* An object that flies against the side of something fixed, such as a wall or a rack, loses the
    velocity component into it, falls down in front of it, and has hit it. Only the side that stops it the most counts.
@@ -13,13 +13,14 @@ A drop is computed in six steps with smooth formulas, so that the result has a g
    lower. Wide tops below its path catch it with some probability; otherwise it falls on.
 4. *Side contacts.* On its way to rest it sweeps into targets beside its landing place.
 5. *Own loss.* The object itself may be damaged where it lands first, and where a fall from there ends.
+6. *Damage*, if wanted: whether a hit damages the entity, by the energy of the fall from the release to its top.
 
 Specification
 -------------
 Everything is in double precision, z is up, g = 9.81. Tables: `DropTables`. Constants: `DropConstants`; those named
-below carry the symbols given there; the tables of step 5 are `LossTables`. The native kernel (native/impact/flight,
-drop.hpp, own_loss.hpp) follows this text operation by operation. So do `sides.py` and `landing.py`, which cover the
-steps that moving entities need.
+below carry the symbols given there; the tables of step 5 are `LossTables`, those of step 6 `damage_tables`. The native
+kernel (native/impact/flight, drop.hpp, own_loss.hpp, entity_damage.hpp) follows this text operation by operation. So do
+`sides.py` and `landing.py`, which cover the steps that moving entities need.
 
 .. code-block:: text
 
@@ -108,6 +109,10 @@ steps that moving entities need.
         c_k = ended box(..) box(..) as in keep; over the targets whose a' and b' exceed size, in order:
           own <- own + B c_k (product of 1 - c over the targets before it) max(0, damage(g pos(h - Z), k) - known)
         A <- A keep + Z' sum of M over the level;  K <- K keep + T_l p_l         Z': top of the level's first target
+
+    6. Damage; ln e = strength, 1/sd = sharpness, b = CARRIED_LOSS, Z: the highest top of the entity
+      a = max(ln(g pos(low - Z) + |v|^2/2 + 1e-9) - ln e, -6 sd)
+      P(damage | hit) = max(0, Q(a/sd) - exp(-a/b + sd^2/(2 b^2)) Q(a/sd - sd/b))          see `costs.consequence`
 
 References:
     Own work, fitted to rollouts in MuJoCo; see the head of `drop.yaml`.

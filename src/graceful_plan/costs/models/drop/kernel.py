@@ -14,7 +14,15 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
-from graceful_plan.costs.models.drop.loss import LANDING_LOSS, NODES, WEIGHTS, LossTables, loss_tables
+from graceful_plan.costs.models.drop.loss import (
+    CARRIED_LOSS,
+    LANDING_LOSS,
+    NODES,
+    WEIGHTS,
+    LossTables,
+    damage_tables,
+    loss_tables,
+)
 from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillSettings, StopSettings
@@ -62,6 +70,7 @@ class DropKernel:
         loss: Fragility of the object itself; no damage by default.
         stop: Protective stop of the robot; by default it spills nothing.
         network: Correction of the object's hits; none by default.
+        damage: `damage_tables` of the entities: the row "carried" is then P of damage; by default P of a hit.
 
     Raises:
         UnsupportedError: If a capacity of the core is exceeded.
@@ -78,6 +87,7 @@ class DropKernel:
         loss: LossTables | None = None,
         stop: StopTables | None = None,
         network: DropNetwork | None = None,
+        damage: Float[Array, "entity 3"] | None = None,
     ) -> None:
         for what, count in (("carried parts", len(tables.part_half)), ("surfaces", len(tables.target_entity))):
             if count > CAPACITY[what]:
@@ -111,6 +121,8 @@ class DropKernel:
                 shift=np.array([LANDING_LOSS * node / loss.spread for node in NODES]),
                 weight=np.array(WEIGHTS),
             )
+        if damage is not None:
+            self.native.add_damage(entity=_reals(damage), loss=CARRIED_LOSS)
         if network is not None:
             self.native.add_network(len(network.last), network.bound, _reals(network.weights_for(tables)))
 
@@ -217,6 +229,7 @@ def drop_kernel(
     fragility: FragilityTable | None = None,
     stop: StopSettings | None = None,
     network: DropNetwork | None = None,
+    damage: FragilityTable | None = None,
 ) -> DropKernel:
     """Return the drop and spill kernel of a scene with a carried object; cached per set of constants.
 
@@ -227,6 +240,7 @@ def drop_kernel(
         fragility: Table of fragilities, including the carried object's; the shipped table by default.
         stop: Constants of the protective stop; the shipped ones by default.
         network: Correction of the object's hits; none by default.
+        damage: Fragilities of the entities: the row "carried" is then P of damage; by default P of a hit.
 
     Raises:
         UnsupportedError: If the core cannot represent the scene.
@@ -234,7 +248,8 @@ def drop_kernel(
     constants = settings.of(drop_tables(scene).shape_class)
     spill = SpillSettings.shipped() if spill is None else spill
     fragility = FragilityTable.shipped() if fragility is None else fragility
-    return _kernel(scene, constants, spill, fragility, StopSettings.shipped() if stop is None else stop, network)
+    stop = StopSettings.shipped() if stop is None else stop
+    return _kernel(scene, constants, spill, fragility, stop, network, damage)
 
 
 @per_scene(most=4)
@@ -245,6 +260,7 @@ def _kernel(
     fragility: FragilityTable,
     stop: StopSettings,
     network: DropNetwork | None,
+    damage: FragilityTable | None,
 ) -> DropKernel:
     return DropKernel(
         drop_tables(scene),
@@ -256,6 +272,7 @@ def _kernel(
         loss=loss_tables(scene, fragility),
         stop=StopTables(settings=stop, acceleration=scene.limits.acceleration),
         network=network,
+        damage=None if damage is None else damage_tables(scene, damage),
     )
 
 

@@ -1,6 +1,6 @@
-"""Fragility of the carried object itself, by the surface that it lands on.
+"""Fragility of the carried object itself, by the surface that it lands on, and of the entities that it hits.
 
-Step 5 of the specification, in the docstring of the package, uses these numbers.
+Steps 5 and 6 of the specification, in the docstring of the package, use these numbers.
 """
 
 from __future__ import annotations
@@ -24,6 +24,10 @@ LANDING_LOSS = 0.7
 0.715 in the first touches of 5400 drops along a motion for each of the 27 bundled tasks; see
 benchmarks/results/own_loss.md.
 """
+CARRIED_LOSS = 2.0
+"""b of step 6: mean of -ln of the share of the energy that acts along the normal of a hit. Measured: 2.06 in 4648
+touches of entities other than tables and floors, in 5400 drops along a motion for each of the 27 bundled tasks; see
+benchmarks/damage_energy at commit cbf77b38."""
 NODES = 2.0 - math.sqrt(2.0), 2.0 + math.sqrt(2.0)
 """Nodes of the two-point Gauss-Laguerre rule: values of -ln of that share, in units of its mean."""
 WEIGHTS = 0.25 * (2.0 + math.sqrt(2.0)), 0.25 * (2.0 - math.sqrt(2.0))
@@ -57,6 +61,28 @@ def loss_tables(scene: Scene, fragility: FragilityTable) -> LossTables:
     medians = np.array([own.median / row.hardness for row in struck])
     strength = np.full(len(medians), _INDESTRUCTIBLE) if mass <= 0.0 else np.log(medians / mass)
     return LossTables(strength=np.minimum(strength, _INDESTRUCTIBLE), spread=own.spread)
+
+
+@per_scene(most=4)
+def damage_tables(scene: Scene, fragility: FragilityTable) -> Float[Array, "entity 3"]:
+    """Return the fragility of each entity towards the carried object.
+
+    Args:
+        scene: A scene with a carried object.
+        fragility: Fragilities by class.
+
+    Returns:
+        Rows of the height of the highest point [m], ln of the energy per mass at which half of the hits do damage
+        [ln J/kg], and the inverse of the standard deviation of that logarithm.
+    """
+    tables, mass = drop_tables(scene), carried_mass(scene)
+    rows = np.zeros((len(scene.entities), 3))
+    for e, entity in enumerate(scene.entities.values()):
+        own = fragility.of(entity.category)
+        strength = _INDESTRUCTIBLE if mass <= 0.0 else min(math.log(own.median / mass), _INDESTRUCTIBLE)
+        tops = tables.target_height[tables.target_entity == e, 1]
+        rows[e] = tops.max(initial=-np.inf) if len(tops) else 0.0, strength, 1.0 / own.spread
+    return rows
 
 
 def carried_mass(scene: Scene) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
+from graceful_plan.costs.consequence import damaged_by_body
 from graceful_plan.costs.cost import AHEAD, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.body.body import BodyModel
@@ -58,6 +59,8 @@ class FailureMixture(NativeModel):
             default. Ignored for robots without a base.
         network: Correction of the object's hits after a drop, such as `DropNetwork.shipped()`; none by default.
         places: Number of sample positions for the uncertain position of a moving entity; searches use fewer.
+        damage: Fragilities of the entities: P is then that of damage by the energy of the hit (`costs.consequence`),
+            apart from moving entities and failures of a base, whose hits count in full. By default P of a hit.
 
     Raises:
         UnknownNameError: If there is no such preset.
@@ -72,6 +75,7 @@ class FailureMixture(NativeModel):
     base: FailingBase | None = None
     network: DropNetwork | None = None
     places: int = PLACES
+    damage: FragilityTable | None = None
 
     def __post_init__(self) -> None:
         check_places(self.places)
@@ -115,7 +119,7 @@ class FailureMixture(NativeModel):
         """Return P that the fall of the carried object damages it."""
         if batch.scene.carried is None or not self.knows_own_loss or not len(batch):
             return {"drop": np.zeros(len(batch))}
-        kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility, self.stop, self.network)
+        kernel = self._drop_kernel(batch.scene, OwnLoss(0.0, fragility))
         weight = self._of_cargo(batch.scene) * self.prior.weights()["drop"]
         return {"drop": weight * kernel.of(batch)[1]}
 
@@ -146,7 +150,8 @@ class FailureMixture(NativeModel):
             parts.append(self._drop_kernel(scene, own).with_severity(rows, paces, own=loss))
         weights = self._arm_weights
         if weights.any() and severity.any():
-            parts.append(BodyModel(self.body).kernel(scene, severity, weights, paces))
+            harm = severity * self._damage_of_body(scene)
+            parts.append(BodyModel(self.body).kernel(scene, harm, weights, paces))
         if not parts:  # the impact is 0
             return compile_scene(scene).kernels.overlap(np.zeros_like(severity))
         return reduce(add, parts)
@@ -193,6 +198,7 @@ class FailureMixture(NativeModel):
         if scene.carried is None or not len(batch) or not names:
             return found
         P, _ = self._drop_kernel(scene, None).of(batch)
+        P = P * self._damage_by_row(scene)
         for row, component in enumerate(scene.components):
             for own, source in _SOURCE.get(component, ()):
                 if source in found:
@@ -205,7 +211,7 @@ class FailureMixture(NativeModel):
         if not weights.any():
             return {}
         known = batch.ahead if np.isclose(self.body.step, AHEAD[0]) else None
-        P = BodyModel(self.body).probability(batch, known)
+        P = BodyModel(self.body).probability(batch, known) * self._damage_of_body(scene)
         found: dict[str, Float[Array, "n component entity"]] = {}
         for g, name in enumerate(GENERATORS):
             if weights[g].any():
@@ -224,7 +230,20 @@ class FailureMixture(NativeModel):
 
     def _drop_kernel(self, scene: Scene, own: OwnLoss | None) -> DropKernel:
         fragility = None if own is None else own.fragility
-        return drop_kernel(scene, self.settings, self.spill, fragility, self.stop, self.network)
+        return drop_kernel(scene, self.settings, self.spill, fragility, self.stop, self.network, self.damage)
+
+    def _damage_by_row(self, scene: Scene) -> Float[Array, "row entity"]:
+        """Return P(damage | hit) for the rows of the drop kernel that the kernel does not multiply by it."""
+        factors = np.ones((len(ROWS), len(scene.entities)))
+        if self.damage is not None:
+            factors[1:] = [self.damage.of(entity.category).wetted for entity in scene.entities.values()]
+        return factors
+
+    def _damage_of_body(self, scene: Scene) -> Float[Array, " entity"]:
+        """Return P(damage | hit) for a failing arm and the object that it still holds."""
+        if self.damage is None:
+            return np.ones(len(scene.entities))
+        return np.array([damaged_by_body(self.damage.of(entity.category)) for entity in scene.entities.values()])
 
     def _own_severity(self, own: OwnLoss | None) -> float:
         return 0.0 if own is None else self.prior.weights()["drop"] * own.severity
@@ -235,4 +254,4 @@ class FailureMixture(NativeModel):
         for own, component in zip(severity, scene.components, strict=True):
             for row, source in _SOURCE.get(component, ()):
                 rows[ROWS.index(row)] = weights[source] * own
-        return rows
+        return rows * self._damage_by_row(scene)
