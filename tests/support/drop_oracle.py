@@ -263,18 +263,25 @@ def slow_details(scene, settings, q, qd):
 
     blur = k.position_spread**2 + (k.velocity_spread * tl) ** 2 + (k.height_spread * hs) ** 2
     sd = math.sqrt(blur + k.carry_spread**2 * sp2 + (k.size_spread * size) ** 2)
-    B, N = 0.0, np.zeros(2)
-    for index, level in enumerate(levels):  # falls
-        keep = 1.0
+    carried = c[:2] + v[:2] * (tl + k.carry) + pushed(tl + k.carry)
+
+    def missed(level, place):
+        product = 1.0
         for t in level:
-            carried = c[:2] + v[:2] * (tl + k.carry) + pushed(tl + k.carry)
-            point = carried + k.drift * size * N / (B + 1e-6) - [t["X"], t["Y"]]
-            x, y = into(t, *point)
-            t["G"] = B * box(x, t["a"] + k.tumble_reach * size, sd) * box(y, t["b"] + k.tumble_reach * size, sd)
+            x, y = into(t, *(place - [t["X"], t["Y"]]))
             inside = box(x, pos(t["ca"] + k.catch_margin * size), sd) * box(y, pos(t["cb"] + k.catch_margin * size), sd)
             wide2 = min(t["ca"], t["cb"]) ** 2
-            keep *= 1.0 - (k.catch + (1.0 - k.catch) * wide2 / (wide2 + 0.01)) * inside
-        B, N = B * keep + leaving[index], N * keep + leaving[index] * away[index]
+            product *= 1.0 - (k.catch + (1.0 - k.catch) * wide2 / (wide2 + 0.01)) * inside
+        return product
+
+    B, N = 0.0, np.zeros(2)
+    for index, level in enumerate(levels):  # falls
+        point = carried + k.drift * size * N / (B + 1e-6)
+        for t in level:
+            x, y = into(t, *(point - [t["X"], t["Y"]]))
+            t["G"] = B * box(x, t["a"] + k.tumble_reach * size, sd) * box(y, t["b"] + k.tumble_reach * size, sd)
+        keep, falls = missed(level, point), missed(level, carried + k.drift * size * away[index])
+        B, N = B * keep + falls * leaving[index], N * keep + falls * leaving[index] * away[index]
 
     Tm = sum(leaving) / total
     drift = sum((m_ * n for m_, n in zip(leaving, away, strict=True)), np.zeros(2)) / total

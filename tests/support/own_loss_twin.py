@@ -53,10 +53,15 @@ def own_loss(
         damage = _damage(GRAVITY * positive(fallen), bears[0][here], bears[1])
         more = np.maximum(damage - known / (loose + LEAST_MASS), 0.0)
         total += (loose * arrives * catch[here] * inside * more * holds[here]).sum(axis=1)
-        keep, leaving = passed[:, -1:], landing.leaving[:, level, None]
+        beside = landing.goes_on(k.carry) + k.drift * size * landing.away[:, level]
+        x, y = (value[:, here] for value in targets.place(beside))
+        held = box(x, positive(a[here] + k.catch_margin * size), landing.fall_spread)
+        held *= box(y, positive(b[here] + k.catch_margin * size), landing.fall_spread)
+        falls = np.prod(1.0 - catch[here] * held, axis=1, keepdims=True)
+        keep, leaving = passed[:, -1:], landing.leaving[:, level, None] * falls
         loose, drift = loose * keep + leaving, drift * keep + leaving * landing.away[:, level]
         heights = heights * keep + leaving * targets.top[first]
-        known = known * keep + leaves[:, level, None] * level_damage[:, level, None]
+        known = known * keep + falls * leaves[:, level, None] * level_damage[:, level, None]
     return total
 
 

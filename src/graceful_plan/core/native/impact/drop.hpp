@@ -272,6 +272,7 @@ template <class V> struct Tumble {
   Point2<V> start;           // L + ks v
   V x, y;                    // its place on the present level
   V keep = {}, caught = {};  // shares of B: not stopped by the surfaces visited on the level; stopped by the last one
+  V falls = {};              // f: share of the mass that leaves the present level's support beyond the level's edges
 
   Tumble(const DropTables& drop, const Flight<V>& flight, const Landing<V>& landing) {
     const DropConstants& k = drop.constants;
@@ -297,18 +298,39 @@ template <class V> struct Tumble {
     const Point2<V> at = placed(s, x, y);
     caught = V{};
     if (!may_meet(s, at)) return V{};
-    Chance<V> hits, ends;
+    Chance<V> hits;
     if (wanted) hits.within(at.x, V{} + s.reached[0], inverse_scale);
     if (wanted) hits.within(at.y, V{} + s.reached[1], inverse_scale);
-    ends.within(at.x, V{} + s.inside[0], inverse_scale);
-    ends.within(at.y, V{} + s.inside[1], inverse_scale);
-    caught = keep * (s.catches * ends.value());
+    caught = keep * holds(s, at);
     keep -= caught;
     return mass * hits.value();
   }
-  void leave(V leaving, const Point2<V>& away) {
-    mass = mass * keep + leaving;
-    drift = {drift.x * keep + leaving * away.x, drift.y * keep + leaving * away.y};
+  // The place on a level's top of an object that has left its support there.
+  Point2<V> beside(const DropTables& drop, const Point2<V>& away) const {
+    const double moved = drop.constants.drift * drop.size;
+    return {start.x + moved * away.x, start.y + moved * away.y};
+  }
+  // P that a surface ends the fall of an object at a place in its axes.
+  V holds(const Surface& s, const Point2<V>& at) const {
+    Chance<V> ends;
+    ends.within(at.x, V{} + s.inside[0], inverse_scale);
+    ends.within(at.y, V{} + s.inside[1], inverse_scale);
+    return s.catches * ends.value();
+  }
+  // Adds the mass that falls from a level; call it after the level's last surface.
+  void leave(const DropTables& drop, const Landing<V>& landing, int level) {
+    const V leaving = landing.leaving[level];
+    falls = V{} + 1.0;
+    if (any(leaving > kNothing<V>)) {
+      const Point2<V> place = beside(drop, landing.away[level]);
+      for (int k = drop.level_start[level]; k < drop.level_start[level + 1]; ++k) {
+        const Point2<V> at = placed(drop.surface[k], place.x, place.y);
+        if (may_meet(drop.surface[k], at)) falls *= 1.0 - holds(drop.surface[k], at);
+      }
+    }
+    const V M = leaving * falls;
+    mass = mass * keep + M;
+    drift = {drift.x * keep + M * landing.away[level].x, drift.y * keep + M * landing.away[level].y};
   }
 };
 

@@ -56,7 +56,7 @@ static inline void for_each_hit(const DropTables& drop, const Flight<V>& flight,
       const V H = maximum(sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)), brunt.on(flight, k));
       if (s.entity >= 0) visit(k, leaving, Hits<V>{C, G, H}, lower);
     }
-    tumble.leave(landing.leaving[l], landing.away[l]);
+    tumble.leave(drop, landing, l);
     lower -= landing.first[l];
   }
 }
@@ -85,8 +85,8 @@ static inline V carried_probability(const DropTables& drop, const Flight<V>& fli
       if (sweeps) H = maximum(H, sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)));
       P[s.entity] = maximum(P[s.entity], hit_of(drop, flight, landing, leaving, k, {C, G, H}, lower));
     }
+    tumble.leave(drop, landing, l);
     if (own) loss.leave(drop, landing, l, tumble, first_damage(drop, flight, landing, l));
-    tumble.leave(landing.leaving[l], landing.away[l]);
     lower -= landing.first[l];
   }
   hits_to_damage(drop, flight, P);
@@ -203,8 +203,8 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
       hit[k] = hit_of(drop, flight, landing, leaving, k, {C, G[k], H[k]}, left);
       P[s.entity] = maximum(P[s.entity], hit[k]);
     }
+    tumble.leave(drop, landing, l);
     if (own) loss.leave(drop, landing, l, tumble, d_own.damaged[l] = first_damage(drop, flight, landing, l));
-    tumble.leave(landing.leaving[l], landing.away[l]);
     left -= landing.first[l];
   }
   // Reverse pass.

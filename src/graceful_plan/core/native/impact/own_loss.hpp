@@ -78,11 +78,11 @@ template <class V> struct OwnLoss {
     const V ends = tumble.mass * tumble.caught;
     if (any(ends > kRare<V>)) probability += ends * relu(fall(drop, s).value - known);
   }
-  // Call it after the last surface of a level and before tumble.leave(); `damaged`: first_damage() of the level.
+  // Call it after tumble.leave(); `damaged`: first_damage() of the level.
   void leave(const DropTables& drop, const Landing<V>& landing, int level, const Tumble<V>& tumble, V damaged) {
     probability += damaged;
-    lift = lift * tumble.keep + landing.leaving[level] * drop.surface[drop.level_start[level]].top;
-    borne = borne * tumble.keep + landing.leaves[level] * damaged;
+    lift = lift * tumble.keep + tumble.falls * landing.leaving[level] * drop.surface[drop.level_start[level]].top;
+    borne = borne * tumble.keep + tumble.falls * landing.leaves[level] * damaged;
   }
 };
 

@@ -22,11 +22,13 @@ template <class V> struct OwnLossSlope {
   explicit OwnLossSlope(double of) : severity(of) {}
   void keep(int level, const OwnLoss<V>& loss) { lift_at[level] = loss.lift, borne_at[level] = loss.borne; }
 
-  // Maps derivatives with respect to A and K after a level to those of the shares that left it.
-  void back_leave(Backward<V>& back, int level) {
-    back.d_landing.leaving[level] += lift * back.drop.surface[back.drop.level_start[level]].top;
-    back.d_landing.leaves[level] += borne * damaged[level];
-    d_damaged[level] = severity + borne * back.landing.leaves[level];
+  // Maps derivatives with respect to A and K after a level to those of the shares that left it; returns the derivative
+  // with respect to `falls`.
+  V back_leave(Backward<V>& back, int level, V falls) {
+    const V d_leaving = lift * back.drop.surface[back.drop.level_start[level]].top, d_leaves = borne * damaged[level];
+    back.d_landing.leaving[level] += falls * d_leaving, back.d_landing.leaves[level] += falls * d_leaves;
+    d_damaged[level] = severity + borne * falls * back.landing.leaves[level];
+    return d_leaving * back.landing.leaving[level] + d_leaves * back.landing.leaves[level];
   }
   // Moves to the state before the level; returns the derivative with respect to `keep`.
   V back_keep(int level, V keep) {

@@ -16,17 +16,50 @@ template <class V> struct TumbleSlope {
   Point2<V> drift = {V{}, V{}}, start = {V{}, V{}};
 };
 
+// The objects that leave their support on a level. `d` holds the derivatives with respect to the state after it.
+template <class V>
+static inline void back_leave(Backward<V>& back, const Tumble<V>& tumble, int level, TumbleSlope<V>& d,
+                              OwnLossSlope<V>* own) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
+  const Point2<V>& n = landing.away[level];
+  const V leaving = landing.leaving[level];
+  V falls = V{} + 1.0;
+  const int first = drop.level_start[level], last = drop.level_start[level + 1];
+  const bool leaves = any(leaving > kNothing<V>);
+  V before[kMaxSurfaces];
+  const Point2<V> place = tumble.beside(drop, n);
+  for (int k = first; leaves && k < last; ++k) {
+    before[k] = falls;
+    const Point2<V> at = placed(drop.surface[k], place.x, place.y);
+    if (tumble.may_meet(drop.surface[k], at)) falls *= 1.0 - tumble.holds(drop.surface[k], at);
+  }
+  const V M = leaving * falls, d_M = d.mass + d.drift.x * n.x + d.drift.y * n.y;
+  V d_falls = d_M * leaving;
+  if (own) d_falls += own->back_leave(back, level, falls);
+  d_landing.leaving[level] += d_M * falls;
+  V d_x = {}, d_y = {}, after = V{} + 1.0;
+  for (int k = last; leaves && k-- > first;) {
+    const Surface& s = drop.surface[k];
+    const Point2<V> at = placed(s, place.x, place.y);
+    if (!tumble.may_meet(s, at)) continue;
+    const Within<V> x(at.x, V{} + s.inside[0], tumble.inverse_scale), y(at.y, V{} + s.inside[1], tumble.inverse_scale);
+    const V d_inside = -d_falls * before[k] * after * s.catches;
+    after *= 1.0 - s.catches * x.value * y.value;
+    back_turned(s, {d_inside * x.x * y.value, d_inside * x.value * y.x}, d_x, d_y);
+    d.inverse_scale += d_inside * (x.inverse_scale * y.value + x.value * y.inverse_scale);
+  }
+  const double moved = drop.constants.drift * drop.size;
+  d.start.x += d_x, d.start.y += d_y;
+  d_landing.away[level].x += d.drift.x * M + moved * d_x, d_landing.away[level].y += d.drift.y * M + moved * d_y;
+}
+
 // One level. `tumble` is at its state before the level, d holds the derivatives with respect to the state after it.
 // `own` is null if own loss does not count; otherwise `loss` is also at its state before the level.
 template <class V>
 static inline void back_tumble_level(Backward<V>& back, Tumble<V>& tumble, int level, const V* d_G, TumbleSlope<V>& d,
                                      OwnLoss<V>& loss, OwnLossSlope<V>* own) {
   auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
-  const Point2<V>& n = landing.away[level];
-  const V M = landing.leaving[level];
-  if (own) own->back_leave(back, level);
-  d_landing.leaving[level] += d.mass + d.drift.x * n.x + d.drift.y * n.y;
-  d_landing.away[level].x += d.drift.x * M, d_landing.away[level].y += d.drift.y * M;
+  back_leave(back, tumble, level, d, own);
   if (!tumble.enter(drop)) return;
   const int first = drop.level_start[level], last = drop.level_start[level + 1];
   V before[kMaxSurfaces], keep = V{} + 1.0;

@@ -9,8 +9,9 @@ A drop is computed in these steps with smooth formulas, so that the result has a
    target's top. Shapes are octagons (a box in the target's axes and one rotated by 45 degrees) at uncertain positions.
 2. *Support.* Whether the object stays where it lands depends on where the first contact supports it, below or beside
    its centre of mass, and on the width of the support relative to the height of that centre.
-3. *Falls.* An object that does not stay moves away from its support and along its velocity, and falls on something
-   lower. Wide tops below its path catch it with some probability; otherwise it falls on.
+3. *Falls.* An object that does not stay moves away from its support and along its velocity. It falls if that takes it
+   beyond the edges of what it landed on; on a wide table it only topples. Wide tops below its path catch it with some
+   probability; otherwise it falls on.
 4. *Side contacts.* On its way to rest it sweeps into targets beside its landing place.
 5. *Own loss.* The object itself may be damaged where it lands first, and where a fall from there ends.
 6. *Damage*, if wanted: whether a hit damages the entity, by the energy of the fall from the release to its top.
@@ -85,7 +86,8 @@ kernel (native/impact/flight, drop.hpp, own_loss.hpp, entity_damage.hpp) follows
         (x, y) = c + v (tl + ks) + push(tl + ks) + drift size N/(B + 1e-6) - (X, Y), rotated into the target's axes
         G_k = B box(x, a + kb size, sd) box(y, b + kb size, sd)
         keep = product over the level of 1 - ended box(x, pos(a' + kc size), sd) box(y, pos(b' + kc size), sd)
-        B <- B keep + sum of M over the level;  N <- N keep + n_l times that sum
+        f_l = product over the level of 1 - ended box(..) box(..) as in keep, but at L + v ks + push(..) + drift size n_l
+        B <- B keep + f_l sum of M over the level;  N <- N keep + n_l f_l times that sum
 
     4. Side contacts
       Tm = sum M/total;  n = sum M n_l/total
@@ -108,7 +110,7 @@ kernel (native/impact/flight, drop.hpp, own_loss.hpp, entity_damage.hpp) follows
         h = A/(B + 1e-6);  known = K/(B + 1e-6)
         c_k = ended box(..) box(..) as in keep; over the targets whose a' and b' exceed size, in order:
           own <- own + B c_k (product of 1 - c over the targets before it) max(0, damage(g pos(h - Z), k) - known)
-        A <- A keep + Z' sum of M over the level;  K <- K keep + T_l p_l         Z': top of the level's first target
+        A <- A keep + Z' f_l sum of M over the level;  K <- K keep + f_l T_l p_l     Z': top of the level's first target
 
     6. Damage; ln e = strength, 1/sd = sharpness, b = CARRIED_LOSS, Z: the highest top of the entity
       a = max(ln(g pos(low - Z) + |v|^2/2 + 1e-9) - ln e, -6 sd)

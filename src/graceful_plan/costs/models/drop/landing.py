@@ -160,14 +160,18 @@ def loose(
     catches = catching(tables, constants)
     B, N = [np.zeros((len(landing.point), 1))], [np.zeros((len(landing.point), 2))]
     for level, (first, last) in enumerate(zip(tables.level_start[:-1], tables.level_start[1:], strict=True)):
-        here = slice(first, last)
-        x, y = (value[:, here] for value in targets.place(landing.falls_to(k, size, B[-1], N[-1])))
-        inside = box(x, positive(a_top[here] + k.catch_margin * size), landing.fall_spread)
-        inside *= box(y, positive(b_top[here] + k.catch_margin * size), landing.fall_spread)
-        keep = np.prod(1.0 - catches[here] * inside, axis=1, keepdims=True)
-        M = landing.leaving[:, level, None]
+
+        def missed(place: Float[Array, "n 2"], here: slice = slice(first, last)) -> Float[Array, "n 1"]:
+            """P that the level does not end a fall at a place."""
+            x, y = (value[:, here] for value in targets.place(place))
+            inside = box(x, positive(a_top[here] + k.catch_margin * size), landing.fall_spread)
+            inside *= box(y, positive(b_top[here] + k.catch_margin * size), landing.fall_spread)
+            return np.prod(1.0 - catches[here] * inside, axis=1, keepdims=True)
+
+        keep, away = missed(landing.falls_to(k, size, B[-1], N[-1])), landing.away[:, level]
+        M = landing.leaving[:, level, None] * missed(landing.goes_on(k.carry) + k.drift * size * away)
         B.append(B[-1] * keep + M)
-        N.append(N[-1] * keep + M * landing.away[:, level])
+        N.append(N[-1] * keep + M * away)
     return np.concatenate(B, axis=1), np.stack(N, axis=1)
 
 

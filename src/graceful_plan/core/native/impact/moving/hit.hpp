@@ -45,7 +45,7 @@ struct Falling : BuiltInPlace {
       if (l == drop.n_level) break;
       if (tumble.enter(drop))
         for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) tumble.hit(drop.surface[k], false);
-      tumble.leave(fall.landing.leaving[l], fall.landing.away[l]);
+      tumble.leave(drop, fall.landing, l);
     }
   }
 };
