@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
+from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
 from graceful_plan.costs.models.drop.landing import catching
@@ -30,7 +31,7 @@ _SHAPES = {
 }
 
 
-def gantry(targets, shape="box", turn=0.0, shift=(0.0, 0.0)):
+def gantry(targets, shape="box", turn=0.0, shift=(0.0, 0.0), load=None):
     """An arm of three slides and a hinge about the vertical, holding something above some boxes; all of it turned."""
     bodies = "".join(
         f'<body name="{name}" pos="{x} {y} {z}"><geom name="{name}" {geom}/></body>'
@@ -46,7 +47,7 @@ def gantry(targets, shape="box", turn=0.0, shift=(0.0, 0.0)):
         <body name="arm" pos="0 0 1"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>{joints}
           <body name="hand"><joint name="wrist" axis="0 0 1" limited="true" range="-7 7"/>
             <geom name="hand" type="sphere" size="0.01"/><site name="tool" pos="0 0 -0.2"/></body></body>
-        <body name="object" pos="3 3 1"><freejoint/>{_SHAPES[shape]}</body>
+        <body name="object" pos="3 3 1"><freejoint/>{load or _SHAPES[shape]}</body>
       </frame></worldbody></mujoco>"""
     scene = gp.Scene.from_mjcf(
         text,
@@ -69,6 +70,7 @@ def drop(scene, q, qd=None, settings=None):
     return dropped(StateBatch(scene, q, direction, speed), settings)
 
 
+_FLOOR = {"floor": (0.0, 0.0, -0.05, 'type="box" size="3 3 0.05"')}
 BOX = {"target": (0.0, 0.0, 0.1, 'type="box" size="0.05 0.05 0.1"')}
 
 
@@ -231,6 +233,38 @@ def test_wide_tops_end_nearly_all_falls(half, ends):
     constants, top = DropSettings.shipped().box, list(tables.target_entity).index(0)
     more = (catching(tables, constants)[top] - constants.catch) / (1.0 - constants.catch)
     assert more == pytest.approx(ends, abs=0.011)
+
+
+@pytest.mark.parametrize("shape", ["cylinder", "box", "plate"])
+def test_only_beyond_the_edges_of_a_wide_top_it_falls_to_the_floor(shape):
+    scene = gantry({"desk": (0.0, 0.0, 0.3, 'type="box" size="0.8 0.8 0.02"'), **_FLOOR}, shape)
+    floor = list(scene.entities).index("floor")
+    height = -0.28  # the object is let go a few centimetres above the desk
+    inside, edge, outside = (drop(scene, [x, 0.0, height, 0.0]).entity[0, floor] for x in (0.0, 0.78, 1.1))
+    assert inside < 0.02 < edge < outside
+
+
+def test_steep_boxes_hold_nothing():
+    half = [
+        drop_tables(gantry({"top": (0.0, 0.0, 0.3, f'type="box" size="0.2 0.2 0.01" euler="0 {slope} 0"')}))
+        for slope in (0.0, 0.2, 0.45, 1.0)
+    ]
+    shares = [
+        t.target_carries[list(t.target_entity).index(0)] / t.target_half[list(t.target_entity).index(0)] for t in half
+    ]
+    assert shares[0] == pytest.approx(1.0) and shares[1] == pytest.approx(1.0)
+    assert 0.2 < shares[2][0] < 1.0 and shares[3] == pytest.approx(0.2)
+
+
+def test_parts_of_a_finely_divided_object_are_merged():
+    at = np.random.default_rng(0).uniform(-0.08, 0.08, size=(60, 3))
+    many = "".join(f'<geom type="box" size="0.006 0.005 0.004" pos="{x} {y} {z}"/>' for x, y, z in at)
+    scene = gantry(BOX, load=f'<geom name="load" type="box" size="0.02 0.02 0.02"/>{many}')
+    tables = drop_tables(scene)
+    assert len(tables.part_half) == CAPACITY["carried parts"] and 0.0 < tables.part_excess < 0.1
+    extent = (tables.part_offset + tables.part_half).max(axis=0) - (tables.part_offset - tables.part_half).min(axis=0)
+    np.testing.assert_allclose(extent, np.ptp(at, axis=0) + [0.012, 0.01, 0.008])  # upright in the hand
+    assert drop_tables(gantry(BOX)).part_excess == 0.0 and drop(scene, [0.0, 0.0, 0.0, 0.0]).entity[0, 0] > 0.9
 
 
 # --- laws -----------------------------------------------------------------------------------------------------------

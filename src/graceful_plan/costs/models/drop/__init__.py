@@ -86,7 +86,7 @@ kernel (native/impact/flight, drop.hpp, own_loss.hpp, entity_damage.hpp) follows
         (x, y) = c + v (tl + ks) + push(tl + ks) + drift size N/(B + 1e-6) - (X, Y), rotated into the target's axes
         G_k = B box(x, a + kb size, sd) box(y, b + kb size, sd)
         keep = product over the level of 1 - ended box(x, pos(a' + kc size), sd) box(y, pos(b' + kc size), sd)
-        f_l = product over the level of 1 - ended box(..) box(..) as in keep, but at L + v ks + push(..) + drift size n_l
+        f_l = product over the level of 1 - ended box(..) box(..) as in keep, at L + v ks + push(..) + drift size n_l
         B <- B keep + f_l sum of M over the level;  N <- N keep + n_l f_l times that sum
 
     4. Side contacts

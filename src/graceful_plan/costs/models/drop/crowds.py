@@ -1,7 +1,7 @@
 """Simplification of bodies with very many boxes, such as point clouds, to a few surfaces for the drop model.
 
-The drop model evaluates every surface in every state. A body of a thousand boxes is therefore replaced by a coarse
-height map of its tops, in which cells of equal height are joined.
+The drop model evaluates every surface in every state. In a scene with many surfaces, a body of a thousand boxes is
+therefore replaced by a coarse height map of its tops, in which cells of equal height are joined.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from graceful_plan.scene.sensed.boxes import joined
 Array = np.ndarray
 
 MAX_BOXES = 24
-"""Number of surfaces up to which a body is kept as it is."""
-_MOST, _LEAST = 192, 12
-"""Surface budget of all crowds together, and the least budget of one crowd."""
+"""Number of surfaces up to which a body is kept as it is in a scene with more than `MOST` surfaces."""
+MOST, _LEAST = 192, 12
+"""Number of surfaces up to which a scene is kept as it is, and the budget of all crowds together beyond; the least
+budget of one crowd."""
 _WIDTH = 0.04
 """Initial width of a cell [m]: a little less than a typical carried object."""
 _COARSER = 1.4
@@ -33,13 +34,15 @@ def simplified(
         boxes: Rows as in `drop_tables`: centre, axis, half sizes, diagonal, supporting half sizes, bottom, top.
         body: Body of each surface.
     """
+    if len(boxes) <= MOST:
+        return boxes, np.arange(len(boxes))
     bodies, counts = np.unique(body, return_counts=True)
     crowds = bodies[counts > MAX_BOXES].tolist()
     few = np.flatnonzero(~np.isin(body, crowds))
     rows, source = [boxes[few]], [few]
     for one in crowds:
         mine = np.flatnonzero(body == one)
-        crowd = _from_above(boxes[mine], max(_LEAST, _MOST // len(crowds)))
+        crowd = _from_above(boxes[mine], max(_LEAST, MOST // len(crowds)))
         rows.append(crowd)
         source.append(np.full(len(crowd), mine[0]))
     order = np.argsort(np.concatenate(source), kind="stable")

@@ -15,7 +15,9 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import PLANE_EXTENT, compile_scene, reference_data
+from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.costs.models.drop.crowds import simplified
+from graceful_plan.costs.models.drop.parts import groups
 from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
@@ -31,12 +33,14 @@ DISC = 0.9
 FLAT, ROUND, BALL = 0, 1, 2
 """Kinds of parts: box, cylinder or capsule, sphere."""
 
-_PLANE, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE = (
-    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("PLANE", "SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE")
+_PLANE, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE, _BOX = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
+    for name in ("PLANE", "SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE", "BOX")
 )  # integers: comparing arrays with enums takes fifty times as long
 _PLATE = 0.35  # ratio of the least to the middle half size below which an object is a plate
 _UPRIGHT = 0.9  # cosine above which a round target counts as standing
-_DOME = 0.2  # share of a rounded top that supports objects
+_DOME = 0.2  # share of a rounded or steep top that supports objects
+_FRICTION = (0.3, 0.7)  # coefficients of most pairs of household materials: a box this steep holds all or no objects
 
 
 @final
@@ -55,6 +59,7 @@ class DropTables:
     | part_rotation  | axes of each part in the link                                    |      | part 3 3   |
     | part_half      | half sizes; of round parts radius, radius, half length           | m    | part 3     |
     | part_kind      | FLAT, ROUND or BALL                                              |      | part       |
+    | part_excess    | how far merged parts reach beyond the object; 0 if none is       | m    |            |
     | main           | part with the largest volume of its box                          |      |            |
     | size           | root mean square of the object's half sizes                      | m    |            |
     | target_entity  | index of the entity, -1 for an obstacle; by top, highest first   |      | target     |
@@ -77,6 +82,7 @@ class DropTables:
     part_rotation: Float[Array, "part 3 3"]
     part_half: Float[Array, "part 3"]
     part_kind: Int[Array, " part"]
+    part_excess: float
     main: int
     size: float
     target_entity: Int[Array, " target"]
@@ -120,15 +126,16 @@ def _object(scene: Scene) -> Mapping[str, Any]:
     # geom_aabb is a box around the geom, in the geom's axes.
     place = np.array([R_WO.T @ (data.geom_xpos[geom] - p_WO) for geom in held])
     place = place + np.einsum("pij,pj->pi", R_OG, model.geom_aabb[held, :3])
-    half, kind = model.geom_aabb[held, 3:], [_part_kind(int(model.geom_type[geom])) for geom in held]
+    half, kind = model.geom_aabb[held, 3:], np.array([_part_kind(int(model.geom_type[geom])) for geom in held])
     around = np.einsum("pij,pj->pi", np.abs(R_OG), half)
+    place, R_OG, half, kind, around, excess = _merged(place, R_OG, half, kind, around)
     size = 0.5 * ((place + around).max(axis=0) - (place - around).min(axis=0))
     com = R_WO.T @ (_centre_of_mass(model, data, body) - p_WO)
     main = int(np.argmax(half.prod(axis=1)))
     joint_link = np.array([int(np.flatnonzero(robot.joint == j)[0]) for j in range(len(scene.joints))])
     moves = [float(_moved_by(robot.parent, robot.tool_link, link)) for link in joint_link.tolist()]
     return {
-        "shape_class": SHAPE_CLASSES.index(_shape_class(kind[main], np.sort(half[main]))),
+        "shape_class": SHAPE_CLASSES.index(_shape_class(int(kind[main]), np.sort(half[main]))),
         "link": int(robot.tool_link),
         "moves": np.array(moves),
         "joint_link": joint_link,
@@ -136,10 +143,27 @@ def _object(scene: Scene) -> Mapping[str, Any]:
         "part_offset": (place - com) @ X_LO[:3, :3].T,
         "part_rotation": X_LO[:3, :3] @ R_OG,
         "part_half": half.copy(),
-        "part_kind": np.array(kind),
+        "part_kind": kind,
+        "part_excess": excess,
         "main": main,
         "size": float(np.sqrt(np.mean(size**2))),
     }
+
+
+def _merged(place: Array, R_OG: Array, half: Array, kind: Array, around: Array) -> tuple[Any, ...]:
+    """Return parts of which no more than the core takes are left; several that become one are a box around them."""
+    group, excess = groups(place, around, CAPACITY["carried parts"])
+    if len(group) == group.max(initial=-1) + 1:
+        return place, R_OG, half, kind, around, 0.0
+    first = np.array([int(np.argmax(group == k)) for k in range(group.max() + 1)])
+    place, R_OG, half, kind, around = place.copy(), R_OG.copy(), half.copy(), kind.copy(), around.copy()
+    for k, part in enumerate(first.tolist()):
+        mine = group == k
+        if mine.sum() > 1:
+            low, high = (place - around)[mine].min(axis=0), (place + around)[mine].max(axis=0)
+            place[part], half[part], around[part] = 0.5 * (low + high), 0.5 * (high - low), 0.5 * (high - low)
+            R_OG[part], kind[part] = np.eye(3), FLAT
+    return place[first], R_OG[first], half[first], kind[first], around[first], excess
 
 
 def _centre_of_mass(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> Float[Array, " 3"]:
@@ -257,5 +281,10 @@ def _turned_boxes(
     along = np.abs(np.einsum("ti,ti->t", R[:, :2, 2], x)) > np.sqrt(0.5) * np.linalg.norm(R[:, :2, 2], axis=1)
     share[lying & along, 1] = _DOME
     share[lying & ~along, 0] = _DOME
+    flat = kind == _BOX
+    uphill = np.abs(R[:, 2]).max(axis=1)  # cosine between the vertical and the normal of the face that looks up
+    slope = np.sqrt(np.maximum(1.0 - uphill**2, 0.0)) / np.maximum(uphill, 1e-9)
+    holds = np.clip((_FRICTION[1] - slope) / (_FRICTION[1] - _FRICTION[0]), _DOME, 1.0)
+    share[flat] = holds[flat, None]
     bottom, top = p[:, 2] - height, p[:, 2] + height
     return np.column_stack([p[:, :2], x, ab, diagonal, share * ab, bottom, top])
