@@ -165,7 +165,7 @@ def test_speed_carries_the_object_on():
     h = 1.0 - 0.35 - 0.2
     ahead = -0.6 * (math.sqrt(2.0 * h / 9.81) + DropSettings.shipped().box.delay)
     assert drop(scene, [ahead, 0.0, 0.0, 0.0]).entity[0, 0] < 0.05
-    assert drop(scene, [ahead, 0.0, 0.0, 0.0], [0.6, 0.0, 0.0, 0.0]).entity[0, 0] > 0.9
+    assert drop(scene, [ahead, 0.0, 0.0, 0.0], [0.6, 0.0, 0.0, 0.0]).entity[0, 0] > 0.8
 
 
 def test_what_lies_above_catches_it():
@@ -265,7 +265,7 @@ def test_parts_of_a_finely_divided_object_are_merged():
     half = np.einsum("pij,pj->pi", np.abs(tables.part_rotation), tables.part_half)
     extent = (tables.part_offset + half).max(axis=0) - (tables.part_offset - half).min(axis=0)
     np.testing.assert_allclose(np.sort(extent), np.sort(np.ptp(at, axis=0) + [0.012, 0.01, 0.008]))
-    assert drop_tables(gantry(BOX)).part_excess == 0.0 and drop(scene, [0.0, 0.0, 0.0, 0.0]).entity[0, 0] > 0.9
+    assert drop_tables(gantry(BOX)).part_excess == 0.0 and drop(scene, [0.0, 0.0, 0.0, 0.0]).entity[0, 0] > 0.8
 
 
 # --- laws -----------------------------------------------------------------------------------------------------------
