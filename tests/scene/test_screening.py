@@ -472,3 +472,31 @@ def test_damaged_worlds_load_or_are_refused(tmp_path: Path, cuts: list[tuple[int
         check_numbers(model)
     except GracefulPlanError as error:
         assert isinstance(error, SceneError)
+
+
+def test_sizes_for_contacts_are_left_to_mujoco():
+    spec = load_spec('<mujoco><size nconmax="5000" njmax="5000"/><worldbody/></mujoco>')
+    assert compile_spec(spec).narena < 100_000_000
+    with pytest.raises(SceneError, match="nconmax"):
+        load_spec('<mujoco><size nconmax="2000000"/><worldbody/></mujoco>')
+
+
+def test_absolute_paths_below_a_given_folder_are_read(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "scenes").mkdir()
+    mesh, file = tmp_path / "meshes" / "box.obj", tmp_path / "scenes" / "scene.xml"
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    mesh.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "f 1 2 3\nf 5 6 7\nf 1 5 8\n")
+    file.write_text(f'<mujoco><asset><mesh name="m" file="{mesh}"/></asset><worldbody/></mujoco>')
+    with pytest.raises(SceneError, match="folder=DIR"):
+        load_spec(file)
+    assert compile_spec(load_spec(file, tmp_path)).nmesh == 1
+    with pytest.raises(SceneError, match="only files below"):
+        load_spec(file, file.parent)
+
+
+def test_meshes_of_mujoco_count_what_their_heads_say():
+    head = np.array([10, 30, 20, 5], dtype="<i4").tobytes()
+    assert mesh_weight(head + bytes(4 * (30 + 90 + 40 + 15)), ".msh") == 15
+    assert mesh_weight(np.array([2**30, 0, 0, -5], dtype="<i4").tobytes() + bytes(24), ".msh") <= 3
+    assert mesh_weight(b"short", ".msh") == 0

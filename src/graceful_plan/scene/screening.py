@@ -30,6 +30,8 @@ MAX_ELEMENTS = 50_000
 MAX_FILES = 64
 MAX_COUNT = 4096
 """Largest value of an attribute that is a count."""
+MAX_CONTACTS = 1_000_000
+"""Largest value of `nconmax` and `njmax`, which are then left to MuJoCo: 5000, as in robosuite, would take 1.3 GB."""
 MAX_EXTENT = 1e4
 """Largest coordinate or size [m]: the kernels' single precision resolves half a millimetre there."""
 BUDGETS = {
@@ -133,9 +135,11 @@ def within_memory(what: str) -> Generator[None]:
 
 def _parsed(text: str | None, file: Path | None) -> mujoco.MjSpec:
     try:
-        return mujoco.MjSpec.from_string(text) if file is None else mujoco.MjSpec.from_file(str(file))
+        spec = mujoco.MjSpec.from_string(text) if file is None else mujoco.MjSpec.from_file(str(file))
     except (ValueError, RuntimeError, UnicodeError) as error:
         raise _translated(error, None if file is None else str(file)) from None
+    spec.nconmax = spec.njmax = -1
+    return spec
 
 
 def _translated(error: Exception, file: str | None) -> SceneError:
@@ -150,7 +154,7 @@ class _Screen:
 
     root: Path | None
     up: bool = False
-    """Whether ".." may lead from one folder below the root to another."""
+    """Whether absolute paths and ".." may lead from one folder below the root to another."""
     elements: int = 0
     users: int = 0
     """Number of user-defined values that each element may have."""
@@ -169,6 +173,11 @@ class _Screen:
     def allowed(self) -> str:
         """Where files may be, for messages."""
         return f"below {str(self.root)!r}" if self.up else "in the folder of the scene"
+
+    @property
+    def relative(self) -> str:
+        """How files may be named, for messages."""
+        return "" if self.up else ", by relative path"
 
     @property
     def hint(self) -> str:
@@ -226,7 +235,7 @@ class _Screen:
         for place in sorted(self.places):
             for folder in folders:
                 path = Path(folder) / given
-                if path.is_absolute() or (".." in path.parts and not self.up):
+                if (path.is_absolute() or ".." in path.parts) and not self.up:
                     return None
                 resolved = (place / path).resolve()  # symbolic links may lead outside
                 by_name = Path(os.path.normpath(place / path))  # the path without following links
@@ -240,7 +249,7 @@ class _Screen:
         """Screen the file of an asset. A missing file is left to MuJoCo, whose error lists where it looked."""
         found = self.found(asset.given, sorted(self.folders))
         if found is None:
-            message = f"file {asset.given!r} of <{asset.tag}>: only files {self.allowed}, by relative path{self.hint}"
+            message = f"file {asset.given!r} of <{asset.tag}>: only files {self.allowed}{self.relative}{self.hint}"
             raise SceneError(message, file=asset.file, line=asset.line)
         for file in set(found) - self.asset_budget:
             self.asset_budget.add(file)
@@ -387,10 +396,11 @@ class _XmlReader:
                 number = float(word)
             except ValueError:
                 continue  # MuJoCo's own error is better
-            if math.isfinite(number) and number <= MAX_COUNT:
+            most = MAX_CONTACTS if key in ("nconmax", "njmax") else MAX_COUNT
+            if math.isfinite(number) and number <= most:
                 largest = max(largest, int(number))
             else:
-                self.refuse(f"{key}={value!r} is more than {MAX_COUNT}")
+                self.refuse(f"{key}={value!r} is more than {most}")
         return largest
 
     def embedded(self, what: str, given: str) -> None:
@@ -398,7 +408,7 @@ class _XmlReader:
             self.refuse(f"{what}: only files in the folder of the scene, no addresses")
         found = self.screen.found(given)
         if found is None:
-            self.refuse(f"{what}: only files {self.screen.allowed}, by relative path{self.screen.hint}")
+            self.refuse(f"{what}: only files {self.screen.allowed}{self.screen.relative}{self.screen.hint}")
         if not found:
             self.refuse(f"{what}: there is no such file")
         for file in found:

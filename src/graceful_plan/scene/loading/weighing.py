@@ -22,8 +22,10 @@ _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 """Channels per pixel, by a PNG's colour type."""
 _OBJ_LINE = re.compile(rb"[\r\n][ \t]*[vf][ \t]")
 _STL_HEAD, _STL_FACE = 84, 50
+_MSH_HEAD = 16
+"""Bytes of the head of MuJoCo's own format: numbers of vertices, normals, texture coordinates and faces."""
 _VERTEX = 12
-"""Bytes of a vertex of three single-precision numbers."""
+"""Bytes of a vertex of three single-precision numbers, and of a face of three indices."""
 _MIXED = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 """Odd 64-bit factors that hash the three coordinates of a vertex, with hardly any collisions."""
 MOST_OF_A_MESH = 1_000_000
@@ -54,6 +56,9 @@ def mesh_weight(content: bytes, suffix: str) -> int:
     """Return the number of vertices and faces of a mesh; coincident vertices of a binary STL are counted once."""
     if suffix.lower() == ".obj":
         return sum(1 for _ in _OBJ_LINE.finditer(content))
+    if suffix.lower() == ".msh":
+        vertices, _, _, faces = np.frombuffer(content[:_MSH_HEAD].ljust(_MSH_HEAD, b"\0"), "<i4").tolist()
+        return min(max(vertices, 0), len(content) // _VERTEX) + min(max(faces, 0), len(content) // _VERTEX)
     if suffix.lower() != ".stl":
         return len(content) // _VERTEX
     faces = max(0, len(content) - _STL_HEAD) // _STL_FACE
