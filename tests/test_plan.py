@@ -392,3 +392,14 @@ def test_a_planner_class_and_steps_of_zero_are_refused():
             gp.Anytime(**settings)
     with pytest.raises(SettingError, match="range"):
         gp.RRTConnect(range=0.0)
+
+
+def test_printed_results_are_short_and_name_what_is_harmed_most():
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    solved = gp.plan(task.start, task.goal, task.scene, iterations=20)
+    worst = max(solved.cost.impact_by_entity, key=lambda name: solved.cost.impact_by_entity[name])
+    failed = gp.plan(np.full(7, 9.0), task.goal, task.scene, iterations=1)
+    for result, facts in ((solved, (f"{solved.trajectory.duration:.3g} s", worst)), (failed, (failed.detail,))):
+        text = str(result)
+        assert result.status.name in text and len(text.splitlines()) <= 10 and all(fact in text for fact in facts)
+    assert len(repr(solved.trajectory)) < 200 and len(repr(solved.path)) < 100

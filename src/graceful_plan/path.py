@@ -87,6 +87,9 @@ class Path:
         q.flags.writeable = False
         object.__setattr__(self, "q", q)
 
+    def __repr__(self) -> str:
+        return f"Path({len(self)} points of {self.q.shape[1]} joints)"
+
     def __len__(self) -> int:
         return len(self.q)
 

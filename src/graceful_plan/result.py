@@ -13,6 +13,9 @@ from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.path import Path
 from graceful_plan.timing.trajectory import Trajectory
 
+_WORST = 4
+"""Number of entities that a printed result names, the most harmed first."""
+
 
 class PlanStatus(Enum):
     """Outcome of planning; each value is a sentence with a remedy."""
@@ -142,6 +145,27 @@ class PlanResult:
     """Index of the goal that is reached, among several."""
     stats: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the call, such as seconds per stage and iterations."""
+
+    def __str__(self) -> str:
+        """Describe the outcome in a few lines."""
+        lines = [f"{self.status.name}: {self.status.value}", *([self.detail] if self.detail else [])]
+        if self.trajectory is not None:
+            goal = "" if self.goal_index is None else f", goal {self.goal_index}"
+            lines.append(f"motion: {self.trajectory.duration:.3g} s, {len(self.trajectory)} samples{goal}")
+            cost = self.cost
+            lines.append(f"J = {cost.total:.4g} = motion {cost.motion:.4g} + w {cost.w:g} x impact {cost.impact:.4g}")
+            worst = sorted(cost.impact_by_entity.items(), key=lambda item: -item[1])[:_WORST]
+            if harmed := [f"{name} {value:.3g}" for name, value in worst if value > 0.0]:
+                lines.append(f"impact by entity: {', '.join(harmed)}")
+        for name in (*self.verdict.failures, *self.verdict.warnings):
+            word = "failed" if name in self.verdict.failures else "warning"
+            lines.append(f"{word}: {name}: {self.verdict.checks[name].detail}")
+        if self.verdict.passed:
+            lines.append(f"checks passed: {', '.join(name for name, c in self.verdict.checks.items() if c.passed)}")
+        if "total_time" in self.stats:
+            first = f", first motion after {self.trace[0].time:.3g} s" if self.trace else ""
+            lines.append(f"call: {self.stats['total_time']:.3g} s{first}")
+        return "\n".join(lines)
 
     def unwrap(self) -> Trajectory:
         """Return the trajectory of a solved problem.

@@ -47,6 +47,15 @@ def test_positions_are_those_of_the_states(seed: int) -> None:
     np.testing.assert_allclose(trajectory.positions(times), trajectory.at(times).q, atol=_TOLERANCE)
 
 
+@given(st.integers(0, 10**6), st.integers(1, 6))
+def test_state_at_one_time_is_that_at_many(seed: int, n: int) -> None:
+    trajectory = _random(seed, n=n)
+    times = [*np.random.default_rng(seed).uniform(-1.0, 4.0, 8).tolist(), *trajectory.t.tolist()]
+    for order, values in enumerate(trajectory.at(times)):
+        one = [trajectory.at(t)[order] for t in times]
+        np.testing.assert_allclose(one, values, atol=_TOLERANCE)
+
+
 def test_places_are_times_by_piece() -> None:
     trajectory = _random(3)
     pieces = len(trajectory) - 1
