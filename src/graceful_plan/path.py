@@ -45,7 +45,7 @@ def real_array(name: str, value: object) -> Float[Array, "..."]:
 
 
 def finite_array(
-    name: str, value: ArrayLike, *, ndim: int | None = None, last: int | None = None
+    name: str, value: ArrayLike | float, *, ndim: int | None = None, last: int | None = None
 ) -> Float[Array, "..."]:
     """Return `value` as a float64 array; refuse wrong shapes and non-finite numbers.
 
