@@ -38,7 +38,7 @@ class Found(NamedTuple):
     groups: list[Group]
 
 
-def less(done: Headline, label: str, kind: str, *, per: str, own_loss: bool = True) -> float:
+def less(done: Headline, label: str, kind: str, *, per: str, own_loss: bool = True, by_energy: bool = False) -> float:
     """Return harm at w = 0 over harm of a motion; NaN if either was not simulated.
 
     Args:
@@ -47,12 +47,15 @@ def less(done: Headline, label: str, kind: str, *, per: str, own_loss: bool = Tr
         kind: Kind of failures.
         per: "failure" or "task".
         own_loss: Whether the loss of the carried object itself counts.
+        by_energy: Whether contacts count by the probability of damage at their energy.
     """
     base, own = done.motions[NONE], done.motions[label]
     if kind not in base.harm or kind not in own.harm:
         return math.nan
     if not own_loss:
         base, own = _without_own_loss(base), _without_own_loss(own)
+    if by_energy:
+        base, own = _by_energy(base), _by_energy(own)
     if per == "task":
         return _per_task(base, kind, done) / _per_task(own, kind, done)
     return _impact(base, kind, done.least) / _impact(own, kind, done.least)
@@ -61,6 +64,10 @@ def less(done: Headline, label: str, kind: str, *, per: str, own_loss: bool = Tr
 def _without_own_loss(motion: Motion) -> Motion:
     harm = {kind: replace(x, mean=max(0.0, x.mean - x.own)) for kind, x in motion.harm.items()}
     return replace(motion, harm=harm)
+
+
+def _by_energy(motion: Motion) -> Motion:
+    return replace(motion, harm={kind: replace(x, mean=x.energy) for kind, x in motion.harm.items()})
 
 
 def offers(done: Headline, curve: Curve, extent: str) -> list[Offer]:
@@ -112,9 +119,11 @@ def loses_contents(motion: Motion) -> bool:
     return motion.kept < 1.0 - _LOST
 
 
-def typical_less(heads: Sequence[Headline], label: str, kind: str, per: str, *, own_loss: bool = True) -> Typical:
+def typical_less(
+    heads: Sequence[Headline], label: str, kind: str, per: str, *, own_loss: bool = True, by_energy: bool = False
+) -> Typical:
     """Summarise `less` over tasks."""
-    return typical([less(done, label, kind, per=per, own_loss=own_loss) for done in heads])
+    return typical([less(done, label, kind, per=per, own_loss=own_loss, by_energy=by_energy) for done in heads])
 
 
 class OfFault(NamedTuple):

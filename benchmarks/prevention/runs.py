@@ -30,12 +30,13 @@ SPEED = 0.5
 """Fraction of the velocity limits of all motions."""
 SECONDS, OWN_SECONDS = 1.0, 5.0
 """Time limit of a plan with a native cost, and with a cost in Python [s]."""
-NONE, PUBLISHED, OURS, ALL_FAULTS = "w = 0", "Algorithm 1", "default", "service robot"
+NONE, PUBLISHED, OURS, ALL_FAULTS, ENERGY = "w = 0", "Algorithm 1", "default", "service robot", "by energy"
 MODELS: Mapping[str, gp.ImpactCost] = MappingProxyType(
     {
         PUBLISHED: gp.ImpactCost(model="box_overlap"),
         OURS: gp.ImpactCost(),
         ALL_FAULTS: gp.ImpactCost(model=gp.FailureMixture(faults="service_robot")),
+        ENERGY: gp.ImpactCost(consequence="energy"),
     }
 )
 """Impact models of the headline, at the default w; their weights are absolute."""
@@ -51,6 +52,7 @@ class Harm:
         mean: Observed impact of a failure.
         n: Number of failures.
         own: The part of the mean that is the loss of the carried object itself.
+        energy: The mean with each contact weighted by the probability of damage at its energy.
         by_fault: Mean impact by fault, "NAME/DEGREE".
         predicted: Impact of a failure as the default model predicts it.
         less_per_failure: Harm per failure at w = 0 over that of the motion, with its interval; None at w = 0 and for
@@ -63,6 +65,7 @@ class Harm:
     n: int
     predicted: float
     own: float = 0.0
+    energy: float = 0.0
     by_fault: Mapping[str, float] = field(default_factory=dict)
     less_per_failure: tuple[float, float, float] | None = None
     less_per_task: tuple[float, float, float] | None = None
@@ -256,6 +259,7 @@ def _harm(own: ValidationReport, reference: ValidationReport | None) -> Harm:
         n=own.observed.n,
         predicted=own.predicted,
         own=own.own_loss.mean,
+        energy=own.energy.mean,
         by_fault={label: found.mean for label, found in own.by_fault.items()},
     )
     if reference is None:

@@ -196,6 +196,8 @@ _SUMMARY_HEADER = (
     "geometric mean",
     "others only: median",
     "geometric mean",
+    "harm by energy: median",
+    "geometric mean",
     "worse",
     "better",
 )
@@ -221,6 +223,7 @@ def _summary(found: Found, kind: str) -> Iterator[Sequence[object]]:
         for label in _labels(heads):
             per_failure, per_task = (typical_less(heads, label, kind, per) for per in ("failure", "task"))
             others = typical_less(heads, label, kind, "task", own_loss=False)
+            energy = typical_less(heads, label, kind, "task", by_energy=True)
             yield (
                 group.name,
                 label,
@@ -233,6 +236,8 @@ def _summary(found: Found, kind: str) -> Iterator[Sequence[object]]:
                 _with_interval(per_task),
                 f"{others.median:.2f}",
                 _with_interval(others),
+                f"{energy.median:.2f}",
+                _with_interval(energy),
                 len(beyond(heads, label, kind, 1.0)),
                 len(beyond(heads, label, kind, -1.0)),
             )

@@ -52,7 +52,8 @@ depend on the rate. "x less": harm at w = 0 over harm with the planner. If no fa
 them counts as a hit of the least severity of the scene. Medians and geometric means are over tasks; the latter have a
 95 % interval from resampled tasks. "Worse" ("better"): tasks with more (less) harm per task than at w = 0, beyond the
 95 % interval of the paired difference. "{ALL_FAULTS}": the default model with that prior of faults. Harm includes the
-damage to the carried object; "others only" leaves it out, for the same motions.
+damage to the carried object; "others only" leaves it out, for the same motions. "By energy": the default model with
+`consequence="energy"`; "harm by energy": each contact weighted by the probability of damage at its energy.
 
 Harm of the healthy motion, such as spilling on the way, has probability 1 and is included in harm per task. It is no
 failure's harm, and contents that were spilled before a failure cannot be spilled by it. The groups "nothing spilt on

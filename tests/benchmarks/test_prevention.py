@@ -138,7 +138,7 @@ def test_weights_of_own_costs_are_relative_to_the_straight_path(task):
 def motion(w: float, duration: float, drops: float, **more: object) -> Motion:
     of = {"a/severe": 0.2 * drops, "b/severe": 0.8 * drops}
     harm = {
-        "drops": Harm(mean=drops, n=100, predicted=drops, own=min(1.0, drops)),
+        "drops": Harm(mean=drops, n=100, predicted=drops, own=min(1.0, drops), energy=0.5 * drops),
         "mixed": Harm(mean=0.5 * drops, n=95, predicted=0.0, by_fault=of),
     }
     return Motion(w=w, length=duration, duration=duration, harm=harm, **more)  # type: ignore[arg-type]
@@ -149,6 +149,7 @@ def head(task: str = "desk/bring_coffee", **changed: Motion) -> Headline:
     ours = motion(1.0, 2.5, 2.0)
     ours = replace(ours, harm={kind: replace(harm, **rise) for kind, harm in ours.harm.items()})
     motions = {NONE: motion(0.0, 2.0, 10.0), OURS: ours, PUBLISHED: motion(1.0, 2.0, 5.0)}
+    motions[runs.ENERGY] = motion(1.0, 2.5, 4.0)
     motions[runs.ALL_FAULTS] = Motion(w=1.0, refused="the object 'mug' at 1 s: slips")
     return Headline(task=task, grasp="weld", least=0.2, rate=1e-3, motions=motions | changed)
 
@@ -245,9 +246,9 @@ def test_the_report_loses_nothing(tmp_path):
     assert "Held by a weld: desk/bring_coffee." in text
     assert "desk/bring_coffee (service robot): the object 'mug' at 1 s: slips" in text
     assert "1.39 *" in text  # 2 per failure, 2.5 s, one failure in 1000 h, a million tasks
-    less = "5.00 | 5.00 | 4.00 | 4.00 [4.00, 4.00] | 7.20 | 7.20 [7.20, 7.20]"
+    less = "5.00 | 5.00 | 4.00 | 4.00 [4.00, 4.00] | 7.20 | 7.20 [7.20, 7.20] | 4.00 | 4.00 [4.00, 4.00]"
     assert f"| bundled | default | 1 | +25 % | +25 % | {less} | 0 | 1 |" in text
-    assert "| b/severe | bundled | 80.0 % | 2.00 | 4.00 | - |" in text  # Algorithm 1, default; the third was refused
+    assert "| b/severe | bundled | 80.0 % | 2.00 | 4.00 | - | 2.00 |" in text  # Algorithm 1, default, refused, by energy
     assert "**no**" in text  # not all tasks are in
     figures.draw(all_of, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 1000
