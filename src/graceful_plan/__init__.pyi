@@ -71,6 +71,7 @@ from graceful_plan.planners import (
     RRTStar as RRTStar,
 )
 from graceful_plan.query.cartesian.straight import plan_cartesian as plan_cartesian
+from graceful_plan.query.stop import plan_stop as plan_stop
 from graceful_plan.result import (
     CostBreakdown as CostBreakdown,
 )

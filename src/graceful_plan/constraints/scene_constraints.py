@@ -14,7 +14,13 @@ from graceful_plan.constraints.bounds import bounded_kernels, bounds_of
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
 from graceful_plan.constraints.grasp import GraspHolds
-from graceful_plan.constraints.specific_force import SpecificForceCone, SpecificForceConstraint, felt_in, resting_in
+from graceful_plan.constraints.specific_force import (
+    Felt,
+    SpecificForceCone,
+    SpecificForceConstraint,
+    felt_in,
+    resting_in,
+)
 from graceful_plan.constraints.speed import speed_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
@@ -143,7 +149,7 @@ class SceneConstraints:
         Raises:
             RetimingError: If a limit is violated even at rest somewhere along the curve.
         """
-        restraint, limits = self._restraint(slower), self.scene.limits
+        restraint, limits = self.restraint(slower), self.scene.limits
         return timed(curve, limits, self.scene.joints, speed=speed, restraint=restraint, felt=self.felt_levels)
 
     def retimed(self, path: Path, *, deviation: float | Float[Array, " corner"], speed: float = 1.0) -> Trajectory:
@@ -154,7 +160,7 @@ class SceneConstraints:
             self.scene.joints,
             deviation=deviation,
             speed=speed,
-            restraint=self._restraint(None),
+            restraint=self.restraint(None),
             felt=self.felt_levels,
         )
 
@@ -163,17 +169,31 @@ class SceneConstraints:
         """Limits on the specific force, with a smaller share of the brim tilt at each level; None if there are none."""
         if not self.felt:
             return None
-        levels = [self.felt]
-        if self.keepers:
-            most = max(keeper.share for keeper in self.keepers)
-            shares = [most, *(share for share in _SHARES if share < most)]
-            levels = [[felt_in(self.scene, c) for c in self._carrying(share)] for share in shares]
         names = tuple(felt.name for felt in self.felt)
-        return SpecificForceLevels(
-            self.kernels.core, names, tuple(tuple(felt.timed for felt in level) for level in levels)
+        levels = tuple(tuple(felt.timed for felt in level) for level in self._felt_by_level)
+        return SpecificForceLevels(self.kernels.core, names, levels)
+
+    @property
+    def steady_levels(self) -> tuple[SpecificForceLevels | None, ...]:
+        """The levels of `felt_levels` one by one, for motions that do not begin at rest; sloshing is left out."""
+        if not self.felt:
+            return (None,)
+        names = tuple(felt.name for felt in self.felt)
+        return tuple(
+            SpecificForceLevels(self.kernels.core, names, (tuple(felt.steady for felt in level),))
+            for level in self._felt_by_level
         )
 
-    def _restraint(self, slower: Restraint | None) -> Restraint | None:
+    @cached_property
+    def _felt_by_level(self) -> tuple[tuple[Felt, ...], ...]:
+        """Limits on the specific force, with a smaller share of the brim tilt at each level."""
+        if not self.keepers:
+            return (self.felt,)
+        most = max(keeper.share for keeper in self.keepers)
+        shares = [most, *(share for share in _SHARES if share < most)]
+        return tuple(tuple(felt_in(self.scene, c) for c in self._carrying(share)) for share in shares)
+
+    def restraint(self, slower: Restraint | None = None) -> Restraint | None:
         """Return the other limits on path acceleration and speed: of the caller, the tool and the base."""
         own: list[Restraint] = [] if slower is None else [slower]
         if self._speeds:

@@ -111,6 +111,11 @@ class SpecificForceCone:
         """The limit for timing."""
         return self._limit(_BELOW)
 
+    @cached_property
+    def steady(self) -> _native.SpecificForceLimit:
+        """The limit for timing a motion that does not begin at rest, where the swing of a surface is unknown."""
+        return self._limit(None)
+
     def _limit(self, part: float | None) -> _native.SpecificForceLimit:
         """Return the limit for the core, with the surface limited to `part` of the brim tilt unless that is None."""
         facets = np.ascontiguousarray(self.facets)
@@ -163,6 +168,11 @@ class SpecificForceLoad:
     def timed(self) -> _native.SpecificForceLimit:
         """The limit for timing."""
         return self._limit(np.ones(len(self.room), dtype=bool))
+
+    @property
+    def steady(self) -> _native.SpecificForceLimit:
+        """The limit for timing a motion that does not begin at rest: the same."""
+        return self.timed
 
     def _limit(self, kept: Bool[Array, " facet"]) -> _native.SpecificForceLimit:
         facets, room = np.ascontiguousarray(self.facets[kept]), self.room[kept]

@@ -1,0 +1,217 @@
+"""The quickest stop along a motion that keeps contents, grasp and limits.
+
+The path is that of the motion, with time as its parameter, so that the present path speed is 1 and a stop never goes
+faster. For a place to stop at, time-optimal timing (`timing.topp`) gives the largest path speed now from which the
+robot can still stop there. The quickest stop is at the nearest place for which that is the present speed; it is found
+by bisection. A liquid that already swings may spill in it. Further candidates therefore let the path speed fade out
+like a cosine, over longer and longer times.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from graceful_plan.constraints.constraint import Constraint
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.exceptions import RetimingError, SettingError
+from graceful_plan.judge.verification import verify
+from graceful_plan.path import is_real
+from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.blend import CurveGrid
+from graceful_plan.timing.retiming import slowdown, slowed
+from graceful_plan.timing.topp import SpecificForceLevels, fastest
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+_POINTS = 80
+"""Grid points of a stop."""
+_FIRST = 0.01
+"""First guess of the time along the motion within which the robot stops [s]; doubled until it is enough."""
+_CLOSE = 1e-3
+"""Relative excess of the path speed at which the bisection ends; the stop is slowed down by it."""
+_SLACK = 1.01
+"""Stops are timed from this path speed, within limits that are as much higher, and then slowed down to a path speed of
+1: where the motion is at a limit itself, there would be no room for rounding otherwise."""
+_FASTEST = 1.05
+"""Largest path speed of the timing; a stop only becomes slower."""
+_HALVINGS = 30
+_UNLIMITED = 1e6
+"""Velocity limit of the timing [rad/s or m/s]: the path speed is limited instead."""
+_FADES = (0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75, 0.95)
+"""Fractions of the rest of the path within which path speeds fade out."""
+
+
+def plan_stop(
+    motion: Trajectory, scene: Scene, *, at: float, constraints: Iterable[Constraint] | None = None
+) -> PlanResult:
+    """Plan the quickest stop along a motion that keeps the constraints.
+
+    The stop follows the path of the motion and begins with its position and velocity. It may use the full limits of the
+    robot, whatever speed the motion was planned with.
+
+    Args:
+        motion: The motion that the robot executes, from rest.
+        scene: Robot, surroundings and carried object.
+        at: Time at which the stop begins, on the clock of the motion [s].
+        constraints: Constraints along the stop; by default those of `plan`: contents stay in, the grasp holds. With
+            `[]`, it is the quickest stop within the limits of the robot.
+
+    Returns:
+        The result. Its trajectory begins at `at` and ends at rest. It is SOLVED if the motion up to `at` with the stop
+        has passed the judge. If no quicker stop does, the rest of the motion itself is the stop, which `detail` says.
+        INFEASIBLE if that does not pass either, such as in a scene that has changed since.
+
+    Raises:
+        SettingError: If `at` is not a finite time, or motion or scene have another type.
+    """
+    started = time.perf_counter()
+    if not isinstance(motion, Trajectory):
+        raise SettingError("motion", motion, "a Trajectory")
+    if not isinstance(scene, Scene):
+        raise SettingError("scene", scene, "a Scene, such as load_scene() returns")
+    if not is_real(at) or not np.isfinite(at):
+        raise SettingError("at", at, "a finite time [s]")
+    asked = tuple(default_constraints(scene) if constraints is None else constraints)
+    held = SceneConstraints(scene, asked).around(motion.q[[0, -1]])
+    proof = compile_scene(scene).proof.clearance
+    detail, verdict = "", None
+    for stop, what in _stops(motion, float(at), held):
+        whole = _joined(motion, stop)
+        verdict = verify(whole, scene, constraints=held.constraints, clearance=proof)
+        if verdict.passed:
+            seconds = time.perf_counter() - started
+            path = stop.path
+            return PlanResult(
+                status=PlanStatus.SOLVED,
+                path=path,
+                trajectory=stop,
+                verdict=verdict,
+                detail=what,
+                stats={"total_time": seconds},
+            )
+        detail = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
+    assert verdict is not None  # the rest of the motion is always a candidate
+    return PlanResult(status=PlanStatus.INFEASIBLE, verdict=verdict, detail=detail)
+
+
+def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str]]:
+    """Yield stops, the quickest first, with what there is to say about each; last the rest of the motion itself."""
+    rest = _rest(motion, at)
+    found: list[Trajectory] = []
+    if motion.t[0] < at < motion.t[-1] and len(motion) > 1:
+        quickest = (_quickest(motion, at, held, level) for level in held.steady_levels)
+        found = [stop for stop in quickest if stop is not None]
+        if held.felt:
+            fades = (_faded(motion, at, share * rest.duration) for share in _FADES)
+            found += [fade for fade in fades if slowdown(fade, held.scene.limits) <= 1.0]
+    for stop in sorted(found, key=lambda one: one.duration):
+        if stop.duration < rest.duration:
+            yield stop, ""
+    yield rest, "" if not found else "no quicker stop than the motion's own end"
+
+
+def _quickest(
+    motion: Trajectory, at: float, held: SceneConstraints, level: SpecificForceLevels | None
+) -> Trajectory | None:
+    """Return the quickest stop within the limits of one level; None if it takes as long as the motion."""
+    speed = float(np.linalg.norm(motion.at(at).qd))
+    left = float(motion.t[-1]) - at
+    if speed < 1e-9:
+        still = motion.at(np.array([at]))
+        return Trajectory(np.array([at]), still.q, 0.0 * still.qd, 0.0 * still.qdd, motion.joints)
+
+    def ending(after: float) -> tuple[Trajectory | None, float]:
+        stop = _timed(motion, at, after, held, level)
+        return stop, 0.0 if stop is None else float(np.linalg.norm(stop.qd[0])) / speed
+
+    short, long = 0.0, _FIRST
+    while (found := ending(min(long, left)))[1] < _SLACK:
+        if long >= left:
+            return None
+        short, long = long, 2.0 * long
+    long = min(long, left)
+    for _ in range(_HALVINGS):
+        if found[1] < _SLACK + _CLOSE:
+            break
+        middle = 0.5 * (short + long)
+        trial = ending(middle)
+        if trial[1] < _SLACK:
+            short = middle
+        else:
+            long, found = middle, trial
+    stop, excess = found
+    return None if stop is None or excess > _SLACK + 10.0 * _CLOSE else _begun(slowed(stop, excess), motion, at)
+
+
+def _timed(
+    motion: Trajectory, at: float, after: float, held: SceneConstraints, level: SpecificForceLevels | None
+) -> Trajectory | None:
+    """Return the fastest motion from `at` to rest where the motion is `after` seconds later; None if there is none."""
+    grid, restraint = _grid(motion, at, after), held.restraint()
+    slower = np.tile([0.0, 1.0, _FASTEST**2], (len(grid.s) - 1, 1, 1))
+    limit = slower if restraint is None else np.concatenate([slower, restraint(grid)], axis=1)
+    unlimited = np.full(len(motion.joints), _UNLIMITED)
+    try:
+        found = fastest(
+            grid, unlimited, _SLACK**2 * held.scene.limits.acceleration, limit=np.ascontiguousarray(limit), felt=level
+        )
+    except RetimingError:
+        return None
+    return Trajectory(found.t, found.q, found.qd, found.qdd, motion.joints)
+
+
+def _grid(motion: Trajectory, at: float, after: float) -> CurveGrid:
+    """Return points along a motion, its samples among them, since its acceleration may jump there."""
+    even = np.linspace(at, at + after, _POINTS)
+    inside = motion.t[(motion.t > at) & (motion.t < at + after)]
+    t = np.union1d(even, inside)
+    t = t[np.append(True, np.diff(t) > 1e-3 * after / _POINTS) | np.isin(t, inside)]
+    t = np.append(t[(t > at) & (t < at + after)], at + after)
+    t = np.append(at, t)
+    piece = np.clip(np.searchsorted(motion.t, 0.5 * (t[1:] + t[:-1]), side="right") - 1, 0, len(motion) - 2)
+    first, last = motion.piece_accelerations
+    share = (np.stack([t[:-1], t[1:]]) - motion.t[piece]) / np.diff(motion.t)[piece]
+    bend = first[piece] + share[:, :, None] * (last - first)[piece]
+    state = motion.at(t)
+    ends = np.zeros(len(t), dtype=bool)
+    ends[-1] = True
+    return CurveGrid(t - at, state.q, np.stack([state.qd[:-1], state.qd[1:]], axis=1), np.moveaxis(bend, 0, 1), ends)
+
+
+def _faded(motion: Trajectory, at: float, after: float) -> Trajectory:
+    """Return a stop whose path speed fades from 1 to 0 like a cosine, to where the motion is `after` seconds later."""
+    seconds = 2.0 * after
+    t = np.linspace(0.0, seconds, _POINTS)
+    phase = np.pi * t / seconds
+    s = 0.5 * (t + seconds / np.pi * np.sin(phase))
+    speed, acceleration = 0.5 * (1.0 + np.cos(phase))[:, None], -0.5 * np.pi / seconds * np.sin(phase)[:, None]
+    state = motion.at(at + s)
+    return Trajectory(at + t, state.q, state.qd * speed, state.qdd * speed**2 + state.qd * acceleration, motion.joints)
+
+
+def _begun(stop: Trajectory, motion: Trajectory, at: float) -> Trajectory:
+    """Return a stop on the clock of the motion, with exactly its state at the beginning."""
+    state = motion.at(at)
+    q, qd = stop.q.copy(), stop.qd.copy()
+    q[0], qd[0] = state.q, state.qd
+    return Trajectory(stop.t - stop.t[0] + at, q, qd, stop.qdd, stop.joints)
+
+
+def _rest(motion: Trajectory, at: float) -> Trajectory:
+    """Return what is left of a motion from a time on."""
+    at = float(np.clip(at, motion.t[0], motion.t[-1]))
+    t = np.append(at, motion.t[motion.t > at + 1e-9])
+    return Trajectory(t, *motion.at(t), motion.joints)
+
+
+def _joined(motion: Trajectory, stop: Trajectory) -> Trajectory:
+    """Return the motion up to the beginning of a stop, followed by the stop."""
+    before = motion.t < stop.t[0] - 1e-9
+    parts = (np.concatenate([getattr(motion, x)[before], getattr(stop, x)]) for x in ("t", "q", "qd", "qdd"))
+    return Trajectory(*parts, motion.joints)

@@ -1,0 +1,84 @@
+"""Stops along a motion: the quickest ones, and those that keep contents."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan.exceptions import SettingError
+
+
+@pytest.fixture(scope="module")
+def book() -> tuple[gp.Task, gp.Trajectory]:
+    task = gp.load_scene("desk").tasks["put_book_away"]
+    return task, gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=40).unwrap()
+
+
+@pytest.fixture(scope="module")
+def coffee() -> tuple[gp.Task, gp.Trajectory]:
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    return task, gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=40).unwrap()
+
+
+def test_one_joint_brakes_at_its_limit(book: tuple[gp.Task, gp.Trajectory]) -> None:
+    scene, q = book[0].scene, book[0].start
+    motion = gp.retime(gp.Path(np.stack([q, q + 0.5 * np.eye(7)[6]])), scene.limits, scene.joints)
+    at = 0.5 * motion.duration
+    stop = gp.plan_stop(motion, scene, at=at, constraints=[]).unwrap()
+    braking = np.abs(motion.at(at).qd[6]) / scene.limits.acceleration[6]
+    assert braking <= stop.duration <= 1.05 * braking
+
+
+def test_stops_begin_as_the_motion_goes_on_and_follow_its_path(book: tuple[gp.Task, gp.Trajectory]) -> None:
+    task, motion = book
+    everywhere = motion.at(np.linspace(motion.t[0], motion.t[-1], 4000)).q
+    for at in np.linspace(0.1, 0.9, 5) * motion.duration:
+        result = gp.plan_stop(motion, task.scene, at=at)
+        stop, before = result.unwrap(), motion.at(float(at))
+        np.testing.assert_allclose(stop.q[0], before.q, atol=1e-9)
+        np.testing.assert_allclose(stop.qd[0], before.qd, atol=1e-9)
+        assert stop.t[0] == at and np.abs(stop.qd[-1]).max() < 1e-12 and result.verdict.passed
+        assert stop.duration < motion.t[-1] - at + 1e-9
+        q = stop.at(np.linspace(stop.t[0], stop.t[-1], 50)).q
+        assert np.linalg.norm(q[:, None] - everywhere, axis=2).min(axis=1).max() < 2e-3
+        acceleration = stop.piece_accelerations[0] / task.scene.limits.acceleration
+        assert np.abs(acceleration).max() < 1.0 + 1e-6
+
+
+def test_contents_stay_in_where_the_quickest_stop_spills(coffee: tuple[gp.Task, gp.Trajectory]) -> None:
+    task, motion = coffee
+    at = 0.4 * motion.duration
+    careful = gp.plan_stop(motion, task.scene, at=at)
+    quick = gp.plan_stop(motion, task.scene, at=at, constraints=[]).unwrap()
+    assert careful.unwrap().duration > quick.duration
+    assert careful.verdict.checks["contents"].passed
+    before = motion.t < at
+    whole = gp.Trajectory(
+        *(np.concatenate([getattr(motion, x)[before], getattr(quick, x)]) for x in ("t", "q", "qd", "qdd")),
+        motion.joints,
+    )
+    assert "contents" in gp.verify(whole, task.scene).failures
+
+
+def test_at_rest_there_is_nothing_to_stop(book: tuple[gp.Task, gp.Trajectory]) -> None:
+    task, motion = book
+    after = gp.plan_stop(motion, task.scene, at=motion.t[-1] + 1.0).unwrap()
+    np.testing.assert_array_equal(after.q, motion.q[-1:])
+    before = gp.plan_stop(motion, task.scene, at=motion.t[0] - 1.0).unwrap()
+    assert before.duration == pytest.approx(motion.duration)  # the robot has not begun to move
+
+
+def test_in_a_scene_that_has_changed_the_stop_may_collide(book: tuple[gp.Task, gp.Trajectory]) -> None:
+    task, motion = book
+    at = 0.3 * motion.duration
+    tool = gp.StateBatch(task.scene, motion.at(at + 0.05).q[None]).object_poses[0, :3, 3]
+    blocked = task.scene.edit(add=[gp.StaticBody(name="post", kind="box", size=(0.02, 0.02, 0.02), pose=tool)])
+    result = gp.plan_stop(motion, blocked, at=at)
+    assert result.status is gp.PlanStatus.INFEASIBLE and "collision" in result.detail
+
+
+@pytest.mark.parametrize("at", [float("nan"), float("inf")])
+def test_times_that_are_none_are_refused(book: tuple[gp.Task, gp.Trajectory], at: float) -> None:
+    with pytest.raises(SettingError, match="at"):
+        gp.plan_stop(book[1], book[0].scene, at=at)
