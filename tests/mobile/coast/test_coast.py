@@ -323,7 +323,7 @@ def test_by_default_all_failures_of_a_base_without_an_arm_are_its_own():
 class Doubtful(FailingBase):
     """A user's own: as the shipped one, and half of that."""
 
-    coast, share = Coast(), 0.5
+    coast = Coast()
 
     def of_base(self, scene):
         return 0.5

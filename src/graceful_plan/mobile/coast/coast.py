@@ -85,11 +85,6 @@ class Coast(NativeModel, FailingBase):
             P[:, list(scene.components).index("body")] = native.probability(reals(batch.q), reals(batch.qd))
         return P
 
-    @property
-    def share(self) -> float:
-        """Probability that the base is the failing part, given a failure of a robot with an arm."""
-        return self.settings.share
-
     def of_base(self, scene: Scene) -> float:
         """Return the probability that the base is the failing part."""
         return self.settings.of_base(scene)
