@@ -184,8 +184,8 @@ def _interval(done: Sequence[Prevented]) -> Array:
     for one in done:
         harms = one.harms[:, np.isfinite(one.harms).all(axis=0)]
         drawn = rng.integers(harms.shape[1], size=(RESAMPLES, harms.shape[1]))
-        means += harms[:, drawn].mean(axis=2).T * one.duration
-    return np.quantile(means[:, 0] / np.maximum(means[:, 1], 1e-9), [0.025, 0.975])
+        means += np.maximum(harms[:, drawn].mean(axis=2).T, LEAST / one.failures) * one.duration
+    return np.quantile(means[:, 0] / means[:, 1], [0.025, 0.975])
 
 
 def _faults(found: Sequence[Prevented]) -> Iterator[list[str]]:
