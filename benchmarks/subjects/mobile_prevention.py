@@ -31,17 +31,17 @@ MEASURED = f"""\
 Every task of the mobile scenes ({", ".join(gp.mobile_scenes())}), with its carried object, and generated floors
 (`floor_plan`, three by two rooms, {PEOPLE} entities), which an empty Jackal crosses. No constant was fitted on these
 tasks and floors; the speed of drifting bases was fitted on 16 other floors of this kind. Each task is planned in
-{SECONDS:g} s with w = 0 and with the default weight and executed in FailBench on simulated wheels. It then fails with
-each fault of its robot, degree "{DEGREE}", with the same onsets (as quantiles) and random numbers for both motions;
-the simulation continues for {HORIZON:g} s. Harm is that of `validate`: hits of the base count by the square of its
-speed up to 1 m/s, hits of the carried object by what it falls on, including its own loss; "others" leaves that out.
-**Per task**: failures come per hour, so harm per task is harm per failure times duration; without any hit, {LEAST:g}
-of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the motion, for instance because a
-pedestrian blocks its way. "Worse": more harm per task than at w = 0, by more than twice the standard error of the
-paired difference. Intervals (95 %) of ratios of means come from a bootstrap of the paired failures of each task; they
-leave out that other motions may be found. Pedestrians stop 0.4 s after a failure (`SimSettings(people="stop")`).
-"Walk on": the ratio of harm per task if they follow their prediction whatever happens, and walk into a robot that
-stands still.
+{SECONDS:g} s (or `--seconds`) with w = 0 and with the default weight and executed in FailBench on simulated wheels.
+It then fails with each fault of its robot, degree "{DEGREE}", with the same onsets (as quantiles) and random numbers
+for both motions; the simulation continues for {HORIZON:g} s. Harm is that of `validate`: hits of the base count by
+the square of its speed up to 1 m/s, hits of the carried object by what it falls on, including its own loss; "others"
+leaves that out. **Per task**: failures come per hour, so harm per task is harm per failure times duration; without
+any hit, {LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the motion, for instance
+because a pedestrian blocks its way. "Worse": more harm per task than at w = 0, by more than twice the standard error
+of the paired difference. Intervals (95 %) of ratios of means come from a bootstrap of the paired failures of each
+task; they leave out that other motions may be found. Pedestrians stop 0.4 s after a failure
+(`SimSettings(people="stop")`). "Walk on": the ratio of harm per task if they follow their prediction whatever
+happens, and walk into a robot that stands still.
 """
 
 
