@@ -35,7 +35,8 @@ Obstacles between the path and the base reduce it.
 
 A skid-steer with weak drives (`weak`) follows its path until it has to turn, and then goes straight on. It leaves its
 path once in a turn by an angle :math:`\Theta`, so the rate of bases that leave it is :math:`p\, T\, |\omega| / \Theta`
-where T is the time until the weakness is detected. P is that rate times the worst touch along the straight line.
+where T is the time until the weakness is detected. P is that rate times the worst touch along the straight line, which
+the base follows for the rest of that time.
 
 An object on an arm moves with the base. Along the same trajectories, with a disc of its width in place of the footprint
 and the shapes at its height, its P is computed in the same way; it harms in full from 0.05 m/s on.

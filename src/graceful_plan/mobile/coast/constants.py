@@ -26,7 +26,7 @@ WHEELS = ("driven", "released", "locked", "side_locked", "side_dead")
 side are locked or turn freely, while the other side goes on for the delay and then stops."""
 ONE_SIDE = ("side_locked", "side_dead")
 _MOMENTS = 4
-"""Number of moments at which the offset of a drifting base is evaluated."""
+"""Number of moments of an unnoticed failure at which a drifting base, or one that cannot turn, is evaluated."""
 
 
 @final
@@ -130,14 +130,13 @@ class WeakDrives:
     """Bases whose drives have too little torque to turn: they go straight on where their path turns.
 
     A skid-steer needs torque to turn, because its wheels slide sideways; on a straight path it does not notice that its
-    drives have become weak.
+    drives have become weak. When it leaves its path, any part of the time until the detection may be left.
 
     Args:
         weight: Relative frequency, compared with the weights of `ways`.
-        lasts: Time until the weakness is detected [s].
+        lasts: Time until the weakness is detected and the base is stopped [s].
         turn: Angle of turns in which such a base leaves its path once [rad].
-        delay: Time for which it goes on straight, until it is back on its path or stopped [s].
-        deceleration: Deceleration after that [m/s^2].
+        deceleration: Deceleration from then on [m/s^2].
 
     Raises:
         SettingError: If a number is out of its range.
@@ -146,7 +145,6 @@ class WeakDrives:
     weight: float
     lasts: float
     turn: float
-    delay: tuple[float, ...]
     deceleration: float
 
     def __post_init__(self) -> None:
@@ -156,17 +154,16 @@ class WeakDrives:
         for name in ("turn", "deceleration"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingError(f"weak.{name}", getattr(self, name), "a finite number above 0")
-        if not self.delay or not all(0.0 <= t < math.inf for t in self.delay):
-            raise SettingError("weak.delay", self.delay, "finite numbers of at least 0")
 
     def stops(self, probability: float) -> Float[Array, "stop 3"]:
-        """Return the stops of bases that leave their path: probability [1/rad], deceleration [m/s^2], delay [s].
+        """Return the stops of bases that leave their path: probability [1/rad], deceleration [m/s^2], time left [s].
 
         Args:
             probability: Probability of this failure.
         """
-        each = probability * self.lasts / self.turn / len(self.delay)
-        return np.array([(each, self.deceleration, delay) for delay in self.delay])
+        left = self.lasts * (np.arange(_MOMENTS) + 0.5) / _MOMENTS
+        each = np.full(_MOMENTS, probability * self.lasts / self.turn / _MOMENTS)
+        return np.column_stack([each, np.full(_MOMENTS, self.deceleration), left])
 
 
 @final
@@ -261,7 +258,6 @@ class CoastSettings(YamlTable):
             weight=weak["weight"].number(),
             lasts=weak["lasts"].number(),
             turn=weak["turn"].number(),
-            delay=weak["delay"].numbers(),
             deceleration=weak["deceleration"].number(),
         )
         for name, block in root["ways"].items():

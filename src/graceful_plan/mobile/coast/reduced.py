@@ -35,7 +35,7 @@ def reduced_settings(settings: CoastSettings) -> CoastSettings:
             deceleration=(float(np.mean(sides[name].deceleration)),),
             delay=(float(np.mean(sides[name].delay)),),
         )
-    return replace(settings, ways=ways, weak=replace(settings.weak, delay=(float(np.mean(settings.weak.delay)),)))
+    return replace(settings, ways=ways)
 
 
 def _halves(values: tuple[float, ...]) -> tuple[float, ...]:
