@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,25 +20,28 @@ QUESTION = "How much less harm do failing mobile robots cause at the default wei
 HEADLINE = "harm per executed task at the default w"
 DEPENDS_ON = (*suite.PLANNING, *suite.SIMULATION, "src/graceful_plan/mobile", "sim/failbench/mobile")
 PEOPLE, HORIZON, SECONDS, SEED = 12, 3.0, 5.0, 2016
-SIZES, LONG_SIZES = (10, 4), (20, 8)
-"""Generated floors, and failures per fault, in normal and long runs."""
+SIZES, LONG_SIZES = (10, 4, 6), (20, 8, 16)
+"""Generated floors, and failures per fault of floors and of bundled tasks, in normal and long runs."""
+RESAMPLES = 1000
+"""Bootstrap samples of an interval."""
 DEGREE = "severe"
 LEAST = 0.1
 """Hits that count if none was observed."""
 MEASURED = f"""\
 Every task of the mobile scenes ({", ".join(gp.mobile_scenes())}), with its carried object, and generated floors
 (`floor_plan`, three by two rooms, {PEOPLE} entities), which an empty Jackal crosses. No constant was fitted on these
-tasks and floors; `harmless` of the coast model was fitted on twelve other floors of this kind, and the speed of
-drifting bases on 16 more. Each task is planned in {SECONDS:g} s with w = 0 and with the default weight and executed in
-FailBench on simulated wheels. It then fails with each fault of its robot, degree "{DEGREE}", with the same onsets (as
-quantiles) and random numbers for both motions; the simulation continues for {HORIZON:g} s. Harm is that of `validate`:
-hits of the base count by the square of its speed up to 1 m/s, hits of the carried object by what it falls on, including
-its own loss; "others" leaves that out. **Per task**: failures come per hour, so harm per task is harm per failure times
-duration; without any hit, {LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the
-motion, for instance because a pedestrian blocks its way. "Worse": more harm per task than at w = 0, by more than twice
-the standard error of the paired difference. Pedestrians stop 0.4 s after a failure (`SimSettings(people="stop")`).
-"Walk on": the ratio of harm per task if they follow their prediction whatever happens, and walk into a robot that
-stands still.
+tasks and floors; the speed of drifting bases was fitted on 16 other floors of this kind. Each task is planned in
+{SECONDS:g} s (or `--seconds`) with w = 0 and with the default weight and executed in FailBench on simulated wheels.
+It then fails with each fault of its robot, degree "{DEGREE}", with the same onsets (as quantiles) and random numbers
+for both motions; the simulation continues for {HORIZON:g} s. Harm is that of `validate`: hits of the base count by
+the square of its speed up to 1 m/s, hits of the carried object by what it falls on, including its own loss; "others"
+leaves that out. **Per task**: failures come per hour, so harm per task is harm per failure times duration; without
+any hit, {LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the motion, for instance
+because a pedestrian blocks its way. "Worse": more harm per task than at w = 0, by more than twice the standard error
+of the paired difference. Intervals (95 %) of ratios of means come from a bootstrap of the paired failures of each
+task; they leave out that other motions may be found. Pedestrians stop 0.4 s after a failure
+(`SimSettings(people="stop")`). "Walk on": the ratio of harm per task if they follow their prediction whatever
+happens, and walk into a robot that stands still.
 """
 
 
@@ -60,6 +63,10 @@ class Prevented:
     predicted: tuple[float, float] = (np.nan, np.nan)
     worse: bool = False
     failures: int = 0
+    harms: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    """Harm of each failure, at w = 0 and at the default weight, paired."""
+    by_fault: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Harm per failure of each kind."""
 
     @property
     def times_less(self) -> float:
@@ -125,25 +132,32 @@ def examine(job: tuple[str, float, int]) -> Prevented:
         walk_on=tuple(one.observed.mean for one in reports["walk"] or reports["stop"]),
         predicted=(plain.predicted, ours.predicted),
         worse=more.low > 0.0,
+        harms=np.stack([plain.impacts, ours.impacts]),
+        by_fault={name: (one.mean, ours.by_fault[name].mean) for name, one in plain.by_fault.items()},
     )
 
 
 def run(options: suite.Options) -> str:
     """Measure bundled tasks and generated floors."""
     bundled = tuple(dict.fromkeys(f"{s.scene}/{s.task}" for s in fb.scenarios(f"{MOBILE}/*/{DEGREE}")))
-    plans, failures = options.pick(SIZES, quick=(2, 1), long=LONG_SIZES)
+    plans, *failures = options.pick(SIZES, quick=(2, 1, 1), long=LONG_SIZES)
     floors = tuple(f"floor {k}" for k in range(plans))
     names = (bundled[0], *floors) if options.quick else (*bundled, *floors)
-    jobs = [(name, options.seconds or SECONDS, failures) for name in suite.chosen(names, options.tasks)]
+    jobs = [
+        (name, options.seconds or SECONDS, failures[0 if name in floors else 1])
+        for name in suite.chosen(names, options.tasks)
+    ]
     found = list(suite.spread(examine, jobs, options.processes, "tasks"))
     table, groups = report.table(HEADER, [_row(one) for one in found]), report.table(GROUPED, list(_groups(found)))
-    return f"{MEASURED}\n{report.targets(_targets(found))}\n{groups}\n{table}"
+    faults = report.table(BY_FAULT, list(_faults(found)))
+    return f"{MEASURED}\n{report.targets(_targets(found))}\n{groups}\n{table}\n{faults}"
 
 
 HEADER = ("task", "harm per failure, w = 0", "default", "harm per task, x less", "of others", "walk on",
           "duration", "predicted", "worse")  # fmt: skip
-GROUPED = ("group", "tasks with figures", "harm per task, x less, median", "ratio of the means",
+GROUPED = ("group", "tasks with figures", "harm per task, x less, median", "ratio of the means", "95 %",
            "of others, median", "ratio of the means", "duration, median")  # fmt: skip
+BY_FAULT = ("fault", "floors: harm per failure, w = 0", "default", "bundled tasks: w = 0", "default")
 
 
 def _groups(found: Sequence[Prevented]) -> Iterator[list[str]]:
@@ -153,7 +167,8 @@ def _groups(found: Sequence[Prevented]) -> Iterator[list[str]]:
         if done:
             less, others = np.median([[one.times_less, one.others_less] for one in done], axis=0)
             longer = np.median([one.longer for one in done])
-            yield [name, f"{len(done)}", f"{less:.2f}", f"{_of_means(done, 'harm'):.2f}", f"{others:.2f}",
+            yield [name, f"{len(done)}", f"{less:.2f}", f"{_of_means(done, 'harm'):.2f}",
+                   "{:.2f} to {:.2f}".format(*_interval(done)), f"{others:.2f}",
                    f"{_of_means(done, 'others'):.2f}", f"{100 * (longer - 1):+.1f} %"]  # fmt: skip
 
 
@@ -161,6 +176,30 @@ def _of_means(done: Sequence[Prevented], harm: str) -> float:
     """Return mean harm per executed task at w = 0 over that at the default weight: all `harm`, or that to `others`."""
     plain, ours = np.mean([np.multiply(getattr(one, harm), one.duration) for one in done], axis=0)
     return float(plain / ours)
+
+
+def _interval(done: Sequence[Prevented]) -> Array:
+    """Return the 95 % interval of the ratio of mean harm per executed task, for these motions."""
+    rng, means = np.random.default_rng(SEED), np.zeros((RESAMPLES, 2))
+    for one in done:
+        harms = one.harms[:, np.isfinite(one.harms).all(axis=0)]
+        drawn = rng.integers(harms.shape[1], size=(RESAMPLES, harms.shape[1]))
+        means += np.maximum(harms[:, drawn].mean(axis=2).T, LEAST / one.failures) * one.duration
+    return np.quantile(means[:, 0] / means[:, 1], [0.025, 0.975])
+
+
+def _faults(found: Sequence[Prevented]) -> Iterator[list[str]]:
+    """Yield the mean harm per failure of each fault, over floors and over bundled tasks, the worst fault first."""
+    rows = []
+    groups = [
+        [one for one in found if not one.note and one.task.startswith("floor ") == floors] for floors in (True, False)
+    ]
+    for name in dict.fromkeys(name for one in found for name in one.by_fault):
+        of = [[one.by_fault[name] for one in group if name in one.by_fault] for group in groups]
+        rows.append((name, *(np.mean(values, axis=0) if values else (np.nan, np.nan) for values in of)))
+    for name, floors, bundled in sorted(rows, key=lambda row: -np.nan_to_num(row[2][0])):
+        figures = (*floors, *bundled)
+        yield [name.split("/")[0], *("" if np.isnan(figure) else f"{figure:.2f}" for figure in figures)]
 
 
 def _row(one: Prevented) -> list[str]:
@@ -198,7 +237,7 @@ def _targets(found: Sequence[Prevented]) -> Iterator[report.Target]:
         yield report.Target(
             what=f"ratio of the means, {name}",
             wanted=f"{wanted:g} x less",
-            measured=f"{mean:.2f} x",
+            measured="{:.2f} x ({:.2f} to {:.2f})".format(mean, *_interval(group)),
             met=mean >= wanted,
         )
     yield report.none_of("worse than at w = 0", sum(one.worse for one in done), "none")

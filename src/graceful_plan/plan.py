@@ -140,7 +140,6 @@ def plan(
         settings = {"planner": planner, "objective": bound.objective, "stop": stop, "refine": refine, "seed": seed}
         leg = partial(
             plan,
-            scene=scene,
             constraints=asked.constraints,
             speed=share,
             risk=measure,

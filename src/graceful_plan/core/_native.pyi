@@ -244,6 +244,11 @@ class CoastModel:
         rates: Reals,
         places: Reals,
         astray: Reals,
+        weak: Reals,
+        carried: int,
+        high_entity: Integers,
+        high_shape: Reals,
+        height: Reals,
     ) -> None: ...
     def probability(self, q: Reals, qd: Reals) -> Reals: ...
 
@@ -621,6 +626,7 @@ class DynamicWindow:
         rates: Reals,
         places: Reals,
         astray: Reals,
+        weak: Reals,
         limits: dict[str, float],
         settings: dict[str, float],
         n_v: int,

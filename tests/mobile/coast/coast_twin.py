@@ -2,28 +2,71 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.special import erfc
 
-from graceful_plan.costs.cost import StateBatch
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.cost import StateBatch, moving_batch
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.four_wheel import one_sided_trajectories
+from graceful_plan.mobile.coast.native import SKIDS
 from graceful_plan.mobile.coast.tables import CoastTables
 
 SPACING, SAMPLES = 0.1, 64
+HARMS = 0.05
 _STILL = 1e-6
 
 
 def hits(batch: StateBatch, tables: CoastTables, settings: CoastSettings, turns_on: float) -> np.ndarray:
     """Return P for each entity; `turns_on` is the angle by rate squared once wheels are let go."""
-    stops = settings.stops(batch.scene.base.load)
-    total = _one_sided(batch, tables, settings)
+    total = _stopping(batch, tables, settings, turns_on, (0.0, 0.0))
+    return np.minimum(1.0, total + _astray(batch, tables, settings))
+
+
+def carried_hits(batch: StateBatch, tables: CoastTables, settings: CoastSettings, turns_on: float) -> np.ndarray:
+    """Return P for each entity of hits by the object on the arm, which is a disc and harms in full at any speed."""
+    found, scene = np.zeros((len(batch.q), len(batch.scene.entities))), batch.scene
+    boxes = compile_scene(scene).impact_tables
+    mine = boxes.part_component == list(scene.components).index("carried")
+    (link,), box = set(boxes.part_link[mine]), boxes.part_box[mine]
+    reach = (np.abs(box[:, :9].reshape(-1, 3, 3)) @ box[:, 12:, None])[..., 0]
+    low, high = (box[:, 9:12] - reach).min(axis=0), (box[:, 9:12] + reach).max(axis=0)
+    for k, q in enumerate(batch.q):
+        X = compile_scene(scene).kernels.core.link_poses(q[None])[0, link]
+        place, up = X[:3, :3] @ (0.5 * (low + high)) + X[:3, 3], X[2, :3]
+        radius = np.sqrt((0.25 * (high - low) ** 2 * (1.0 - up**2)).sum() / 2.0)
+        tall = np.abs(up) @ (0.5 * (high - low))
+        (bottom, top), (c, s) = tables.high_range.T, (np.cos(q[2]), np.sin(q[2]))
+        near = (bottom < place[2] + tall) & (top > place[2] - tall)
+        seen = replace(
+            tables, outline=np.array([[0, 0, 1, 0, 0, 0, radius]]), entity=tables.high_entity[near],
+            shape=tables.high_shape[near],
+        )  # fmt: skip
+        x, y = place[:2] - q[:2]
+        one = moving_batch(scene, batch.q[k : k + 1], batch.qd[k : k + 1])
+        at = c * x + s * y, c * y - s * x
+        found[k] = _stopping(one, seen, replace(settings, reference_speed=HARMS), turns_on, at)[0]
+    return np.minimum(1.0, found)
+
+
+def _stopping(batch, tables, settings, turns_on, at):
+    """All bases that do not drift; `at` is where what is examined is in the frame of the base."""
+    stops, total = settings.stops(batch.scene.base.load), _one_sided(batch, tables, settings, at)
+    weak = settings.unable_to_turn() if batch.scene.base.slip > SKIDS else np.zeros((0, 3))
+    p, a, delay = weak.T
+    weak = np.column_stack([p, a, 0 * p, delay, 0 * p, 0 * p])
+    every = np.concatenate([stops, weak])
     for released, bend in sorted(set(map(tuple, stops[:, 4:]))):
         chosen = stops[(stops[:, 4] == released) & (stops[:, 5] == bend)]
         most = turns_on * batch.qd[:, 2] ** 2 if released else np.full(len(batch.q), np.inf)
-        total += _family(batch, tables, settings, chosen, (stops, bend, most))
-    return np.minimum(1.0, total + _astray(batch, tables, settings))
+        total += _family(batch, tables, settings, chosen, (every, bend, most), at)
+    if len(weak):  # straight on, as often as it should turn
+        straight = every, 0.0, 0.0 * batch.q[:, 2]
+        total += np.abs(batch.qd[:, 2:3]) * _family(batch, tables, settings, weak, straight, at)
+    return total
 
 
 def _astray(batch, tables, settings, step=0.05):
@@ -36,7 +79,8 @@ def _astray(batch, tables, settings, step=0.05):
         speed**2 / settings.reference_speed**2,
         np.where(moves, batch.qd[:, 2], 0.0) / np.where(moves, speed, 1),
     )
-    lost, weights = settings.astray, sum(way.weight for way in settings.ways.values()) + settings.astray.weight
+    lost, weights = settings.astray, sum(way.weight for way in settings.ways.values())
+    weights += settings.astray.weight + settings.weak.weight
     bend = lost.misread / (batch.scene.base.track * batch.scene.base.slip)
     for side in (-1.0, 1.0):
         for moment in (0.125, 0.375, 0.625, 0.875):
@@ -69,7 +113,7 @@ def _along_the_normal(closing, tables, spread):
     return (1.0 - unknown) * np.clip(closing, 0.0, 1.0) ** 2 + 0.5 * unknown
 
 
-def _one_sided(batch, tables, settings):
+def _one_sided(batch, tables, settings, load):
     """Places from the tables, between them in a straight line, one state after the other."""
     ways = one_sided_trajectories(tables.body, settings)
     table = RegularGridInterpolator((ways.speeds, ways.rates), ways.places, bounds_error=False, fill_value=None)
@@ -77,14 +121,15 @@ def _one_sided(batch, tables, settings):
     for i, (q, qd) in enumerate(zip(batch.q, batch.qd, strict=True)):
         c, s = np.cos(q[2]), np.sin(q[2])
         v = qd[0] * c + qd[1] * s
-        if abs(v) <= _STILL:
+        if abs(v) <= _STILL and (load == (0.0, 0.0) or qd[2] == 0.0):
             continue
+        sign = -1.0 if v < 0.0 else 1.0
         at = np.clip([abs(v), qd[2]], [0.0, ways.rates[0]], [ways.speeds[-1], ways.rates[-1]])
         x, y, turned, speed, time = np.moveaxis(table(at)[0], -1, 0)
-        x, y = np.sign(v) * x, np.sign(v) * y
+        x, y = sign * x, sign * y
         ch, sh = np.cos(q[2] + turned), np.sin(q[2] + turned)
-        place = q[0] + c * x - s * y, q[1] + s * x + c * y, ch, sh
-        touch, along = _touch(tables, place, settings, np.hypot(x, y), speed[:, 1:] * np.diff(time, axis=1))
+        place, gone = (q[0] + c * x - s * y, q[1] + s * x + c * y, ch, sh), speed[:, 1:] * np.diff(time, axis=1)
+        touch, along = _touch(tables, *_moved(place, gone, load), settings, np.hypot(x, y))
         wall = np.maximum.accumulate(touch[..., tables.entity < 0].max(axis=-1, initial=0.0), axis=1)
         worth = np.minimum(1.0, speed[..., None] ** 2 * along / settings.reference_speed**2)
         for entity in range(total.shape[1]):
@@ -94,7 +139,16 @@ def _one_sided(batch, tables, settings):
     return total
 
 
-def _touch(tables, at, settings, way, gone):
+def _moved(place, gone, load):
+    """Places of what is carried, and how far it moves between them."""
+    if load == (0.0, 0.0):
+        return place, gone
+    x, y, c, s = place
+    x, y = x + c * load[0] - s * load[1], y + s * load[0] + c * load[1]
+    return (x, y, c, s), np.hypot(np.diff(x, axis=1), np.diff(y, axis=1))
+
+
+def _touch(tables, at, gone, settings, way):
     """How likely each place touches each shape, and the share of the energy that is along the normal there."""
     d = np.full((*np.shape(at[0]), len(tables.shape)), np.inf)
     for part in tables.outline:
@@ -105,12 +159,14 @@ def _touch(tables, at, settings, way, gone):
     return 0.5 * erfc(d / spread / np.sqrt(2.0)), along
 
 
-def _family(batch, tables, settings, stops, which):
+def _family(batch, tables, settings, stops, which, load):
     every, added, most = which
     q, qd = batch.q[:, :3], batch.qd[:, :3]
     c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
     v = qd[:, 0] * c + qd[:, 1] * s
     speed = np.abs(v)[:, None]
+    if speed.max() <= _STILL:
+        return np.zeros((len(q), len(batch.scene.entities)))
     free, braked = _ways(speed, every)
     far = (free + braked).max(axis=1)
     free, braked = _ways(speed, stops)
@@ -130,7 +186,7 @@ def _family(batch, tables, settings, stops, which):
     ch, sh = np.cos(heading), np.sin(heading)
     x = q[:, 0:1] + chord * np.cos(middle) + sign * straight * ch
     y = q[:, 1:2] + chord * np.sin(middle) + sign * straight * sh
-    touch, along = _touch(tables, (x, y, ch, sh), settings, way, np.diff(way, axis=1))
+    touch, along = _touch(tables, *_moved((x, y, ch, sh), np.diff(way, axis=1), load), settings, way)
     worth = np.minimum(1.0, energy[:, :, None] * along[..., None]) * touch[..., None]
     wall = np.maximum.accumulate(touch[:, :, tables.entity < 0].max(axis=2, initial=0.0), axis=1)
     P = np.zeros((len(q), len(batch.scene.entities)))

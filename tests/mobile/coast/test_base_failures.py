@@ -143,10 +143,13 @@ def test_tables_share_out_the_probability_and_are_made_once():
     ways = one_sided_trajectories(BODY, CoastSettings.shipped())
     settings = CoastSettings.shipped()
     weights = {name: way.weight for name, way in settings.ways.items()}
-    each = (1.0 - settings.harmless) / (sum(weights.values()) + settings.astray.weight)
+    total = sum(weights.values()) + settings.astray.weight + settings.weak.weight
+    each = (1.0 - settings.harmless) / total
     share = each * (weights["side_locked"] + weights["side_dead"])
     assert ways.share.sum() == pytest.approx(share)
-    others = 1.0 - settings.harmless - share - each * settings.astray.weight
+    others = 1.0 - settings.harmless - share - each * (settings.astray.weight + settings.weak.weight)
+    assert settings.unable_to_turn()[:, 0].sum() == pytest.approx(each * settings.weak.weight * settings.weak.lasts)
+    assert len(settings.only("runaway").unable_to_turn()) == 0
     assert settings.stops()[:, 0].sum() == pytest.approx(others)
     lasts = settings.beside(BODY.base)[:, 0].sum()
     assert lasts == pytest.approx(each * settings.astray.weight * settings.astray.lasts)

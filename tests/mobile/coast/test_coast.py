@@ -4,7 +4,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from coast_twin import hits
+from coast_twin import carried_hits, hits
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import erfc
@@ -19,7 +19,7 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import CoastSettings, OdometryDrift, Way
 from graceful_plan.mobile.coast.four_wheel import one_sided_trajectories
-from graceful_plan.mobile.coast.native import SKIDS, coasting_arrays
+from graceful_plan.mobile.coast.native import SKIDS, coasting_arrays, shape_arrays
 from graceful_plan.mobile.coast.tables import coast_tables
 from hall import BASE, hall
 
@@ -80,22 +80,21 @@ CROWDED = [gp.load_scene("warehouse_aisle"), gp.load_scene("hallway").without_mo
 def test_instruction_sets_agree(scene, isa):
     """Also with several parts of a base, several entities, and shapes that hide behind each other."""
     q, qd = states_in(scene, 1)
-    compiled, tables = compile_scene(scene), coast_tables(scene)
+    compiled = compile_scene(scene)
 
     def impact(isa):
         core = Kernels(compiled.robot, compiled.world, compiled.impact_tables, isa=isa).core
         model = _native.CoastModel(
-            core, entity=tables.entity, shape=reals(tables.shape), n_entity=len(scene.entities),
-            **coasting_arrays(scene, SHIPPED),
-        )  # fmt: skip
-        severity, speed = np.ones(len(scene.entities)), reals(scene.limits.velocity)
+            core, n_entity=len(scene.entities), **shape_arrays(scene), **coasting_arrays(scene, SHIPPED)
+        )
+        severity, speed = np.ones(2 * len(scene.entities)), reals(scene.limits.velocity)
         kernel = _native.CoastImpact(model, model, severity=severity, speed=speed, slow=1.0, fast=1.0)
         return model.probability(reals(q), reals(qd)), kernel.state_slopes(reals(q), reals(qd), False)
 
     (P, slopes), (expected, expected_slopes) = impact(isa), impact("auto")
     assert (expected > 0.01).sum() > 3
     np.testing.assert_allclose(P, expected, atol=1e-11)
-    np.testing.assert_allclose(slopes[0], P.sum(axis=1), atol=1e-10)
+    np.testing.assert_allclose(slopes[0], P.sum(axis=(1, 2)), atol=1e-10)
     for own, other in zip(slopes, expected_slopes, strict=True):
         np.testing.assert_allclose(own, other, rtol=1e-8, atol=1e-8)
 
@@ -108,6 +107,60 @@ def test_the_core_says_the_same_where_many_are_near(scene):
     assert ((P > 1e-4).sum(axis=1) > 1).any()
     body = list(scene.components).index("body")
     np.testing.assert_allclose(Coast().probability(batch)[:, body], P, atol=1e-9)
+
+
+KITCHEN = gp.load_scene("kitchen").tasks["carry_out"].scene
+
+
+def states_with_a_pan(n, seed, scene=KITCHEN):
+    rng = np.random.default_rng(seed)
+    q = np.tile(scene.keyframes["ready"], (n, 1))
+    q[:, :2], q[:, 2] = rng.uniform([0.8, 0.8], [4.8, 2.8], (n, 2)), rng.uniform(-3, 3, n)
+    q[:, 4] = rng.uniform(-1.0, 1.0, n)  # the arm swings about the shoulder
+    v, qd = rng.uniform(-1.0, 1.0, n) * (np.arange(n) % 4 > 0), np.zeros_like(q)
+    qd[:, 0], qd[:, 1], qd[:, 2] = v * np.cos(q[:, 2]), v * np.sin(q[:, 2]), rng.uniform(-1.5, 1.5, n)
+    return q, qd
+
+
+def test_the_core_says_the_same_of_what_an_arm_carries():
+    q, qd = states_with_a_pan(80, 3)
+    batch = moving_batch(KITCHEN, q, qd)
+    P = carried_hits(batch, coast_tables(KITCHEN), SHIPPED, 1e6)
+    assert (P > 1e-3).sum() > 20 and (P[::4] > 1e-3).any()  # also from turns in place
+    carried = list(KITCHEN.components).index("carried")
+    np.testing.assert_allclose(Coast().probability(batch)[:, carried], P, atol=1e-9)
+
+
+def test_derivatives_with_what_an_arm_carries_are_those_of_differences():
+    q, qd = states_with_a_pan(60, 4)
+    severity = np.zeros((len(KITCHEN.components), len(KITCHEN.entities)))
+    severity[list(KITCHEN.components).index("carried")] = 1.0
+    kernel, right, n = Coast().kernel(KITCHEN, severity, (1.0, 1.0)), 0, 0
+    _, by_q, by_qd = kernel.state_slopes(q, qd)
+    for j in (0, 1, 2, 4):  # the base and the shoulder; how other joints tilt the object is not followed
+        step = 1e-6 * np.eye(q.shape[1])[j]
+        by_place = (kernel.moving_states(q + step, qd) - kernel.moving_states(q - step, qd)) / 2e-6
+        by_speed = (kernel.moving_states(q, qd + step) - kernel.moving_states(q, qd - step)) / 2e-6
+        for known, found in ((by_place, by_q), (by_speed, by_qd)):
+            right += int(np.isclose(found[:, j], known, rtol=1e-4, atol=1e-4).sum())
+            n += len(q)
+        assert np.abs(by_place).max() > 0.1
+    assert right >= 0.98 * n  # it has kinks: which touch decides, and the standing base
+
+
+def test_what_an_arm_carries_is_swung_into_who_is_beside_the_base():
+    """A wheel that locks turns the base about it, and the pan with an arm's length: farther than the base goes."""
+    place = KITCHEN.data_at(KITCHEN.keyframes["ready"]).xpos[KITCHEN.model.body("child_head").id]
+    q = KITCHEN.keyframes["ready"].copy()
+    q[0], q[1], q[2] = place[0] - 0.75, place[1] - 0.75, 0.0
+    qd = np.zeros_like(q)
+    qd[0] = 0.8
+    batch = moving_batch(KITCHEN, q[None], qd[None])
+    index = list(KITCHEN.entities).index("child_head")
+    rows = {name: Coast().probability(batch)[0, k, index] for k, name in enumerate(KITCHEN.components)}
+    assert rows["carried"] > 0.01 > rows["body"]
+    empty = KITCHEN.detach()
+    assert not Coast().probability(moving_batch(empty, q[None], qd[None]))[0, 1:].any()
 
 
 def test_tables_that_are_kept_are_read_again_and_broken_ones_are_made_again(tmp_path, monkeypatch):
@@ -225,7 +278,10 @@ def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
 def astray():
     """All failures lead a base astray, at rates that hardly turn it."""
     lost = OdometryDrift(weight=1.0, misread=0.001 * BASE.track * BASE.slip, lasts=16.0, pace=1.0, spread=0.2)
-    return replace(SHIPPED, harmless=0.95, ways={}, astray=lost, position_spread=1e-3, reference_speed=1e-3)
+    strong = replace(SHIPPED.weak, weight=0.0)
+    return replace(
+        SHIPPED, harmless=0.95, ways={}, astray=lost, weak=strong, position_spread=1e-3, reference_speed=1e-3
+    )
 
 
 def passing(settings, gap, v, scene=None, dt=0.005):
@@ -254,9 +310,45 @@ def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
 def test_at_one_moment_what_leads_astray_bends_off():
     seen = SHIPPED.without_drift()
     total = sum(way.weight for way in SHIPPED.ways.values()) + SHIPPED.astray.weight
+    assert seen.weak == SHIPPED.weak
     assert sum(way.weight for way in seen.ways.values()) == pytest.approx(total) and seen.astray.weight == 0.0
     assert {name for name, way in seen.ways.items() if way != SHIPPED.ways[name]} == {"odometry"}
     assert only().without_drift() == only()
+
+
+def weak(harmless=0.9, **change):
+    """All failures weaken the drives, and any touch counts in full."""
+    found, none = replace(SHIPPED.weak, deceleration=1e3, **change), replace(SHIPPED.astray, weight=0.0)
+    settings = replace(SHIPPED, harmless=harmless, ways={}, astray=none, weak=found)
+    return replace(settings, position_spread=1e-3, drift=0.0, reference_speed=1e-3)
+
+
+@pytest.mark.parametrize("v", [1.0, -1.0])
+def test_a_base_that_cannot_turn_goes_straight_on_where_its_path_turns(v):
+    ahead = {"yaw": 0.0 if v > 0.0 else np.pi, "settings": weak()}
+    assert hit(1.2, v, omega=0.0, **ahead) == 0.0  # its path leads there, and the judge would object
+    each = 0.1 * SHIPPED.weak.lasts / SHIPPED.weak.turn
+    for gap, reach in ((0.3, 1.0), (0.7, 0.75), (2.2, 0.25), (2.8, 0.0)):  # those with so many seconds left
+        for omega in (0.5, -1.0):
+            P = hit(2.0 - 0.25 - 0.229 - gap, v, omega=omega, **ahead)
+            assert P == pytest.approx(reach * abs(omega) * each, rel=1e-3, abs=1e-9)
+    assert hit(1.2, v, omega=0.5, **ahead, scene=hall(replace(BASE, slip=1.0))) == 0.0  # two wheels turn without effort
+
+
+def test_in_a_turn_a_base_that_cannot_turn_leaves_its_path_once_per_angle():
+    """Wherever it leaves, it comes to a wall all round; on the path of a turn by a right angle."""
+    sides = ((2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0))
+    walls = "".join(
+        f'<geom type="box" size="{0.1 if x else 2} {0.1 if y else 2} .5" pos="{x} {y} 0"/>' for x, y in sides
+    )
+    scene = hall(walls="", extra=f'<body name="fence" pos="0 0 .5">{walls}</body>', entities={"fence": "adult"})
+    omega, turned = 0.8, np.linspace(0.0, np.pi / 2.0, 200)
+    q = np.column_stack([-np.sin(turned), np.cos(turned) - 1.0, np.pi + turned])  # away from the person
+    qd = omega * np.column_stack([-np.cos(turned), -np.sin(turned), np.ones(len(turned))])
+    settings = weak(harmless=0.99, lasts=40.0, turn=2.0)
+    P = Coast(settings).probability(moving_batch(scene, q, qd))[:, 0, 0]
+    left = np.trapezoid(P, turned / omega)
+    assert left == pytest.approx(0.01 * settings.weak.lasts * (np.pi / 2.0) / settings.weak.turn, rel=0.02)
 
 
 def test_walls_keep_those_astray_from_whom_they_are_not_to_meet():
@@ -323,7 +415,7 @@ def test_by_default_all_failures_of_a_base_without_an_arm_are_its_own():
 class Doubtful(FailingBase):
     """A user's own: as the shipped one, and half of that."""
 
-    coast, share = Coast(), 0.5
+    coast = Coast()
 
     def of_base(self, scene):
         return 0.5
@@ -398,7 +490,7 @@ def test_gradients_are_those_of_differences():
         {"reference_speed": 0.0},
         {"position_spread": np.nan},
         {"drift": -1.0},
-        {"ways": {}, "astray": replace(SHIPPED.astray, weight=0.0)},
+        {"ways": {}, "astray": replace(SHIPPED.astray, weight=0.0), "weak": replace(SHIPPED.weak, weight=0.0)},
     ],
 )
 def test_settings_are_checked(change):
@@ -407,6 +499,9 @@ def test_settings_are_checked(change):
     for lost in ({"weight": -1.0}, {"misread": np.nan}, {"lasts": np.inf}, {"pace": 1.1}, {"spread": -0.1}):
         with pytest.raises(SettingError, match=f"astray.{next(iter(lost))}"):
             replace(SHIPPED.astray, **lost)
+    for tired in ({"weight": -1.0}, {"lasts": np.nan}, {"turn": 0.0}, {"deceleration": 0.0}):
+        with pytest.raises(SettingError, match=f"weak.{next(iter(tired))}"):
+            replace(SHIPPED.weak, **tired)
     for way in ({"weight": -1.0}, {"deceleration": ()}, {"delay": (-1.0,)}, {"drag": np.inf}, {"steered": True}):
         with pytest.raises(SettingError):
             only(**way)

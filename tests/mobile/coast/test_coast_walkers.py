@@ -82,6 +82,19 @@ def test_impact_counts_them_and_paths_meet_them_anywhere_along_their_way():
     assert cost.sources(moving_batch(scene, q, qd, np.array([2.6])))["coast"][0, 0, -1] > 0.0
 
 
+@pytest.mark.parametrize("arm", [False, True])
+def test_failures_have_the_same_shares_as_among_entities_that_stand(arm):
+    bob = walker([[2.0, 0.8, 0.85]])
+    scene = hall(arm=arm, extra="", entities={"person": "adult"}).with_moving(bob)
+    q, qd = states(100, [2.0, 0.8])
+    rest = np.zeros((len(q), int(arm)))
+    batch = moving_batch(scene, np.hstack([q, rest]), np.hstack([qd, rest]), np.zeros(len(q)))
+    found = gp.FailureMixture().moving().sources(batch)["coast"][:, 0, 0]
+    alone = met(bob, batch.q, batch.qd, 0.0, scene.without_moving())
+    assert (alone > 0.1).sum() > 5
+    np.testing.assert_allclose(found, SHIPPED.of_base(scene) * alone, atol=1e-12)
+
+
 def test_outlines_velocities_and_spreads():
     entity = gp.MovingEntity(
         "cart", "adult", size=[0.4, 0.2, 0.5], t=[0.0, 2.0], position=[[0, 0, 0.5], [4, 2, 0.5]], yaw=[0.0, 1.0],

@@ -1,8 +1,13 @@
 """Plans of bases among entities that move."""
 
+import sys
+
+import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.mobile.motions import drive_source
+from graceful_plan.mobile.motions.legs import RollingLeg
 from hall import hall
 
 SCENE = hall(extra="").edit(remove=["person", "pillar"])
@@ -60,3 +65,43 @@ def test_who_cannot_be_passed_is_named_in_a_warning():
     result = planned(SCENE.with_moving(wall), iterations=1000)
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.warnings == ("passing_by",)
     assert "passing_by: drives into 'crowd'" in result.detail
+
+
+def test_legs_through_poses_meet_moving_entities_where_they_then_are(monkeypatch):
+    legs, plan = [], gp.plan
+
+    def told(*args, **given):
+        result = plan(*args, **given)
+        legs.append((given["scene"].moving["ann"], result.trajectory.duration))
+        return result
+
+    monkeypatch.setattr(sys.modules["graceful_plan.plan"], "plan", told)
+    result = plan("west", "east", SCENE.with_moving(CROSSING), via=[[-1.0, -0.5, 0.0]], iterations=50)
+    assert result.status is gp.PlanStatus.SOLVED
+    (first, seconds), (second, _) = legs
+    np.testing.assert_allclose(first.t, CROSSING.t)
+    np.testing.assert_allclose(second.t, CROSSING.t - seconds)
+
+
+def test_legs_in_another_gear_meet_moving_entities_where_they_then_are(monkeypatch):
+    spied, starts = drive_source.motion_descents, []
+
+    def told(request, *given):
+        starts.append(request.objective.scene.moving["ann"].t[0])
+        return spied(request, *given)
+
+    class Told(drive_source.DriveSource):
+        def search_first(self, budget):
+            east = np.array([[-4.0, 0.0, 0.0], [2.0, -0.5, 0.0]])
+            back = np.array([[2.0, -0.5, 0.0], [-2.0, -1.0, 0.0]])
+            starts.clear()
+            motions.append(self._descended((RollingLeg(east, True), RollingLeg(back, False)), 0, budget))
+            return super().search_first(budget)
+
+    motions = []
+    monkeypatch.setattr(drive_source, "motion_descents", told)
+    monkeypatch.setattr(sys.modules["graceful_plan.mobile.query.driving"], "DriveSource", Told)
+    gp.plan("west", [-2.0, -1.0, 0.0], SCENE.with_moving(CROSSING), w=0.0, iterations=1)
+    (motion,), (begins,) = motions, starts
+    turns = np.abs(np.diff(np.sign(motion.trajectory.qd[1:-1, 0]))) > 0  # it changes gear
+    assert begins == pytest.approx(-motion.trajectory.t[1:-1][:-1][turns][0], abs=0.2)

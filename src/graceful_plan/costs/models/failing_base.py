@@ -19,11 +19,6 @@ Array = np.ndarray
 class FailingBase(ABC):
     """Model of a failing mobile base and the entities that it hits. Frozen and hashable."""
 
-    @property
-    @abstractmethod
-    def share(self) -> float:
-        """P that the base fails, given a failure of a robot with base and arm."""
-
     @abstractmethod
     def of_base(self, scene: Scene) -> float:
         """Return P that the base fails, given a failure of the scene's robot."""

@@ -31,9 +31,18 @@ is
 with pace c, and :math:`\kappa` the relative error of one side's speed over the effective track. Entities touched within
 the next short step, but not yet, are hit at the rate :math:`|v|\, d\Phi / ds`; P is that rate times :math:`p T`, n and
 the energy share. Integrated along a path, this is the probability of hitting an entity beside it, at any speed.
-Obstacles between the path and the base reduce it. The model leaves out ramps (scenes have none), deflection of the base
-by grazing contacts, and objects pushed along. Two constants are fitted, `harmless` and the pace c; `coast.yaml` lists
-the sources.
+Obstacles between the path and the base reduce it.
+
+A skid-steer with weak drives (`weak`) follows its path until it has to turn, and then goes straight on. It leaves its
+path once in a turn by an angle :math:`\Theta`, so the rate of bases that leave it is :math:`p\, T\, |\omega| / \Theta`
+where T is the time until the weakness is detected. P is that rate times the worst touch along the straight line, which
+the base follows for the rest of that time.
+
+An object on an arm moves with the base. Along the same trajectories, with a disc of its width in place of the footprint
+and the shapes at its height, its P is computed in the same way; it harms in full from 0.05 m/s on.
+
+The model leaves out ramps (scenes have none), deflection of the base by grazing contacts, objects pushed along, and
+hits of moving entities by a carried object. One constant is fitted, the pace c; `coast.yaml` lists the sources.
 """
 
 from __future__ import annotations
@@ -73,22 +82,19 @@ class Coast(NativeModel, FailingBase):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Only the body: the drop model covers the carried object."""
-        return ("body",)
+        """The body, and an object that its arm holds while the base fails; the drop model covers its fall."""
+        return ("body", "carried")
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return the probability of a hit, weighted by the severity share of its energy."""
         scene = batch.scene
         P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
         if scene.base is not None and P.size:
-            native = coast_model(scene, self.settings)
-            P[:, list(scene.components).index("body")] = native.probability(reals(batch.q), reals(batch.qd))
+            found = coast_model(scene, self.settings).probability(reals(batch.q), reals(batch.qd))
+            for row, component in enumerate(scene.components):
+                if component in self.components:
+                    P[:, row] = found[:, self.components.index(component)]
         return P
-
-    @property
-    def share(self) -> float:
-        """Probability that the base is the failing part, given a failure of a robot with an arm."""
-        return self.settings.share
 
     def of_base(self, scene: Scene) -> float:
         """Return the probability that the base is the failing part."""
@@ -126,10 +132,11 @@ class Coast(NativeModel, FailingBase):
         kernels = compile_scene(scene).kernels
         if scene.base is None:
             return kernels.overlap(np.zeros_like(severity))
-        row = severity[list(scene.components).index("body")]
+        names = list(scene.components)
+        rows = [severity[names.index(one)] if one in names else np.zeros(len(severity.T)) for one in self.components]
         speed = reals(scene.limits.velocity)
         models = coast_model(scene, self.settings), coast_model(scene, reduced_settings(self.settings))
-        native = _native.CoastImpact(*models, reals(row), speed, *paces)
+        native = _native.CoastImpact(*models, reals(np.concatenate(rows)), speed, *paces)
         return ImpactKernel(kernels, native)
 
     def gradients(

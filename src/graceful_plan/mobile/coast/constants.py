@@ -26,7 +26,7 @@ WHEELS = ("driven", "released", "locked", "side_locked", "side_dead")
 side are locked or turn freely, while the other side goes on for the delay and then stops."""
 ONE_SIDE = ("side_locked", "side_dead")
 _MOMENTS = 4
-"""Number of moments at which the offset of a drifting base is evaluated."""
+"""Number of moments of an unnoticed failure at which a drifting base, or one that cannot turn, is evaluated."""
 
 
 @final
@@ -126,6 +126,48 @@ class OdometryDrift:
 
 @final
 @dataclass(frozen=True, kw_only=True)
+class WeakDrives:
+    """Bases whose drives have too little torque to turn: they go straight on where their path turns.
+
+    A skid-steer needs torque to turn, because its wheels slide sideways; on a straight path it does not notice that its
+    drives have become weak. When it leaves its path, any part of the time until the detection may be left.
+
+    Args:
+        weight: Relative frequency, compared with the weights of `ways`.
+        lasts: Time until the weakness is detected and the base is stopped [s].
+        turn: Angle of turns in which such a base leaves its path once [rad].
+        deceleration: Deceleration from then on [m/s^2].
+
+    Raises:
+        SettingError: If a number is out of its range.
+    """
+
+    weight: float
+    lasts: float
+    turn: float
+    deceleration: float
+
+    def __post_init__(self) -> None:
+        for name in ("weight", "lasts"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise SettingError(f"weak.{name}", getattr(self, name), "a finite number of at least 0")
+        for name in ("turn", "deceleration"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise SettingError(f"weak.{name}", getattr(self, name), "a finite number above 0")
+
+    def stops(self, probability: float) -> Float[Array, "stop 3"]:
+        """Return the stops of bases that leave their path: probability [1/rad], deceleration [m/s^2], time left [s].
+
+        Args:
+            probability: Probability of this failure.
+        """
+        left = self.lasts * (np.arange(_MOMENTS) + 0.5) / _MOMENTS
+        each = np.full(_MOMENTS, probability * self.lasts / self.turn / _MOMENTS)
+        return np.column_stack([each, np.full(_MOMENTS, self.deceleration), left])
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
 class CoastSettings(YamlTable):
     """Constants of the coast model.
 
@@ -133,8 +175,8 @@ class CoastSettings(YamlTable):
         share: Share of failures that are base failures rather than failures of gripper or arm. It is 1 for a robot with
             neither.
         thrown: Share of failures of a base without an arm that throw off its load.
-        harmless: Share of base failures that neither stop nor divert the base. The others are distributed over `ways`
-            and `astray`.
+        harmless: Share of base failures that neither stop nor divert the base. The others are distributed over `ways`,
+            `astray` and `weak`.
         reference_speed: Impact speed for which severities are specified [m/s].
         position_spread: Standard deviation of the lateral position of the base [m].
         drift: Growth of that deviation per distance [m/m].
@@ -144,6 +186,7 @@ class CoastSettings(YamlTable):
         brakes: Deceleration of the rims of the working side after the delay [m/s^2].
         ways: Stopping modes by name.
         astray: Drifting bases, which do not stop at the failure.
+        weak: Bases that can no longer turn.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -163,6 +206,7 @@ class CoastSettings(YamlTable):
         "brakes",
         "ways",
         "astray",
+        "weak",
     )
 
     share: float
@@ -176,6 +220,7 @@ class CoastSettings(YamlTable):
     brakes: float
     ways: Mapping[str, Way]
     astray: OdometryDrift
+    weak: WeakDrives
 
     def __post_init__(self) -> None:
         for name in ("share", "thrown"):
@@ -205,9 +250,16 @@ class CoastSettings(YamlTable):
     @classmethod
     def parsed(cls, root: Block) -> CoastSettings:
         """Build the settings from a parsed file."""
-        ways, lost = {}, root["astray"]
+        ways, lost, weak = {}, root["astray"], root["weak"]
         lost.only(*(item.name for item in fields(OdometryDrift)))
         astray = OdometryDrift(**{item.name: lost[item.name].number() for item in fields(OdometryDrift)})
+        weak.only(*(item.name for item in fields(WeakDrives)))
+        tired = WeakDrives(
+            weight=weak["weight"].number(),
+            lasts=weak["lasts"].number(),
+            turn=weak["turn"].number(),
+            deceleration=weak["deceleration"].number(),
+        )
         for name, block in root["ways"].items():
             block.only(*(item.name for item in fields(Way)))
             bend, steered = block.get("bend"), block.get("steered")
@@ -220,8 +272,8 @@ class CoastSettings(YamlTable):
                 bend=(0.0,) if bend is None else bend.numbers(),
                 steered=False if steered is None else steered.flag(),
             )
-        numbers = {key: root[key].number() for key in cls.keys if key not in ("ways", "astray")}
-        return cls(**numbers, ways=ways, astray=astray)
+        numbers = {key: root[key].number() for key in cls.keys if key not in ("ways", "astray", "weak")}
+        return cls(**numbers, ways=ways, astray=astray, weak=tired)
 
     def of_base(self, scene: Scene) -> float:
         """Return the share of failures that are base failures; 1 if the robot has no other part that can fail."""
@@ -270,10 +322,17 @@ class CoastSettings(YamlTable):
             return np.zeros((0, 4))
         return self.astray.places(self._probability(self.astray.weight), base, self.position_spread)
 
+    def unable_to_turn(self) -> Float[Array, "stop 3"]:
+        """Return the stops of bases that can no longer turn, as `WeakDrives.stops` defines them."""
+        if self.weak.weight == 0.0:
+            return np.zeros((0, 3))
+        return self.weak.stops(self._probability(self.weak.weight))
+
     def only(self, *names: str) -> CoastSettings:
         """Return settings in which these modes alone account for all failures."""
         ways = {name: self.ways[name] for name in names}
-        return replace(self, harmless=0.0, ways=ways, astray=replace(self.astray, weight=0.0))
+        none = replace(self.astray, weight=0.0), replace(self.weak, weight=0.0)
+        return replace(self, harmless=0.0, ways=ways, astray=none[0], weak=none[1])
 
     def without_drift(self) -> CoastSettings:
         """Return settings for evaluating single states: drift counts as modes with added curvature."""
@@ -286,7 +345,7 @@ class CoastSettings(YamlTable):
 
     @property
     def _total(self) -> float:
-        return sum(way.weight for way in self.ways.values()) + self.astray.weight
+        return sum(way.weight for way in self.ways.values()) + self.astray.weight + self.weak.weight
 
     def _probability(self, weight: float) -> float:
         return weight / self._total * (1.0 - self.harmless)

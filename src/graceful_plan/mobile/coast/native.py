@@ -30,14 +30,28 @@ def _turns_on(scene: Scene, settings: CoastSettings) -> float:
 @per_scene(most=4)
 def coast_model(scene: Scene, settings: CoastSettings) -> _native.CoastModel:
     """Return the native coast model of a scene with a base."""
-    tables = coast_tables(scene)
     return _native.CoastModel(
-        compile_scene(scene).kernels.core,
-        entity=np.ascontiguousarray(tables.entity, dtype=np.int32),
-        shape=reals(tables.shape),
-        n_entity=len(scene.entities),
+        compile_scene(scene).kernels.core, n_entity=len(scene.entities), **shape_arrays(scene),
         **coasting_arrays(scene, settings),
-    )
+    )  # fmt: skip
+
+
+def shape_arrays(scene: Scene) -> dict[str, Any]:
+    """Return what base and carried object may hit, by parameter names in the core.
+
+    Only an object on an arm is examined on its own; one on the deck is within the footprint of the base.
+    """
+    assert scene.base is not None
+    tables, components = coast_tables(scene), list(scene.components)
+    on_arm = "carried" in components and scene.joints != scene.base.joints
+    return {
+        "entity": np.ascontiguousarray(tables.entity, dtype=np.int32),
+        "shape": reals(tables.shape),
+        "carried": components.index("carried") if on_arm else -1,
+        "high_entity": np.ascontiguousarray(tables.high_entity, dtype=np.int32),
+        "high_shape": reals(tables.high_shape),
+        "height": reals(tables.high_range),
+    }
 
 
 def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Any]:
@@ -56,4 +70,5 @@ def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Any]:
         },
         **{name: reals(value) for name, value in ways._asdict().items()},
         "astray": reals(settings.beside(scene.base)),
+        "weak": reals(settings.unable_to_turn() if scene.base.slip > SKIDS else np.zeros((0, 3))),
     }

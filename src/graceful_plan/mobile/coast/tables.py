@@ -1,4 +1,4 @@
-"""Planar view of a scene for the coast model: the footprint of the base and the shapes at its height."""
+"""Planar view of a scene for the coast model: the footprint of the base and the shapes around it."""
 
 from __future__ import annotations
 
@@ -30,15 +30,18 @@ _WITHIN = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class CoastTables:
-    """The base, and the shapes it can hit.
+    """The base, the shapes that it can hit, and those at any height, which an object on its arm can hit.
 
-    | field   | meaning                                                           | unit | shape   |
-    |---------|-------------------------------------------------------------------|------|---------|
-    | outline | parts of the footprint in the frame of the base joints, as shapes | m    | part 7  |
-    | entity  | entity index of each shape; -1 for obstacles                      |      | shape   |
-    | shape   | planar rectangles: centre, direction, half sizes, rounding radius | m    | shape 7 |
-    | body    | mass parameters of the base                                       |      |         |
-    | height  | range from the highest part it rolls over to its highest point    | m    | 2       |
+    | field       | meaning                                                           | unit | shape   |
+    |-------------|-------------------------------------------------------------------|------|---------|
+    | outline     | parts of the footprint in the frame of the base joints, as shapes | m    | part 7  |
+    | entity      | entity index of each shape; -1 for obstacles                      |      | shape   |
+    | shape       | planar rectangles: centre, direction, half sizes, rounding radius | m    | shape 7 |
+    | body        | mass parameters of the base                                       |      |         |
+    | height      | range from the highest part it rolls over to its highest point    | m    | 2       |
+    | high_entity | as entity, at any height                                          |      | high    |
+    | high_shape  | as shape, at any height                                           | m    | high 7  |
+    | high_range  | bottom and top of these shapes                                    | m    | high 2  |
     """
 
     outline: Float[Array, "part 7"]
@@ -46,6 +49,9 @@ class CoastTables:
     shape: Float[Array, "shape 7"]
     body: BaseBody
     height: tuple[float, float]
+    high_entity: Int[Array, " high"]
+    high_shape: Float[Array, "high 7"]
+    high_range: Float[Array, "high 2"]
 
 
 @per_scene
@@ -59,21 +65,25 @@ def coast_tables(scene: Scene) -> CoastTables:
     low, high = min(bottom for _, bottom, _ in parts), max(top for *_, top in parts)
     owner = {geom: k for k, entity in enumerate(scene.entities.values()) for geom in entity.geoms}
     robot = scene.robot_bodies | ({model.body(scene.carried.body).id} if scene.carried is not None else set())
-    entity, shape = [], []
+    rows = []
     for geom in range(model.ngeom):
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         if int(model.geom_bodyid[geom]) in robot or not collides or model.geom_type[geom] == _GEOM.mjGEOM_PLANE:
             continue
-        row, bottom, top = _from_above(model, data, geom)
-        if bottom < high and top > low + _OVER_THE_FLOOR:
-            entity.append(owner.get(geom, -1))
-            shape.append(row)
+        rows.append((owner.get(geom, -1), *_from_above(model, data, geom)))
+    entity = np.array([row[0] for row in rows], dtype=np.int32)
+    shape = np.array([row[1] for row in rows]).reshape(-1, 7)
+    heights = np.array([row[2:] for row in rows], dtype=float).reshape(-1, 2)
+    met = (heights[:, 0] < high) & (heights[:, 1] > low + _OVER_THE_FLOOR)
     return CoastTables(
         outline=_outline(np.array([row for row, *_ in parts]), data.qpos[scene.qpos_adr[:3]]),
-        entity=np.array(entity, dtype=np.int32),
-        shape=np.array(shape).reshape(-1, 7),
+        entity=entity[met],
+        shape=shape[met],
         body=_body(scene.base, model, data, body),
         height=(low + _OVER_THE_FLOOR, high),
+        high_entity=entity,
+        high_shape=shape,
+        high_range=heights,
     )
 
 

@@ -26,10 +26,12 @@ from graceful_plan.planners.descent_rounds import descend_from
 from graceful_plan.planners.motion_descent import (
     DescentResult,
     DescentSettings,
+    MotionDescents,
     Start,
 )
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.candidates.departure import at_time
 from graceful_plan.query.candidates.descents import motion_descents
 from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.candidates.search import Search
@@ -282,8 +284,10 @@ class DriveSource:
         yield from self._starts.pose(self.best, arms)
 
     def _descended(self, route: Route, arrival: int, budget: Budget) -> Motion | None:
-        """Return a motion along a route whose legs descend one after the other."""
-        assert self._descents is not None
+        """Return a motion along a route whose legs descend one after the other.
+
+        Among moving entities, a leg begins at the time when the parts before it end.
+        """
         chosen: list[RollingSpline | ArmMove] = []
         legs = sum(isinstance(part, RollingLeg) for part in route)
         for part in route:
@@ -291,13 +295,29 @@ class DriveSource:
                 chosen.append(part)
                 continue
             with budget.share(budget.remaining_seconds / legs) as share:
-                start = self._routes.start(part, arrival)
-                results = list(descend_from([start], self._descents, share, self._rng))
+                start, descents = self._routes.start(part, arrival), self._descents_after(chosen)
+                if descents is None:
+                    return None
+                results = list(descend_from([start], descents, share, self._rng))
             legs -= 1
             if not results:
                 return None
             chosen.append(_rolled(min(results, key=lambda one: one.value)))
         return self._driven(self._joined(chosen, arrival), arrival)
+
+    def _descents_after(self, parts: Sequence[RollingSpline | ArmMove]) -> MotionDescents | None:
+        """Return descents that begin when these parts end; None if the parts cannot be timed."""
+        descents, request, of = self._descents, self._request, self._request.objective
+        if descents is None or not parts or not of.scene.moving:
+            return descents
+        last = parts[-1]
+        end = last.samples[-1] if isinstance(last, RollingSpline) else last[-1]
+        driven = timed_drive(joined(self._ends.departure.q[-1], parts, end), 0, request, charge=False)
+        if driven is None:
+            return None
+        later = of.objective.bind(at_time(of.scene, driven.trajectory.duration), of.paces)
+        found = motion_descents(replace(request, objective=later), self._problem, _SETTINGS)
+        return None if found is None else replace(found, spacing=_SPACING, effort=descents.effort)
 
     def _coarse(self, route: Route, arrival: int, budget: Budget) -> tuple[float, Drive, Start | None] | None:
         """Return the total cost of coarsely descended legs, the drive, and its start if it has one leg.

@@ -27,6 +27,7 @@ from graceful_plan.query.candidates.search import ALL, Search, is_solution, sear
 from graceful_plan.query.endpoints.endpoints import Endpoints
 from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
+from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -107,6 +108,13 @@ def without_moving(request: Request, problem: SceneProblem) -> tuple[SceneObject
     still = static_objective(request.objective)
     held = request.constraints.on(still.scene)
     return still, replace(problem, kernels=held.kernels, constraints=held)
+
+
+def at_time(scene: Scene, seconds: float) -> Scene:
+    """Return a scene on the clock of a motion that starts at a time [s]: predictions are shifted to earlier times."""
+    if not scene.moving or seconds == 0.0:
+        return scene
+    return scene.with_moving(*(entity.later(-seconds) for entity in scene.moving.values()))
 
 
 @dataclass(frozen=True)

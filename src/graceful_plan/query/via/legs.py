@@ -20,6 +20,7 @@ from graceful_plan.exceptions import RetimingError
 from graceful_plan.judge.passing import passing
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
+from graceful_plan.query.candidates.departure import at_time
 from graceful_plan.query.candidates.motions import Motion, with_cost
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.goals import Goal, poses_of
@@ -28,6 +29,7 @@ from graceful_plan.query.verification import verdict_of
 from graceful_plan.query.via.stages import Stages, find_stages
 from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.spline import Spline
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -52,9 +54,9 @@ class Leg(Protocol):
     """Plans one leg, as `plan` does."""
 
     def __call__(
-        self, start: Float[Array, " nq"], goal: Goal, *, time_limit: float | None, iterations: int | None
+        self, start: Float[Array, " nq"], goal: Goal, *, scene: Scene, time_limit: float | None, iterations: int | None
     ) -> PlanResult:
-        """Plan from a configuration to a goal, within a budget."""
+        """Plan from a configuration to a goal, in a scene on the leg's own clock, within a budget."""
         ...
 
 
@@ -78,7 +80,7 @@ def plan_through(
     stages = find_stages(*stops, scene, seed)
     if isinstance(stages, PlanResult):
         return stages
-    legs = _legs(stages, leg, budget)
+    legs = _legs(stages, leg, scene, budget)
     if isinstance(legs, PlanResult):
         result = legs
     else:
@@ -88,9 +90,13 @@ def plan_through(
     return replace(result, detail=detail, stats={**result.stats, "total_time": budget.elapsed})
 
 
-def _legs(stages: Stages, leg: Leg, budget: Budget) -> list[PlanResult] | PlanResult:
-    """Return a motion for each leg, or a result that names the leg that failed."""
+def _legs(stages: Stages, leg: Leg, scene: Scene, budget: Budget) -> list[PlanResult] | PlanResult:
+    """Return a motion for each leg, or a result that names the leg that failed.
+
+    A leg meets moving entities where they are once the legs before it, from rest to rest, have ended.
+    """
     legs: list[PlanResult] = []
+    begins = 0.0
     chosen = stages.chosen()
     lengths = np.array([np.linalg.norm(b - a) for a, b in pairwise(chosen)])
     shares = _LEAST / len(lengths) + (1.0 - _LEAST) * lengths / max(lengths.sum(), 1e-12)
@@ -102,6 +108,7 @@ def _legs(stages: Stages, leg: Leg, budget: Budget) -> list[PlanResult] | PlanRe
         limits = {
             "time_limit": None if np.isinf(seconds) else share * seconds,
             "iterations": None if budget.iterations is None else max(1, int(share * budget.iterations)),
+            "scene": at_time(scene, begins),
         }
         result = leg(at, stages.goal if last else chosen[k + 1], **limits)
         others = stages.usable[k + 1]
@@ -110,7 +117,7 @@ def _legs(stages: Stages, leg: Leg, budget: Budget) -> list[PlanResult] | PlanRe
         if result.trajectory is None:
             return _not_solved(result, k, len(shares))
         legs.append(result)
-        at = result.trajectory.q[-1]
+        at, begins = result.trajectory.q[-1], begins + result.trajectory.duration
     return legs
 
 

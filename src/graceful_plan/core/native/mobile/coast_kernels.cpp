@@ -5,15 +5,15 @@ namespace gp {
 namespace GP_ISA {
 
 static bool coast_hits(const CoastTables& of, const CoastState<double>& at, const std::vector<FloorShape>& shape,
-                       const double* severity, CoastWork& work, int only) {
-  return Following(of, at, nullptr, work).all(shape, severity, only);
+                       const CoastQuery& query, CoastWork& work) {
+  return Following(of, at, nullptr, query, work).all(shape);
 }
 
 static bool coast_hits_slopes(const CoastTables& of, const CoastState<Dual>& at, const std::vector<FloorShape>& shape,
-                              const double* severity, CoastWork& work, int only) {
-  const CoastState<double> value{at.x.value(), at.y.value(),     at.yaw.value(),
-                                 at.v.value(), at.omega.value(), at.time.value()};
-  return Following(of, value, &at, work).all(shape, severity, only);
+                              const CoastQuery& query, CoastWork& work) {
+  const CoastState<double> value{at.x.value(),     at.y.value(),    at.yaw.value(),   at.v.value(),
+                                 at.omega.value(), at.time.value(), at.along.value(), at.across.value()};
+  return Following(of, value, &at, query, work).all(shape);
 }
 
 }  // namespace GP_ISA

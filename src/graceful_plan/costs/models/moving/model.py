@@ -49,7 +49,7 @@ class MovingModel:
         drop: P that the gripper lets go, given a failure.
         collapse: P that the arm collapses, given a failure.
         coast: P that the base fails, given a failure of a mobile robot; the other failures share the rest. None takes
-            the share of `base`.
+            both shares from `base`, which knows the scene's robot.
         base: Model of a failing base; the shipped one by default.
         places: Number of sample positions for the uncertain position of a moving entity.
 
@@ -103,8 +103,8 @@ class MovingModel:
 
     def _failures(self, scene: Scene, components: Collection[str], *, rough: bool = False) -> Iterator[_Failure]:
         """Yield the kinds of failure that involve these components."""
-        base, coast = self._of_base(scene)
-        aboard, places = 1.0 - coast, min(_ROUGH_PLACES, self.places) if rough else self.places
+        base, coast, aboard = self._shares(scene)
+        places = min(_ROUGH_PLACES, self.places) if rough else self.places
         falls = np.array([name != "body" and name in components for name in scene.components])
         body = np.array([name == "body" and name in components for name in scene.components])
         if self.drop > 0.0 and scene.carried is not None and falls.any():
@@ -122,12 +122,14 @@ class MovingModel:
         Law: an approximation of the sums of P S from `sources` without times.
         """
         falls = np.array([name != "body" for name in scene.components])
-        if (self.collapse > 0.0 or self._of_base(scene)[1] > 0.0) and (severity[~falls] > 0.0).any():
+        if (self.collapse > 0.0 or self._shares(scene)[1] > 0.0) and (severity[~falls] > 0.0).any():
             return None
         return moving_kernels(scene, self.settings, self.drop * severity[falls].sum(axis=0), paces)
 
-    def _of_base(self, scene: Scene) -> tuple[FailingBase | None, float]:
-        """Return the model of a scene's base and P that the base fails; None and 0 for a robot without a base."""
+    def _shares(self, scene: Scene) -> tuple[FailingBase | None, float, float]:
+        """Return the model of a scene's base, P that the base fails, and P that gripper, arm or cargo do."""
         if self.coast == 0.0 or (base := failing_base(scene, self.base)) is None:
-            return None, 0.0
-        return base, base.share if self.coast is None else self.coast
+            return None, 0.0, 1.0
+        if self.coast is None:
+            return base, base.of_base(scene), base.of_cargo(scene)
+        return base, self.coast, 1.0 - self.coast

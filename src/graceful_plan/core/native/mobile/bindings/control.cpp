@@ -59,12 +59,12 @@ void bind_control(nb::module_& m) {
       .def(
           "__init__",
           [](DynamicWindow* self, Reals outline, Reals stops, Named constants, Reals share, Reals speeds, Reals rates,
-             Reals places, Reals astray, Named limits, Named settings, int n_v, int n_omega) {
-            new (self) DynamicWindow({outline, stops, constants, share, speeds, rates, places, astray},
+             Reals places, Reals astray, Reals weak, Named limits, Named settings, int n_v, int n_omega) {
+            new (self) DynamicWindow({outline, stops, constants, share, speeds, rates, places, astray, weak},
                                      limits_of(limits), settings_of(settings, n_v, n_omega));
           },
           nb::kw_only(), "outline"_a, "stops"_a, "constants"_a, "share"_a, "speeds"_a, "rates"_a, "places"_a,
-          "astray"_a, "limits"_a, "settings"_a, "n_v"_a, "n_omega"_a)
+          "astray"_a, "weak"_a, "limits"_a, "settings"_a, "n_v"_a, "n_omega"_a)
       .def("choose", &choose_command, nb::kw_only(), "state"_a, "path"_a, "entity"_a, "shape"_a, "velocity"_a,
            "severity"_a, "every"_a = false);
 }

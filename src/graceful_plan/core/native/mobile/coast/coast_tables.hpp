@@ -14,13 +14,15 @@ namespace gp {
 // Stopping modes of failed bases, and their tabulated trajectories.
 struct CoastTables {
   struct Stop {
-    double p, a, k, delay;
+    double p, a, k, delay;  // p: of weak drives, probability per radian of turning
     bool released;
     double bend;
+    bool weak = false;
   };
   struct Family {
     bool released;
     double bend;
+    bool weak = false;  // too weak to turn: straight on, at the rate of turning
     bool operator==(const Family&) const = default;
   };
   struct Stray {
@@ -33,6 +35,7 @@ struct CoastTables {
 
   static constexpr double kFarOff = 6;         // number of standard deviations beyond which nothing is touched
   static constexpr double kStandstill = 1e-6;  // speed below which a base stands [m/s]
+  static constexpr double kHarms = 0.05;       // speed from which on a carried object harms in full [m/s]
   static constexpr double kNext = 0.05;        // distance to the next state at which a drifting base is evaluated [m]
 
   const Footprint2d footprint;
@@ -52,6 +55,8 @@ struct CoastTables {
 template <class T> struct CoastState {
   T x, y, yaw, v, omega;
   T time{0.0};  // time since the positions of moving entities were valid
+  // Centre of the carried object in the frame of the base, if that object is examined instead of the base.
+  T along{0.0}, across{0.0};
 };
 
 // Working memory for one state at a time; reused so that nothing is allocated per state.
@@ -152,14 +157,19 @@ struct CoastWork {
   double spun_speed = -1, spun_rate = 0;
 };
 
-// Kernels of one instruction set: P by entity of one state, in work.hit; with severities, only for entities that have
-// one. Returns false if P is zero for all. If `only` is not negative, P is computed for that entity alone, and the
-// others only act as obstacles.
+// What to examine of one state, besides the shapes around it.
+struct CoastQuery {
+  const double* severity = nullptr;  // P is computed only for entities that have one; null: for all
+  int only = -1;                     // if not negative, P is computed for this entity alone; the others are obstacles
+  const Footprint2d* carried = nullptr;  // footprint of a carried object, about its centre; null: the base
+};
+
+// Kernels of one instruction set: P by entity of one state, in work.hit. Returns false if P is zero for all.
 struct CoastKernels {
-  bool (*hits)(const CoastTables&, const CoastState<double>&, const std::vector<FloorShape>&, const double* severity,
-               CoastWork&, int only);
-  bool (*hits_slopes)(const CoastTables&, const CoastState<Dual>&, const std::vector<FloorShape>&,
-                      const double* severity, CoastWork&, int only);
+  bool (*hits)(const CoastTables&, const CoastState<double>&, const std::vector<FloorShape>&, const CoastQuery&,
+               CoastWork&);
+  bool (*hits_slopes)(const CoastTables&, const CoastState<Dual>&, const std::vector<FloorShape>&, const CoastQuery&,
+                      CoastWork&);
 };
 
 extern const CoastKernels coast_kernels_baseline;

@@ -42,6 +42,7 @@ struct CoastingArrays {
   Reals places;     // (speed, rate, table, sample, 5): x, y, angle turned in the frame of the base; speed; time
   Reals astray;     // drifting bases: duration [s] times probability, lateral offset [m],
                     // angle turned, standard deviation of the offset
+  Reals weak;       // drives too weak to turn: probability per radian of turning, deceleration, delay
 };
 
 // Validates the arrays from Python and builds the tables.
@@ -50,12 +51,12 @@ class CheckedTables {
   explicit CheckedTables(const CoastingArrays& of) : made(Footprint2d(outline(of.outline))) {
     require_numbers(of.stops, "stopping modes of a base"), fill(made, of.constants, "constants of a base");
     require(made.unit > 0 && made.spread > 0 && made.drift >= 0 && made.turn >= 0, "constants of a base");
-    stops(of.stops), places(of), strays(of.astray);
+    stops(of.stops), weak(of.weak), families(), places(of), strays(of.astray);
   }
   CoastTables made;
 
  private:
-  static constexpr size_t kStop = 6, kStrayed = 4, kPlace = CoastTables::kPlace;
+  static constexpr size_t kStop = 6, kStrayed = 4, kWeak = 3, kPlace = CoastTables::kPlace;
 
   static std::vector<FloorShape> outline(const Reals& of) {
     require_numbers(of, "outline of a base", kMaxExtent);
@@ -75,12 +76,24 @@ class CheckedTables {
       require(s[0] >= 0 && s[1] > 0 && s[2] >= 0 && s[3] >= 0, "stopping mode of a base");
       made.stop.push_back({s[0], s[1], s[2], s[3], s[4] != 0, s[5]});
     }
+  }
+  void weak(const Reals& of) {
+    require_numbers(of, "weak drives of a base");
+    require(of.size() % kWeak == 0, "weak drives of a base");
+    for (size_t k = 0; k < of.size(); k += kWeak) {
+      const double* s = of.data() + k;
+      require(s[0] >= 0 && s[1] > 0 && s[2] >= 0, "weak drive of a base");
+      made.stop.push_back({s[0], s[1], 0, s[2], false, 0, true});
+    }
+  }
+  void families() {
     for (const CoastTables::Stop& one : made.stop)
-      if (const CoastTables::Family found{one.released, one.bend}; !made.has(found)) made.family.push_back(found);
+      if (const CoastTables::Family found{one.released, one.bend, one.weak}; !made.has(found))
+        made.family.push_back(found);
     for (const CoastTables::Family& one : made.family) {
       made.own.emplace_back(), made.any.emplace_back();
       for (size_t i = 0; i < made.stop.size(); ++i) {
-        if (made.stop[i].bend != one.bend) continue;
+        if (made.stop[i].bend != one.bend || made.stop[i].weak != one.weak) continue;
         made.any.back().push_back(i);
         if (made.stop[i].released == one.released) made.own.back().push_back(i);
       }
@@ -163,14 +176,13 @@ class Coasting {
     }
     return false;
   }
-  bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work,
-            int only = -1) const {
-    return kernels_.hits(of_, at, shape, severity, work, only);
+  bool hits(const State& at, const std::vector<FloorShape>& shape, const CoastQuery& query, Work& work) const {
+    return kernels_.hits(of_, at, shape, query, work);
   }
   // As `hits`, with derivatives, in work.hit_slopes.
-  bool hits(const CoastState<Dual>& at, const std::vector<FloorShape>& shape, const double* severity, Work& work,
-            int only = -1) const {
-    return kernels_.hits_slopes(of_, at, shape, severity, work, only);
+  bool hits(const CoastState<Dual>& at, const std::vector<FloorShape>& shape, const CoastQuery& query,
+            Work& work) const {
+    return kernels_.hits_slopes(of_, at, shape, query, work);
   }
 
  private:

@@ -35,20 +35,27 @@ class Following {
 
  public:
   // slopes: the same state with derivatives, if requested.
-  Following(const CoastTables& of, const State<double>& at, const State<Dual>* slopes, CoastWork& work)
+  Following(const CoastTables& of, const State<double>& at, const State<Dual>* slopes, const CoastQuery& query,
+            CoastWork& work)
       : of_(of),
         at_(at),
         slopes_(slopes),
+        query_(query),
+        footprint_(query.carried ? *query.carried : of.footprint),
+        reach_(footprint_.reach() + (query.carried ? length_of(at.along, at.across) : 0.0)),
+        unit_(query.carried ? CoastTables::kHarms : of.unit),
         work_(work),
         speed_(std::fabs(at.v)),
         sign_(at.v < 0 ? -1 : 1),
         cos_(std::cos(at.yaw)),
         sin_(std::sin(at.yaw)) {}
 
-  bool all(const std::vector<FloorShape>& shape, const double* severity, int only) {
+  bool all(const std::vector<FloorShape>& shape) {
     std::fill(work_.hit.begin(), work_.hit.end(), 0.0);
     if (slopes_) work_.hit_slopes.assign(work_.hit.size(), Dual(0.0));
-    if (speed_ <= kStandstill) return false;
+    // A base that turns in place harms nothing itself, but swings what it carries.
+    const bool rolls = speed_ > kStandstill;
+    if (!rolls && !(query_.carried && at_.omega != 0)) return false;
     double longest = 0;
     for (size_t i = 0; i < of_.stop.size(); ++i) {
       const CoastTables::Stop& stop = of_.stop[i];
@@ -56,7 +63,7 @@ class Following {
       if (work_.free[i] + work_.braked[i] > far_) far_ = work_.free[i] + work_.braked[i], farthest_ = i;
       longest = std::max(longest, stop.delay + speed_ / stop.a);
     }
-    look(shape, severity, only, std::max(longest, of_.lasts));
+    look(shape, std::max(longest, of_.lasts));
     if (work_.asked == 0) return false;
     const size_t n = work_.whom.size(), values = n * (CoastWork::kSamples + 1) + 1;
     if (work_.apart.size() < values)
@@ -67,13 +74,21 @@ class Following {
     for (size_t f = 0; f < of_.family.size(); ++f) {
       const CoastTables::Family& family = of_.family[f];
       if (alike && family.released && of_.has({false, family.bend})) continue;
-      along_arc(family, alike ? of_.any[f] : of_.own[f]);
+      // A base that cannot turn leaves its path where it should turn, at the rate of turning.
+      rate_ = family.weak ? std::fabs(at_.omega) : 1.0;
+      if (slopes_) rate_slopes_ = family.weak ? size_of(slopes_->omega) : Dual(1.0);
+      if (rolls && rate_ > 0) along_arc(family, alike ? of_.any[f] : of_.own[f]);
     }
+    rate_ = 1.0, rate_slopes_ = Dual(1.0);
     tabulated();
-    if (!of_.stray.empty() && gap_ < of_.aside) {
+    // Drifting bases hold what they carry over their path; it is not swung.
+    if (!query_.carried && !of_.stray.empty() && gap_ < of_.aside) {
       astray();
       if (slopes_) astray_slopes();
     }
+    for (double& hit : work_.hit) hit = std::min(1.0, hit);
+    if (slopes_)
+      for (Dual& hit : work_.hit_slopes) hit = smaller(Dual(1.0), hit);
     return true;
   }
 
@@ -85,8 +100,9 @@ class Following {
   }
   // Collects the shapes that may be touched, and a lower bound (gap_) on the distance to the nearest requested entity,
   // less kFarOff spreads.
-  void look(const std::vector<FloorShape>& shape, const double* severity, int only, double longest) {
-    const double reach = of_.footprint.reach(), far = std::max(far_, of_.farthest);
+  void look(const std::vector<FloorShape>& shape, double longest) {
+    const double *severity = query_.severity, reach = reach_, far = std::max(far_, of_.farthest);
+    const int only = query_.only;
     const double most = std::max(far, of_.aside) + reach + kFarOff * length_of(of_.spread, of_.drift * far_);
     work_.whom.clear(), work_.what.clear(), work_.moving = false, work_.asked = 0;
     for (const FloorShape& one : shape) {
@@ -149,7 +165,7 @@ class Following {
   };
   template <class T> Way<T> way(const State<T>& at, const CoastTables::Family& family, const T& far) const {
     const T turns = family.released ? of_.turn * at.omega * at.omega : T(kUnknown);
-    return {at.omega / at.v * sign_ + family.bend, turns, size_of(at.v), far};
+    return {family.weak ? T(0.0) : T(at.omega / at.v * sign_ + family.bend), turns, size_of(at.v), far};
   }
   template <class T> static GP_INLINE T braked(const CoastTables::Stop& stop, const T& speed) {
     if (stop.k > 0) return speed / stop.k - stop.a / (stop.k * stop.k) * log_of_one_plus(T(stop.k * speed / stop.a));
@@ -171,6 +187,7 @@ class Following {
     const Way<double> way = this->way(at_, family, far_);
     arc_places(way, goes);
     if (work_.moving) times(way);
+    if (query_.carried) carry();
     meet();
     if (!slopes_ || work_.decided.empty()) return;
     const CoastTables::Stop& last = of_.stop[farthest_];
@@ -179,7 +196,7 @@ class Following {
     const Way<Dual> along = this->way(*slopes_, family, v.through(far_, far_slope));
     if (work_.moving) later(way, stops);
     arc_slopes(stops, far_slope);
-    pull([&](int k, Place<Dual>& out) { arc_place(along, k, out); },
+    pull([&](int k, Place<Dual>& out) { arc_place(along, k, out), carry(out); },
          [&](const Decided& one, Dual& out) { out = v.through(one.energy, one.slope); });
   }
   template <class T> static GP_INLINE T done(const T& far, int k) { return smaller(far, T(kSpacing * k)); }
@@ -217,7 +234,7 @@ class Following {
     }
     n_place_ = n;
     work_.energy_at = 0;
-    whole_ = speed_ * speed_ / (of_.unit * of_.unit), arc_far_ = way.far;
+    whole_ = speed_ * speed_ / (unit_ * unit_), arc_far_ = way.far;
   }
   // Remaining share of the energy of a base in one stop.
   GP_INLINE double left(double met, size_t s) const {
@@ -312,6 +329,28 @@ class Following {
     out.gone = k > 0 ? all - before : all;
   }
 
+  // --- carried objects ----------------------------------------------------------------------------------------------
+
+  // Moves the places of the base to those of the object that it carries, and replaces the distances by those which the
+  // object covers: more than the base where that turns.
+  void carry() {
+    CoastWork::Places& at = work_.place;
+    double path = 0, x = 0, y = 0;
+    for (size_t k = 0; k < n_place_; ++k) {
+      at.x[k] += at.cos[k] * at_.along - at.sin[k] * at_.across;
+      at.y[k] += at.sin[k] * at_.along + at.cos[k] * at_.across;
+      if (k > 0) at.gone[k] = length_of(at.x[k] - x, at.y[k] - y);
+      at.path[k] = path += k > 0 ? at.gone[k] : 0.0;
+      x = at.x[k], y = at.y[k];
+    }
+  }
+  void carry(Place<Dual>& out) const {
+    if (!query_.carried) return;
+    const State<Dual>& q = *slopes_;
+    out.x += out.cos * q.along - out.sin * q.across;
+    out.y += out.sin * q.along + out.cos * q.across;
+  }
+
   // --- hits along a trajectory --------------------------------------------------------------------------------------
 
   // The places from k on, one per lane.
@@ -338,7 +377,7 @@ class Following {
   GP_INLINE D beyond(const FloorShape& shape, const PlaceLanes& at) const {
     const D dx = at.x - shape.x - shape.vx * at.time, dy = at.y - shape.y - shape.vy * at.time;
     const D along = shape.ux * dx + shape.uy * dy, across = shape.ux * dy - shape.uy * dx;
-    return from_rectangle(shape.a, shape.b, along, across) - (shape.round + of_.footprint.reach());
+    return from_rectangle(shape.a, shape.b, along, across) - (shape.round + footprint_.reach());
   }
   GP_INLINE D blurs(const FloorShape& shape, size_t k) const {
     const D spread = load_row(&work_.place.spread[k]);
@@ -363,7 +402,7 @@ class Following {
       const auto measure = [&](size_t k, const PlaceLanes& at) {
         if (known >> k & 1) return;
         known |= uint64_t(1) << k;
-        store_row(apart_abreast(of_.footprint, who, at, D{} + (kFarOff * blur_of(widest_, who) + strides_)), apart + k);
+        store_row(apart_abreast(footprint_, who, at, D{} + (kFarOff * blur_of(widest_, who) + strides_)), apart + k);
       };
       for (size_t k = 0; k < places; k += kAbreastPlaces) {
         if (stays_clear(clear, moves, std::min(k + kAbreastPlaces, places))) continue;
@@ -418,7 +457,7 @@ class Following {
           clear = clear_after(k, moves, away - kFarOff * blur);
           continue;
         }
-        const D apart = apart_abreast(of_.footprint, what, at, most), ratio = apart / blur;
+        const D apart = apart_abreast(footprint_, what, at, most), ratio = apart / blur;
         int nearer = lanes_below(apart, most);
         for (; nearer; nearer &= nearer - 1) {
           const size_t lane = size_t(__builtin_ctz(unsigned(nearer)));
@@ -482,7 +521,7 @@ class Following {
       const double* worth = work_.most_worth.data() + size_t(e) * row_;
       double sum = 0;
       for (size_t s = 0; s < n_stop_; ++s) sum += work_.share[s] * worth[s];
-      work_.hit[size_t(e)] += sum;
+      work_.hit[size_t(e)] += rate_ * sum;
     }
   }
   // Raises the worth of stops against an entity to that of this touch, where it is greater.
@@ -521,12 +560,14 @@ class Following {
       const FloorShape& who = *(obstacle ? work_.what : work_.whom)[size_t(pair.shape)].shape;
       const int to = std::max(pair.place, 1);
       const Place<Dual>& here = at(pair.place);
-      const Dual apart = distance(of_.footprint, who, here), spread = blur(who, here.spread);
+      const Dual apart = distance(footprint_, who, here), spread = blur(who, here.spread);
       Known one{pair, obstacle, touch(apart, spread), Dual(0.0)};
       if (!obstacle && n_place_ > 1) {
-        const Dual from = pair.place > 0 ? distance(of_.footprint, who, at(to - 1)) : apart;
-        const Dual there = pair.place > 0 ? apart : distance(of_.footprint, who, at(to));
-        one.along = normal_share(Dual((from - there) / larger(at(to).gone, Dual(kHardlyTouched))), who, spread);
+        const Dual from = pair.place > 0 ? distance(footprint_, who, at(to - 1)) : apart;
+        const Dual there = pair.place > 0 ? apart : distance(footprint_, who, at(to));
+        Dual gone = at(to).gone;
+        if (query_.carried) gone = length_of(at(to).x - at(to - 1).x, at(to).y - at(to - 1).y);
+        one.along = normal_share(Dual((from - there) / larger(gone, Dual(kHardlyTouched))), who, spread);
       } else if (!obstacle) {
         one.along = normal_share(Dual(0.0), who, spread);
       }
@@ -544,7 +585,7 @@ class Following {
       Dual worth;
       energy(decided, worth);
       const size_t entity = size_t(work_.whom[size_t(decided.met.shape)].shape->entity);
-      work_.hit_slopes[entity] += (worth * work_.known[met].along + decided.whole) * reaches;
+      work_.hit_slopes[entity] += rate_slopes_ * ((worth * work_.known[met].along + decided.whole) * reaches);
     }
   }
 
@@ -573,8 +614,9 @@ class Following {
       }
       for (size_t k = 0; k < n_place_; ++k) {
         at.cos[k] = cos_ * spun.cos[k] - sin_ * spun.sin[k], at.sin[k] = sin_ * spun.cos[k] + cos_ * spun.sin[k];
-        at.path[k] = spun.path[k], work_.energy[k * row_] = square(spun.speed[k] / of_.unit);
+        at.path[k] = spun.path[k], work_.energy[k * row_] = square(spun.speed[k] / unit_);
       }
+      if (query_.carried) carry();
       work_.energy_at = ~uint64_t(0);
       std::fill_n(work_.share.begin(), row_, 0.0);
       work_.share[0] = of_.share[f];
@@ -593,11 +635,11 @@ class Following {
     }
     const Dual speed = size_of(slopes_->v);
     const Node<Dual> v = node(of_.speeds, speed), w = node(of_.rates, slopes_->omega);
-    pull([&](int k, Place<Dual>& out) { spun_place(v, w, f, size_t(k), out); },
+    pull([&](int k, Place<Dual>& out) { spun_place(v, w, f, size_t(k), out), carry(out); },
          [&](const Decided& one, Dual& out) {
            if (one.energy == 0) return;
            const Dual fast = interpolated(v, w, f, 3, size_t(one.met.place));
-           out = one.energy / (of_.unit * of_.unit) * (fast * fast);
+           out = one.energy / (unit_ * unit_) * (fast * fast);
          });
   }
   template <class T> struct Node {
@@ -802,12 +844,17 @@ class Following {
   const CoastTables& of_;
   const State<double>& at_;
   const State<Dual>* slopes_;
+  const CoastQuery& query_;
+  const Footprint2d& footprint_;
+  const double reach_, unit_;  // from the origin of the base; speed at which severities hold
   CoastWork& work_;
   const double speed_, sign_, cos_, sin_;
   double far_ = 0;                                        // largest distance of a base
   size_t farthest_ = 0;                                   // index of that stop
   double gap_ = std::numeric_limits<double>::infinity();  // see look()
   // Of the current trajectory.
+  double rate_ = 1;  // factor of all probabilities
+  Dual rate_slopes_{1.0};
   size_t n_place_ = 0, n_stop_ = 0, row_ = 0;  // row_: padded row length of stops
   double whole_ = 0, arc_far_ = 0;
   double widest_ = 0, strides_ = 0;  // greatest spread of a place, and greatest distance between consecutive places
