@@ -1,4 +1,4 @@
-"""Certificates: never better than the truth by dense sampling, exact where the truth is known."""
+"""Certificates: never better than dense sampling, exact where the true value is known."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def tabletop() -> Scene:
 
 @dataclass(frozen=True)
 class Field(Cost):
-    """The same everywhere."""
+    """A constant cost."""
 
     constant: float
 
@@ -52,7 +52,7 @@ def test_no_way_to_a_pose_is_shorter_than_the_lower_bound(tabletop: Scene, seed:
 
 
 def arm_of(bodies: str, joints: int) -> Scene:
-    """An arm "arm/" with a tool, whose joints may all move at 1 rad/s or m/s."""
+    """An arm "arm/" with a tool; every joint may move at 1 rad/s or m/s."""
     return Scene.from_mjcf(
         f'<mujoco><compiler angle="radian"/><worldbody>{bodies}</worldbody></mujoco>',
         robot="arm/",
@@ -63,7 +63,7 @@ def arm_of(bodies: str, joints: int) -> Scene:
 
 
 def test_bounds_of_two_slides_and_a_hinge_by_hand():
-    """A slide moves the tool by as much as it moves itself, the hinge by .25 m a radian and turns it by as much."""
+    """A slide moves the tool by its own displacement; the hinge by .25 m per radian, and turns it by the same angle."""
     scene = arm_of(
         """
           <body name="arm/x"><joint name="arm/x" type="slide" axis="1 0 0" range="-2 2"/><geom size=".02" mass="1"/>
@@ -81,7 +81,7 @@ def test_bounds_of_two_slides_and_a_hinge_by_hand():
 
 
 def test_bounds_of_two_hinges_by_hand():
-    """The first joint counts as well: it moves the tool by .55 m a radian, the second by .25 m, both turn it."""
+    """The first joint moves the tool by .55 m per radian, the second by .25 m; both turn it."""
     scene = arm_of(
         """
           <body name="arm/a"><joint name="arm/a" axis="0 0 1" range="-3 3"/><geom size=".02" mass="1"/>

@@ -1,4 +1,4 @@
-"""Quick questions about configurations: they mean what the exact judge and `plan` mean."""
+"""Quick checks of configurations agree with the exact judge and `plan`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TASKS = {
 
 
 def _held_otherwise(task: gp.Task, rng: np.random.Generator) -> gp.Scene:
-    """Attach the task's object turned and shifted at random, so that it may reach into the arm."""
+    """Attach the task's object turned and shifted at random, so it may intersect the arm."""
     assert task.object_name is not None and task.scene.carried is not None
     X_TO = task.scene.carried.X_TO.copy()
     angle = rng.uniform(-np.pi, np.pi)
@@ -47,7 +47,7 @@ def test_positive_clearance_is_free_by_exact_geometry(name: str) -> None:
 
 
 def test_what_is_held_inside_the_last_link_is_a_collision_for_both() -> None:
-    """The two ride on one link: their distance is the same in all configurations."""
+    """Both are fixed to the same link, so their distance is constant."""
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     X_TO = task.scene.carried.X_TO.copy()
     X_TO[2, 3] -= 0.1
@@ -59,7 +59,7 @@ def test_what_is_held_inside_the_last_link_is_a_collision_for_both() -> None:
 
 
 def test_what_is_held_close_to_the_last_link_is_free_for_both() -> None:
-    """Spheres that cover it overlap those of the link; the two themselves never do."""
+    """The object's covering spheres overlap those of the link; the geoms never touch."""
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     X_TO = task.scene.carried.X_TO.copy()
     X_TO[2, 3] -= 0.056

@@ -1,4 +1,4 @@
-"""Explanations: sums equal the breakdown, stretches hold what they say and are the shortest, unhappy paths."""
+"""Explanations: sums equal the breakdown, stretches hold the stated share and are the shortest, unhappy paths."""
 
 import dataclasses
 import json
@@ -35,7 +35,7 @@ def result(task):
 
 
 class TwoFaults(gp.InteractionModel):
-    """Everything is hit by the carried object: 3 times out of 10 by a drop, else by a spill; two faults drop it."""
+    """The carried object hits everything: 3 times in 10 by a drop, else by a spill; two faults drop it."""
 
     def probability(self, batch):
         return sum(self.sources(batch).values())
@@ -50,7 +50,7 @@ class TwoFaults(gp.InteractionModel):
 
 
 class HalfTold(TwoFaults):
-    """Its sources leave out half of what happens."""
+    """A model whose sources account for only half of its probability."""
 
     def probability(self, batch):
         return np.minimum(1.0, 2.0 * super().probability(batch))
@@ -158,7 +158,7 @@ def test_times_are_those_of_the_trajectory(task, result):
 
 
 def test_backwards_it_is_the_mirror_image(task, result):
-    objective = _OBJECTIVES["box_overlap-length"]  # boxes do not ask which way things move
+    objective = _OBJECTIVES["box_overlap-length"]  # the box model ignores velocities
     there, back = (gp.explain(path, task.scene, objective) for path in (result.path, result.path.reversed()))
     assert back.cost.impact == pytest.approx(there.cost.impact, rel=1e-9)
     first, mirrored = there.contributions[0], back.contributions[0]
@@ -191,7 +191,7 @@ def test_rows_that_are_not_shown_are_counted(task, result):
 
 
 def test_who_moves_is_met_where_it_is_then(task, result):
-    # It sits beside the way of the mug until half a second, and is then gone.
+    # The cat sits beside the mug's path until half a second, then it is gone.
     q, trajectory = result.trajectory.at([0.3]).q[0], result.trajectory
     below = task.scene.data_at(q).body("mug").xpos - [0.0, 0.0, 0.3]
     away = below + [9.0, 0.0, 0.0]

@@ -1,4 +1,4 @@
-"""Impact maps: the robot's own figures where it could hold the object, symmetry, what blocks, unhappy paths."""
+"""Impact maps: the robot's own values at reachable poses, symmetry, blocking obstacles, unhappy paths."""
 
 import dataclasses
 import json
@@ -19,7 +19,7 @@ from graceful_plan.viz.impact_maps import draw_impact_map
 from sizes import first_quick
 
 _ROUNDING = 1e-9
-"""The same formulas with poses from another chain of joints."""
+"""Relative; the same formulas with poses from another kinematic chain."""
 _TASKS = [
     ("tabletop_l3", "green_to_blue"),
     ("desk", "bring_coffee"),
@@ -39,7 +39,7 @@ WORLD = """<mujoco><worldbody>
 
 
 def boxes(*places, half="0.1 0.1 0.1"):
-    """A scene of slides that hold a box over others on the ground."""
+    """A scene of slides that hold a box over boxes on the ground."""
     names = [f"target{i}" for i in range(len(places))]
     bodies = [
         f'<body name="{name}" pos="{x} {y} 0.1"><geom type="box" size="{half}"/></body>'
@@ -56,7 +56,7 @@ def boxes(*places, half="0.1 0.1 0.1"):
 
 
 class DropsHalfTheTime(gp.InteractionModel):
-    """The gripper lets go in half of all failures; in the others everything is hit."""
+    """The gripper lets go in half of all failures; in the other half everything is hit."""
 
     share = 0.5
 
@@ -110,7 +110,7 @@ def one_cell(place, width=0.01):
     return (x - width / 2, x + width / 2, y - width / 2, y + width / 2)
 
 
-# --- the same as the robot --------------------------------------------------------------------------------------------
+# --- agreement with the robot -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("model", first_quick(["mixture", "box_overlap"]))
@@ -210,7 +210,7 @@ def test_entities_add_up_and_the_ground_is_not_one():
 
 
 def test_what_falls_deeper_is_damaged_more():
-    """0.2 m onto the box, 0.4 m onto the ground."""
+    """A fall of 0.2 m onto the box, and of 0.4 m onto the ground."""
     found = gp.impact_map(boxes((0.0, 0.0)), height=0.4, bounds=(-0.5, 0.5, -0.01, 0.01), resolution=0.02)
     own = found.by_entity[0, :, found.entities.index("load")]
     assert own[0] == pytest.approx(own[-1]) and own[0] > 1.2 * own[len(own) // 2] > 0.0
@@ -235,11 +235,11 @@ def test_other_failures_are_left_out():
         gp.impact_map(scene, gp.ImpactCost(model=NeverDrops()), **settings)
 
 
-# --- where ------------------------------------------------------------------------------------------------------------
+# --- places -----------------------------------------------------------------------------------------------------------
 
 
 def test_cells_are_blocked_where_boxes_overlap():
-    # The box is turned by 90 degrees as it stands: half sizes 0.05 and 0.03. The ground begins where the box ends.
+    # The box stands turned by 90 degrees: half sizes 0.05 and 0.03. The ground begins where the box ends.
     found = gp.impact_map(boxes((0.0, 0.0)), height=0.05, bounds=(-0.3, 0.3, -0.3, 0.3), resolution=0.02)
     x, y = np.meshgrid(found.x, found.y)
     np.testing.assert_array_equal(found.blocked, (np.abs(x) < 0.15) & (np.abs(y) < 0.13))

@@ -32,7 +32,7 @@ def record() -> Run:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> BestMotions:
-    """Keep best motions elsewhere."""
+    """Store best motions in a temporary folder."""
     motions = BestMotions(tmp_path / "best_known")
     monkeypatch.setattr(planning, "BEST", motions)
     return motions
@@ -130,7 +130,7 @@ def test_free_edges_are_free_and_of_one_length():
 def test_checked_configurations_are_whole_blocks_at_most_a_step_apart(lanes):
     count = kernels.configurations_checked(np.array([kernels.EDGE_LENGTH]), lanes)
     assert count % lanes == 0
-    # The kernel spreads them evenly: neighbours are length / (count - 1) apart, hardly more than a step.
+    # The kernel spreads samples evenly: neighbours are length / (count - 1) apart, at most slightly over one step.
     assert (count - lanes) * CHECK_STEP <= kernels.EDGE_LENGTH < count * CHECK_STEP
 
 

@@ -1,4 +1,4 @@
-"""The subject `constraints`, and the scenes with open vessels that it carries."""
+"""The benchmark `constraints` and its scenes with open vessels."""
 
 import json
 import math

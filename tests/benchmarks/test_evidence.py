@@ -41,5 +41,5 @@ def test_a_bottle_is_tall_as_long_as_it_stands(name: str, tall: bool) -> None:
     task = gp.load_scene("dining_table").tasks[name]
     assert drop_prediction.is_tall(task.scene, task.start) is tall
     lying = task.start.copy()
-    lying[-2] -= np.pi / 2  # the wrist tips it
+    lying[-2] -= np.pi / 2  # the wrist tips the object
     assert not drop_prediction.is_tall(task.scene, lying)

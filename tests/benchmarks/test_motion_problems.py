@@ -1,4 +1,4 @@
-"""Problems made for the benchmark: free at both ends, of the seed alone, and read back as they were written."""
+"""Generated benchmark problems: free at both ends, determined by the seed, unchanged after writing and reading."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's experiment: costs against published and independently recomputed values, and how failures are drawn."""
+"""The paper's experiment: costs against published and independently recomputed values, and sampling of failures."""
 
 import json
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ from graceful_plan.judge.reference_cost import reference_probability
 
 RECOMPUTED = {"T1": 0.343, "T2": 0.457, "T3": 0.369, "T4": 0.236}
 BOXES_DIFFER = 0.08
-"""The recomputation took other boxes for hand and fingers."""
+"""The recomputation used other boxes for hand and fingers."""
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_algorithm_1_is_what_its_column_says(scene):
 
 
 def _table_of_one(predicted):
-    """Print a table of trajectories of which only the column of Algorithm 1 is of interest."""
+    """Print a table of trajectories in which only the column of Algorithm 1 matters."""
     some = estimate_mean([1.0, 2.0], (0.0, 10.0))
     rows = [
         paper_table.Row(

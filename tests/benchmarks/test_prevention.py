@@ -1,4 +1,4 @@
-"""Parts of `prevention`: simple costs, curves of harm, stored lines, tables."""
+"""Parts of `prevention`: simple costs, harm curves, stored lines, tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from graceful_plan.testing import check_cost
 from sizes import first_quick
 
 _EXACT = 1e-9
-"""Closed forms agree but for rounding."""
+"""Relative; closed forms agree up to rounding."""
 
 # --- curves ----------------------------------------------------------------------------------------------------------
 
@@ -187,7 +187,7 @@ def test_only_what_is_left_is_done(tmp_path):
     names = {"bundled": ["desk/bring_coffee", "desk/water_plant", "desk/put_book_away"]}
     heads, curves = tmp_path / "heads.jsonl", tmp_path / "curves.jsonl"
     assert len(work.headline_jobs(names, heads, job)) == 3
-    assert work.curve_jobs(names, heads, curves, sizes) == []  # the grasp is not known
+    assert work.curve_jobs(names, heads, curves, sizes) == []  # grasps are known only from the headline runs
     lost = head("desk/water_plant", **{NONE: Motion(w=0.0, refused="slips")})
     heads.write_text(store.line(head()) + store.line(lost))
     assert [job.task for job in work.headline_jobs(names, heads, job)] == ["desk/put_book_away"]
@@ -248,7 +248,7 @@ def test_the_report_loses_nothing(tmp_path):
     less = "5.00 | 5.00 | 4.00 | 4.00 [4.00, 4.00] | 7.20 | 7.20 [7.20, 7.20]"
     assert f"| bundled | default | 1 | +25 % | +25 % | {less} | 0 | 1 |" in text
     assert "| b/severe | bundled | 80.0 % | 2.00 | 4.00 | - |" in text  # Algorithm 1, default; the third was refused
-    assert "**no**" in text  # not all tasks are in
+    assert "**no**" in text  # some tasks are missing
     figures.draw(all_of, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 1000
 

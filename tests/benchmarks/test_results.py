@@ -1,4 +1,4 @@
-"""Result files, their index, and the links to them from docs, README and src."""
+"""Result files, their index, and links to them from docs, README and src."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines of long benchmarks: a line a job, nothing after the time is over, a quick run keeps nothing."""
+"""Line files of long benchmarks: one line per job, nothing after the time limit, and quick runs store nothing."""
 
 import math
 import sys

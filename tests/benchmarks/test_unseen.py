@@ -1,4 +1,4 @@
-"""The scenes in benchmarks/unseen: that they are sound, and that no bundled thing is in them."""
+"""The scenes in benchmarks/unseen are sound and share no object with the bundled scenes."""
 
 import mujoco
 import numpy as np
@@ -12,9 +12,9 @@ from sizes import first_quick
 SCENES = suite.unseen_scenes()
 TASKS = suite.unseen_task_names()
 _ROOM = 0.02
-"""Clearance [m] that the ends of tasks have."""
+"""Clearance at the ends of tasks [m]."""
 _STILL = 0.003
-"""How far [m] things at rest may creep in a second."""
+"""Distance that objects at rest may creep in one second [m]."""
 _OBSTACLES = {
     "bathroom": {"pedestal", "wall", "tap"},
     "bedside": {"pedestal"},
@@ -26,7 +26,7 @@ _OBSTACLES = {
     "buffet": {"pedestal"},
     "stove": {"pedestal", "shelf"},
 }
-"""Bodies that collide and are no entities, so hits of them do not count."""
+"""Bodies that collide but are not entities, so hits of them do not count."""
 
 
 def test_there_are_enough_of_them():
@@ -74,7 +74,7 @@ def test_what_collides_is_an_entity_or_known_to_be_none(name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_no_object_is_one_that_constants_were_fitted_on(name):
-    """Compare kind, size and mass of the carried objects."""
+    """Compare kind, size and mass of the carried objects with those of the bundled scenes."""
     bundled = {_shape(scene, thing) for scene in map(suite.scene, gp.scenes()) for thing in scene.notes.objects}
     scene = suite.scene(name)
     for thing in scene.notes.objects:

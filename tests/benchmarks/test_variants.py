@@ -13,7 +13,7 @@ from sizes import first_quick
 
 NAMES = list(variants.VARIANTS)
 _SETTLES = 0.003
-"""Things that stand sink into contacts that yield, and tilt a little [m]."""
+"""Standing objects sink into soft contacts and tilt by less than this [m]."""
 
 
 def test_every_bundled_scene_has_a_variant() -> None:
@@ -54,7 +54,7 @@ def test_everything_stays_where_it_stands(name: str) -> None:
     task = next(iter(variants.load(name).tasks.values()))
     scene, world = task.scene, fb.build_world(task.scene)
     execution = fb.execute(gp.Path(np.stack([task.start, task.start + 1e-3])), world)
-    jobs = [fb.Job(fault=StuckGripper(closed=True), onset=0.0, seed=0)]  # nothing else happens then
+    jobs = [fb.Job(fault=StuckGripper(closed=True), onset=0.0, seed=0)]  # a stuck gripper disturbs nothing
     (rollout,) = fb.run_rollouts(execution, jobs)
     for entity, body in world.movable.items():
         home = scene.home_qpos[scene.model.jnt_qposadr[scene.model.body_jntadr[body]] :][:3]
@@ -86,13 +86,13 @@ def test_at_rest_it_is_algorithm_1() -> None:
 
 
 def test_it_is_algorithm_1_where_the_object_comes_down() -> None:
-    """A lone box below the object: moving the box by the way flown has the same effect."""
+    """For a lone box below the object, shifting the box by the object's flight has the same effect."""
     rest = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     bare, still = rest.scene, rest.start
     body = bare.model.body("green").id
     data = bare.data_at(still)
     speed = np.zeros(len(still))
-    speed[0] = 0.4  # the first joint turns about the vertical: the way flown is at right angles to its lever
+    speed[0] = 0.4  # the first axis is vertical, so the flight is at right angles to the lever
     lever = data.xipos[body] - data.xanchor[bare.model.joint(bare.joints[0]).id]
     velocity = np.cross([0.0, 0.0, 0.4], lever)
     low = data.xipos[body][2] - 0.03 * np.abs(data.xmat[body].reshape(3, 3)[2]).sum()

@@ -15,13 +15,13 @@ from graceful_plan.tools import cli
 
 @pytest.fixture(autouse=True)
 def blank_figures(monkeypatch):
-    """Figures are tested with the report; drawing takes longer than all the rest."""
+    """Skip figures: they are tested with the report, and drawing dominates the time."""
     monkeypatch.setattr(figures, "svg", lambda draw, name, height: "<svg></svg>")
 
 
 @pytest.fixture
 def run(capsys, tmp_path):
-    """Run the command on problems in the plane, in this process; return exit code, standard output and error."""
+    """Run the command on planar problems in this process; return exit code, standard output and error."""
 
     def run(*argv: str, suite: str = "free_space, uniform_density") -> tuple[int, str, str]:
         source = str(suite_file(tmp_path, suite)) if "--suite" not in argv else argv[argv.index("--suite") + 1]

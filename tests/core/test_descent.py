@@ -1,4 +1,4 @@
-"""The native descent of whole paths, and what roadmaps add to it."""
+"""The native descent of whole paths, and its use in roadmaps."""
 
 import itertools
 import threading
@@ -14,7 +14,7 @@ from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
 
 KEPT = 0.005
-"""Clearance of the ends of paths [m]."""
+"""Clearance at the ends of paths [m]."""
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def straight(problem):
 
 
 def free_pair(problem, free, seed=0):
-    """Two free configurations whose straight edge is free, or is not."""
+    """Two free configurations; the straight edge between them is free or blocked."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(problem.lower, problem.upper, (4000, len(problem.lower)))
     q = q[problem.kernels.free(q, KEPT)]

@@ -1,4 +1,4 @@
-"""Which instruction sets are there: apart from the kernels' tests, which mutants run with the baseline alone."""
+"""Available instruction sets. Separate from the kernel tests, which mutation testing runs at the baseline only."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Links of many spheres: clusters rule most of them out, in each configuration of a block others; against all pairs."""
+"""Links with many spheres, where clusters are pruned separately for each configuration, against all pairs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def compiled() -> CompiledScene:
 
 
 def _all_pairs(compiled: CompiledScene, q: np.ndarray) -> np.ndarray:
-    """Return the clearance by all spheres of all pairs of links, and to ground and ball."""
+    """Return the clearance over all sphere pairs of links, and to ground and ball."""
     robot = compiled.robot
     X = compiled.kernels.link_poses(q)[:, robot.sphere_link]
     p = np.einsum("nsij,sj->nsi", X[..., :3, :3], robot.sphere[:, :3]) + X[..., :3, 3]

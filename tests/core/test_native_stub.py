@@ -1,4 +1,4 @@
-"""The stubs of the native modules say what these have: the same names with the same parameters."""
+"""The stubs of the native modules match the modules: the same names with the same parameters."""
 
 import ast
 import re
@@ -13,7 +13,7 @@ from graceful_plan.judge import _pendulum
 
 STUBS = {_native: LIBRARY / "core" / "_native.pyi", _pendulum: LIBRARY / "judge" / "_pendulum.pyi"}
 Parameters = tuple[list[str], list[str]]
-"""Names of the parameters that may stand by position, and of those that may not."""
+"""Names of positional parameters, and of keyword-only parameters."""
 
 
 def stated(stub: Path) -> dict[str, Parameters | None]:
@@ -35,7 +35,7 @@ def of_node(node: ast.FunctionDef) -> Parameters:
 
 
 def native(module: ModuleType) -> dict[str, Parameters | None]:
-    """Return the same of a module."""
+    """Return the parameters of every function and method in a module, None for a property or a class."""
     found: dict[str, Parameters | None] = {}
     for name, thing in vars(module).items():
         if name.startswith("__"):

@@ -31,7 +31,7 @@ class Speed(gp.Cost):
 
 @dataclass(frozen=True)
 class Height(gp.Cost):
-    """The same as the kernel path would not take: forces the generic evaluation."""
+    """A custom cost, which forces the generic evaluation instead of kernels."""
 
     def state(self, batch):
         return np.abs(batch.object_poses[:, 2, 3])
@@ -39,7 +39,7 @@ class Height(gp.Cost):
 
 @dataclass(frozen=True)
 class Twin(gp.InteractionModel):
-    """Algorithm 1 once more, so that the objective cannot use the kernel's edge costs."""
+    """Algorithm 1 as a custom model, so the objective cannot use the kernel's edge costs."""
 
     def probability(self, batch):
         return batch.compiled.kernels.interaction(batch.q)
@@ -102,7 +102,7 @@ def test_more_vertices_and_the_way_back_cost_the_same(seed):
     for objective in (gp.Objective(), boxes):
         cost = gp.evaluate(path, task.scene, objective)
         assert gp.evaluate(path.resampled(0.05), task.scene, objective).total == pytest.approx(cost.total, rel=5e-3)
-    # What falls on the way back flies the other way, which boxes do not know.
+    # Objects dropped on the reversed path fly the other way; the box model ignores velocity.
     assert gp.evaluate(path.reversed(), task.scene, boxes).total == pytest.approx(cost.total, rel=5e-3)
 
 
@@ -142,7 +142,7 @@ def test_weighted_length():
 
 def test_harmless_entities_and_absent_components_add_nothing(task):
     path = _path(task)
-    boxes = gp.Objective(impact=gp.ImpactCost(model="box_overlap"))  # to which what is in the way of a fall is nothing
+    boxes = gp.Objective(impact=gp.ImpactCost(model="box_overlap"))  # this model ignores obstacles below the object
     cost = gp.evaluate(path, task.scene, boxes)
     added = task.scene.add_box("ghost", [0.3, 0.3, 0.01], [0.0, -0.3, 0.1], entity="none")
     assert gp.evaluate(path, added, boxes).impact == pytest.approx(cost.impact, rel=1e-9)

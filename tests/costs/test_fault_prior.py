@@ -72,7 +72,7 @@ def test_presets_are_what_they_say() -> None:
     gripper = ("weak_grip", "gripper_failure", "stuck_gripper")
     assert sum(arm.rates[fault] for fault in gripper) < 0.3 * failing[0]
     assert sum(service.rates[fault] for fault in gripper) == pytest.approx(0.75 * failing[1], rel=0.01)
-    assert 1.0 / failing[1] == pytest.approx(5.0, rel=0.02)  # hours, as the file says
+    assert 1.0 / failing[1] == pytest.approx(5.0, rel=0.02)  # hours, as documented in the file
     assert 1.0 / failing[0] == pytest.approx(500.0, rel=0.05)
 
 
@@ -80,7 +80,7 @@ def test_a_stop_is_a_stop_at_any_degree() -> None:
     for degree in DEGREES:
         try:
             row = shipped_effects(degree)["protective_stop"]
-        except UnknownNameError:  # nothing was fitted at this degree
+        except UnknownNameError:  # no effects are fitted at this degree
             continue
         assert dict(row) == {"stop": 1.0}
     weights = FaultPrior({"protective_stop": 1.0}).weights()

@@ -1,4 +1,4 @@
-"""The carried object as one of the entities: closed forms on a flat floor, what is hard and soft, who counts it."""
+"""The carried object as an entity: closed forms on a flat floor, hard and soft surfaces, severity."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def room(object_class: str = "glass", ground: str = "floor", **severity: float |
 def damage(
     scene: gp.Scene, x: float, height: float, speed: tuple[float, ...] = (0.0, 0.0, 0.0), **cost: object
 ) -> float:
-    """P that the cup is damaged when it is let go with its bottom at some height above the floor [m]."""
+    """Return P that the cup is damaged when released with its bottom at some height above the floor [m]."""
     q, qd = np.array([[x, 0.0, height + _HALF - 1.0]]), np.array([speed])
     norm_ = np.linalg.norm(qd, axis=1)
     batch = gp.StateBatch(scene, q, qd / np.where(norm_ > 0.0, norm_, 1.0)[:, None], norm_)
@@ -53,13 +53,13 @@ def damage(
 
 
 def expected(energy: float, median: float, spread: float = 0.7) -> float:
-    """P(Z spread + X <= ln(E / median)) for X exponential."""
+    """Return P(Z spread + X <= ln(E / median)) for X exponential."""
     x = np.linspace(0.0, 30.0 * LANDING_LOSS, 200_001)
     density = np.exp(-x / LANDING_LOSS) / LANDING_LOSS
     return float(np.trapezoid(density * norm.cdf((math.log(energy / median) - x) / spread), x))
 
 
-# --- how far, how fast, onto what -----------------------------------------------------------------------------------
+# --- height, speed, surface -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("height", [0.05, 0.2, 0.5, 1.0, 2.0])
@@ -73,7 +73,7 @@ def test_only_vertical_speed_damages() -> None:
     still = damage(scene, 0.0, 0.2)
     assert damage(scene, 0.0, 0.2, (0.5, 0.0, 0.0)) == pytest.approx(still, abs=0.01)
     down, up = damage(scene, 0.0, 0.2, (0.0, 0.0, -1.5)), damage(scene, 0.0, 0.2, (0.0, 0.0, 1.5))
-    assert down == pytest.approx(up, abs=1e-6)  # it comes down as fast as it went up
+    assert down == pytest.approx(up, abs=1e-6)  # an object thrown upwards returns at the same speed
     assert down > 1.3 * still
 
 
@@ -114,10 +114,10 @@ def test_a_table_of_fragilities_of_ones_own() -> None:
     assert damage(room(), 0.0, 1.0, consequence=never) < 1e-9
     assert damage(room(), 0.0, 1.0, consequence=always) == pytest.approx(1.0, abs=1e-3)
     energy = damage(room(), 0.0, 1.0, consequence="energy")
-    assert energy == damage(room(), 0.0, 1.0)  # it is about damage in any case
+    assert energy == damage(room(), 0.0, 1.0)  # loss of the object always uses the energy
 
 
-# --- severity, and who counts it ------------------------------------------------------------------------------------
+# --- severity, and objectives that use it ---------------------------------------------------------------------------
 
 
 def path(scene: gp.Scene) -> gp.Path:
@@ -169,7 +169,7 @@ def test_without_it_the_rest_is_the_same() -> None:
         gp.evaluate(path(scene), scene, gp.Objective(impact=gp.ImpactCost(own_loss=own))) for own in (True, False)
     )
     assert with_it.impact - with_it.impact_by_entity["cup"] == pytest.approx(without.impact)
-    assert not gp.ImpactCost().counts_own_loss(gp.load_scene("desk"))  # nothing is carried
+    assert not gp.ImpactCost().counts_own_loss(gp.load_scene("desk"))  # no carried object
 
 
 @pytest.mark.parametrize("faults", ["drop_only", "arm", "service_robot"])
@@ -204,7 +204,7 @@ def test_an_explanation_says_so() -> None:
 
 
 def test_planners_carry_low_over_what_is_soft() -> None:
-    """Nothing but the object can be harmed: over the floor it is carried low."""
+    """Only the object can be harmed: over the hard floor it is carried low."""
     scene = room(floor=0.0, table=0.0, sofa=0.0)
     start, goal = np.array([-1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0])
     found = gp.plan(start, goal, scene, w=5.0, iterations=500).unwrap()

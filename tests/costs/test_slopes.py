@@ -1,4 +1,4 @@
-"""Derivatives of anybody's costs against differences of the costs: at states, and along edges."""
+"""Derivatives of custom costs against differences, at states and along edges."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from support.costs.own_costs import Bowl, Crosswise, Haste, Height
 
 Array = np.ndarray
 STEP = 1e-6
-_TOLERANCE = 5e-3  # of forward differences with steps of 1e-3, in single precision at worst
+_TOLERANCE = 5e-3  # error of forward differences with steps of 1e-3, at worst in single precision
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_broken_gradients_are_named(answer, message: str, scene: gp.Scene) -> No
 
 
 def test_only_the_direction_of_a_tangent_counts(scene: gp.Scene) -> None:
-    """Across it, where the slowest joint stays as fast as it is, the slope is that of differences."""
+    """Perpendicular to the tangent, with the slowest joint's speed fixed, the gradient equals differences."""
     bound = Objective(motion=Haste(), w=0.7).bind(scene, search_paces())
     q, tangent = states(scene, 6, 5)
     value, _, d_tangent = bound.tangent_slopes(q, tangent)

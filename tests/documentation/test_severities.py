@@ -1,4 +1,4 @@
-"""The table of severities in docs/faults-prior.md has the shipped values."""
+"""The table of severities in docs/faults-prior.md equals the shipped values."""
 
 import re
 

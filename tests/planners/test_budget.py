@@ -1,4 +1,4 @@
-"""The laws of a budget and of its parts."""
+"""Laws of a budget and of its parts."""
 
 from __future__ import annotations
 

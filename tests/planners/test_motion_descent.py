@@ -1,4 +1,4 @@
-"""Descents of whole motions: splines, speed profiles and gradients against independent ones, and what they gain."""
+"""Descents of whole motions: splines, speed profiles and gradients against references, and improvements."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def bound(task: gp.Task, w: float = 1.0, impact: gp.ImpactCost = MODELS["mixture
 
 
 def bent(task: gp.Task, size: float = 0.3, seed: int = 0) -> Path:
-    """A path that is not straight, from the task's start to its goal."""
+    """A curved path from the task's start to its goal."""
     rng = np.random.default_rng(seed)
     start, goal = np.asarray(task.start), np.atleast_2d(task.goal)[0]
     s = np.linspace(0.0, 1.0, 9)[:, None]
@@ -90,7 +90,7 @@ def test_a_spline_begins_and_ends_at_its_control_points() -> None:
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("w", [0.0, 1.0])
 def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float) -> None:
-    """All of it: length, impact, times through the speed profile, clearance. Kinks are rare enough to be left out."""
+    """All terms: length, impact, times by the speed profile, clearance. Kinks are too rare to matter."""
     if model == "box_overlap" and w > 0.0:
         pytest.skip("Algorithm 1 has jumps")
     objective = bound(task, w, MODELS[model])
@@ -114,7 +114,7 @@ def test_what_a_descent_knows_is_what_the_trajectory_costs(task: gp.Task) -> Non
     one.run(100, np.inf)
     trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints)
     cost = gp.evaluate(trajectory, task.scene, Objective(w=1.0))
-    if objective.kernels.free(trajectory.sample(0.01).q).all():  # nothing is charged for being too close
+    if objective.kernels.free(trajectory.sample(0.01).q).all():  # no penalty for low clearance
         assert one.value == pytest.approx(cost.total + TIME_PRICE * trajectory.duration, rel=0.03)
     assert one.duration == pytest.approx(trajectory.duration, rel=0.03)
 
@@ -177,7 +177,7 @@ def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(ta
 
     def is_free(curve: Spline, start: Start) -> bool:
         asked.append(curve)
-        return len(asked) % 2 == 0  # the first answer makes the descent press harder
+        return len(asked) % 2 == 0  # after a refusal the descent raises its clearance penalty
 
     limits = task.scene.limits
     descents = MotionDescents(native_space(problem, objective), limits.velocity, limits.acceleration, is_free)
@@ -206,7 +206,7 @@ def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(ta
 
 
 def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> None:
-    """One joint from rest to rest over a length: 2 sqrt(length / a), or with a plateau at the velocity limit."""
+    """One joint over a length, from rest to rest: 2 sqrt(length / a), or a plateau at the velocity limit."""
     n, length = 400, 2.0
     step = np.full(n, length / n)
     slope, bend = np.ones((n, 2, 1)), np.zeros((n, 2, 1))
@@ -225,7 +225,7 @@ def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> No
 def test_speed_profiles_keep_their_limits_at_both_ends_of_every_interval(
     roughness: float, slopes: tuple[float, float]
 ) -> None:
-    """On curves so rough that a step of them overturns the speed, by which none goes below rest."""
+    """On curves so rough that one step would overshoot the speed, no squared speed is negative."""
     n, dim, velocity = 40, 2, np.full(2, 3.0)
     stop = np.zeros(n + 1, dtype=bool)
     stop[[0, -1]] = True
@@ -235,7 +235,7 @@ def test_speed_profiles_keep_their_limits_at_both_ends_of_every_interval(
         slope = np.sign(rng.normal(size=dim)) * rng.uniform(*slopes, (n, 2, dim))
         bend, acceleration = roughness * rng.normal(size=(n, 2, dim)), rng.uniform(1.0, 5.0, dim)
         limits = {"velocity": velocity, "acceleration": acceleration}
-        q = np.zeros((n + 1, dim))  # says nothing of speeds
+        q = np.zeros((n + 1, dim))  # speeds do not depend on q
         x = _native.fastest(step=step, q=q, slope=slope, bend=bend, stop=stop, **limits).speeds ** 2
         assert (x >= 0.0).all() and x.max() > 0.0
         u = np.diff(x) / (2.0 * step)

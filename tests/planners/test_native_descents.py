@@ -1,4 +1,4 @@
-"""Descents of single paths: what they return is free and cheaper, and they say when there are none."""
+"""Descents of single paths return free and cheaper paths, and report when there are none."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def task(request: pytest.FixtureRequest) -> gp.Task:
 
 @pytest.fixture(scope="module")
 def path(task: gp.Task) -> Path:
-    """A free path between configurations that are clear of what the object stands on."""
+    """A free path between configurations that are clear of the surface below the object."""
     found = gp.plan(task.start, task.goal, task.scene, w=0.0, planner="rrt_connect", iterations=500).unwrap().path
     q = found.resampled(0.05).q
     clear = np.flatnonzero(compile_scene(task.scene).kernels.free(q, 0.005))

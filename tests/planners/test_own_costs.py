@@ -1,4 +1,4 @@
-"""Costs of one's own in searches and descents: as the core sees them, when it asks, and what motions gain."""
+"""Custom costs in searches and descents: agreement with the core, batched calls, and better motions."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_what_a_descent_knows_is_what_evaluate_says(task: gp.Task, motion: gp.Co
 
 @dataclass(frozen=True, eq=False)
 class Asked(gp.Cost):
-    """Counts how often it is asked, and for how many states."""
+    """Records the batch size of each evaluation."""
 
     sizes: list[int] = field(default_factory=list)
 
@@ -133,7 +133,7 @@ def test_plans_descend_along_own_costs(task: gp.Task, exposure: str) -> None:
     plain = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=100)
     own = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=100)
     assert own.status is gp.PlanStatus.SOLVED
-    assert "estimated_total" in own.stats or exposure == "waypoints"  # polylines may have fewer
+    assert "estimated_total" in own.stats or exposure == "waypoints"  # polylines lack this estimate
     assert own.cost.total < 0.97 * gp.evaluate(plain.trajectory, task.scene, objective).total
     again = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=100)
     np.testing.assert_array_equal(own.trajectory.q, again.trajectory.q)
@@ -142,7 +142,7 @@ def test_plans_descend_along_own_costs(task: gp.Task, exposure: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Leaning(gp.Cost):
-    """Counts how often its gradient is asked for, and of how many states."""
+    """Records the batch size of each gradient evaluation."""
 
     sizes: list[int] = field(default_factory=list)
 

@@ -1,4 +1,4 @@
-"""Every planner of the registry: the contract, known optima, and the laws of what they share."""
+"""Every planner of the registry: the contract, known optima, and shared laws."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _ITERATIONS = {
     "auto": 150, "anytime": 150, "chomp": 200, "stomp": 150, "casadi": 40, "prm": 120, "prm_star": 150, "rrt_star": 150,
     "informed_rrt_star": 150,
 }  # fmt: skip
-"""Iterations that are ample in the plane; what one is differs from planner to planner."""
+"""Iterations that are ample in the plane; an iteration differs from planner to planner."""
 
 _HASTY = {"bit_star": {"samples_per_batch": 40}}
-"""Settings that make do with few iterations."""
+"""Settings for few iterations."""
 
 _TOLERANCE = 1.05
-"""J / J* allowed at the moderate budgets of these tests; the benchmark grants more time and asks for 1.02."""
+"""J / J* allowed at the moderate budgets of these tests; the benchmark has more time and requires 1.02."""
 
 
 def _last(planner: Planner, problem: Problem, objective, iterations: int, seed: int = 0) -> float:
@@ -54,7 +54,7 @@ def test_registry_holds_every_planner_under_its_name() -> None:
 
 @pytest.mark.parametrize("name", _NAMES)
 def test_contract(name: str) -> None:
-    """A wide overrun: the machine that runs the tests may be busy, and type checks slow every call."""
+    """The overrun is large because the test machine may be busy, and type checks slow every call."""
     planner = PLANNERS[name](**_HASTY.get(name, {}))
     check_planner(planner, PlannerTrial(iterations=_ITERATIONS.get(name, 500), time_limit=0.02, overrun=10.0))
 
@@ -84,7 +84,7 @@ def test_feasible_planners_shortcut_what_they_find(name: str) -> None:
     "planner", [PRMStar(), BITStar(), RRTStar(), InformedRRTStar()], ids=lambda planner: planner.name
 )
 def test_a_free_straight_line_is_recognised_as_optimal(planner: Planner) -> None:
-    """With w = 0 nothing can be better, so the planner stops long before its budget ends."""
+    """With w = 0 the straight line is optimal, so the planner stops long before its budget ends."""
     instance = free_space()
     budget = Budget(iterations=50_000)
     *_, path = planner.solve(
@@ -96,7 +96,7 @@ def test_a_free_straight_line_is_recognised_as_optimal(planner: Planner) -> None
 
 @pytest.mark.parametrize("backwards", [False, True])
 def test_trees_leave_a_narrow_slot(backwards: bool) -> None:
-    """Either end may sit in a slot a fiftieth as wide as it is deep; both trees get their turns."""
+    """Either end may sit in a slot that is 50 times deeper than wide; the search extends both trees."""
     ends = np.array([[0.0, 0.0], [2.0, 1.5]])
     start, goal = ends[::-1] if backwards else ends
     problem = FunctionProblem(
@@ -115,7 +115,7 @@ def test_trees_leave_a_narrow_slot(backwards: bool) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_near_trees_keep_limits_and_seeds(seed: int) -> None:
-    """Both ends sit in corners, so that much of what is drawn around them would lie outside."""
+    """Both ends sit in corners, so many samples around them would be outside the limits."""
     problem = FunctionProblem(
         start=np.array([-1.0, -2.0]),
         goals=np.array([[3.0, 2.0]]),
@@ -177,7 +177,7 @@ def test_lazy_query_equals_a_search_of_the_checked_graph(seed: int, symmetric: b
             a, b = roadmap.q[i : i + 1], roadmap.q[j : j + 1]
             if problem.edges_free(a, b)[0]:
                 distance[i, j] = distance[j, i] = roadmap.questions.edge_costs(a, b)[0]
-    for k in range(n):  # Floyd and Warshall
+    for k in range(n):  # Floyd and Warshall's algorithm
         distance = np.minimum(distance, distance[:, k : k + 1] + distance[k : k + 1, :])
     expected = distance[0, 1 : 1 + roadmap.goal_count].min()
     assert (np.inf if found is None else found[0]) == pytest.approx(expected)
@@ -193,7 +193,7 @@ def test_nodes_are_joined_to_their_nearest_among_the_earlier() -> None:
 
 
 class _Motion:
-    """V = weighted length, with a cost for going up."""
+    """V = weighted length, plus a cost of going up."""
 
     w = 1.0
 
@@ -243,7 +243,7 @@ def test_informed_samples_can_be_on_a_better_path(seed: int, dimension: int, sla
 
 
 def test_informed_samples_are_uniform() -> None:
-    """Compared with rejection from the box: same share in the half nearer to the start and near the long axis."""
+    """Compared with rejection sampling: equal shares in the half nearer to the start, and near the long axis."""
     rng = np.random.default_rng(0)
     problem = FunctionProblem(
         start=np.array([-1.0, 0.0, 0.0]),

@@ -1,4 +1,4 @@
-"""Shortcutting: only ever cheaper, only over free ground, and never back across a hazard."""
+"""Shortcuts: always cheaper, always free, and never back across a hazard."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_every_path_is_cheaper_free_inside_and_keeps_its_ends(seed: int) -> None
 
 
 def test_does_not_cut_back_across_a_hazard() -> None:
-    """The straight line is the shortest path, but it crosses what is costly."""
+    """The straight line is the shortest path, but it crosses an expensive region."""
     problem = FunctionProblem(
         start=np.array([-2.0, 0.0]), goals=np.array([[2.0, 0.0]]), lower=np.full(2, -3.0), upper=np.full(2, 3.0)
     )

@@ -15,7 +15,7 @@ from graceful_plan.exceptions import FormatError, NonFiniteError, SettingError, 
 from graceful_plan.timing.trajectory import Trajectory
 
 _TOLERANCE = 1e-9
-"""The cubics are evaluated in closed form; only rounding is left."""
+"""The cubics are evaluated in closed form, so only rounding differs."""
 
 
 def _random(seed: int, n: int = 6, nq: int = 2) -> Trajectory:

@@ -1,4 +1,4 @@
-"""gp.pareto on scenes: what it returns is verified, and whoever asks for the impossible hears so."""
+"""gp.pareto on scenes: its motions are verified, and impossible requests end with their exact status."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_a_front_is_found_and_every_point_is_verified(task, front):
 
 
 def test_a_front_is_worth_more_than_its_planner_alone(task, front):
-    """Two weighted sums that had half as many iterations each as the whole front."""
+    """Compare with two weighted sums, each with half as many iterations as the whole front."""
     costs = [gp.plan(task.start, task.goal, task.scene, w=w, iterations=_ITERATIONS // 2).cost for w in (0.0, 1.0)]
     alone = np.array([(cost.motion, cost.impact) for cost in costs])
     reference = 1.1 * np.vstack([front.costs, alone]).max(axis=0)

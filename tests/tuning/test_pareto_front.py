@@ -114,7 +114,7 @@ def test_known_hypervolume():
 
 
 def test_knee_of_a_known_front():
-    assert front(CONVEX).knee.motion == 2.0  # (0.2, 0.2) on axes from 0 to 1, the others sum to 0.567 or more
+    assert front(CONVEX).knee.motion == 2.0  # (0.2, 0.2) on axes scaled to [0, 1]; the other sums are >= 0.567
     assert front([(1.0, 2.0)]).knee.motion == 1.0
     assert front([(1.0, 2.0), (2.0, 1.0)]).knee.motion == 1.0
     assert ParetoFront(status=PlanStatus.TIMEOUT).knee is None

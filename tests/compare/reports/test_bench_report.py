@@ -18,7 +18,7 @@ VOID = {"meta", "br", "link", "img", "hr", "input"}
 
 
 class Balanced(HTMLParser):
-    """Reads a page and complains about elements that are not closed, or closed twice."""
+    """Parses a page and records elements that are not closed, or closed twice."""
 
     def __init__(self):
         super().__init__(convert_charrefs=True)
@@ -132,12 +132,12 @@ def test_gaps_and_medians_by_hand():
     summary = bench.summarise(rich())
     first, second, third = summary.planners
     assert list(summary.best.values()) == pytest.approx([1.0 + i for i in range(7)])
-    assert (first.gap, second.gap) == pytest.approx((0.001, 0.1011))  # of 7 times 0 and 7 times 0.001: the worse
+    assert (first.gap, second.gap) == pytest.approx((0.001, 0.1011))  # of 7 times 0 and 7 times 0.001: the worse one
     assert third.gap == math.inf  # half of its runs failed
     assert (first.solved, third.solved, third.runs) == (14, 7, 14)
     assert dict(third.outcomes) == {"SOLVED": 7, "TIMEOUT": 3, "RAISED": 4}
     assert (first.first, second.first, third.first) == (0.001, 0.002, math.inf)
-    # Twice as dear until ten times the time to the first path.
+    # Twice the cost until ten times the time to the first path.
     assert first.gap_at["0.01"] == pytest.approx(0.001)
     assert second.gap_at["0.01"] == pytest.approx(2 * 1.1 * 1.001 - 1.0)
     assert (first.motion, first.impact) == pytest.approx((0.75, 0.25), rel=2e-3)

@@ -32,7 +32,7 @@ def test_by_hand():
 def test_signed_rank_by_hand():
     # All six differences have one sign: 2 of the 2^6 assignments of signs are as extreme.
     assert signed_rank([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) == pytest.approx(2 / 64)
-    # Of five, even that is above 0.05.
+    # With five, even that is above 0.05.
     assert signed_rank([1.0, 2.0, 3.0, 4.0, 5.0]) == pytest.approx(2 / 32)
 
 
@@ -63,7 +63,7 @@ def test_many_differences_are_normal():
     difference = np.random.default_rng(2).normal(0.1, 1.0, 201)
     expected = stats.wilcoxon(difference, method="asymptotic", correction=True).pvalue
     assert signed_rank(difference) == pytest.approx(expected)
-    # The two ways meet where they change over.
+    # The exact and the asymptotic p-value agree where the method changes.
     exact = signed_rank(difference[:200])
     assert exact == pytest.approx(stats.wilcoxon(difference[:200], method="asymptotic").pvalue, rel=0.05)
 

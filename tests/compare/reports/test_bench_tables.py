@@ -90,7 +90,7 @@ def columns(database, table):
 def test_arena_has_the_tables_of_ompl(arena):
     tables = {name for (name,) in arena.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
     assert tables - {"sqlite_sequence"} == {"experiments", "plannerConfigs", "enums", "runs", "progress"}
-    # In the order in which Planner Arena takes them for granted.
+    # Planner Arena expects the columns in this order.
     assert columns(arena, "experiments") == (
         "id name totaltime timelimit memorylimit runcount version hostname cpuinfo date seed setup".split()
     )
@@ -110,7 +110,7 @@ def test_arena_has_every_run(arena):
 
     assert (count("experiments"), count("plannerConfigs"), count("runs")) == (7, 3, 42)
     solved = [run for run in compared.runs if run.solved]
-    # Every 5 ms of half a second, and everybody had a path by then.
+    # A row per 5 ms of half a second; every planner has a path by then.
     assert count("progress") == 100 * len(solved)
     assert count("enums") == len(STATUSES)
     joined = arena.execute(
@@ -127,7 +127,7 @@ def test_arena_has_every_run(arena):
 
 
 def test_no_column_of_progress_is_one_of_runs_too(arena):
-    # Planner Arena joins both, and renames these two itself.
+    # Planner Arena joins both tables, and renames these two columns itself.
     assert set(columns(arena, "runs")) & set(columns(arena, "progress")) == {"time", "best_cost"}
 
 

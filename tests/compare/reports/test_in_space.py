@@ -1,4 +1,4 @@
-"""What the page of a comparison shows in 3-D: the right motions, or why there is none."""
+"""The 3-D view on the page of a comparison: the right motions, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TASK = "tabletop/lift_to_goal"
 
 
 def moving(planner, total, pieces=3, problem=TASK):
-    """Make up a run with a short motion."""
+    """Return an invented run with a short motion."""
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     q = np.linspace(task.start, task.start + 0.1, pieces)
     motion = gp.retime(gp.Path(q), task.scene.limits, task.scene.joints)
@@ -40,7 +40,7 @@ def summary(runs, source="tabletop", digest=""):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What the view is asked to show, which is tested elsewhere."""
+    """Record the arguments of the view, which has its own tests."""
     asked = []
     monkeypatch.setattr(module, "report_view", lambda *all: asked.append(all) or ("<p>a view</p></script>", ""))
     return asked

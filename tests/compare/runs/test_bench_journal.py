@@ -84,7 +84,7 @@ def test_other_files_are_refused(tmp_path, head, message):
     assert (tmp_path / NAME).read_bytes() == head
 
 
-LATER = {  # what the journal of each version did not have yet
+LATER = {  # fields that the journal of each version lacked
     1: {"self_clearance", "certified", "times", "velocities", "motion_wall", "motion_cpu", "early"},
     2: {"motion_wall", "motion_cpu", "early"},
 }
@@ -166,7 +166,7 @@ def test_a_folder_without_a_journal_has_no_report(tmp_path):
 @pytest.mark.long
 def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path):
     out = tmp_path / "out"
-    # There are far more slow runs to do than it takes to notice some; what is left in the end is quick.
+    # Many more slow runs than finish before the kill; the remaining ones are quick after `slow` is deleted.
     slow = own_planner(tmp_path, act="import pathlib, time; time.sleep(0.2 * pathlib.Path('slow').exists())")
     (tmp_path / "slow").touch()
     command = [sys.executable, "-m", "graceful_plan.tools.cli", "bench", "--suite", str(suite_file(tmp_path)), "--json"]

@@ -1,4 +1,4 @@
-"""The best motions known: kept, judged again, and replaced by better ones alone."""
+"""The best motions known: stored, verified again, and replaced only by better ones."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_files_say_for_which_weight_they_are(stored, motions):
 
 def test_a_colliding_motion_is_refused(stored, motions):
     inside = task().start.copy()
-    inside[1:4] = [1.5, 0.0, -0.5]  # arm stretched out into the table
+    inside[1:4] = [1.5, 0.0, -0.5]  # the arm stretched into the table
     scene, ends = task().scene, stored.trajectory(task().scene.joints).q[[0, -1]]
     through = gp.retime(gp.Path(np.insert(ends, 1, inside, axis=0)), scene.limits, scene.joints)
     rows = np.column_stack([through.t, through.q, through.qd])

@@ -1,4 +1,4 @@
-"""Costs to compose: against oracles, their gradients, their sums, and that planners never leave the core for them."""
+"""Cost blocks: against oracles, gradients, sums, and evaluation in the core."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.costs.own_costs import Bowl
 
 Array = np.ndarray
 STEP = 1e-3
-_TOLERANCE = 5e-3  # of central differences of clearances in single precision, and of another nearest pair within a step
+_TOLERANCE = 5e-3  # central differences of single-precision clearances; the nearest pair may change within a step
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_the_core_charges_edges_as_python_does(scene: gp.Scene, block: str, expo
     assert native.kernel is not None and asked.kernel is None
     q0 = states(scene, 20)
     q1 = q0 + 0.1 * np.random.default_rng(1).normal(size=q0.shape)
-    rough = 2e-3 if block == "with the impact" else 1e-6  # the kernel of drops alone differs by as much
+    rough = 2e-3 if block == "with the impact" else 1e-6  # the error of the drop kernel alone
     np.testing.assert_allclose(native.edges(q0, q1), asked.edges(q0, q1), rtol=rough, atol=1e-6)
 
 
@@ -162,21 +162,21 @@ def test_a_term_that_breaks_its_contract_is_named(scene: gp.Scene) -> None:
 
 
 class Broken(gp.Cost):
-    """Returns too many numbers."""
+    """Returns an array of the wrong length."""
 
     def state(self, batch: gp.StateBatch) -> Array:
-        """Return one too many."""
+        """Return one value too many."""
         return np.ones(len(batch) + 1)
 
 
 class Told(gp.Cost):
-    """Hides from planners what another cost is."""
+    """Hides the type of the wrapped cost, so planners call it through Python."""
 
     def __init__(self, held: gp.Cost) -> None:
         self.held = held
 
     def state(self, batch: gp.StateBatch) -> Array:
-        """Return what the other does."""
+        """Return the cost of the wrapped cost."""
         return self.held.state(batch)
 
 

@@ -20,7 +20,7 @@ from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.exceptions import SceneError, SettingError
 
 _TOLERANCE = 1e-9
-"""Of the oracle: the same formulas in another order of operations."""
+"""The oracle uses the same formulas in another order of operations."""
 
 _SHAPES = {
     "box": '<geom name="load" type="box" size="0.03 0.04 0.05"/>',
@@ -31,7 +31,7 @@ _SHAPES = {
 
 
 def gantry(targets, shape="box", turn=0.0, shift=(0.0, 0.0)):
-    """An arm of three slides and a hinge about the vertical, holding something above some boxes; all of it turned."""
+    """An arm of three slides and a vertical hinge that holds an object above boxes; all rotated by `turn`."""
     bodies = "".join(
         f'<body name="{name}" pos="{x} {y} {z}"><geom name="{name}" {geom}/></body>'
         for name, (x, y, z, geom) in targets.items()
@@ -136,7 +136,7 @@ def test_the_first_contact_with_a_box_is_the_stated_distribution():
     scene, rng = gantry(BOX), np.random.default_rng(0)
     k = DropSettings.shipped().box
     q, qd = np.array([0.085, 0.06, -0.3, 0.0]), np.array([-0.05, 0.02, 0.0, 0.0])
-    # The object's centre is 0.3 below the slides' origin at 1, its lower face 0.05 below that.
+    # The object's centre is 0.3 below the slides' origin (z = 1), and its lower face 0.05 below the centre.
     h = 1.0 - 0.3 - 0.3 - 0.05 - 0.2
     t = math.sqrt(2.0 * 9.81 * 0.5 * (h + math.hypot(h, 0.01))) / 9.81
     x, y = q[:2] + qd[:2] * (t + k.delay)
@@ -289,7 +289,7 @@ def test_nothing_is_hit_from_far_away():
 
 @pytest.mark.parametrize("height", [0.0, 1e-4, 0.02, 0.2])
 def test_it_is_smooth_also_at_rest_and_without_height(crowd, height):
-    """Central differences of half the step agree, in q and in the velocity."""
+    """Both gradients, in q and velocity, equal central differences at two step sizes."""
     q0 = np.array([0.03, 0.02, -0.45 + height, 0.2])
     for direction in np.eye(4):
 
@@ -319,7 +319,7 @@ def test_rows_of_components(tasks):
     assert P.shape == (3, len(names), len(task.scene.entities))
     np.testing.assert_array_equal(P[:, names.index("body")], 0.0)
     np.testing.assert_allclose(P[:, names.index("carried")], dropped(batch).entity, atol=1e-9)
-    # What becomes of contents: test_spill_model.py.
+    # For contents see test_spill_model.py.
     assert 0.0 < P[:, names.index("contents")].max() <= 1.0
 
 
@@ -342,7 +342,7 @@ def test_no_states_and_many_states(crowd):
     q = np.random.default_rng(0).uniform(-0.2, 0.2, size=(3000, 4))
     whole = FailureMixture().probability(StateBatch(crowd, q))
     alone = FailureMixture().probability(StateBatch(crowd, q[:10]))
-    np.testing.assert_allclose(whole[:10], alone, rtol=0.0, atol=1e-12)  # states share the lanes of an instruction
+    np.testing.assert_allclose(whole[:10], alone, rtol=0.0, atol=1e-12)  # states share SIMD lanes
 
 
 # --- constants ------------------------------------------------------------------------------------------------------

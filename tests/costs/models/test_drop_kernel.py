@@ -30,7 +30,7 @@ from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
 from sizes import first_quick
 
-_P = 1e-11  # probabilities: what is left out to save time, and rounding; the bar is 1e-9
+_P = 1e-11  # probabilities: pruning and rounding; the documented bound is 1e-9
 SETTINGS = DropSettings.shipped()
 
 
@@ -140,7 +140,7 @@ def test_neighbours_in_the_batch_and_batch_axes(scene, kernel):
     assert np.array_equal(lost, kernel.own_loss(q, qd).reshape(3, 7))
 
 
-# --- what planners are charged ----------------------------------------------------------------------------------------
+# --- costs in planners ------------------------------------------------------------------------------------------------
 
 
 def test_impact_is_the_sum_over_entities(scene, kernel):
@@ -178,7 +178,7 @@ def test_planners_run_on_it():
     native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=1500)
     assert native.path is not None
     assert native.cost.total == pytest.approx(objective.breakdown(native.trajectory).total, rel=1e-9)
-    # It pays: an ordinary plan is dearer by the same account.
+    # A plan that ignores impact costs more under this objective.
     ordinary = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=1500)
     assert ordinary.path is not None and objective.breakdown(ordinary.trajectory).total > 1.05 * native.cost.total
 
@@ -214,7 +214,7 @@ def test_little_or_nothing_to_fall_on(vase):
 
 
 def _difference(f, n, h):
-    """Derivative of f [n] along each axis of its argument, to fourth order; [n nq]."""
+    """Return fourth-order differences of f [n] along each axis of its argument; [n nq]."""
     steps = h * np.eye(n)
     return np.stack([(8 * (f(d) - f(-d)) - (f(2 * d) - f(-2 * d))) / (12 * h) for d in steps], axis=1)
 
@@ -229,7 +229,7 @@ def _check_gradient(kernel, q, qd, severity, own=0.7):
 
     impacts = (lambda d: of(q + d, qd), lambda d: of(q, qd + d))
     for gradient, f in zip(gradients, impacts, strict=True):
-        # The model has kinks (edges of the parts along those of a surface); a smaller step does not cross them.
+        # The model has kinks (edges of parts above edges of a surface); a smaller step does not cross them.
         found = [_difference(f, q.shape[1], h) for h in (1e-5, 1e-6, 1e-7)]
         assert np.min([np.abs(gradient - d) / (1.0 + np.abs(d)) for d in found], axis=0).max() < 1e-6
 
@@ -240,7 +240,7 @@ def test_gradient_is_the_finite_difference(name):
         scene, kernel = task.scene, drop_kernel(task.scene, SETTINGS)
         severity = np.random.default_rng(k).uniform(size=(len(ROWS), len(scene.entities)))
         q, qd = _states(scene, 40, seed=20 + k)
-        q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
+        q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # away from kinks of aligned objects
         _check_gradient(kernel, q, qd, severity)
         if np.ptp(kernel.own_loss(q, qd)) > 0.1:
             _check_gradient(kernel, q, qd, np.zeros_like(severity), own=1.0)

@@ -1,4 +1,4 @@
-"""Failures of all kinds together: the footprint model weighs drops, spills and failing arms by a prior over faults."""
+"""Failures of all kinds: the mixture model weighs drops, spills and failing arms by a fault prior."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
 
-_SAME = 1e-9  # relative: the same numbers, added in another order
-_TINY = 1e-5  # of severities around 10: what single precision makes of probabilities near 0
+_SAME = 1e-9  # relative: the same terms summed in another order
+_TINY = 1e-5  # absolute, for severities around 10: single precision of probabilities near 0
 _SCENES = ("contents", "no contents", "nothing carried")
 _KNOWN_STEPS = len(AHEAD)
 
@@ -48,7 +48,7 @@ def states(scene: gp.Scene, n: int, seed: int = 0, *, still: bool = False) -> St
 
 
 def prior_of(**effects: float) -> FaultPrior:
-    """One fault that does this and nothing else."""
+    """A prior with a single fault that has these effects."""
     return FaultPrior({"mishap": 1.0}, {"mishap": effects})
 
 
@@ -174,7 +174,7 @@ def test_what_is_dropped_is_not_held_by_an_arm_that_falls(scenes: dict[str, gp.S
 def test_the_motion_to_come_is_used_where_it_is_known(scenes: dict[str, gp.Scene]) -> None:
     scene, model = scenes["contents"], FailureMixture(faults=prior_of(stuck=1.0))
     batch = states(scene, 20)
-    rest = np.repeat(batch.q[:, None], _KNOWN_STEPS, axis=1)  # the motion is over, although the joints still turn
+    rest = np.repeat(batch.q[:, None], _KNOWN_STEPS, axis=1)  # the motion has ended, although velocities remain
     over = StateBatch(scene, batch.q, batch.direction, batch.speed, ahead=rest)
     assert not np.allclose(model.probability(batch), model.probability(over))
     dropped = FailureMixture()

@@ -1,4 +1,4 @@
-"""Drops on those who move: laws, the model of what stands still as reference, the core beside NumPy."""
+"""Drops on moving entities: laws, the static model as reference, the core against NumPy."""
 
 from dataclasses import dataclass, replace
 
@@ -21,11 +21,11 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.elements import COMPONENTS
 
 _STANDING = (0.03, 0.15)
-"""Largest mean and single difference from the model of what stands still: here the object is followed down the side of
-an entity and not to the height of its top alone, a part that falls off is caught a little differently, and those who
-stand beside a drop do not catch what would hit something else."""
+"""Largest mean and single difference from the static model. Here the object is followed down an entity's side, not
+only to its top; a part that falls off is caught slightly differently; and an entity beside the drop does not catch an
+object that would hit another one.""""""
 _CORE = 0.25
-"""Relative difference of mean probabilities: in the core nobody moves while the object falls."""
+"""Relative difference of mean probabilities: the core keeps entities fixed while the object falls."""
 _SIZES = {"box": [0.05, 0.08, 0.1], "cylinder": [0.06, 0.1]}
 
 
@@ -35,7 +35,7 @@ def scene():
 
 
 def walker(x=0.3, y=0.0, *, size="box", speed=0.0, heading=0.0, passes=0.0, turn=0.0, shift=(0.0, 0.0), **more):
-    """Something 0.2 m high on the ground that passes (x, y) at some time; all of it turned, then moved."""
+    """An entity 0.2 m high on the ground that passes (x, y) at a given time; the whole is rotated, then moved."""
     times = passes + np.array([-1.0, 1.0])
     R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     along = speed * np.array([np.cos(heading), np.sin(heading)])
@@ -98,20 +98,20 @@ def test_nobody_is_hit_who_comes_later():
     scene = gantry({})
     entity = walker(0.0, 0.0, speed=1.5, passes=3.0)
     over = np.zeros(4)
-    assert probability(scene, entity, over, time=2.65)[0] > 0.9  # 0.5 m before the place, and 0.3 s to fall
+    assert probability(scene, entity, over, time=2.65)[0] > 0.9  # 0.5 m before (0, 0), with a fall of 0.3 s
     for time in (1.0, 3.6):
         assert probability(scene, entity, over, time=time)[0] < 1e-3
 
 
 def test_they_go_on_while_it_falls():
     scene = gantry({})
-    height = 0.7 - 0.05 - 0.2  # of the object's bottom above their tops [m]
+    height = 0.7 - 0.05 - 0.2  # of the object's bottom above the entity's top [m]
     fall = np.sqrt(2.0 * height / 9.81) + DropSettings.shipped().box.delay
     times = np.linspace(-1.0, 1.0, 201)
     P = probability(scene, walker(0.0, 0.0, speed=1.0, size="cylinder"), np.zeros((201, 4)), time=times)
     sure = times[P > 0.9]
     assert len(sure) > 5
-    # Somewhat earlier too, since it may hit their sides while it goes on to the ground.
+    # Slightly earlier, since the object may hit the entity's side on its way to the ground.
     assert -fall - 0.08 < sure.mean() < -fall
 
 
@@ -164,7 +164,7 @@ def test_who_passes_in_a_slant_beside_it_is_not_hit(size):
         return probability(scene, entity, np.zeros((81, 4)), time=times).max()
 
     assert most(0.0) > 0.9
-    assert most(0.22) < 0.1  # the object reaches 0.05 m, and they 0.12 m to their sides
+    assert most(0.22) < 0.1  # the object reaches 0.05 m to the sides, the entity 0.12 m
 
 
 def test_nothing_falls_through_a_table():
@@ -208,7 +208,7 @@ def test_states_that_are_asked_for_at_many_times_are_the_same_as_one_by_one(scen
 
 
 def _near_a_walker(scene, n, same=1):
-    """States around somebody who is uncertain and walks, each of them at some times."""
+    """States around an uncertain moving entity, each at several times."""
     rng = np.random.default_rng(5)
     q = np.column_stack(
         [rng.uniform(-0.2, 0.8, n // same), rng.uniform(-0.5, 0.5, n // same), np.zeros((n // same, 2))]
@@ -223,9 +223,9 @@ def test_nobody_is_where_they_would_have_been_touched():
     tall = gp.MovingEntity("p", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.3, 0.0, 0.85]], spread=0.1)
     P = probability(scene, tall, np.zeros(4), time=0.0)[0]
     blind = probability(scene, tall, np.zeros(4))[0]  # without a time
-    assert P < 0.6 * blind  # most places from which it is hit are such
+    assert P < 0.6 * blind  # at most places from which it would be hit, it already touches the arm
     inside = gp.MovingEntity("p", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.0, 0.0, 0.85]], spread=0.02)
-    assert probability(scene, inside, np.zeros(4), time=0.0)[0] > 0.9  # of none that is free, all
+    assert probability(scene, inside, np.zeros(4), time=0.0)[0] > 0.9  # no place is free, so all are used
 
 
 @pytest.mark.parametrize("size", ["box", "cylinder"])
@@ -254,7 +254,7 @@ def test_whom_links_touch_is_found_as_by_looking_at_every_sphere(size):
 
 @pytest.mark.parametrize("geom", ["box", "cylinder"])
 def test_who_stands_still_is_hit_like_what_stands_still(geom):
-    # Free to move, as who walks is: nobody stops what flies as a wall does.
+    # A free joint, since a moving entity does not stop a flying object as a wall does.
     post = f'type="{geom}" size="{" ".join(map(str, _SIZES[geom]))}" euler="0 0 0.4"/><freejoint'
     place = {"post": (0.3, 0.1, 0.1, post)}
     rng = np.random.default_rng(2)
@@ -351,7 +351,7 @@ def test_the_core_guides_searches_about_right(scene):
 
 @dataclass(frozen=True)
 class Nothing(gp.InteractionModel):
-    """A model of one's own in which nothing that stands still is hit."""
+    """A custom model in which static entities are never hit."""
 
     def probability(self, batch):
         return np.zeros((len(batch), len(batch.scene.components), len(batch.scene.entities)))

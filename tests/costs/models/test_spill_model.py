@@ -1,4 +1,4 @@
-"""The spill model: the slow oracle, laws, what it has to say of simple spills, the core, unhappy paths."""
+"""The spill model: the slow oracle, laws, simple spills, the core, unhappy paths."""
 
 import dataclasses
 from dataclasses import asdict, replace
@@ -27,7 +27,7 @@ _CUP = """<geom name="cup" type="cylinder" size="0.04 0.05"/>
 
 
 def gantry(targets, contents, turn=0.0, shift=(0.0, 0.0)):
-    """An arm of three slides and a hinge, which holds a cup above some boxes; all of it turned and shifted."""
+    """An arm of three slides and a hinge that holds a cup above boxes; all rotated and shifted."""
     bodies = "".join(
         f'<body name="{name}" pos="{x} {y} {z}"><geom name="{name}" {geom}/></body>'
         for name, (x, y, z, geom) in targets.items()
@@ -68,7 +68,7 @@ TABLE = {
 
 
 def reached(scene, q, qd=None, spill=SPILL):
-    """P [n, use, entity] from the core."""
+    """Return P [n, use, entity] from the core."""
     q = np.atleast_2d(np.asarray(q, float))
     qd = np.zeros_like(q) if qd is None else np.atleast_2d(np.asarray(qd, float))
     return drop_kernel(scene, DROP, spill).probability(q, qd)[:, 1 : 1 + len(USES)]
@@ -221,7 +221,7 @@ def test_what_runs_over_the_edge_comes_down_below(table):
 def test_set_down_gently_nothing_is_spilled(table):
     low, high = reached(table, [[0.0, 0.0, -0.15, 0.0], [0.0, 0.0, 0.5, 0.0]])
     assert high[0].max() > 0.9 and low[0].max() < 0.6 * high[0].max()
-    assert low[1].max() > 0.8  # what gets out in the gripper does not ask how high
+    assert low[1].max() > 0.8  # spills in the gripper do not depend on height
 
 
 def test_contents_fly_on(table):

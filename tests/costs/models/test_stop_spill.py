@@ -1,4 +1,4 @@
-"""What stops of the robot spill: the specification, its derivatives, and what simple stops should do."""
+"""Spills by protective stops: the specification, its derivatives, and simple stops."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def table():
 
 
 def reached(scene, q, qd, stop=STOP):
-    """P [n, entity] from the core."""
+    """Return P [n, entity] from the core."""
     return drop_kernel(scene, DROP, SPILL, None, stop).probability(q, qd)[:, STOPPED]
 
 
 def onward(speed, n=1):
-    """A cup in the middle above the table that moves along x."""
+    """Return a state with the cup above the middle of the table, moving along x."""
     return np.zeros((n, 4)), np.tile([speed, 0.0, 0.0, 0.0], (n, 1))
 
 
@@ -104,10 +104,10 @@ def test_faster_and_harder_stops_spill_more(table, speed, more):
 
 def test_contents_go_over_the_brim_where_it_is_level_with_what_is_felt(table):
     vessel = find_vessel(table)
-    fast = 30.0  # a stop so long that nothing but its deceleration counts
+    fast = 30.0  # a stop so long that only its deceleration matters
     brim = 9.81 * np.tan(vessel.brim_tilt)
     for share, expected in ((0.6, 0.0), (1.0, 0.5), (1.6, 1.0)):
-        stop = replace(STOP, deceleration=share * brim, amplification=1.0)  # accelerations are 1 m/s^2 at most
+        stop = replace(STOP, deceleration=share * brim, amplification=1.0)  # joint accelerations are limited to 1 m/s^2
         assert stop_spill(moving(table, *onward(fast)), stop).chance[0] == pytest.approx(expected, abs=0.1)
 
 

@@ -1,4 +1,4 @@
-"""CasADi as a planner: known optima from bad paths of the right class, and paths of an arm that cost less."""
+"""CasADi as a planner: known optima from bad paths of the right homotopy class, and better paths of an arm."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Array = np.ndarray
 
 _WITHIN = 1.005
 _BELOW = 0.998
-"""J is a sum over samples: where the density jumps, it may be a little below the optimum."""
+"""J is a sum over samples; at a jump of the density it may be slightly below the optimum."""
 _SWING = {"disc": 1.8, "two_media": 0.6, "hyperbolic": 0.3, "catenary": -0.5}
 
 
 def _bad_path(instance: AnalyticProblem) -> Path:
-    """A long way around on the right side, and shaky."""
+    """Return a long, wavy detour in the homotopy class of the optimum."""
     problem = instance.problem
     t = np.linspace(0.0, 1.0, 9)[:, None]
     q = (1.0 - t) * problem.start + t * problem.goals[0]
@@ -88,7 +88,7 @@ def test_a_path_that_is_not_free_is_pushed_out() -> None:
 
 
 def test_the_program_has_the_slopes_that_it_says() -> None:
-    # Without impact: sums over samples jump a little where an edge gets one more of them.
+    # Without impact, since sums over samples jump where an edge gets one more sample.
     problem, objective, first = _panda("tabletop_l1", "green_to_blue", w=0.0)
     q = np.stack([first.resampled(0.2).q[k] for k in np.linspace(0, len(first.resampled(0.2)) - 1, 7).astype(int)])
     program = PathProgram(q, Slopes(problem, objective, Budget()), 1e-3, 0.1, path_total(objective, Path(q)), 0.5)
@@ -98,7 +98,7 @@ def test_the_program_has_the_slopes_that_it_says() -> None:
     np.testing.assert_allclose(values.constraints[-q[1:-1].size :], program.least[-q[1:-1].size :], atol=1e-9)
     jacobian = np.zeros((len(program.least), len(x)))
     np.add.at(jacobian, (program.jacobian_pattern.row, program.jacobian_pattern.column), values.jacobian)
-    # Along the ties: whatever moves points moves whitened variables with them.
+    # Along the ties between points and whitened variables: moving one moves the other.
     n = q[1:-1].size
     rng, step = np.random.default_rng(0), 1e-4
     for _ in range(5):

@@ -1,4 +1,4 @@
-"""Nonlinear programs: derivatives reach IPOPT in the right places, and whatever happens inside comes out."""
+"""Nonlinear programs: derivatives reach IPOPT in the right places, and exceptions of callbacks are raised."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = np.ndarray
 
 
 class Quartic(Program):
-    """Least sum of (x - 1)^4 with |x|^2 within bounds; entries of the Jacobian come in reverse order."""
+    """Minimise the sum of (x - 1)^4 with |x|^2 within bounds; the Jacobian's entries are listed in reverse order."""
 
     def __init__(self, n: int, most: float, curved: bool, least: float = -np.inf) -> None:
         self.lower, self.upper = np.full(n, -np.inf), np.full(n, np.inf)
@@ -92,7 +92,7 @@ def test_interrupts_come_through() -> None:
 
 
 def test_interrupts_that_somebody_swallows_come_through_too() -> None:
-    """CasADi does so when Ctrl-C comes while it is not in a call of ours."""
+    """CasADi swallows Ctrl-C when it arrives outside of a callback."""
 
     class Swallowing(Quartic):
         def evaluate(self, x: Array) -> Values:

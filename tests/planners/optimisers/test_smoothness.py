@@ -1,4 +1,4 @@
-"""The smoothness metric: its noise, its solutions, and limits that are met smoothly."""
+"""The smoothness metric: its noise, its solutions, and smooth motions at limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""STOMP: known optima, the laws of its update, ways out of obstacles, limits, and what it must leave alone."""
+"""STOMP: known optima, the laws of its update, leaving obstacles, limits, and fixed end points."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_yields_nothing_if_there_is_no_way_out() -> None:
 
 
 def test_bends_around_a_jump_of_the_cost_that_has_no_slope() -> None:
-    """A plateau without a gradient anywhere: 0 or 5, and the straight line crosses the 5."""
+    """A cost without any gradient: 0 or 5, and the straight line crosses the 5."""
     problem = _space((-2.0, 0.0), (2.0, 0.0))
     objective = DensityObjective(
         density=lambda q: np.where(np.linalg.norm(q - [0.0, -0.3], axis=1) < 0.6, 5.0, 0.0), step=0.03
@@ -304,13 +304,13 @@ def test_weights_are_those_of_the_paper() -> None:
     cost = np.array([[1.0, 3.0, 2.0], [3.0, 1.0, 4.0], [2.0, 2.0, 2.0]])
     at_points = 0.5 * (cost[:, 1:] + cost[:, :-1])
     score = (at_points - at_points.min(axis=0)) / np.ptp(at_points, axis=0).clip(1e-300)
-    score[:, 0] = 0.0  # all cost the same there
+    score[:, 0] = 0.0  # all candidates cost the same at this point
     expected = np.exp(-10.0 * score) / np.exp(-10.0 * score).sum(axis=0)
     np.testing.assert_allclose(weights(_batch(cost), np.eye(2), 10.0), expected)
 
 
 def test_where_all_cost_the_same_all_count_the_same() -> None:
-    """Then the update is the mean of the noise, which is unbiased."""
+    """The update is then the mean of the noise, which is unbiased."""
     weight = weights(_batch(np.full((5, 9), 3.0)), np.eye(8), 10.0)
     np.testing.assert_array_equal(weight, np.full((5, 8), 0.2))
 
@@ -321,7 +321,7 @@ def test_blocked_paths_count_less_than_any_that_is_free() -> None:
     weight = weights(_batch(cost, blocked), np.eye(1), 10.0)[:, 0]
     assert weight[0] < weight[1] < weight[2]
     only = weights(_batch(cost, np.ones((3, 2), bool)), np.eye(1), 10.0)[:, 0]
-    assert only[0] > only[2] > only[1]  # where all are blocked the cost decides
+    assert only[0] > only[2] > only[1]  # if all candidates are blocked, the cost decides
 
 
 def test_fewer_blocked_edges_rank_before_lower_costs() -> None:

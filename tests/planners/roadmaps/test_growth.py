@@ -1,4 +1,4 @@
-"""Growing roadmaps on problems without a robot, and the fronts of small ones."""
+"""Growing roadmaps on problems without a robot, and the fronts of small roadmaps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _columns(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def front_of_roadmap(problem, objective, rng, *, nodes=200, deadline=np.inf) -> list[Path]:
-    """Grow a small roadmap between the start and the goals; the paths of its front, the cheapest first."""
+    """Grow a small roadmap between start and goals; return the paths of its front, the cheapest first."""
     ground = Ground(
         problem=problem,
         impact=objective.states,
@@ -100,7 +100,7 @@ def test_paths_are_of_different_kinds():
     case = saddle(scale=3.0)
     paths = front_of_roadmap(case.problem, case.objective, np.random.default_rng(0), nodes=300)
     highest = [path.resampled(0.05).q[:, 1].max() for path in paths]
-    assert min(highest) < 0.4 and max(highest) > 0.7  # straight over the ridge; through the pass
+    assert min(highest) < 0.4 and max(highest) > 0.7  # one over the ridge, one through the pass
 
 
 def test_roadmaps_depend_on_the_generator_alone():
