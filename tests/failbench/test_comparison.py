@@ -20,7 +20,7 @@ def scene() -> gp.Scene:
 
 @cache
 def motion(lift: float) -> gp.Trajectory:
-    """Return a motion to the same goal that goes up by so much [rad] on its way."""
+    """Return a motion to the same goal that lifts joint 2 by `lift` [rad] halfway."""
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     ends = np.stack([task.start, task.goal[0]])
     middle = ends.mean(axis=0) - lift * np.eye(7)[1]

@@ -32,7 +32,7 @@ def run(capsys):
 
 @pytest.fixture(scope="module")
 def motion(tmp_path_factory):
-    """A trajectory in a file."""
+    """Write a trajectory to a file."""
     file = tmp_path_factory.mktemp("motion") / "trajectory.json"
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50, speed=0.5).unwrap().to_json(file)
@@ -96,7 +96,7 @@ def test_validate_prints_observed_and_predicted(run, motion):
 
 @pytest.fixture(scope="module")
 def pouring(tmp_path_factory):
-    """A trajectory that turns the mug of coffee over."""
+    """Return a trajectory that turns the mug of coffee over."""
     file = tmp_path_factory.mktemp("pouring") / "trajectory.json"
     task = gp.load_scene("desk").tasks["bring_coffee"]
     turn = 1.6 * np.eye(7)[5] * np.sign(task.scene.limits.position[5].mean() - task.start[5])

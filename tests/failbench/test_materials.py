@@ -1,4 +1,4 @@
-"""The materials of the bundled scenes bounce and roll as documented, and objects at rest stay at rest."""
+"""Materials of the bundled scenes bounce and roll as documented, and objects at rest stay at rest."""
 
 import re
 
@@ -16,7 +16,7 @@ EACH = [(scene, name) for scene in SCENES for name in materials.of(scene)]
 
 
 def documented():
-    """Rows of the table in docs/failbench.md: material, damping ratio, e asked and measured, lever arm [mm]."""
+    """Rows of the table in docs/failbench.md: material, damping ratio, e set and measured, lever arm [mm]."""
     lines = (ROOT / "docs" / "failbench.md").read_text().split("## Materials")[1].split("\n## ")[0].splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if re.match(r"\| [a-z]", line)]
     return {
@@ -67,7 +67,7 @@ def test_the_table_in_the_docs_says_what_the_scenes_say():
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_movable_things_have_a_material(scene):
-    """Whatever has a free joint and can be touched is of a material of the table."""
+    """Every body with a free joint and a collision geom has a material of the table."""
     world = failbench.build_world(suite.scene(scene))
     model, spec = world.model, suite.scene(scene).spec
     known = {tuple(spec.find_default(name).geom.solref) for name in materials.of(scene)}
@@ -104,7 +104,7 @@ def test_what_is_at_rest_stays_and_falls_asleep(scene):
 
 
 def test_pads_hold_as_they_did():
-    """The fingers' contact is the fingers' alone: no material makes it springy."""
+    """Pads use their own contact parameters: no material makes the grasp springy."""
     world = failbench.build_world(suite.scene("dining_table"))
     model, pads = world.model, world.robot.pads
     others = np.setdiff1d(np.arange(model.ngeom), pads)

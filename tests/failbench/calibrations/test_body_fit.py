@@ -1,4 +1,4 @@
-"""Margins are found again in what they have made, and the model reads what the calibration writes."""
+"""Fits recover the margins of generated data, and the model reads the file that the calibration writes."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Motions along which robots fail, and the jobs that make them."""
+"""Motions along which robots fail, and the jobs for them."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ TRUTH = {"width": 0.035, "speed": 0.12, "reach": 1.3}
 
 
 def _prepared(n: int, rng: np.random.Generator) -> Prepared:
-    """Return made-up landings, half of them near."""
+    """Return invented landings, half of them near."""
     offset = rng.normal(scale=0.12, size=(n, 5, 2))
     half = np.stack([np.full((n, 5, 2), 0.03), np.broadcast_to(rng.uniform(0.02, 0.06, size=(5, 2)), (n, 5, 2))])
     return Prepared(offset, rng.uniform(0.0, 0.5, size=(n, 5)), half)
@@ -51,7 +51,7 @@ def test_constants_that_made_the_events_are_found_again() -> None:
         fitted = found[name]
         assert fitted.low <= fitted.value <= fitted.high
         assert fitted.value == pytest.approx(true, rel=0.1)
-        assert fitted.low - 0.03 * true <= true <= fitted.high + 0.03 * true  # 95 %, give a little
+        assert fitted.low - 0.03 * true <= true <= fitted.high + 0.03 * true  # 95 %, with some tolerance
 
 
 def test_intervals_shrink_with_more_motions() -> None:
@@ -59,7 +59,7 @@ def test_intervals_shrink_with_more_motions() -> None:
     for n in (500, 4500):
         found = fitting.fit(GaussianFamily(), _made_up(TRUTH, n, 1), trust=1.0)["box"]
         widths.append(np.array([x.high - x.low for x in found.values()]))
-    assert (widths[1] < 0.6 * widths[0]).all()  # a third, but for luck
+    assert (widths[1] < 0.6 * widths[0]).all()  # expected: a third
 
 
 def test_intervals_cover() -> None:

@@ -1,4 +1,4 @@
-"""Mixtures of causes: the truth, the optimum, the ends of the range."""
+"""Mixtures of causes: the true shares, the optimum, the ends of the range."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ TRUE = (0.5, 0.1, 0.0, 0.25, 0.0, 0.05)
 
 
 def draw(shares, n=10_000, seed=0):
-    """Events of causes that come with some probability."""
+    """Draw events of causes with given probabilities."""
     rng = np.random.default_rng(seed)
     probability = rng.beta(0.2, 1.0, size=(n, len(shares)))
     cause = rng.choice(len(shares) + 1, size=n, p=[*shares, max(0.0, 1.0 - sum(shares))])
@@ -72,7 +72,7 @@ def test_ends_of_the_range():
     never, always = np.zeros(300, bool), np.ones(300, bool)
     assert most_likely(probability, never)[0].sum() == pytest.approx(0.0, abs=1e-6)
     assert most_likely(probability, always)[0].sum() == pytest.approx(1.0)
-    # One cause that is always right, and others that say nothing.
+    # One cause that is always right, and five without information.
     right = np.zeros((300, 6))
     right[:, 3] = happened
     np.testing.assert_allclose(most_likely(right, happened)[0], [0, 0, 0, 1, 0, 0], atol=1e-3)

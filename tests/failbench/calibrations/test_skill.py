@@ -12,7 +12,7 @@ from failbench.calibrations import skill
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 
 _EXACT = 1e-9
-"""Closed forms agree but for rounding."""
+"""Relative; closed forms agree up to rounding."""
 
 Array = np.ndarray
 
@@ -26,7 +26,7 @@ def events(draw: st.DrawFn) -> tuple[Array, Array]:
 
 
 def _sample(n: int = 20_000, seed: int = 0) -> tuple[Array, Array]:
-    """Events that happen exactly as often as predicted: p uniform."""
+    """Draw events that happen exactly as often as predicted, with p uniform."""
     rng = np.random.default_rng(seed)
     p = rng.random(n)
     return p, rng.random(n) < p

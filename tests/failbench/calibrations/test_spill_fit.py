@@ -1,4 +1,4 @@
-"""Fitting the spill model: what it is fitted to, and that the model reads what is written."""
+"""Fits of the spill model: their data, and the model reads the file that the fit writes."""
 
 from __future__ import annotations
 

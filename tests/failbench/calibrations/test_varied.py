@@ -1,4 +1,4 @@
-"""Things that bounce and turn otherwise than their scenes say."""
+"""Objects whose restitution and inertia differ from their scenes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def task() -> gp.Task:
 
 
 def rebound(task: gp.Task, restitution: float) -> float:
-    """Drop a sphere with the contact parameters of a varied object on wood; return the root of rebound over height."""
+    """Drop a sphere with a varied object's contact parameters on wood; return sqrt(rebound height / height)."""
     world = build_world(task.scene, SimSettings(grasp="weld"))
     bounce(world, Variation(restitution=(restitution, restitution)), seed=0)
     carried = int(np.flatnonzero(np.isin(world.model.geom_bodyid, world.striker_bodies["carried"]))[0])

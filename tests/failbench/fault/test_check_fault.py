@@ -1,4 +1,4 @@
-"""What `check_fault` says about faults that break their contract, and about those that do not."""
+"""`check_fault` reports faults that break their contract, and accepts sound ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from graceful_plan.testing import ContractError
 
 @dataclass(frozen=True, kw_only=True)
 class Sound(Fault):
-    """Half the gain is lost."""
+    """A fault that loses half of the gain."""
 
     NAME: ClassVar[str] = "sound"
     CATEGORY: ClassVar[str] = "actuator"
@@ -31,7 +31,7 @@ class Sound(Fault):
 
 
 def variant(**changes):
-    """A class like `Sound` with other class data or methods."""
+    """Return a class like `Sound` with other class data or methods."""
     return dataclass(frozen=True, kw_only=True)(type("Sound", (Sound,), changes))
 
 

@@ -1,4 +1,4 @@
-"""docs/faults.md says what the classes say, and the example of an own fault runs."""
+"""docs/faults.md agrees with the classes, and its example of a custom fault runs."""
 
 import dataclasses
 import re
@@ -18,7 +18,7 @@ EXAMPLE = ROOT / "examples" / "custom_fault.py"
 
 
 def rows(known=None):
-    """The rows of a table of faults: name, mechanism, parameter, four values, targets."""
+    """Return the rows of a table of faults: name, mechanism, parameter, four values, targets."""
     known = faults() if known is None else known
     cells = [
         [cell.strip() for cell in line.strip("|").split("|")] for line in TEXT.splitlines() if line.startswith("|")
@@ -67,7 +67,7 @@ def test_snippets_run():
 
 
 def held_out():
-    """Figures of each fault in scenes that its effects were not fitted on."""
+    """Return the skill of each fault's effects in held-out scenes."""
     document = yaml.safe_load((LIBRARY / "costs" / "fault_effects.yaml").read_text())
     return document["provenance"]["held_out"]
 
@@ -87,7 +87,7 @@ def test_what_is_said_of_the_faults_that_are_predicted_well():
     well = {name for name, x in held_out().items() if x["brier_skill"] >= 0.3}
     assert f"{len(well)} of {len(faults())} faults" in PRIOR
     shares = shipped_effects()
-    assert all(shares[name]["drop"] > 0.5 for name in well)  # "those with which the object is lost"
+    assert all(shares[name]["drop"] > 0.5 for name in well)  # the document says "those with which the object is lost"
 
 
 def test_links_lead_somewhere():

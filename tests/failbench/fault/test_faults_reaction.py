@@ -1,4 +1,4 @@
-"""Signatures of the robot's own protective stop, against the motion that it interrupts."""
+"""Signatures of the robot's protective stop, against the interrupted motion."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def test_it_keeps_the_contract_of_faults(category):
 
 
 def braking_time(record):
-    """The time that a stop at the degree's deceleration takes from the speed of the onset [s]."""
+    """Return the time to stop from the speed at the onset with the degree's deceleration [s]."""
     return np.max(np.abs(record.qd0) / record.robot.acceleration) / record.job.fault.amount
 
 
@@ -39,12 +39,12 @@ def test_it_brakes_along_the_path_as_hard_as_the_degree_says(degree):
     record = Record(ProtectiveStop(degree=degree), when=0.5, horizon=1.4)
     needed = braking_time(record)
     assert needed > 0.02
-    assert np.ptp(record.q[record.t > needed + 0.15], axis=0).max() < 5e-3  # it trembles at most
-    # The clock of the motion has run on for half of that.
+    assert np.ptp(record.q[record.t > needed + 0.15], axis=0).max() < 5e-3  # small oscillations remain
+    # While braking, the motion's clock advances by half of that time.
     onset = record.onset_step * record.dt
     end = done.trajectory.at(done.trajectory.t[0] + min(onset + needed / 2.0, done.duration)).q
     assert record.q[-1] == pytest.approx(end, abs=5e-3)
-    if needed > 0.1:  # half way through half the speed is left
+    if needed > 0.1:  # half of the speed is left after half of the time
         half = np.argmin(np.abs(record.t - needed / 2.0))
         assert np.abs(record.qd[half]).max() == pytest.approx(0.5 * np.abs(record.qd0).max(), rel=0.25)
 

@@ -1,4 +1,4 @@
-"""What each fault writes into model and commands in one call, number by number; nothing is simulated."""
+"""The values that each fault writes into model and commands in one call, without simulation."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def model():
 
 
 def plant_of(fault, *, joints=(2,), steps=200, step=0, seed=0):
-    """Stand at some step after the onset, as healthy as an injection leaves a robot before it lets the fault act."""
+    """Return a plant at some step after the onset, still healthy, as an injection passes it to the fault."""
     qpos, qvel = np.zeros(model().nq), np.zeros(model().nv)
     qpos[robot().qpos], qvel[robot().dofs] = gp.load_scene("tabletop").tasks["green_to_blue"].start, 0.3
-    healthy = np.arange(steps)[:, None] + np.linspace(0.0, 0.5, model().nu)  # a number of its own for each step
+    healthy = np.arange(steps)[:, None] + np.linspace(0.0, 0.5, model().nu)  # a distinct number for each step
     healthy[:, robot().gripper_actuators] = robot().grip_closed
     return Simulation(
         robot=robot(),
@@ -60,14 +60,14 @@ def plant_of(fault, *, joints=(2,), steps=200, step=0, seed=0):
 
 
 def struck(fault, level=1.0, **given):
-    """Let a fault act once."""
+    """Return the plant after one call of the fault."""
     plant = plant_of(fault, **given)
     fault.apply(plant, level)
     return plant
 
 
 def misread(plant):
-    """Return the error of the readings that was written into the commands [step joint], by the law of the servo."""
+    """Return the error of the readings written into the commands [step joint], by the servo law."""
     more = (plant.command - plant.healthy)[:, robot().actuators[plant.joints]]
     return -more * (robot().gain / robot().kp)[plant.joints]
 
@@ -131,7 +131,7 @@ def test_a_weak_grip_presses_with_what_the_ramp_has_left(level):
 
 
 def gaps(fault, level=1.0, steps=15_000):
-    """Return in which steps the controller does not see the joint."""
+    """Return in which steps the controller gets no reading of the joint."""
     plant = plant_of(fault, steps=steps)
     blind = np.zeros(steps, dtype=bool)
     for plant.step in range(steps):
@@ -149,8 +149,8 @@ def test_gaps_have_their_length_and_begin_a_quarter_of_a_second_apart(level):
     edges = np.flatnonzero(np.diff(np.concatenate([[0], blind.astype(int), [0]])))
     runs = edges[1::2] - edges[::2]
     assert blind[0]
-    assert runs[:-1].min() == length  # one that no other gap has begun in
-    # Whenever the joint is seen, the next gap may begin: as many draws as there are such steps.
+    assert runs[:-1].min() == length  # a gap without another one inside
+    # In every step with a reading, the next gap may begin: one draw per such step.
     expected = DT / 0.25 * np.count_nonzero(~blind)
     assert len(runs) - 1 == pytest.approx(expected, abs=3.0 * np.sqrt(expected))
 

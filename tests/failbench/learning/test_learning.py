@@ -1,4 +1,4 @@
-"""Learning from generated scenes: the scenes, what is learned of drops, the fit, and the command."""
+"""Learning from generated scenes: the scenes, the data on drops, the fit, and the command."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SMALL = Training(hidden=4, decays=(1e-4,), iterations=60)
 
 
 def made_up(n: int = 600, *, factor: float = 1.5, seed: int = 0) -> Pairs:
-    """Return pairs of two surfaces each whose odds are off by e^factor on one side of the first input."""
+    """Return pairs of surfaces whose odds are off by e^factor on one side of the first input."""
     rng = np.random.default_rng(seed)
     plain = rng.uniform(0.02, 0.9, size=2 * n)
     told = rng.normal(size=(2 * n, len(STATE_FEATURES)))
@@ -82,7 +82,7 @@ def test_things_stand_by_themselves(name: str) -> None:
         assert np.linalg.norm(task.goal[0] - task.start) > 0.5
 
 
-# --- what is learned of drops -----------------------------------------------------------------------------------------
+# --- data on drops ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_where_there_is_nothing_to_learn_little_is_changed() -> None:
     found = train(made_up(1500, factor=0.0), SMALL)
     fresh = made_up(1500, factor=0.0, seed=1)
     assert np.abs(probability(found.network, fresh) - probability(None, fresh)).mean() < 0.05
-    assert found.corrected.log_loss <= found.plain.log_loss + 1e-9  # a scale of zero is among those tried
+    assert found.corrected.log_loss <= found.plain.log_loss + 1e-9  # a scale of zero is among the candidates
 
 
 def test_same_seed_same_weights() -> None:

@@ -33,11 +33,11 @@ def test_turning_in_place_slips_as_much_as_the_maker_says(omega):
 
 
 FRONT = 0.229 - 0.035
-"""Of a Jackal's wheels, ahead of where it turns about [m]."""
+"""Distance of a Jackal's front wheels ahead of its pivot [m]."""
 
 
 def reach(failure, v):
-    """How far a base gets: the first of a row of children that it touches tells, to 10 cm."""
+    """Return how far a base gets, to 10 cm, from the farthest child in a row that it still hits."""
     far, at = 0.0, 0.1
     while at < 4.0:
         hits = coasted(wheeled(jackal((at + 0.2 + FRONT, 0.0))), np.zeros(3), np.array([v, 0.0, 0.0]), failure)
@@ -68,7 +68,7 @@ def test_hits_are_told_once_with_speed_and_time():
 
 
 def test_who_is_grazed_is_hit_with_the_speed_along_the_normal():
-    scene = jackal((1.0, 0.35))  # the side of the base passes 14 cm nearer to its axis than its middle
+    scene = jackal((1.0, 0.35))  # the child is 35 cm off the path, near the side of the base
     (hit,) = coasted(wheeled(scene), np.zeros(3), np.array([1.5, 0.0, 0.0]), BaseFailure("driven", 1.0, 0.0, 2.0))
     assert 0.2 < hit.speed < 1.4
 

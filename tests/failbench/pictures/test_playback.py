@@ -1,4 +1,4 @@
-"""Pictures of failures: right in number and size, true to the simulation, refused with a reason where impossible."""
+"""Pictures of failures: right number and size, true to the simulation, refused with a reason where impossible."""
 
 import contextlib
 import os
@@ -31,7 +31,7 @@ LATE = Job(fault=Drop(), onset=0.4, seed=0)
 
 @dataclass(frozen=True, kw_only=True)
 class Explode(Fault):
-    """Joints are pushed the faster, the faster they are."""
+    """A fault that pushes joints in proportion to their speed."""
 
     NAME = "explode"
     CATEGORY = "actuator"
@@ -51,7 +51,7 @@ def done():
 
 @pytest.fixture(scope="module")
 def gl(done):
-    """Off-screen OpenGL, without which there are no pictures."""
+    """Skip without off-screen OpenGL."""
     try:
         with offscreen.Offscreen(done.world.model, 16, 16):
             pass
@@ -179,7 +179,7 @@ def test_the_film_is_the_rollout(done):
     assert not last.diverged
     start = mujoco.MjData(done.world.model)
     mujoco.mj_setState(done.world.model, start, done.states[done.checkpoint(LATE.onset)], STATE)
-    assert before == pytest.approx(start.qpos, abs=1e-5)  # what slept wakes up at the fork
+    assert before == pytest.approx(start.qpos, abs=1e-5)  # sleeping objects wake up at the fork
     for name, body in done.world.movable.items():
         adr = done.world.model.jnt_qposadr[done.world.model.body_jntadr[body]]
         position = last.data.qpos[adr : adr + 3]
@@ -219,7 +219,7 @@ def test_arrows_of_an_object_at_rest_carry_its_weight():
     weight = 9.81 * done.world.model.body_mass[done.world.carried_body]
     down = 0.0
     for arrow in arrows:
-        down -= arrow.mat[2, 2] * (arrow.size[2] / 0.01) ** 2  # its own z axis, and its length
+        down -= arrow.mat[2, 2] * (arrow.size[2] / 0.01) ** 2  # z component of its axis, times its length
     assert down == pytest.approx(weight, rel=0.1)
 
 
@@ -333,7 +333,7 @@ def test_video_without_its_encoder_names_the_extra(done, tmp_path, monkeypatch):
 
 
 class Viewer:
-    """Stands for MuJoCo's viewer; its window is closed after some frames."""
+    """Stub of MuJoCo's viewer, whose window closes after some frames."""
 
     def __init__(self, model, data, frames):
         self.model, self.data, self.frames = model, data, frames

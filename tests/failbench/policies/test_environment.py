@@ -1,4 +1,4 @@
-"""Environments for Gymnasium: its own checker, episodes that seeds repeat, and the vector environment as its twin."""
+"""Environments for Gymnasium: its own checker, episodes repeatable by seed, and the vector environment as twin."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_the_same_seed_is_the_same_episode_also_among_many(short):
     seen, _ = many.reset(seed=7)
     alone, _ = one.reset(seed=8)
     np.testing.assert_array_equal(seen[1], alone)
-    for _ in range(40):  # an episode has 25 steps, and the vector environment begins the next one by itself
+    for _ in range(40):  # an episode has 25 steps; the vector environment then starts the next one
         actions = rng.uniform(-1.0, 1.0, (3, 7)).astype(np.float32)
         seen, rewards, ended, cut, infos = many.step(actions)
         if restarted := one.core.episode(0).timed_out:
@@ -150,7 +150,7 @@ def test_policies_see_pictures_and_so_do_people(monkeypatch):
 
 @pytest.mark.long
 def test_stable_baselines_finds_nothing_wrong():
-    """Of every task one of each kind of action; make test-policies has it."""
+    """Every task with one of the kinds of action; run by `make test-policies`."""
     checker = pytest.importorskip("stable_baselines3.common.env_checker", exc_type=ImportError)
     for i, name in enumerate(name for name in registered.NAMES if name.count(".") == 1):
         action = ("joint_velocity", "joint_position", "tool_pose")[i % 3]

@@ -1,4 +1,4 @@
-"""A policy that sends what the executor sends does what the executor does, healthy and with every fault."""
+"""A policy that sends the executor's commands reproduces the execution, healthy and with every fault."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from failbench.rollouts.single import rollout_steps
 from failbench.simulated.states import CHECKPOINT
 
 _ROBOT = 1e-9
-"""Of the joints [rad]."""
+"""Tolerance for joints [rad]."""
 _REST = 1e-5
-"""Of objects at rest [m]: they settle anew where the harness begins from a checkpoint."""
+"""Tolerance for objects at rest [m], which settle again from the harness's checkpoint."""
 ONSET = 0.3
 QUICK = ("noise", "control_delay", "dropout", "complete_shutdown")
-"""One of each way to break something; the others are further cases."""
+"""One fault per mechanism; the others are long tests."""
 
 
 def positions(task: PolicyTask, execution: Execution, job: Job | None) -> tuple[np.ndarray, int]:
-    """Return positions of everything at the beginning and after each step, and the step of the onset."""
+    """Return positions of everything at the beginning and after each step, and the onset's step."""
     batch, act = EpisodeBatch(task, 1), executor(execution)(task, 0)
     episode = batch.begin(0, np.random.default_rng(0), job)
     found = [episode.qpos.copy()]
@@ -68,14 +68,14 @@ def compare(task: PolicyTask, execution: Execution, fault: Fault) -> None:
     joints = task.world.robot.qpos
     assert onset == round(ONSET / execution.dt)
     assert np.abs(found[onset + 50] - found[onset]).max() > 1e-3
-    loose = fault.CATEGORY in ("end_effector", "power")  # what falls tumbles, and shows the least difference
+    loose = fault.CATEGORY in ("end_effector", "power")  # falling objects tumble, which amplifies rounding
     found = found[onset + 1 :]
     np.testing.assert_allclose(found[:, joints], expected[:, joints], rtol=0.0, atol=1e-4 if loose else _ROBOT)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-3 if loose else _REST)
 
 
 def test_a_stop_brakes_straight_ahead(easy):
-    """Of a policy nobody knows what it would have sent, so a stop does not depend on it."""
+    """The planned commands after a stop are unknown for policies, so a stop does not use them."""
     fast = np.clip(easy.goal - easy.start, -0.5, 0.5)
     ends = []
     for later in (fast, np.zeros_like(fast)):

@@ -1,4 +1,4 @@
-"""Episodes, what comes of them, and the policies that are there."""
+"""Episodes, their outcomes, and the included policies."""
 
 from __future__ import annotations
 
@@ -70,10 +70,10 @@ def test_an_evaluation_counts_what_the_fault_adds(easy):
     assert figures.added is not None and figures.added.mean == pytest.approx(figures.harm.mean)
     assert report.harm_per_task == pytest.approx(1e-3 * report.duration / 3600.0 * figures.added.mean)
     onsets = [rollout.onset for rollout in report.rollouts["gripper_failure/critical"]]
-    assert 0.0 <= onsets[0] < report.duration / 2.0 <= onsets[1] + 0.01  # a stratum each
+    assert 0.0 <= onsets[0] < report.duration / 2.0 <= onsets[1] + 0.01  # one onset per stratum
     assert "gripper_failure/critical" in str(report) and report.to_document()["schema"] == "failbench.policy"
     lost = replace(report, healthy_rollouts=tuple(replace(one, reached=None) for one in report.healthy_rollouts))
-    assert str(lost) != str(report)  # an unfinished task shows
+    assert str(lost) != str(report)  # unfinished tasks are reported
 
 
 def test_the_script_lifts_first_and_arrives():
@@ -142,7 +142,7 @@ def test_a_file_that_is_no_archive_is_refused(tmp_path):
 
 
 class Chunked:
-    """What LeRobot's policies are: they are reset, and select actions one at a time from a queue of their own."""
+    """A policy with LeRobot's interface: reset, and one action at a time from its own queue."""
 
     def __init__(self, chunk=4):
         self.chunk, self.batches = chunk, []
@@ -226,7 +226,7 @@ def test_the_command_says_what_an_evaluation_says(capsys):
     found = json.loads(capsys.readouterr().out)
     assert (found["schema"], found["task"], found["n"]) == ("failbench.policy", "tabletop_l1/green_to_blue", 1)
     assert list(found["by_fault"]) == ["noise/severe"] and "StopOnFailure" in found["recovery"]
-    assert found["healthy"]["success"]["mean"] == 0.0  # there is not enough time
+    assert found["healthy"]["success"]["mean"] == 0.0  # the horizon is too short to succeed
     assert main(words) == 0
     assert "noise/severe" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""What takes over once a fault has been noticed, and the brakes that it may close."""
+"""Recovery after a fault is noticed, and its use of the brakes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HARMLESS = faults()["noise"](degree="minor", duration=0.01, targets=("panda/join
 
 
 class Watched:
-    """A policy of which is kept what it sees."""
+    """A policy that records its observations."""
 
     def __init__(self, policy, seen):
         self.policy, self.seen = policy, seen
@@ -39,7 +39,7 @@ class Watched:
 
 
 def watch_recovery(task, recovery, delay=0.1, onset=0.3, fault=HARMLESS, factory=following):
-    """Return when, and where the joints were read and wanted to be, at each look of an episode."""
+    """Return the onset, observation times, measured and desired joint positions, and observations of an episode."""
     seen = []
     inner = recovering(factory, recovery, onset, delay)
     job = Job(fault=fault, onset=onset, seed=0)
@@ -68,7 +68,7 @@ def test_planning_anew_arrives_but_not_before_it_has_planned():
 
 
 def test_a_stop_does_not_depend_on_what_sensors_read(easy):
-    """A speed read off a noisy sensor is one at which nothing moves: braking from there would throw the arm about."""
+    """A stop must not start from a noisy speed reading, which would throw the arm about."""
     wild = faults()["noise"](degree="critical", targets=("all",), ramp=0.0)
     calm, broken = (watch_recovery(easy, StopOnFailure(brakes=False), fault=fault)[3] for fault in (HARMLESS, wild))
     assert np.abs(calm[-1].q - broken[-1].q).max() > 0.01
@@ -76,7 +76,7 @@ def test_a_stop_does_not_depend_on_what_sensors_read(easy):
 
 
 def test_a_policy_of_another_kind_is_relieved_from_where_it_is_wanted_to_be(easy):
-    """The first action of who relieves it is meant as joint positions, also after poses of the tool: as long a row."""
+    """The recovery's actions are joint positions, even after a policy with tool poses; rows have equal length."""
     _, time, _, seen = watch_recovery(easy, StopOnFailure(brakes=False), factory=scripted)
     wanted = np.array([one.q_desired for one in seen])
     change = np.abs(np.diff(wanted, n=2, axis=0)).max(axis=1)[time[2:] > 0.4 - 1e-9]

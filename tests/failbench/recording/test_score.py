@@ -1,4 +1,4 @@
-"""Scores by hand."""
+"""Scores computed by hand."""
 
 import pytest
 from hypothesis import given
@@ -55,7 +55,7 @@ def test_the_carried_object_is_one_of_the_entities(scene: gp.Scene) -> None:
     median = table.carried["medium"].median
     assert scene.carried is not None and scene.own_severity == 2.0
     assert own_loss(_rollout(_event("carried", "desk", median)), scene) == pytest.approx(1.0)
-    # The hardest touch decides; papers are softer than the desk; the arm does not damage what has been let go.
+    # The hardest hit counts; papers are softer than the desk; the arm does not damage a released object.
     softly = _event("carried", "papers", 1.5 * median)
     assert own_loss(_rollout(_event("carried", "desk", median), softly), scene) == pytest.approx(1.0)
     assert own_loss(_rollout(softly, _event("body", "desk", 99.0)), scene) < 0.9

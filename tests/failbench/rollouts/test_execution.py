@@ -41,7 +41,7 @@ def test_the_last_command_is_held(result):
     held = done.commands(len(done.command) - 3, 10)
     assert (held[3:] == done.command[-1]).all()
     q = held[-1][done.world.robot.actuators]
-    assert q == pytest.approx(result.trajectory.q[-1], abs=0.03)  # what differs carries the arm's weight
+    assert q == pytest.approx(result.trajectory.q[-1], abs=0.03)  # the servo error that carries the arm's weight
 
 
 def test_same_input_same_execution(result):
@@ -105,7 +105,7 @@ def test_an_object_that_slips_is_refused():
 
 def test_what_touches_anyway_is_the_baseline():
     leaning = arm().spec.copy()
-    leaning.geom("vase").size[1] = 0.2405  # it reaches up to the link
+    leaning.geom("vase").size[1] = 0.2405  # the vase reaches up to the link
     leaning.body("vase").pos = 0.25, 0.0, 0.2405
     scene = gp.Scene.from_mjcf(
         leaning, robot="base", tool="tool", entities={"vase": "glass"}, velocity=[2.0], acceleration=[5.0]

@@ -98,7 +98,7 @@ def test_importance_sampling_integrates_what_is_asked_about(duration: float) -> 
         exact = (1.0 - 0.2 ** (power + 1)) / (power + 1) / 0.8
         assert (w * t**power).mean() == pytest.approx(exact, rel=2e-2)
     inside = np.mean(np.abs(t - 0.5) < 0.1)
-    assert inside == pytest.approx(0.9 + 0.1 * 0.25, abs=0.01)  # a quarter of the onsets asked about
+    assert inside == pytest.approx(0.9 + 0.1 * 0.25, abs=0.01)  # a quarter of the onsets
     assert w.max() <= 10.0 + 1e-9
 
 

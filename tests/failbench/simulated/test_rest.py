@@ -15,7 +15,7 @@ HORIZON = 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class LateDrop(Drop):
-    """Lets go after the object has been at rest in the hand for long."""
+    """A fault that opens the gripper after the object has been at rest in it for long."""
 
     NAME = "late_drop"
     PERIOD = 0.01
@@ -27,7 +27,7 @@ class LateDrop(Drop):
 
 
 def trace(done, fault, onset):
-    """Return height of the carried object and whether it sleeps, after each step."""
+    """Return the carried object's height and whether it sleeps, after each step."""
     body = done.world.carried_body
     tree = done.world.model.body_treeid[body]
     rows = [

@@ -1,4 +1,4 @@
-"""Entities that move, as bodies: where they are, whom they touch, what people do when a robot fails."""
+"""Moving entities as bodies: their poses, their contacts, and people's reactions to a failure."""
 
 from functools import cache
 
@@ -35,7 +35,7 @@ def job(onset=0.3, seed=0):
 
 
 def watched(execution, job, horizon=0.4):
-    """Where the two are in each step, and how they are turned."""
+    """Return the positions and headings of both in each step."""
     steps = fb.rollout_steps(execution, job, horizon=horizon)
     return np.array([np.hstack([data.mocap_pos, data.mocap_quat]) for _, data in steps])
 
@@ -64,7 +64,7 @@ def test_they_walk_their_paths_before_and_after_the_failure():
     assert seen[:, 0, :3] == pytest.approx(where.position)
     turned = 2.0 * np.arctan2(seen[:, 1, 6], seen[:, 1, 3])
     assert turned == pytest.approx(CAT.at(first + 0.002 * np.arange(len(seen))).yaw)
-    # The healthy run had them at the same place then.
+    # The healthy run had them at the same place at that time.
     data = mujoco.MjData(done().world.model)
     mujoco.mj_setState(
         done().world.model, data, done().states[done().checkpoint(onset)], mujoco.mjtState.mjSTATE_INTEGRATION
@@ -88,7 +88,7 @@ def test_they_are_off_their_predictions_as_far_as_these_say():
     off = np.array([w.rows(np.array([0.0, 1.0]))[:, :2] for w in walk]) - walker().at([0.0, 1.0]).position[:, :2]
     assert off[:, 0].std(axis=0) == pytest.approx(0.2, rel=0.15)
     assert off[:, 1].std(axis=0) == pytest.approx(np.hypot(0.2, 0.5), rel=0.15)
-    assert np.array_equal(walk[0].rows(np.array([1.0]))[0, 3:6], CAT.at(1.0).position)  # of which all is known
+    assert np.array_equal(walk[0].rows(np.array([1.0]))[0, 3:6], CAT.at(1.0).position)  # has no uncertainty
 
 
 def test_the_same_seed_gives_the_same_walk_and_another_one_another():
@@ -100,12 +100,12 @@ def test_the_same_seed_gives_the_same_walk_and_another_one_another():
 def test_people_react_and_cats_do_not(people):
     seen, walks = watched(done(people), job(), 1.2), watched(done("walk"), job(), 1.2)
     assert np.array_equal(seen[:, 1], walks[:, 1])
-    assert seen[:200, 0] == pytest.approx(walks[:200, 0], abs=1e-9)  # 0.4 s until they do
+    assert seen[:200, 0] == pytest.approx(walks[:200, 0], abs=1e-9)  # reaction time 0.4 s
     speed = np.linalg.norm(np.diff(seen[:, 0, :2], axis=0), axis=1) / 0.002
     assert speed[:190] == pytest.approx(1.0)
     tool = done(people).states_tool(150)[:2]
     if people == "stop":
-        assert speed[405:] == pytest.approx(0.0, abs=1e-9)  # a step later they stand
+        assert speed[405:] == pytest.approx(0.0, abs=1e-9)  # they stand one step later
         assert seen[-1, 0, 1] - seen[199, 0, 1] == pytest.approx(0.2, abs=0.01)
         assert np.all(np.diff(speed[200:400]) < 1e-9)
     else:
@@ -123,7 +123,7 @@ def test_a_sound_robot_that_touches_them_says_so():
     tool = (
         execution().world.scene.data_at(here).site_xpos[execution().world.model.site(execution().world.scene.tool).id]
     )
-    # The smallest thing that flies by, so that the arm is not stopped.
+    # A tiny entity that flies past, which does not stop the arm.
     fly = gp.MovingEntity(
         "fly", "pet", size=[0.01, 0.01, 0.01], t=[0.4, 0.6], position=[tool - [0, 0.3, 0], tool + [0, 0.3, 0]]
     )

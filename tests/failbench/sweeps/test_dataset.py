@@ -193,7 +193,7 @@ def test_a_part_with_other_columns_is_refused_even_if_its_checksum_fits(folder):
 
 
 def test_datasets_of_earlier_versions_are_read(tmp_path, monkeypatch):
-    """What a column that came later would have said is null."""
+    """A column that was added later is null in older datasets."""
     whole = tables.TABLES["rollouts"]
     first = tuple(column for column in whole if column.name not in tables.ADDED)
     with monkeypatch.context() as before:

@@ -129,7 +129,7 @@ if __name__ == "__main__":
         driver.stdout.readline()
         workers = children_of(driver.pid)
         assert len(workers) >= 2
-        # Ctrl-C reaches everybody; a kill only the driver.
+        # Ctrl-C signals the process group; a kill only the driver.
         (os.killpg if deadly == signal.SIGINT else os.kill)(driver.pid, deadly)
         _, err = driver.communicate(timeout=20)
     assert all_end(workers)
@@ -142,7 +142,7 @@ class Promise:
 
 
 class Lossy:
-    """A Ray whose every task is lost, some number of times, before it is done."""
+    """A stub of Ray that loses every task some number of times before finishing it."""
 
     class exceptions:
         WorkerCrashedError, OutOfMemoryError, NodeDiedError, LocalRayletDiedError, ObjectLostError, RayTaskError = (

@@ -150,7 +150,7 @@ def test_flipped_bits_in_rows_are_noticed(begun):
                 rows = journal.rows(CHUNKS[0])
             except FormatError as error:
                 assert "journal.sqlite: damaged" in str(error)
-            else:  # a bit of zlib's header that says nothing about the content
+            else:  # a bit of zlib's header that does not affect the content
                 assert rows == fake_work.rows(CHUNKS[0])
                 assert place == 0
 
@@ -163,7 +163,7 @@ def test_flipped_bits_anywhere_are_noticed_or_do_not_matter(begun):
     told = 0
     for place in [*range(0, len(whole), 97), *(m.start() for m in re.finditer(b"tabletop|mujoco|4.0.0", whole))]:
         flipped = bytearray(whole)
-        flipped[place] ^= 0x81 if place % 2 else 0x01  # text that is no UTF-8 any more, and text that is
+        flipped[place] ^= 0x81 if place % 2 else 0x01  # invalid UTF-8, and valid UTF-8
         begun.write_bytes(flipped)
         try:
             with SweepJournal(begun) as journal:

@@ -1,4 +1,4 @@
-"""Sweeps on Ray: on a Ray of our own, and on a cluster of two nodes whose workers and nodes die."""
+"""Sweeps on Ray: a local instance, and a cluster of two nodes whose workers and nodes die."""
 
 import contextlib
 import os
@@ -25,9 +25,9 @@ pytestmark = pytest.mark.long
 
 @pytest.fixture(scope="module")
 def nodes():
-    """Two nodes with a worker each."""
+    """A cluster of two nodes with one worker each."""
     with pytest.MonkeyPatch.context() as patch:
-        # Ray's workers are processes of their own, which find what is imported here by this.
+        # Ray's workers are separate processes; this lets them import the test modules.
         patch.setenv("PYTHONPATH", ":".join([str(SUPPORT), *sys.path]))
         with RayNodes(2) as running:
             yield running
@@ -86,7 +86,7 @@ def test_who_stops_listening_stops_the_work(nodes):
 
 
 class Unreadable:
-    """Work that cannot be unpickled."""
+    """Work whose unpickling fails."""
 
     def __reduce__(self):
         return int, ("no number",)

@@ -28,7 +28,7 @@ DROP, LOOSE, NOISE = (to_document(faults()[name]()) for name in ("gripper_failur
 
 
 class InProcess:
-    """Does chunks right here, in the order given."""
+    """Runs chunks in this process, in the given order."""
 
     def __init__(self, order=1, stop_after=None):
         self.order, self.stop_after = order, stop_after
@@ -50,14 +50,14 @@ def sweep():
 
 @pytest.fixture(scope="module")
 def reference(sweep, tmp_path_factory):
-    """The sweep as it is when nothing gets in its way."""
+    """The files of an undisturbed sweep."""
     folder = tmp_path_factory.mktemp("reference")
     generate_dataset(sweep, folder, executor=InProcess())
     return files(folder)
 
 
 def files(folder: Path) -> dict[str, str]:
-    """Checksums of a dataset's files."""
+    """Return checksums of a dataset's files."""
     found = [*folder.glob("*/*.parquet"), folder / MANIFEST]
     return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in found}
 
@@ -246,7 +246,7 @@ def test_ray_makes_the_same_bytes(sweep, reference, tmp_path, monkeypatch):
     ray = pytest.importorskip("ray")
     from failbench.sweeps.ray_executor import RayExecutor
 
-    # Ray's workers are processes of their own, which find what is imported here by this.
+    # Ray's workers are separate processes; this lets them import the test modules.
     monkeypatch.setenv("PYTHONPATH", ":".join([str(SUPPORT), *sys.path]))
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:

@@ -1,4 +1,4 @@
-"""Traces: contacts as points with forces, states and energies, tables and LeRobot's form, read by other programs."""
+"""Traces: contact points with forces, states and energies, tables and LeRobot's form, read by other programs."""
 
 import json
 
@@ -36,7 +36,7 @@ def test_states_are_those_of_the_rollout():
     steps, _ = traced(job, healthy_run(), horizon=0.1, sampling=Sampling(every=10))
     assert steps["step"].tolist() == [0, 10, 20, 30, 40]
     states = [data.qpos.copy() for _, data in fb.rollout_steps(healthy_run(), job, horizon=0.1)]
-    assert np.array_equal(steps["qpos"][3], states[29])  # of the state before step 30
+    assert np.array_equal(steps["qpos"][3], states[29])  # state before step 30
     robot = healthy_run().world.robot
     assert np.array_equal(steps["q"][3], states[29][robot.qpos])
     assert np.array_equal(steps["qpos"][0][:7], healthy_run().states[healthy_run().checkpoint(0.3)][1:8])
