@@ -23,7 +23,7 @@ from graceful_plan.scene.elements import COMPONENTS
 _STANDING = (0.03, 0.15)
 """Largest mean and single difference from the static model. Here the object is followed down an entity's side, not
 only to its top; a part that falls off is caught slightly differently; and an entity beside the drop does not catch an
-object that would hit another one.""""""
+object that would hit another one."""
 _CORE = 0.25
 """Relative difference of mean probabilities: the core keeps entities fixed while the object falls."""
 _SIZES = {"box": [0.05, 0.08, 0.1], "cylinder": [0.06, 0.1]}
