@@ -40,7 +40,7 @@ class Field(Cost):
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=40, deadline=None)
-def test_no_way_to_a_pose_is_shorter_than_the_lower_bound(tabletop: Scene, seed: int):
+def test_no_path_to_a_pose_is_shorter_than_the_lower_bound(tabletop: Scene, seed: int):
     rng = np.random.default_rng(seed)
     lower, upper = tabletop.limits.position.T
     start, end = rng.uniform(lower, upper, size=(2, len(lower)))
@@ -121,14 +121,14 @@ def test_no_gap_is_claimed_where_no_bound_is_known(tabletop: Scene):
     assert round_trip.lower_bound == 0.0 and round_trip.gap is None
 
 
-def test_a_gap_is_told_only_where_impact_does_not_count(tabletop: Scene):
+def test_a_gap_is_reported_only_without_impact(tabletop: Scene):
     q = np.stack([tabletop.keyframes["right"], tabletop.keyframes["near"]])
     weighed = certify(q, tabletop, Objective(w=0.1))
     assert weighed.gap is None and weighed.lower_bound == certify(q, tabletop, Objective(w=0.0)).lower_bound
 
 
 @pytest.mark.parametrize("w", [0.0, 1.0])
-def test_results_are_certified_as_they_are_executed(tabletop: Scene, w: float):
+def test_results_are_certified_along_the_executed_motion(tabletop: Scene, w: float):
     task = load_scene("tabletop").tasks["green_to_blue"]
     solved = plan(task.start, task.goal, tabletop, w=w, iterations=500, seed=1)
     found = certify(solved, tabletop)

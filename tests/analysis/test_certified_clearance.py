@@ -166,7 +166,7 @@ def test_random_paths_of_the_arm_are_never_nearer_than_certified(tabletop: Scene
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
-def test_hinges_that_carry_slides_that_carry_hinges(seed: int):
+def test_chains_of_hinges_and_slides(seed: int):
     rng = np.random.default_rng(seed)
     kernels = _kernels(_MIXED, 3)
     path = Path(rng.uniform([-2.5, 0.0, -2.0], [2.5, 0.4, 2.0], size=(3, 3)))
@@ -176,7 +176,7 @@ def test_hinges_that_carry_slides_that_carry_hinges(seed: int):
     assert dense > 0.0 or found.uncertified
 
 
-def test_trajectories_cut_corners_and_are_certified_as_they_run(tabletop: Scene):
+def test_trajectories_cut_corners_and_are_certified_along_the_cut(tabletop: Scene):
     kernels = compile_scene(tabletop).kernels
     q = np.stack([tabletop.keyframes[name] for name in ("right", "far", "left")])
     trajectory = retime(Path(q), tabletop.limits, tabletop.joints, deviation=0.1)

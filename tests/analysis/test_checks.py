@@ -46,7 +46,7 @@ def test_positive_clearance_is_free_by_exact_geometry(name: str) -> None:
     assert clear[0] == 40 and sum(clear) >= 120
 
 
-def test_what_is_held_inside_the_last_link_is_a_collision_for_both() -> None:
+def test_an_object_held_inside_the_last_link_is_a_collision_for_both() -> None:
     """Both are fixed to the same link, so their distance is constant."""
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     X_TO = task.scene.carried.X_TO.copy()
@@ -58,7 +58,7 @@ def test_what_is_held_inside_the_last_link_is_a_collision_for_both() -> None:
     assert result.status is gp.PlanStatus.INVALID_START and "panda/link7" in result.detail
 
 
-def test_what_is_held_close_to_the_last_link_is_free_for_both() -> None:
+def test_an_object_held_close_to_the_last_link_is_free_for_both() -> None:
     """The object's covering spheres overlap those of the link; the geoms never touch."""
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     X_TO = task.scene.carried.X_TO.copy()
@@ -69,7 +69,7 @@ def test_what_is_held_close_to_the_last_link_is_free_for_both() -> None:
 
 
 @pytest.mark.parametrize(("gap", "free"), [(0.001, True), (-0.001, False)])
-def test_what_stands_beside_the_base_blocks_all_or_nothing(gap: float, free: bool) -> None:
+def test_an_obstacle_beside_the_base_blocks_all_or_nothing(gap: float, free: bool) -> None:
     text = f"""<mujoco><compiler angle="radian" autolimits="true"/>
     <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
     <worldbody>
@@ -83,7 +83,7 @@ def test_what_stands_beside_the_base_blocks_all_or_nothing(gap: float, free: boo
     assert status is (gp.PlanStatus.SOLVED if free else gp.PlanStatus.INVALID_START)
 
 
-def test_the_default_interaction_model_is_the_one_that_is_stated():
+def test_the_default_interaction_model_is_the_documented_one():
     stated = re.search(
         r'by default "(\w+)"[^"]*of\s+`ImpactCost` is\s+"(\w+)"', str(gp.interaction_probability.__doc__)
     )

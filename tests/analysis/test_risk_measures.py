@@ -81,7 +81,7 @@ def still(scene: Scene) -> Array:
     return np.zeros((1, len(scene.joints)))
 
 
-def test_one_entity_is_a_coin(scene: Scene) -> None:
+def test_one_entity_has_a_two_point_distribution(scene: Scene) -> None:
     S = severities(scene)[0]
     assert S > 0.0
     found = risk(still(scene), scene, cost(scene, {0: 0.04}), level=0.9)
@@ -147,7 +147,7 @@ def test_components_add_up_and_strike_together() -> None:
 
 
 @pytest.mark.parametrize(("name", "task"), [("desk", "bring_coffee"), ("tabletop", "green_to_blue")])
-def test_the_mean_is_what_the_planner_charges(name: str, task: str) -> None:
+def test_the_mean_is_the_impact_of_the_planner(name: str, task: str) -> None:
     found = gp.load_scene(name).tasks[task]
     impact, scene = gp.ImpactCost(), found.scene
     q = np.linspace(found.start, np.atleast_2d(found.goal)[0], 20)
@@ -160,7 +160,7 @@ def test_the_mean_is_what_the_planner_charges(name: str, task: str) -> None:
 
 @given(st.integers(0, 10**6), st.floats(0.0, 0.99))
 @settings(max_examples=30, deadline=None)
-def test_the_distribution_is_that_of_all_combinations(scene: Scene, seed: int, level: float) -> None:
+def test_the_distribution_equals_the_enumeration_of_combinations(scene: Scene, seed: int, level: float) -> None:
     p = np.random.default_rng(seed).uniform(size=len(scene.entities))
     S = severities(scene)
     outcomes = list(itertools.product((0, 1), repeat=len(p)))
@@ -219,7 +219,7 @@ def test_a_failure_may_come_at_any_time(scene: Scene) -> None:
     assert risk(slow, scene, impact).expected == pytest.approx(2.0 / 3.0 * S, rel=0.02)
 
 
-def test_a_trajectory_fails_at_the_velocity_that_it_has() -> None:
+def test_a_failure_starts_with_the_velocity_of_the_trajectory() -> None:
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     impact = gp.ImpactCost(model="mixture")
     motion = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500).unwrap()

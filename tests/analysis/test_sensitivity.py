@@ -98,7 +98,7 @@ def test_closed_form_of_two_paths() -> None:
     assert report.impact_interval[0].tolist() == pytest.approx([low, high], rel=0.03)
 
 
-def test_tau_and_ranks_are_the_usual_ones() -> None:
+def test_tau_and_ranks_equal_those_of_scipy() -> None:
     rng = np.random.default_rng(2)
     factors, by_entity, motion = np.exp(rng.normal(size=(40, 5))), rng.random((7, 5)), rng.random(7)
     report = sensitivity_to(tuple("abcdefg"), 1.0, motion, 0.7, by_entity, factors)

@@ -49,7 +49,7 @@ def test_missing_results_are_found(tmp_path):
     assert missing(page) == ["results/gone.md"]
 
 
-def test_results_that_the_sources_cite_exist():
+def test_results_cited_by_the_sources_exist():
     cited = {name for file in SOURCES for name in CITATION.findall(file.read_text(encoding="utf-8"))}
     assert cited
     assert [name for name in cited if not (ROOT / name).exists()] == []
@@ -66,7 +66,7 @@ def test_the_index_has_a_row_for_every_file_and_is_up_to_date():
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_every_file_says_how_it_was_made(name: str):
+def test_every_file_records_its_command(name: str):
     text = report.file_of(name).read_text(encoding="utf-8")
     assert HEAD.match(text)
     assert f"**{runner.module(name).QUESTION}**" in text

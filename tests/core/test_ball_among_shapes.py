@@ -26,7 +26,7 @@ def places(n: int, seed: int, size: float = 1.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", SOLIDS)
-def test_inside_the_gradient_leads_out_the_shortest_way(shape: str) -> None:
+def test_inside_an_obstacle_the_gradient_points_to_the_nearest_face(shape: str) -> None:
     kernels = compile_scene(scene_of(SOLIDS[shape])).kernels
     q = places(4000, 0, 0.4)
     clearance, gradient = kernels.clearance_gradient(q)
@@ -38,7 +38,7 @@ def test_inside_the_gradient_leads_out_the_shortest_way(shape: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_distances_to_blades_are_those_of_mujoco(seed: int) -> None:
+def test_distances_to_blades_equal_those_of_mujoco(seed: int) -> None:
     """Thin hulls: at a sharp edge, one nearby point projects onto both faces."""
     rng = np.random.default_rng(seed)
     corners = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.1, 0.3, 0.01], [0.2, 0.1, -0.02]])[rng.permutation(4)]
@@ -52,7 +52,7 @@ def test_distances_to_blades_are_those_of_mujoco(seed: int) -> None:
 
 
 @pytest.mark.parametrize("shape", SOLIDS)
-def test_a_distance_that_is_kept_counts_like_a_margin(shape: str) -> None:
+def test_a_required_distance_counts_like_a_margin(shape: str) -> None:
     compiled = compile_scene(scene_of(SOLIDS[shape]))
     bounds = replace(BoundArrays.none(len(compiled.world.kind)), keep=np.full(len(compiled.world.kind), 0.07))
     kept = Kernels(compiled.robot, compiled.world, compiled.impact_tables, bounds=bounds)

@@ -34,7 +34,7 @@ def _surface(model, geom, rng, n=300):
     return points * size
 
 
-def test_spheres_cover_what_collides_and_stick_out_by_less_than_a_centimetre(scene):
+def test_spheres_cover_colliding_geoms_and_exceed_them_by_less_than_a_centimetre(scene):
     compiled, model, rng = compile_scene(scene), scene.model, np.random.default_rng(0)
     robot = compiled.robot
     assert 0.0 < robot.protrusion < 0.01

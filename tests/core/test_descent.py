@@ -70,7 +70,7 @@ def test_energy_falls_ends_stay_and_limits_hold(task, problem, w):
     assert (run.path >= problem.lower).all() and (run.path <= problem.upper).all()
 
 
-def test_what_starts_beyond_the_limits_is_brought_inside(task, problem):
+def test_paths_beyond_the_limits_are_brought_inside(task, problem):
     beyond = np.insert(straight(problem), 1, problem.upper + 0.3, axis=0)
     path = descent(space_of(task, problem, 1.0), beyond).path
     assert (path >= problem.lower).all() and (path <= problem.upper).all()
@@ -92,7 +92,7 @@ def test_a_path_through_something_comes_free(task, problem):
     assert freed >= len(pairs) // 4
 
 
-def test_without_fear_a_free_straight_line_stays(task, problem):
+def test_without_impact_a_free_straight_line_stays(task, problem):
     space = space_of(task, problem, 0.0)
     for pair in free_pair(problem, free=True)[:5]:
         run = descent(space, pair)
@@ -130,7 +130,7 @@ def test_a_space_without_slopes_is_refused(task, problem):
         descent(space, straight(problem))
 
 
-def test_a_search_that_nobody_waits_for_leaves_no_threads(task, problem):
+def test_a_discarded_search_leaves_no_threads(task, problem):
     before = set(threading.enumerate())
     found = gp.Auto(workers=3).solve(problem, gp.Objective().bind(task.scene), Budget(), np.random.default_rng(0))
     next(found), next(found)

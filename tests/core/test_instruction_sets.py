@@ -9,7 +9,7 @@ from graceful_plan.core.kernels import instruction_sets
 
 
 @pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="nothing says what the processor can do")
-def test_the_best_that_the_processor_can_do_is_there():
+def test_the_best_instruction_set_of_the_processor_is_available():
     flags = set(re.search(r"^flags\s*:(.*)$|\Z", Path("/proc/cpuinfo").read_text(), re.MULTILINE)[0].split())
     names = instruction_sets()
     assert names[-1] == "baseline" and len(set(names)) == len(names)

@@ -247,7 +247,7 @@ def test_instruction_sets_agree(table, isa):
     assert np.array_equal(other.free(q)[certain], best.free(q)[certain])
 
 
-def test_the_name_of_an_instruction_set_asks_for_it(table):
+def test_an_instruction_set_is_chosen_by_name(table):
     compiled = compile_scene(table)
     tables = compiled.robot, compiled.world, compiled.impact_tables
     assert compiled.kernels.isa == instruction_sets()[0]
@@ -255,7 +255,7 @@ def test_the_name_of_an_instruction_set_asks_for_it(table):
         assert Kernels(*tables, isa=Kernels(*tables, isa=name).isa).isa == name
 
 
-def test_the_documents_know_what_the_core_holds():
+def test_the_documents_state_the_capacities_of_the_core():
     text = (ROOT / "docs" / "limitations.md").read_text()
     stated = re.search(
         r"room for (\d+) joints, (\d+) links .*?, (\d+) covering spheres.*?, (\d+) geoms .*? and (\d+) entities",

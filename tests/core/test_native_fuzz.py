@@ -27,7 +27,7 @@ def test_broken_arguments_are_refused_or_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
-def test_what_is_no_number_is_never_free(value: float) -> None:
+def test_nan_is_never_free(value: float) -> None:
     core = compile_scene(gp.load_scene("tabletop")).kernels.core
     q = np.zeros((3, 7))
     bad = q.copy()
@@ -64,7 +64,7 @@ def test_ends_of_a_search_have_the_width_of_its_space() -> None:
             _native.Connect(space, start=start, goals=goals, **given)
 
 
-def test_a_search_is_for_one_thread_at_a_time() -> None:
+def test_a_search_refuses_a_second_thread() -> None:
     """A second thread is refused while the first one is inside a Python callback of the search."""
     inside, over = threading.Event(), threading.Event()
 

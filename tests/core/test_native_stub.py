@@ -61,6 +61,6 @@ def of_signature(function: object) -> Parameters:
 
 
 @pytest.mark.parametrize(("module", "least"), [(_native, 50), (_pendulum, 0)])
-def test_the_stub_has_what_the_module_has(module: ModuleType, least: int):
+def test_the_stub_matches_the_module(module: ModuleType, least: int):
     assert len(native(module)) > least
     assert stated(STUBS[module]) == native(module)

@@ -55,7 +55,7 @@ def test_links_that_never_touch_are_free() -> None:
 
 
 @pytest.mark.parametrize("gap", [0.012, 0.02])
-def test_links_that_sometimes_touch_are_free_where_they_do_not(gap: float) -> None:
+def test_links_that_sometimes_touch_are_free_elsewhere(gap: float) -> None:
     scene = _scene(gap, "-0.5 0.5")
     q, free = _drawn(scene)
     assert 0.1 < free.mean() < 0.9
@@ -95,7 +95,7 @@ def test_bundled_robots_need_none() -> None:
         assert not compile_scene(task.scene).robot.self_slack.any()
 
 
-def test_how_far_a_base_may_drive_makes_no_difference() -> None:
+def test_the_floor_extent_of_a_base_makes_no_difference() -> None:
     """Slack is computed once per robot: the floor's extent does not matter, the arm's joint ranges do."""
     robot = compile_scene(gp.load_scene("hallway")).robot
     pair = next(pair for pair in robot.self_pair if slack._carriers(robot, int(pair[0])) > {0, 1, 2, 3})

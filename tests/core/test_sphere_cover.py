@@ -181,7 +181,7 @@ def test_enclosing_sphere_encloses(n, seed):
 
 
 @pytest.mark.parametrize("semi_axes", [(0.1, 0.2, 0.3), (0.1, 0.1, 0.1), (0.02, 0.5, 0.5), (0.1, 0.1, 0.4)])
-def test_depths_in_an_ellipsoid_are_those_of_the_nearest_of_many_points(semi_axes) -> None:
+def test_depths_in_an_ellipsoid_equal_the_nearest_of_many_points(semi_axes) -> None:
     rng, axes = np.random.default_rng(0), np.array(semi_axes)
     unit = rng.normal(size=(200_000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)

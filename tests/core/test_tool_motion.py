@@ -112,7 +112,7 @@ def test_seeds_reach_near_poses_as_exactly_as_doubles_allow(scene, kernels, q, i
     assert np.abs(_twist(kernels, ended, X_WG, free_yaw)).max() < 1e-9
 
 
-def test_a_seed_ends_where_it_ends_alone(kernels, q):
+def test_a_seed_ends_the_same_alone_and_in_a_batch(kernels, q):
     X_WG, free_yaw = _targets(kernels, q)
     together = kernels.reach(q, X_WG, free_yaw, iterations=30, patience=5)
     for i in range(len(q)):

@@ -69,7 +69,7 @@ def _moves(robot: RobotArrays) -> np.ndarray:
 
 
 @pytest.mark.parametrize("to", THINGS)
-def test_it_is_that_of_the_nearest_pair_of_spheres_and_shapes(scene: gp.Scene, q: np.ndarray, to: str) -> None:
+def test_the_clearance_is_that_of_the_nearest_pair(scene: gp.Scene, q: np.ndarray, to: str) -> None:
     found = gp.StateBatch(scene, q).clearance_to(to)
     expected = _distances(scene, to, q).min(axis=1)
     assert (found <= expected + _ROUNDING).all()
@@ -77,7 +77,7 @@ def test_it_is_that_of_the_nearest_pair_of_spheres_and_shapes(scene: gp.Scene, q
 
 
 @pytest.mark.parametrize("to", THINGS)
-def test_its_gradient_is_that_of_differences(scene: gp.Scene, q: np.ndarray, to: str) -> None:
+def test_the_gradient_equals_differences(scene: gp.Scene, q: np.ndarray, to: str) -> None:
     found, h = gp.StateBatch(scene, q).clearance_gradient_to(to), 1e-6
     assert np.abs(found).max() > 0.1
     for j, e in enumerate(h * np.eye(q.shape[1])):
@@ -94,7 +94,7 @@ def test_all_is_the_least_of_surroundings_and_self(scene: gp.Scene, q: np.ndarra
     assert (batch.clearance_to("laptop") >= outside).all()
 
 
-def test_an_entity_is_not_nearer_than_mujoco_has_it(scene: gp.Scene, q: np.ndarray) -> None:
+def test_clearance_to_an_entity_is_at_most_mujocos_and_close_to_it(scene: gp.Scene, q: np.ndarray) -> None:
     """The spheres exceed the arm slightly, so the distance is never larger and almost as large."""
     found = gp.StateBatch(scene, q).clearance_to("laptop")
     theirs, moves = set(scene.entities["laptop"].geoms), scene.model.body_weldid[scene.model.geom_bodyid] > 0
@@ -108,7 +108,7 @@ def test_an_entity_is_not_nearer_than_mujoco_has_it(scene: gp.Scene, q: np.ndarr
             assert true - _STICKS_OUT < clearance <= true + _ROUNDING
 
 
-def test_it_is_computed_once(scene: gp.Scene, q: np.ndarray) -> None:
+def test_the_clearance_is_computed_once(scene: gp.Scene, q: np.ndarray) -> None:
     batch = gp.StateBatch(scene, q)
     assert batch.clearance_to("self") is batch.clearance_to("self")
     assert batch.clearance_gradient_to("self") is batch.at(np.zeros(len(q))).clearance_gradient_to("self")
@@ -142,7 +142,7 @@ class Near(gp.Cost):
         return np.where(near[:, None], -batch.clearance_gradient_to("surroundings") / self.distance, 0.0)
 
 
-def test_a_cost_of_ones_own_charges_what_the_block_does(scene: gp.Scene, q: np.ndarray) -> None:
+def test_a_custom_cost_equals_the_block(scene: gp.Scene, q: np.ndarray) -> None:
     own, block, batch = Near(0.1), gp.ClearanceCost(0.1), gp.StateBatch(scene, q)
     check_cost(own, scene)
     assert 0.1 < np.mean(own.state(batch) > 0.0) < 0.9

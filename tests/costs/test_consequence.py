@@ -151,7 +151,7 @@ def test_damage_is_rarer_than_contact(task: gp.Task, model: str) -> None:
     assert damage.interaction.fault_shares() == contact.interaction.fault_shares()
 
 
-def test_what_never_breaks_costs_nothing_and_what_always_breaks_costs_its_contact(task: gp.Task) -> None:
+def test_unbreakable_entities_cost_nothing_and_fragile_ones_their_contact(task: gp.Task) -> None:
     batch = states(task, n=50)
     components = ("carried",)
     never = FragilityTable({}, Fragility(1e9, 0.0, 0.7))
@@ -176,7 +176,7 @@ def test_higher_is_worse(task: gp.Task) -> None:
     assert (arrival_energy(up)[higher] >= energy[higher] - 0.05).all()
 
 
-def test_it_is_a_cost_without_kernel_and_gradient(task: gp.Task) -> None:
+def test_the_damage_cost_has_no_kernel_and_no_gradient(task: gp.Task) -> None:
     check_cost(ENERGY, task.scene)
     batch = states(task, n=3)
     assert ENERGY.kernel(task.scene, (0.3, 0.9)) is None and ENERGY.gradient(batch) is None
@@ -185,7 +185,7 @@ def test_it_is_a_cost_without_kernel_and_gradient(task: gp.Task) -> None:
 
 
 @pytest.mark.long
-def test_plans_can_be_made_with_it(task: gp.Task) -> None:
+def test_planners_run_on_the_damage_cost(task: gp.Task) -> None:
     objective = gp.Objective(impact=ENERGY, w=1.0)
     result = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=60)
     assert result.status is gp.PlanStatus.SOLVED and result.path is not None

@@ -96,7 +96,7 @@ def test_breakdown_adds_up(task):
 
 @given(st.integers(0, 99))
 @settings(max_examples=10, deadline=None)
-def test_more_vertices_and_the_way_back_cost_the_same(seed):
+def test_more_vertices_and_the_reversed_path_cost_the_same(seed):
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     path, boxes = _path(task, seed=seed), gp.Objective(impact=gp.ImpactCost(model="box_overlap"))
     for objective in (gp.Objective(), boxes):
@@ -180,7 +180,7 @@ def test_batch_offers_poses(task):
         (lambda n: np.full(n, np.inf), NonFiniteCostError, "inf"),
     ],
 )
-def test_broken_costs_are_told_what_is_wrong(task, value, error, message):
+def test_errors_of_broken_costs_name_the_problem(task, value, error, message):
     class Broken(gp.Cost):
         def state(self, batch):
             return value(len(batch))
@@ -251,7 +251,7 @@ def test_contracts_can_be_extended_in_several_steps():
     assert isinstance(Doubled(2.0), gp.Cost) and isinstance(Twin(), gp.InteractionModel)
 
 
-def test_what_is_kept_of_states_is_made_once_whatever_the_time(task):
+def test_cached_values_of_states_do_not_depend_on_time(task):
     batch = StateBatch(task.scene, task.start[None])
     made = []
 

@@ -63,7 +63,7 @@ def expected(energy: float, median: float, spread: float = 0.7) -> float:
 
 
 @pytest.mark.parametrize("height", [0.05, 0.2, 0.5, 1.0, 2.0])
-def test_on_a_floor_it_is_the_energy_of_the_fall(height: float) -> None:
+def test_on_a_floor_damage_follows_the_energy_of_the_fall(height: float) -> None:
     median = FragilityTable.shipped().carried["glass"].median
     assert damage(room(), 0.0, height) == pytest.approx(expected(0.3 * 9.81 * height, median), abs=0.03)
 
@@ -84,7 +84,7 @@ def test_deeper_is_worse(height: float, more: float) -> None:
     assert damage(scene, 0.0, height) <= damage(scene, 0.0, height + more) + 1e-9
 
 
-def test_what_is_soft_spares_it() -> None:
+def test_soft_surfaces_spare_the_object() -> None:
     scene = room()
     floor, table, sofa = damage(scene, 0.0, 0.9), damage(scene, -3.0, 0.9), damage(scene, 3.0, 0.9)
     assert floor > table > 3.0 * sofa > 0.0
@@ -108,7 +108,7 @@ def test_sturdier_objects_are_damaged_less() -> None:
     assert damage(room("medium"), 0.0, 0.6) == damage(room("light"), 0.0, 0.6)
 
 
-def test_a_table_of_fragilities_of_ones_own() -> None:
+def test_a_custom_table_of_fragilities() -> None:
     never = FragilityTable({}, Fragility(1e9, 0.0, 0.7))
     always = FragilityTable({}, Fragility(1e9, 0.0, 0.7), {"glass": Fragility(1e-9, 0.0, 0.7)})
     assert damage(room(), 0.0, 1.0, consequence=never) < 1e-9
@@ -125,7 +125,7 @@ def path(scene: gp.Scene) -> gp.Path:
     return gp.Path(np.array([[-1.0, 0.0, -0.5], [1.0, 0.3, -0.2]]))
 
 
-def test_it_stands_under_the_name_of_the_object() -> None:
+def test_the_loss_has_the_name_of_the_object() -> None:
     scene = room(floor=0.0)
     assert scene.own_severity == 10.0
     cost = gp.evaluate(path(scene), scene)
@@ -156,14 +156,14 @@ def test_its_severity_can_be_set() -> None:
         gp.ImpactCost(components=("contents",)),
     ],
 )
-def test_it_can_be_left_out_and_algorithm_1_does_not_know_it(impact: gp.ImpactCost) -> None:
+def test_the_loss_is_optional_and_absent_in_algorithm_1(impact: gp.ImpactCost) -> None:
     scene = room()
     cost = gp.evaluate(path(scene), scene, gp.Objective(impact=impact))
     assert "cup" not in cost.impact_by_entity
     assert impact.harmed_entities(scene) == scene.entity_names and not impact.counts_own_loss(scene)
 
 
-def test_without_it_the_rest_is_the_same() -> None:
+def test_without_the_loss_the_rest_is_the_same() -> None:
     scene = room()
     with_it, without = (
         gp.evaluate(path(scene), scene, gp.Objective(impact=gp.ImpactCost(own_loss=own))) for own in (True, False)
@@ -173,7 +173,7 @@ def test_without_it_the_rest_is_the_same() -> None:
 
 
 @pytest.mark.parametrize("faults", ["drop_only", "arm", "service_robot"])
-def test_it_weighs_as_much_as_drops_do(faults: str) -> None:
+def test_the_loss_is_weighed_like_drops(faults: str) -> None:
     scene, model = room(), gp.FailureMixture(faults=faults)
     batch = gp.StateBatch(scene, np.array([[0.0, 0.0, 0.0], [3.0, 0.0, -0.3]]))
     weight = model.prior.weights()["drop"]
@@ -183,7 +183,7 @@ def test_it_weighs_as_much_as_drops_do(faults: str) -> None:
     assert gp.ImpactCost(model=model).counts_own_loss(scene) == (weight > 0.0)
 
 
-def test_kernels_gradients_and_models_of_ones_own_agree() -> None:
+def test_kernels_gradients_and_custom_models_agree() -> None:
     scene = room(floor=0.0)
     check_cost(gp.ImpactCost(), scene)
     native, generic = (gp.Objective(impact=gp.ImpactCost(model=model)).bind(scene) for model in ("mixture", Wrapped()))
@@ -195,7 +195,7 @@ def test_kernels_gradients_and_models_of_ones_own_agree() -> None:
     assert wide is not None and not wide.own_loss
 
 
-def test_an_explanation_says_so() -> None:
+def test_an_explanation_names_the_loss_of_the_object() -> None:
     scene = room(floor=0.0, table=0.0, sofa=0.0)
     found = gp.explain(path(scene), scene)
     (row,) = found.contributions
@@ -203,7 +203,7 @@ def test_an_explanation_says_so() -> None:
     assert row.severity == 10.0 and found.entities[-1] == "cup"
 
 
-def test_planners_carry_low_over_what_is_soft() -> None:
+def test_planners_carry_low_over_the_hard_floor() -> None:
     """Only the object can be harmed: over the hard floor it is carried low."""
     scene = room(floor=0.0, table=0.0, sofa=0.0)
     start, goal = np.array([-1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0])

@@ -35,7 +35,7 @@ def states(scene: gp.Scene, n: int, seed: int) -> tuple[Array, Array]:
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6), n=st.sampled_from([0, 1, 5]))
 @pytest.mark.parametrize("cost", [Bowl(), Bowl(told=False), Height(), Haste()], ids=repr)
-def test_slopes_of_states_are_those_of_differences(cost: gp.Cost, n: int, seed: int, scene: gp.Scene) -> None:
+def test_slopes_of_states_equal_differences(cost: gp.Cost, n: int, seed: int, scene: gp.Scene) -> None:
     slopes = CostSlopes(cost, scene)
     q, qd = states(scene, n, seed)
     value, d_q, d_qd = slopes(q, qd)
@@ -47,7 +47,7 @@ def test_slopes_of_states_are_those_of_differences(cost: gp.Cost, n: int, seed: 
         )
 
 
-def test_costs_are_asked_what_they_know(scene: gp.Scene) -> None:
+def test_gradients_of_costs_are_used_if_available(scene: gp.Scene) -> None:
     assert CostSlopes(Bowl(), scene).has_gradient and not CostSlopes(Bowl(told=False), scene).has_gradient
     assert CostSlopes(Haste(), scene).uses_velocity and not CostSlopes(Height(), scene).uses_velocity
 
@@ -107,7 +107,7 @@ def test_only_the_direction_of_a_tangent_counts(scene: gp.Scene) -> None:
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), gp.JointLength((1.0, 2.0, 1.0, 1.0, 1.0, 0.5, 1.0)), Crosswise()])
 @pytest.mark.parametrize("impact", [Bowl(), Bowl(told=False), Haste()], ids=repr)
-def test_slopes_of_edges_are_those_of_differences(
+def test_slopes_of_edges_equal_differences(
     impact: gp.Cost, motion: gp.Cost, exposure: str, scene: gp.Scene
 ) -> None:
     bound = Objective(motion=motion, impact=impact, w=0.7, exposure=exposure).bind(scene, search_paces())

@@ -64,7 +64,7 @@ def test_ratios_do_not_depend_on_the_rate() -> None:
     assert harm_ratio(*often).low == pytest.approx(ratio.low)
 
 
-def test_rollouts_that_diverged_are_in_no_pair() -> None:
+def test_diverged_rollouts_are_in_no_pair() -> None:
     impacts = report(0.0).impacts.copy()
     impacts[:10] = np.nan
     assert compare(replace(report(0.0), impacts=impacts), report(0.5)).n == 20

@@ -40,7 +40,7 @@ def test_categories_are_families(category: str) -> None:
     assert len(found) == len(_TASKS) * 4 * len({s.fault.NAME for s in found})
 
 
-def test_families_overlap_as_they_should() -> None:
+def test_families_are_disjoint() -> None:
     drop, collapse, stray = (
         {s.fault.NAME for s in scenarios(f"{family}/*")} for family in ("drop", "collapse", "stray")
     )
@@ -96,7 +96,7 @@ _HEAD = "version: 1\nfamilies:\n  own:\n"
         (_HEAD + "    fault: [noise]\n", 4, "unknown key 'fault'"),
     ],
 )
-def test_broken_registries_say_where(tmp_path: Path, text: str, line: int, words: str) -> None:
+def test_errors_of_broken_registries_name_the_place(tmp_path: Path, text: str, line: int, words: str) -> None:
     file = tmp_path / "scenarios.yaml"
     file.write_text(text)
     with pytest.raises(SceneError, match=words) as caught:

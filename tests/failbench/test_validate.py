@@ -266,7 +266,7 @@ def pouring() -> ValidationReport:
     return validate(over, task.scene, GripperFailure(), n=8, horizon=0.5, settings=SimSettings(grasp="weld"))
 
 
-def test_what_the_healthy_robot_spills_is_reported_first() -> None:
+def test_spills_of_the_healthy_robot_are_reported_first() -> None:
     found = pouring()
     assert found.healthy.spilled > 0.98 and found.healthy.by_entity["laptop"] == 20.0
     first, *others = str(found).split("\n\n")
@@ -360,7 +360,7 @@ def test_misuse_is_refused() -> None:
 # --- text -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_table_says_what_was_hit() -> None:
+def test_the_table_lists_hit_entities() -> None:
     text = str(report())
     assert re.search(r"tabletop: 30 .*0\.5 s.*seed 0\n", text)
     assert re.search(r"^observed impact +\S+ +\[\S+, \S+\]$", text, flags=re.MULTILINE)

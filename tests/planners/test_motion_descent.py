@@ -66,7 +66,7 @@ def descent(objective: SceneObjective, path: Path, **settings: float) -> _native
     )
 
 
-def test_splines_are_those_of_scipy() -> None:
+def test_splines_equal_those_of_scipy() -> None:
     from scipy.interpolate import BSpline
 
     rng = np.random.default_rng(3)
@@ -89,7 +89,7 @@ def test_a_spline_begins_and_ends_at_its_control_points() -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("w", [0.0, 1.0])
-def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float) -> None:
+def test_gradients_equal_differences(task: gp.Task, model: str, w: float) -> None:
     """All terms: length, impact, times by the speed profile, clearance. Kinks are too rare to matter."""
     if model == "box_overlap" and w > 0.0:
         pytest.skip("Algorithm 1 has jumps")
@@ -108,7 +108,7 @@ def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float)
     assert cosine > 0.999
 
 
-def test_what_a_descent_knows_is_what_the_trajectory_costs(task: gp.Task) -> None:
+def test_the_cost_in_a_descent_is_that_of_the_trajectory(task: gp.Task) -> None:
     objective = bound(task)
     one = descent(objective, bent(task, 0.0), controls=16)
     one.run(100, np.inf)
@@ -139,7 +139,7 @@ def test_without_weight_a_bent_path_becomes_straight() -> None:
 
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), speed=st.floats(0.1, 1.0))
-def test_edges_that_count_by_time_count_as_in_numpy(seed: int, speed: float) -> None:
+def test_edges_weighted_by_time_equal_numpy(seed: int, speed: float) -> None:
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     objective = Objective().bind(task.scene, search_paces(speed))
     rng = np.random.default_rng(seed)
@@ -150,7 +150,7 @@ def test_edges_that_count_by_time_count_as_in_numpy(seed: int, speed: float) -> 
     np.testing.assert_allclose(objective.edges(q0, q1), generic.edges(q0, q1), rtol=0.02, atol=1e-6)
 
 
-def test_gradients_of_edges_that_count_by_time() -> None:
+def test_gradients_of_edges_weighted_by_time() -> None:
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     objective = bound(task)
     rng = np.random.default_rng(5)
@@ -167,7 +167,7 @@ def test_gradients_of_edges_that_count_by_time() -> None:
 
 
 @pytest.mark.long
-def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(task: gp.Task) -> None:
+def test_rounds_of_descents_yield_free_curves_of_the_requested_stage(task: gp.Task) -> None:
     objective = bound(task)
     result = gp.plan(task.start, task.goal, task.scene, iterations=300)
     assert result.path is not None
@@ -205,7 +205,7 @@ def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(ta
     assert not list(descend_from([Start(path)], descents, Budget(time_limit=0.0), rng))
 
 
-def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> None:
+def test_unrestrained_speed_profiles_are_bang_bang() -> None:
     """One joint over a length, from rest to rest: 2 sqrt(length / a), or a plateau at the velocity limit."""
     n, length = 400, 2.0
     step = np.full(n, length / n)

@@ -49,7 +49,7 @@ def test_paths_become_cheaper_and_stay_free(task: gp.Task, path: Path, exposure:
     assert questions.path_cost(lower) < path_total(questions.objective, path)
 
 
-def test_a_path_that_will_not_win_is_given_up(task: gp.Task, path: Path) -> None:
+def test_a_hopeless_path_is_discarded(task: gp.Task, path: Path) -> None:
     descents = NativeDescents.of(_questions(task, path, Objective(w=1.0)))
     assert descents is not None
     assert descents.lowered(path, 1e-3) is None

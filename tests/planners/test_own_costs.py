@@ -60,7 +60,7 @@ def descent(task: gp.Task, objective: SceneObjective, **settings: float) -> _nat
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), Crosswise()], ids=repr)
 @pytest.mark.parametrize("impact", [Bowl(), Bowl(told=False), Haste()], ids=repr)
-def test_gradients_of_motions_are_those_of_differences(
+def test_gradients_of_motions_equal_differences(
     task: gp.Task, impact: gp.Cost, motion: gp.Cost, exposure: str
 ) -> None:
     one = descent(task, bound(task, Objective(motion=motion, impact=impact, w=W[exposure], exposure=exposure)))
@@ -75,7 +75,7 @@ def test_gradients_of_motions_are_those_of_differences(
 
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), Crosswise()], ids=repr)
-def test_what_a_descent_knows_is_what_evaluate_says(task: gp.Task, motion: gp.Cost, exposure: str) -> None:
+def test_the_cost_in_a_descent_equals_evaluate(task: gp.Task, motion: gp.Cost, exposure: str) -> None:
     objective = Objective(motion=motion, impact=Height(), w=4.0 * W[exposure], exposure=exposure)
     one = descent(task, bound(task, objective), controls=16, density=8)
     one.run(60, np.inf)
@@ -106,7 +106,7 @@ def test_collisions_are_found_without_asking_the_cost() -> None:
     assert paths and not cost.sizes
 
 
-def test_without_weight_no_planner_of_the_core_asks_the_cost(task: gp.Task) -> None:
+def test_without_weight_no_planner_of_the_core_evaluates_the_cost(task: gp.Task) -> None:
     cost = Asked()
     objective = bound(task, Objective(impact=cost, w=0.0))
     problem = problem_of(task, objective)
@@ -115,7 +115,7 @@ def test_without_weight_no_planner_of_the_core_asks_the_cost(task: gp.Task) -> N
     assert not cost.sizes
 
 
-def test_whole_paths_are_asked_for_at_once(task: gp.Task) -> None:
+def test_whole_paths_are_evaluated_in_one_batch(task: gp.Task) -> None:
     cost = Asked()
     objective = bound(task, Objective(impact=cost, w=1.0))
     q = np.linspace(np.asarray(task.start), np.atleast_2d(task.goal)[0], 30)
@@ -155,7 +155,7 @@ class Leaning(gp.Cost):
 
 
 @pytest.mark.parametrize("planner", ["chomp", "casadi", "auto"])
-def test_planners_ask_for_gradients_in_batches(task: gp.Task, planner: str) -> None:
+def test_planners_evaluate_gradients_in_batches(task: gp.Task, planner: str) -> None:
     pytest.importorskip("casadi") if planner == "casadi" else None
     cost = Leaning()
     objective = bound(task, Objective(impact=cost, w=1.0))
@@ -164,7 +164,7 @@ def test_planners_ask_for_gradients_in_batches(task: gp.Task, planner: str) -> N
     assert len(cost.sizes) > 5 and np.median(cost.sizes) > 10
 
 
-def test_transcription_asks_for_gradients(task: gp.Task) -> None:
+def test_transcription_uses_custom_gradients(task: gp.Task) -> None:
     told, untold = (ImpactCharge(cost, task.scene, 2.0) for cost in (Bowl(), Bowl(told=False)))
     q = np.random.default_rng(0).normal(size=(5, 7))
     np.testing.assert_allclose(told.slope(q, q), 2.0 * np.concatenate([q - 0.3, 0.0 * q], axis=1))

@@ -72,7 +72,7 @@ def test_optimal_planners_come_close_to_the_optimum(planner: Planner, iterations
 
 
 @pytest.mark.parametrize("name", ["prm", "trrt", "bitrrt", "rrt"])
-def test_feasible_planners_shortcut_what_they_find(name: str) -> None:
+def test_feasible_planners_shortcut_their_paths(name: str) -> None:
     instance = disc()
     assert _last(PLANNERS[name](), instance.problem, instance.objective, 800) <= _TOLERANCE * instance.optimum
     raw = PLANNERS[name](shortcut=False)  # pyright: ignore[reportCallIssue]
@@ -218,7 +218,7 @@ class _Motion:
         (_Motion((0.0, 0.0)), 0.0, True),
     ],
 )
-def test_what_is_learned_about_an_objective(objective: _Motion, bound: float, symmetric: bool) -> None:
+def test_bounds_on_an_objective_are_learned(objective: _Motion, bound: float, symmetric: bool) -> None:
     facts = probe_objective(objective, disc().problem)
     assert facts.length_bound == pytest.approx(bound, rel=1e-6)
     assert facts.length_bound <= bound
@@ -284,7 +284,7 @@ def test_questions_are_interrupted(budget: Budget) -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
 @pytest.mark.parametrize("name", ["prm", "prm_star", "rrt_star", "bit_star", "trrt"])
-def test_an_objective_that_breaks_its_contract_is_named(name: str, value: float) -> None:
+def test_a_broken_objective_is_named(name: str, value: float) -> None:
     objective = DensityObjective(density=lambda q: np.full(len(q), value))
     with pytest.raises(CostError, match=r"DensityObjective: (edge|state)"):
         _last(PLANNERS[name](), disc().problem, objective, 500)
@@ -299,7 +299,7 @@ def test_ompl_console_output_is_silenced_only_while_planning() -> None:
 
 
 @pytest.mark.parametrize("name", _NAMES)
-def test_who_starts_at_a_goal_stays_there_at_no_cost(name: str) -> None:
+def test_a_start_at_a_goal_gives_a_path_without_length(name: str) -> None:
     inner = free_space().problem
     goals = np.stack([inner.goals[0], inner.start])
     problem = FunctionProblem(start=inner.start, goals=goals, lower=inner.lower, upper=inner.upper)

@@ -79,7 +79,7 @@ def test_same_seed_same_paths() -> None:
 
 
 @pytest.mark.parametrize("path", [Path(np.zeros((1, 2))), Path(np.zeros((3, 2)))])
-def test_nothing_to_do_for_a_path_that_stays(path: Path) -> None:
+def test_a_path_without_length_stays(path: Path) -> None:
     assert _improve(path, analytic_problems()["free_space"]) == []
 
 

@@ -168,7 +168,7 @@ def test_duplicate_vertices_do_not_matter() -> None:
     assert retime(doubled, _PANDA).duration == retime(path, _PANDA).duration
 
 
-def test_going_back_the_way_it_came() -> None:
+def test_a_path_back_along_itself() -> None:
     path = _path([[0.0, 0.0], [1.0, 0.5], [0.0, 0.0]])
     limits = _limits([1.0, 1.0], [4.0, 4.0])
     _assert_within_limits(retime(path, limits), limits)
@@ -212,7 +212,7 @@ def test_a_deviation_of_each_corner_or_one_of_all(vertices: int) -> None:
             retime(path, _PANDA, deviation=np.full(wrong, 0.03))
 
 
-def test_full_speed_unless_told_otherwise() -> None:
+def test_full_speed_by_default() -> None:
     path = _zigzag(1, 4, 0.4)
     curve = Polyline(rounded(path, 0.05), path.q[-1])
     joints = tuple("abcdefg"[: path.q.shape[1]])
@@ -241,7 +241,7 @@ def test_a_spline_goes_through_its_points_and_is_exact_for_cubics(n):
 
 @pytest.mark.parametrize("gap", [1e-4, 2e-5])
 @pytest.mark.parametrize("deviation", [0.0, 0.05])
-def test_pieces_that_are_too_short_for_anybody_are_merged(gap: float, deviation: float) -> None:
+def test_very_short_pieces_are_merged(gap: float, deviation: float) -> None:
     """Nearly coincident vertices on a straight line used to give pieces of a microsecond or less."""
     unit = np.array([0.6, 0.8])
     path = Path(np.outer([0.0, 1.0, 1.0 + gap, 1.0 + 2.0 * gap, 2.0], unit))
@@ -271,7 +271,7 @@ def test_merging_keeps_both_ends_and_rests() -> None:
     assert len(motion(1e-4 * np.arange(8)).t) == 8
 
 
-def test_a_restraint_holds_at_the_speed_that_a_motion_has_in_the_end() -> None:
+def test_a_restraint_holds_at_the_final_speed() -> None:
     """At half the speed, accelerations are a quarter; the restraint must use the final speed."""
     line = Spline.through(np.linspace([0.0], [2.0], 9))
     limits = _limits([10.0], [100.0])
@@ -286,7 +286,7 @@ def test_a_restraint_holds_at_the_speed_that_a_motion_has_in_the_end() -> None:
         assert motion.duration == pytest.approx(2.0 * np.sqrt(2.0 / 1.5), rel=0.01)
 
 
-def test_accelerations_that_are_said_of_samples_count_as_well() -> None:
+def test_given_accelerations_of_samples_are_used() -> None:
     t = np.linspace(0.0, 1.0, 5)
     said = np.array([[0.0], [0.0], [8.0], [0.0], [0.0]])
     motion = Trajectory(t, np.zeros((5, 1)), np.zeros((5, 1)), said, ("a",))

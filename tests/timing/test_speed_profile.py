@@ -49,7 +49,7 @@ def speeds(found, limit):
 
 
 @given(seed=st.integers(0, 10_000), at=st.integers(5, POINTS - 6))
-def test_continuous_where_a_limit_says_next_to_nothing_of_the_acceleration(seed, at):
+def test_profiles_are_continuous_at_nearly_vanishing_coefficients(seed, at):
     rng = np.random.default_rng(seed)
     found, limit = curve(rng), limits(rng)
     either = []
@@ -74,7 +74,7 @@ def test_limits_hold(seed):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_never_slower_than_as_fast_as_can_be_at_each_point(seed):
+def test_profiles_are_at_least_as_fast_as_reachability_analysis(seed):
     rng = np.random.default_rng(seed)
     found, limit = curve(rng), limits(rng)
     limit[rng.integers(5, POINTS - 5, 4), 0, 0] = 1e-3

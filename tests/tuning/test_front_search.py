@@ -96,7 +96,7 @@ def found():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", KNOWN)
-def test_fronts_that_are_known_are_found(name, found):
+def test_known_fronts_are_found(name, found):
     exact, costs = KNOWN[name][1], found[name].costs
     costs = costs[costs[:, 0] <= exact[:, 0].max()]
     assert len(costs) >= 12
@@ -146,7 +146,7 @@ def test_dents_are_reached():
 
 
 @pytest.mark.long
-def test_nothing_to_weigh_is_one_point():
+def test_without_impact_the_front_is_one_point():
     instance = disc()
     archive = searched(instance.problem, instance.objective, 1500)
     assert len(archive) == 1
@@ -162,7 +162,7 @@ def test_searches_repeat_themselves_by_iterations():
     assert not np.array_equal(first.costs, other.costs)
 
 
-def test_budgets_that_are_spent_find_nothing():
+def test_spent_budgets_find_nothing():
     instance, _ = KNOWN["catenary"]
     for budget in (Budget(0.0), Budget(iterations=0), Budget(cancelled=lambda: True)):
         archive, rng = Archive(), np.random.default_rng(0)
@@ -203,7 +203,7 @@ def candidate(motion: float, impact: float) -> Candidate:
 
 @settings(max_examples=50, deadline=None)
 @given(clouds, st.randoms())
-def test_archives_hold_the_front_of_what_they_were_offered(costs, random):
+def test_archives_hold_the_front_of_all_offers(costs, random):
     archive, order = Archive(), costs.tolist()
     random.shuffle(order)
     for cost in order:
@@ -271,7 +271,7 @@ def test_descents_lead_down_and_stay_free():
     assert reached == pytest.approx(best, rel=0.01)
 
 
-def test_weights_straddle_the_one_that_counts_both_alike():
+def test_weights_straddle_the_balanced_one():
     weights = sweep_weights(np.array([2.0, 4.0]), 7)
     assert weights[0] < 0.5 < weights[-1]
     assert np.all(np.diff(weights) > 0.0)
@@ -281,7 +281,7 @@ def test_weights_straddle_the_one_that_counts_both_alike():
     assert sweep_weights(np.array([2.0, 1e-12]), 7).max() == MAX_WEIGHT
 
 
-def test_planners_with_a_beginning_get_one():
+def test_planners_with_initial_paths_get_them():
     path = Path(np.zeros((1, 2)))
 
     class Begun(Optimiser):

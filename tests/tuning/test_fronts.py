@@ -62,7 +62,7 @@ def test_choice_of_a_front(front):
 
 
 @pytest.mark.long
-def test_time_is_kept_and_told(task):
+def test_the_time_limit_is_kept_and_reported(task):
     told: list[FrontProgress] = []
     front = gp.pareto(task.start, task.goal, task.scene, points=4, iterations=_ITERATIONS, callback=told.append)
     assert front.status is gp.PlanStatus.SOLVED
@@ -116,7 +116,7 @@ def test_several_goals_and_other_exposures(task):
 
 
 @pytest.mark.long
-def test_planners_that_find_one_path_only_will_do(task):
+def test_planners_with_a_single_path_work(task):
     front = gp.pareto(task.start, task.goal, task.scene, iterations=400, points=4, planner=gp.RRTConnect())
     assert front.status is gp.PlanStatus.SOLVED
     assert len(front) > 1, "the roadmap and the refinement do the rest"
@@ -147,7 +147,7 @@ def test_misuse(task, settings, error, message):
 
 
 @pytest.mark.long
-def test_every_point_keeps_what_is_asked_for(task):
+def test_every_point_keeps_the_constraints(task):
     upright = gp.Upright(np.deg2rad(20.0))
     front = gp.pareto(task.start, task.goal, task.scene, points=3, iterations=400, constraints=[upright])
     assert front.points and all(point.verdict.checks["upright"].passed for point in front.points)

@@ -116,7 +116,7 @@ def candidate(motion: float, impact: float) -> Candidate:
     return Candidate(q=np.zeros((2, 1)), edges=np.array([[motion, impact]]), made_by="weight", made_with=1.0)
 
 
-def test_others_take_the_place_of_what_the_judge_refuses(asked):
+def test_refused_motions_are_replaced(asked):
     archive: Archive[Candidate] = Archive()
     for motion, impact in ((1.0, 5.0), (2.0, 3.0), (3.0, 2.0), (4.0, 1.0)):
         archive.offer(candidate(motion, impact))

@@ -220,7 +220,7 @@ def test_parts_of_one_object_are_placed_in_its_pose(tmp_path: Path):
     assert by_name["ball_1"].kind == "sphere" and by_name["ball_1"].size == (0.01,)
 
 
-def test_fingers_are_as_asked(tmp_path: Path):
+def test_fingers_have_the_requested_width(tmp_path: Path):
     file = _written(tmp_path, "robometrics")
     for opening in (0.0, 0.04):
         scene = load_problems(file, fingers=opening)[0].scene
@@ -273,7 +273,7 @@ def _broken(change: str) -> dict[str, Any]:
         ("d.clear()", r"holds no problem"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, change: str, message: str):
+def test_errors_name_the_culprit(tmp_path: Path, change: str, message: str):
     file = tmp_path / "a.yaml"
     file.write_text(yaml.dump(_broken(change), Dumper=_NoAliases))
     with pytest.raises(FormatError, match=message) as caught:

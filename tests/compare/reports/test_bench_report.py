@@ -95,7 +95,7 @@ def test_a_page_is_the_same_every_time():
 
 
 @pytest.mark.long
-def test_what_the_page_says():
+def test_the_page_has_the_expected_numbers():
     _, text = read("rich")
     assert "7 problems, 3 planners, 2 seeds" in text
     assert "28 runs" not in text
@@ -160,7 +160,7 @@ def test_curves():
     assert (grid[0], grid[-1]) == pytest.approx((0.001, 0.5))
 
 
-def test_what_is_known_from_elsewhere_counts():
+def test_best_costs_from_other_files_count():
     compared = rich()
     known = type(compared)(**{**vars(compared), "known": {PROBLEMS[0]: 0.5}})
     assert bench.summarise(known).best[PROBLEMS[0]] == 0.5

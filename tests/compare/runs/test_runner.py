@@ -136,7 +136,7 @@ def test_the_straight_line_is_optimal_where_nothing_is_in_the_way(here):
     assert found[0].trajectory(("x", "y")) is None
 
 
-def test_paths_that_lead_nowhere_do_not_count(here):
+def test_paths_that_miss_the_goal_do_not_count(here):
     act = "yield Path(np.array([problem.start, problem.start])); return"
     (found,) = [run(job) for job in jobs(here, own_planner(here, act, "liar"))]
     assert (found.status, found.detail, found.total, found.path) == ("INFEASIBLE", "", math.inf, ())
@@ -182,7 +182,7 @@ def test_a_function_is_a_planner(here, act, status, detail):
     assert all(detail in one.detail for one in found)
 
 
-def test_what_a_function_finds_is_judged(here):
+def test_paths_of_functions_are_judged(here):
     """A straight line through the boxes between start and goal."""
     (here / "library.py").write_text(ADAPTER.replace("ACT", "pass"))
     (job,) = jobs(here, "library:asks", suite="free_space")
@@ -194,7 +194,7 @@ def test_what_a_function_finds_is_judged(here):
     assert found.status != "SOLVED" and not math.isfinite(found.total)
 
 
-def test_messages_can_be_written_whatever_is_in_them(here):
+def test_any_message_can_be_written(here):
     word = own_planner(here, "raise ValueError('\\udcff' + 'x' * 10_000)", "babbles")
     (found,) = [run(job) for job in jobs(here, word)]
     assert found.detail.encode().startswith(b"ValueError: ?xxx")
@@ -221,7 +221,7 @@ def test_importing_is_not_in_the_time_of_a_run(here):
 
 
 @pytest.mark.long
-def test_workers_survive_what_planners_do(here):
+def test_workers_survive_crashing_planners(here):
     died = own_planner(here, "import os; os._exit(3)", "exits")
     crashed = own_planner(here, f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "crashes")
     good = own_planner(here, name="good")
@@ -231,7 +231,7 @@ def test_workers_survive_what_planners_do(here):
     assert found[1].detail == "the process ended with SIGSEGV"
 
 
-def test_what_planners_print_does_not_mix_with_results(here, capfd):
+def test_output_of_planners_does_not_mix_with_results(here, capfd):
     word = own_planner(here, "print('chatter', flush=True)", "chats")
     (found,) = workers.done(jobs(here, word), 1)
     assert found.status == "SOLVED"
@@ -259,7 +259,7 @@ def slowly(seconds):
 
 
 @pytest.mark.long
-def test_what_prepares_has_no_deadline_and_what_does_has_one():
+def test_preparation_has_no_deadline_and_planning_has_one():
     work = workers.Work(do=str, prepare=slowly, allowed=lambda job: 1.0, lost=lambda job, status, detail: status)
     assert list(workers.spread(work, [1.3], 1)) == ["1.3"]
     assert list(workers.spread(dataclasses.replace(work, do=slowly, prepare=abs), [30.0], 1)) == ["HUNG"]

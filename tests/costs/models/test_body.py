@@ -134,7 +134,7 @@ def _accelerations(scene, q):
     return data.qacc[dofs]
 
 
-def test_accelerations_are_those_of_mujoco():
+def test_accelerations_equal_those_of_mujoco():
     scene = _odd(held=False)
     q, _ = _states(scene, 10, seed=1)
     M, G = native_model(scene, SETTINGS).dynamics(q)
@@ -143,7 +143,7 @@ def test_accelerations_are_those_of_mujoco():
 
 
 @pytest.mark.parametrize("name", ["tabletop", "dining_table"])
-def test_torques_are_those_of_inverse_dynamics(name):
+def test_torques_equal_inverse_dynamics(name):
     scene = next(iter(gp.load_scene(name).tasks.values())).scene
     inverse = RobotDynamics(scene)
     q, _ = _states(scene, 4, seed=2)
@@ -156,7 +156,7 @@ def test_torques_are_those_of_inverse_dynamics(name):
         np.testing.assert_allclose(M[k], columns, atol=_TORQUE)
 
 
-def test_a_joint_without_power_rests_on_what_it_meets(odd):
+def test_a_joint_without_power_rests_on_obstacles(odd):
     q, qd = _states(odd, 400, seed=11)
     never = replace(SETTINGS, joint=replace(SETTINGS.joint, stop_tolerance=100.0))
     batch, loose = _batch(odd, q, qd), slice(1, 5)
@@ -305,7 +305,7 @@ def test_chances_fall_with_distance(offset, spread):
     )
 
 
-def test_who_is_far_away_is_not_hit(odd):
+def test_distant_entities_are_not_hit(odd):
     q, qd = _states(odd, 50, seed=5)
     vase = list(odd.entities).index("vase")
     away = odd.add_box("far", [0.1, 0.1, 0.1], [0.0, 0.0, 9.0], entity="glass")
@@ -327,7 +327,7 @@ def test_entities_without_severity_change_nothing(odd):
     np.testing.assert_allclose(found, expected, rtol=SINGLE, atol=_TINY)
 
 
-def test_nothing_held_and_nobody_there(tabletop):
+def test_no_object_and_no_entities(tabletop):
     scene = _odd(held=False)
     q, qd = _states(scene, 9, seed=7)
     P = BodyModel(_COARSE).probability(_batch(scene, q, qd))
@@ -338,7 +338,7 @@ def test_nothing_held_and_nobody_there(tabletop):
     assert BodyModel().modes(_batch(tabletop, np.zeros((0, 7)), np.zeros((0, 7)))).shape[0] == 0
 
 
-def test_an_arm_that_is_held_up_does_not_reach_what_is_below(odd):
+def test_a_supported_arm_does_not_reach_entities_below(odd):
     q, qd = _states(odd, 60, seed=8)
     free = BodyModel(_stopped(0.0, steps=2)).distances(_batch(odd, q, qd))
     held = BodyModel(_stopped(4.0, steps=2)).distances(_batch(odd, q, qd))
@@ -349,7 +349,7 @@ def test_an_arm_that_is_held_up_does_not_reach_what_is_below(odd):
 # --- planners --------------------------------------------------------------------------------------------------------
 
 
-def test_what_planners_are_charged(odd):
+def test_costs_in_planners_equal_the_model(odd):
     q, _ = _states(odd, 12, seed=9)
     severity, weights = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 1.0]]), np.outer([0.4, 0.3, 0.2, 0.1], [1.0, 0.5])
     model = BodyModel(_COARSE)

@@ -52,7 +52,7 @@ def _cosine(a, b):
     return (a * b).sum() / np.linalg.norm(a) / np.linalg.norm(b)
 
 
-def test_edges_of_searches_cost_nearly_what_they_cost(task):
+def test_edges_in_searches_cost_nearly_as_much_as_in_full(task):
     kernel, (first, second) = _kernel(task), _edges(task)
     exact, found = kernel.edges(first, second, _FINE)[:, 1], kernel.edges(first, second, rough=True)[:, 1]
     error = (found - exact) / exact.mean()
@@ -61,7 +61,7 @@ def test_edges_of_searches_cost_nearly_what_they_cost(task):
     assert (found != kernel.edges(first, second)[:, 1]).any()
 
 
-def test_motions_that_descend_cost_nearly_what_they_cost(task):
+def test_motions_in_descents_cost_nearly_as_much_as_in_full(task):
     kernel = _kernel(task)
     values = []
     for seed in range(12):
@@ -84,7 +84,7 @@ def test_slopes_of_a_motion_push_its_control_points_the_right_way(task):
         assert _cosine(by_what[:, 0], by_what[:, 1]) > 0.6  # only 32 of 127 states count, and some hits are brief
 
 
-def test_of_few_states_each_is_looked_at(task):
+def test_few_states_are_all_evaluated(task):
     kernel, (q, qd) = _kernel(task), _motion(task, 0, n=28)
     value, d_q, d_qd = kernel.state_slopes(q, qd, rough=True)
     turned = kernel.state_slopes(q[::-1], qd[::-1], rough=True)
@@ -103,7 +103,7 @@ def test_units_of_severity_do_not_matter(task):
     np.testing.assert_allclose(scaled[:, 1], 64.0 * cost[:, 1], rtol=1e-9)
 
 
-def test_who_is_worth_next_to_nothing_does_not_count():
+def test_entities_of_negligible_severity_do_not_count():
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     severity, (first, second) = _severity(task.scene), _edges(task, 30)
     names = list(task.scene.entities)
@@ -116,7 +116,7 @@ def test_who_is_worth_next_to_nothing_does_not_count():
     assert (_kernel(task, others).edges(first, second) != _kernel(task, few).edges(first, second)).any()
 
 
-def test_sums_and_factors_and_times_are_those_of_what_they_are_made_of(task):
+def test_sums_and_factors_and_times_follow_their_terms(task):
     body, (first, second) = _kernel(task), _edges(task, 10, 0.4)
     drop = gp.FailureMixture().kernel(task.scene, _severity(task.scene), search_paces())
     assert isinstance(drop, ImpactKernel)

@@ -79,7 +79,7 @@ def test_heights_are_compared_once_for_both_bodies(stacks, height, counts):
     assert P == (pytest.approx(1.5 * _AREA / (2.0 * _AREA)) if counts else 0.0)
 
 
-def test_the_smaller_area_of_the_two_is_what_the_overlap_is_a_share_of(stacks):
+def test_the_overlap_is_a_share_of_the_smaller_area(stacks):
     """The robot's boxes have 2 units of area, the stack 4 + 1; a quarter of one box is over the wide geom only."""
     (P,) = _by_all(stacks, np.array([[0.125 + 0.03125, 0.0, _ABOVE]]), "body", "stack")
     assert P == pytest.approx(0.25 / 2.0)
@@ -90,7 +90,7 @@ def test_stacked_geoms_make_nothing_more_than_certain(stacks):
     assert P == 1.0
 
 
-def test_beside_it_and_not_over_it_is_nothing(stacks):
+def test_beside_and_not_above_is_no_hit(stacks):
     assert not _by_all(stacks, np.array([[0.0, 1.0, h] for h in (_ABOVE, _EQUAL)]), "body", "stack").any()
 
 

@@ -159,7 +159,7 @@ def test_impact_is_the_sum_over_entities(scene, kernel):
     assert not nothing.own_loss(q).any() and not nothing.impact(q, np.zeros_like(severity), own=1.0).any()
 
 
-def test_edges_are_charged_at_their_speed(scene):
+def test_edges_are_evaluated_at_their_speed(scene):
     native = gp.Objective(impact=gp.ImpactCost(model="mixture")).bind(scene)
     generic = gp.Objective(impact=gp.ImpactCost(model=Wrapped())).bind(scene)
     assert native.kernel is not None and generic.kernel is None
@@ -170,7 +170,7 @@ def test_edges_are_charged_at_their_speed(scene):
     assert np.all(native.edges(q0, q1)[0] == 0.0)
 
 
-def test_planners_run_on_it():
+def test_planners_run_on_the_drop_model():
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), w=2.0).bind(task.scene)
     problem = SceneProblem(kernels=compile_scene(task.scene).kernels, start=task.start, goals=np.atleast_2d(task.goal))
@@ -183,7 +183,7 @@ def test_planners_run_on_it():
     assert ordinary.path is not None and objective.breakdown(ordinary.trajectory).total > 1.05 * native.cost.total
 
 
-def test_nothing_carried_harms_nobody():
+def test_without_a_carried_object_there_is_no_harm():
     scene = gp.load_scene("tabletop")
     assert scene.carried is None
     objective = gp.Objective(impact=gp.ImpactCost(model="mixture")).bind(scene)
@@ -248,7 +248,7 @@ def test_gradient_is_the_finite_difference(name):
 
 @pytest.mark.parametrize("name", first_quick(gp.scenes()))
 @pytest.mark.parametrize("isa", instruction_sets())
-def test_in_single_precision_it_is_nearly_the_same(name, isa):
+def test_single_precision_changes_little(name, isa):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
         scene = task.scene
         kernel = _kernel_of(scene, isa)
@@ -324,7 +324,7 @@ def test_misuse_names_the_culprit(scene, kernel):
         DropKernel(tables, constants, compiled.kernels, np.zeros(len(scene.joints)), len(scene.entities))
 
 
-def test_a_fit_that_tries_many_constants_leaves_no_tables_behind(scene):
+def test_a_fit_with_many_constants_leaves_no_tables_behind(scene):
     shipped = DropSettings.shipped()
     watched = []
     for delay in np.linspace(0.0, 0.02, 12):

@@ -111,7 +111,7 @@ def test_instruction_sets_agree(task: gp.Task, isa: str) -> None:
     np.testing.assert_allclose(kernel.probability(q, qd)[:, 0], by_numpy(network, task.scene, q, qd), atol=1e-11)
 
 
-def test_gradients_are_those_of_differences(task: gp.Task) -> None:
+def test_gradients_equal_differences(task: gp.Task) -> None:
     q, qd = states(task, 24, seed=3)
     kernel, severity = drop_kernel(task.scene, SETTINGS, network=random_network(1)), severities(task.scene)
     value, d_q, d_qd = kernel.gradient(q, severity, qd)
@@ -131,7 +131,7 @@ def test_gradients_are_those_of_differences(task: gp.Task) -> None:
         assert np.abs(slope).max() > 1.0
 
 
-def test_the_network_has_a_say_in_the_gradient(task: gp.Task) -> None:
+def test_the_network_changes_the_gradient(task: gp.Task) -> None:
     q, qd = states(task, 8)
     severity = severities(task.scene)
     plain, own = (
@@ -181,7 +181,7 @@ def test_odds_stay_within_the_bound_and_each_state_stands_by_itself(seed: int, b
     np.testing.assert_allclose(P, alone, atol=1e-11)  # error of pruning
 
 
-def test_a_network_that_says_nothing_changes_nothing(task: gp.Task) -> None:
+def test_a_zero_network_changes_nothing(task: gp.Task) -> None:
     q, qd = states(task, 20)
     silent = replace(random_network(), last=np.zeros(16), last_bias=np.zeros(1))
     a, b = (drop_kernel(task.scene, SETTINGS, network=x).probability(q, qd) for x in (None, silent))
@@ -230,7 +230,7 @@ def test_nothing_changes_if_all_is_moved_and_turned(
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_written_files_can_be_read(tmp_path: Path) -> None:
     network = replace(random_network(), about={"drops": 7})
     network.write(tmp_path / "net.npz")
     found = DropNetwork.read(tmp_path / "net.npz")
@@ -241,7 +241,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.told, network.told)
 
 
-def test_the_shipped_one_says_where_it_comes_from(task: gp.Task) -> None:
+def test_the_shipped_network_has_a_provenance(task: gp.Task) -> None:
     network = DropNetwork.shipped()
     assert network.about["drops"] > 1000 and network is DropNetwork.shipped()
     q, qd = states(task, 8)

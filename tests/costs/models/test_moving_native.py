@@ -77,7 +77,7 @@ def among(scene, severity=1.0):
 @pytest.mark.parametrize("walker", sorted(_WALKERS))
 @pytest.mark.parametrize("targets", [{}, BOX, _TABLE], ids=["ground", "box", "table"])
 @pytest.mark.parametrize("timed", [True, False])
-def test_drops_are_those_of_the_twin(walker, targets, timed):
+def test_drops_equal_the_twin(walker, targets, timed):
     scene = gantry(targets).with_moving(_WALKERS[walker])
     q, qd, t = states(scene, 150)
     batch = moving_batch(scene, q, qd, t if timed else None)
@@ -97,7 +97,7 @@ def test_shapes_fall_as_in_the_twin(shape):
 
 
 @pytest.mark.parametrize("timed", [True, False])
-def test_arms_are_those_of_the_twin(timed):
+def test_arms_equal_the_twin(timed):
     scene = arm_scene(*(raised(entity, [0.0, 0.0, 0.4]) for entity in _WALKERS.values()))
     q, qd, t = states(scene, 60)
     batch = moving_batch(scene, q, qd, t if timed else None)
@@ -216,7 +216,7 @@ def test_slopes_of_failing_bases_are_differences():
     assert not by_t[value == 0.0].any()
 
 
-def test_a_motion_that_comes_later_feels_who_walks_on():
+def test_a_later_motion_meets_entities_at_their_later_place():
     scene = gantry({}).with_moving(_ROUND)
     over = np.array([[0.25, 0.0, 0.0, 0.0]])
     value, _, _, by_t = among(scene).slopes(over, np.zeros_like(over), np.array([0.2]))
@@ -262,7 +262,7 @@ def test_gaps_are_mujocos():
     np.testing.assert_allclose(gap, expected, atol=5e-3)
 
 
-def test_gaps_beyond_what_is_wanted_are_infinite_and_others_exact():
+def test_gaps_beyond_the_cutoff_are_infinite_and_others_exact():
     scene = arm_scene(*(raised(entity, [0.8, 0.3, 0.5]) for entity in (_ROUND, _BOX)))
     q, _, t = states(scene, 300, seed=7)
     whole, by_q, by_t = among(scene).gaps(q, t, np.inf)
@@ -290,7 +290,7 @@ def test_slopes_of_gaps_are_differences():
 # --- motions ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_plan_gives_way_to_who_walks():
+def test_a_plan_avoids_a_pedestrian():
     task = gp.load_scene("tabletop").tasks["right_to_left"]
     hands = [task.scene.data_at(q).site(task.scene.tool).xpos.copy() for q in (task.start, task.goal[0])]
     middle = np.mean(hands, axis=0)

@@ -61,7 +61,7 @@ def test_the_core_is_the_specification(name, task):
 
 
 @pytest.mark.parametrize(("name", "task"), [("desk", "lift_coffee"), ("kitchen_counter", "season")])
-def test_gradients_are_those_of_differences(name, task):
+def test_gradients_equal_differences(name, task):
     task = gp.load_scene(name).tasks[task]
     scene, rng = task.scene, np.random.default_rng(0)
     kernel = drop_kernel(scene, DROP, SPILL, None, STOP)
@@ -102,7 +102,7 @@ def test_faster_and_harder_stops_spill_more(table, speed, more):
     assert 0.0 <= chance(speed, STOP) <= 1.0
 
 
-def test_contents_go_over_the_brim_where_it_is_level_with_what_is_felt(table):
+def test_contents_spill_where_the_brim_is_level_with_the_tilted_surface(table):
     vessel = find_vessel(table)
     fast = 30.0  # a stop so long that only its deceleration matters
     brim = 9.81 * np.tan(vessel.brim_tilt)
@@ -123,7 +123,7 @@ def filled(litres):
     return gantry(TABLE, gp.Liquid(volume=litres))
 
 
-def test_a_cup_that_is_less_full_spills_less():
+def test_a_less_full_cup_spills_less():
     hard = replace(STOP, deceleration=8.0)
     full, half = (stop_spill(moving(filled(litres), *onward(1.0)), hard) for litres in (0.4, 0.15))
     assert full.chance[0] > half.chance[0] + 0.1

@@ -49,7 +49,7 @@ def test_wilson_mirrors_contains_and_never_vanishes(hits: int, more: int, confid
     assert (found.low == 0.0) == (hits == 0)
 
 
-def test_nothing_observed_says_nothing() -> None:
+def test_no_observations_give_the_whole_range() -> None:
     assert math.isnan(wilson(0, 0).mean)
     assert (wilson(0, 0).low, wilson(0, 0).high) == (0.0, 1.0)
     nothing = estimate_mean([], (0.0, 7.0))
@@ -253,7 +253,7 @@ def test_coverage_of_a_ratio_of_impacts_that_are_mostly_zero(p: float, reduced: 
     assert found >= _LEAST_COVERAGE
 
 
-def test_what_is_certain_comes_on_top_of_both_sides_of_a_ratio() -> None:
+def test_certain_amounts_are_added_to_both_sides_of_a_ratio() -> None:
     a, b = np.array([0.0, 4.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0, 3.0])
     plain, none = (estimate_ratio(a, b, (0.0, 5.0), **x) for x in ({}, {"certain": (0.0, 0.0)}))
     assert plain == none
@@ -268,7 +268,7 @@ def test_what_is_certain_comes_on_top_of_both_sides_of_a_ratio() -> None:
         estimate_ratio(a, b, (0.0, 5.0), certain=(-1.0, 0.0))
 
 
-def test_what_is_known_shifts_an_estimate() -> None:
+def test_a_known_amount_shifts_an_estimate() -> None:
     found = estimate_mean([0.0, 1.0, 5.0], (0.0, 5.0))
     moved = found.shifted(2.0)
     assert (moved.mean, moved.low, moved.high, moved.n) == (found.mean + 2.0, found.low + 2.0, found.high + 2.0, 3)
@@ -277,7 +277,7 @@ def test_what_is_known_shifts_an_estimate() -> None:
         found.shifted(float("inf"))
 
 
-def test_what_is_no_ratio_is_refused() -> None:
+def test_invalid_ratios_are_refused() -> None:
     with pytest.raises(ShapeError, match="pairs"):
         estimate_ratio([1.0], [1.0, 2.0], (0.0, 1.0))
     with pytest.raises(SettingError, match=">= 0"):

@@ -20,13 +20,13 @@ from graceful_plan.costs.fault_prior import FAILURES, FaultPrior, presets, shipp
 from graceful_plan.exceptions import SettingError, ShapeError
 
 
-def test_the_shipped_effects_are_those_of_the_faults_that_there_are():
+def test_shipped_effects_cover_exactly_the_existing_faults():
     assert list(shipped_effects()) == [*faults(), *reactions()]
     assert tuple(DEGREES) == fault_prior.DEGREES
 
 
 @pytest.mark.parametrize("name", presets())
-def test_presets_name_faults_that_there_are(name):
+def test_presets_name_existing_faults(name):
     assert set(FaultPrior.preset(name).rates) <= {*faults(), *reactions()}
 
 
@@ -107,7 +107,7 @@ def test_one_scene_cannot_be_held_out():
     assert fit_effects({"noise": alone}, resamples=2)["noise"].held_out is None
 
 
-def test_what_is_written_is_read(tmp_path, monkeypatch):
+def test_written_files_can_be_read(tmp_path, monkeypatch):
     effects = fit_effects({"noise": draw(TRUE, n=2000), "dropout": draw((0.0,) * 6, n=2000)}, resamples=5)
     file = tmp_path / "fault_effects.yaml"
     about = {"scenes": ["desk"], "failures": 12}

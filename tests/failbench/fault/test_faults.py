@@ -34,7 +34,7 @@ def test_there_are_the_nineteen_in_order():
         assert {faults()[name].CATEGORY for name in names.split()} == {category}
 
 
-def test_nobody_can_change_the_list():
+def test_the_list_of_faults_is_read_only():
     with pytest.raises(TypeError):
         faults()["mine"] = Nothing
 
@@ -100,7 +100,7 @@ def test_a_fault_shorter_than_a_step_lasts_a_step():
     assert differs.tolist() == [True] + [False] * (len(differs) - 1)
 
 
-def test_while_they_last_something_is_different():
+def test_faults_change_the_model_while_they_last():
     for name in ALL:
         record = Record(faults()[name](degree="critical"), horizon=0.02)
         same = same_model(record.model, healthy_run().world.model)
@@ -209,7 +209,7 @@ def test_json_form_is_readable():
     }
 
 
-def test_what_is_not_said_has_its_default():
+def test_missing_fields_have_their_defaults():
     assert from_document({"fault": "gradual_degradation"}) == faults()["gradual_degradation"]()
     assert from_document({"fault": "voltage_drop", "duration": None}).duration is None
 
@@ -277,7 +277,7 @@ class Own(Fault):
 """
 
 
-def test_a_fault_of_ones_own_is_loaded_and_has_a_json_form(tmp_path):
+def test_a_custom_fault_is_loaded_and_has_a_json_form(tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     cls = load_class(f"{tmp_path / 'mine.py'}:Own")
     assert issubclass(cls, Fault)
@@ -301,7 +301,7 @@ def test_a_fault_of_ones_own_is_loaded_and_has_a_json_form(tmp_path):
         ("mine.txt:Own", "mine.txt: expected a file whose name ends in .py"),
     ],
 )
-def test_what_cannot_be_loaded_is_said(where, message, tmp_path, monkeypatch):
+def test_unloadable_faults_are_refused_with_the_reason(where, message, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(OWN)
     (tmp_path / "mine.txt").write_text(OWN)
     (tmp_path / "broken.py").write_text("1 / 0")

@@ -87,7 +87,7 @@ def test_limited_range_stops_the_joint_on_either_side():
     assert away[free] == pytest.approx(wanted[free], abs=1e-6)
 
 
-def test_limited_range_never_widens_the_range_that_there_was():
+def test_limited_range_never_widens_the_range():
     record = Record(LimitedRange(degree="minor", targets=("all",), ramp=0.1), horizon=0.2)
     ids, healthy = record.robot.joint_ids, healthy_run().world.model.jnt_range
     assert (record.model.jnt_range[ids, 0] >= healthy[ids, 0]).all()
@@ -135,7 +135,7 @@ def test_stuck_joint_rubs_harder_and_harder_before():
     assert np.all(np.diff(lag[::10]) > 0.0)  # it moves in the negative direction and lags
 
 
-def test_friction_takes_the_torque_that_it_says():
+def test_friction_takes_the_stated_torque():
     fault = IncreasedFriction(degree="minor", targets=joint(1), ramp=0.0)
     record, well = Record(fault, when=0.3, horizon=0.3), Record(Nothing(), when=0.3, horizon=0.3)
     limit = healthy_run().world.model.actuator_forcerange[0, 1]
@@ -145,7 +145,7 @@ def test_friction_takes_the_torque_that_it_says():
     assert more == pytest.approx(0.1 * limit * (np.sign(speed) + speed), rel=0.02)
 
 
-def test_dry_friction_holds_what_it_can_hold():
+def test_dry_friction_holds_a_joint_below_its_limit():
     # Near the end of the motion, the servo's remaining error does not overcome friction.
     record = Record(IncreasedFriction(degree="severe", targets=joint(2)), when=1.0, horizon=0.5)
     assert np.abs(record.qd[-100:, 1]).max() < 1e-4
@@ -159,7 +159,7 @@ def test_several_joints_can_be_struck(name):
     assert (off[[1, 3]] > 5.0 * 1e-3).all()
 
 
-def test_a_stuck_joint_stays_where_it_is_whatever_the_model_calls_zero():
+def test_a_stuck_joint_stays_in_place_for_any_joint_zero():
     text = ARM.format(fingers="", actuators=SERVO).replace('range="-2 2"', 'range="-1 3" ref="1"')
     scene = gp.Scene.from_mjcf(text, robot="base", tool="tool", velocity=[2.0], acceleration=[5.0], torque=[80.0])
     done = execute([[0.0], [0.6]], build_world(scene))
@@ -180,7 +180,7 @@ def test_friction_and_brakes_need_to_know_the_greatest_torque(fault):
 
 
 @pytest.mark.parametrize("fault", [CompleteShutdown, LooseJoint, PartialDegradation, GradualDegradation])
-def test_a_weld_does_not_hold_for_a_gripper_that_is_dead(fault):
+def test_a_dead_gripper_releases_its_weld(fault):
     done = healthy_run(WELD)
     jobs = [
         Job(fault=fault(degree=degree, targets=("gripper",)), onset=0.2 * done.duration, seed=0)

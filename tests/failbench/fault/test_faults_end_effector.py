@@ -29,7 +29,7 @@ def test_failing_gripper_opens_in_its_time(degree):
     assert fingers == pytest.approx(wide, abs=2e-3)
 
 
-def test_what_a_failing_gripper_held_falls_freely():
+def test_the_object_of_a_failing_gripper_falls_freely():
     record = Record(GripperFailure(degree="critical"), when=1.0, horizon=0.2)
     assert falls_freely(record, 0.06, 0.1) == pytest.approx(-G, rel=0.02)
     assert falls_freely(Record(Nothing(), when=1.0, horizon=0.2), 0.06, 0.1) == pytest.approx(0.0, abs=0.1)
@@ -63,7 +63,7 @@ def slips(share, **given):
     return Record(Grip(share=share, ramp=0.3), when=1.0, horizon=0.6, **given).slip[-1] > 5e-3
 
 
-def test_slip_begins_where_the_friction_cone_says():
+def test_slip_begins_at_the_friction_cone():
     weight, friction, force = lost_weight(healthy_run())
     # The tendon halves the force: N = F / 2 per finger, and 2 mu N = m g.
     expected = 2.0 * (weight / (2.0 * friction)) / force
@@ -75,7 +75,7 @@ def test_slip_begins_where_the_friction_cone_says():
     assert high == pytest.approx(expected, rel=0.1)
 
 
-def test_a_weld_breaks_where_the_friction_cone_says():
+def test_a_weld_breaks_at_the_friction_cone():
     done = healthy_run(WELD)
     weight, friction, force = lost_weight(done)
     expected = weight / friction / force
@@ -90,7 +90,7 @@ def test_weak_grip_bounds_the_force():
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_gripper_that_sticks_open_is_as_wide_as_its_degree(degree):
+def test_a_gripper_stuck_open_has_the_width_of_its_degree(degree):
     fault = StuckGripper(degree=degree)
     record, done = Record(fault, when=1.0, horizon=0.8), healthy_run()
     robot = done.world.robot
@@ -108,14 +108,14 @@ def releasing(done):
     return dataclasses.replace(done, command=command)
 
 
-def test_gripper_that_sticks_closed_does_not_let_go():
+def test_a_gripper_stuck_closed_does_not_let_go():
     done = releasing(healthy_run())
     late = {"when": 0.7, "horizon": 0.6, "done": done}
     assert Record(Nothing(), **late).slip[-1] > 0.02
     assert Record(StuckGripper(closed=True), **late).slip[-1] < 2e-3
 
 
-def test_gripper_that_sticks_closed_changes_nothing_else():
+def test_a_gripper_stuck_closed_changes_nothing_else():
     record, well = Record(StuckGripper(closed=True)), Record(Nothing())
     assert np.array_equal(record.all, well.all)
 

@@ -46,7 +46,7 @@ GRADUAL = {
 
 
 @pytest.mark.parametrize("name", list(faults()))
-def test_onsets_are_gradual_where_the_table_says_so(name):
+def test_onsets_are_gradual_as_in_the_table(name):
     assert (faults()[name]().ramp > 0.0) == (name in GRADUAL)
     assert faults()[name](ramp=0.0).ramp == 0.0 and faults()[name](ramp=0.3).ramp == 0.3
 
@@ -151,7 +151,7 @@ def test_within_the_gap_no_torque_reaches_the_joint():
     assert tight.force[:, 0].all()
 
 
-def test_backlash_is_that_of_the_degree_unless_it_is_said():
+def test_backlash_follows_the_degree_unless_given():
     gaps = [LooseJoint(degree=degree).gap for degree in DEGREES]
     assert np.all(np.diff(gaps) > 0.0)
     assert LooseJoint(backlash=0.1).gap == 0.1
@@ -178,7 +178,7 @@ def test_servos_see_where_the_joint_was(line):
     assert record.force[:, 0] == pytest.approx(np.clip(force, -limit, limit), rel=1e-9)
 
 
-def test_before_the_motion_joints_stood_where_they_stood_first():
+def test_delayed_readings_before_the_start_repeat_the_first_one():
     fault = ControlDelay(degree="critical", targets=joint(1), line="measurement", ramp=0.0)
     record, done = Record(fault, when=0.0, horizon=0.1), healthy_run()
     robot = record.robot
@@ -187,7 +187,7 @@ def test_before_the_motion_joints_stood_where_they_stood_first():
     assert record.force[:, 0] == pytest.approx(np.clip(force, -87.0, 87.0), rel=1e-9)
 
 
-def test_measured_is_what_the_joints_did():
+def test_measured_holds_the_states_of_the_joints():
     done = healthy_run()
     record = Record(Nothing(), when=0.5, horizon=0.1)
     at = record.onset_step
@@ -217,7 +217,7 @@ def test_a_sensor_reads_right_outside_its_dead_range_and_stands_within():
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_a_gripper_that_sticks_open_lets_a_weld_go_where_fingers_would(degree):
+def test_a_gripper_stuck_open_releases_a_weld_where_fingers_would(degree):
     fingers, weld = (
         Record(StuckGripper(degree=degree), when=1.0, horizon=0.8, done=healthy_run(settings)).slip[-1] > 0.02
         for settings in (SETTINGS, WELD)
@@ -248,7 +248,7 @@ def test_rates_change_no_other_draw():
 
 
 @pytest.mark.parametrize("rates", [(1.0, -1.0), (0.0, 0.0), (np.inf, 1.0), (np.nan,)])
-def test_rates_that_are_none_are_refused(rates):
+def test_invalid_rates_are_refused(rates):
     with pytest.raises(SettingError, match="rates = "):
         Noise(rates=rates)
 
@@ -262,7 +262,7 @@ def test_rates_of_another_robot_are_refused():
         from_document({"fault": "noise", "rates": "any"})
 
 
-def test_a_permanent_failure_lasts_until_it_is_restored_by_a_call():
+def test_a_permanent_failure_lasts_until_restore():
     done = healthy_run()
     fault = CompleteShutdown(degree="critical", targets=("all",), when=AtTime(0.2))
     going = rollout_steps(done, Job(fault=fault, onset=0.2, seed=0), horizon=0.5)

@@ -14,7 +14,7 @@ from failbench.testing import check_fault
 from graceful_plan.exceptions import SettingError
 
 
-def test_it_is_no_fault_but_a_reaction():
+def test_a_stop_is_a_reaction_and_no_fault():
     assert list(reactions()) == ["protective_stop"]
     assert failbench.reactions() is reactions()
     assert not set(reactions()) & set(faults())
@@ -23,7 +23,7 @@ def test_it_is_no_fault_but_a_reaction():
 
 
 @pytest.mark.parametrize("category", [0, 1])
-def test_it_keeps_the_contract_of_faults(category):
+def test_a_stop_keeps_the_contract_of_faults(category):
     check_fault(ProtectiveStop(category=category))
     check_fault(ProtectiveStop(category=category), healthy_run(WELD))
 
@@ -34,7 +34,7 @@ def braking_time(record):
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_it_brakes_along_the_path_as_hard_as_the_degree_says(degree):
+def test_a_stop_brakes_along_the_path_with_its_deceleration(degree):
     done = healthy_run()
     record = Record(ProtectiveStop(degree=degree), when=0.5, horizon=1.4)
     needed = braking_time(record)
@@ -49,7 +49,7 @@ def test_it_brakes_along_the_path_as_hard_as_the_degree_says(degree):
         assert np.abs(record.qd[half]).max() == pytest.approx(0.5 * np.abs(record.qd0).max(), rel=0.25)
 
 
-def test_every_configuration_on_the_way_is_one_of_the_motion():
+def test_a_stop_stays_on_the_path_of_the_motion():
     done = healthy_run()
     record = Record(ProtectiveStop(degree="moderate"), when=0.4, horizon=0.6)
     fine = done.trajectory.at(np.linspace(done.trajectory.t[0], done.trajectory.t[-1], 4000)).q
@@ -101,7 +101,7 @@ def test_native_rollouts_are_the_plain_loop():
         assert any(np.array_equal(pose, seen) for seen in rollout.poses.values())
 
 
-def test_it_has_a_json_form_and_refuses_other_categories():
+def test_a_stop_has_a_json_form_and_refuses_other_categories():
     for category in (0, 1):
         fault = ProtectiveStop(category=category, degree="minor")
         assert from_document(to_document(fault)) == fault

@@ -29,7 +29,7 @@ def test_noise_has_its_standard_deviation_and_is_held():
     assert abs(samples.mean()) < 3.0 * 0.05 / np.sqrt(samples.size)
 
 
-def test_noise_shakes_the_joint_that_has_it_and_no_other():
+def test_noise_shakes_only_its_joint():
     record, well = Record(Noise(degree="critical", targets=joint(4))), Record(Nothing())
     off = np.abs(record.q - well.q).max(axis=0)
     assert off[3] > 5e-3
@@ -112,7 +112,7 @@ def test_longer_gaps_contain_the_shorter_ones():
 
 
 @pytest.mark.parametrize("settings", [SimSettings(), TORQUE])
-def test_scaled_reading_rests_where_it_reads_what_is_wanted(settings):
+def test_a_scaled_reading_settles_where_it_reads_the_target(settings):
     fault = ScaleError(degree="severe", targets=joint(1))
     record = Record(fault, when=1.0, horizon=1.5, done=healthy_run(settings))
     wanted = healthy_run().trajectory.q[-1, 0]

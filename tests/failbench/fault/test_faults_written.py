@@ -73,7 +73,7 @@ def misread(plant):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_dead_motor_damps_the_joint_that_has_it_and_no_other(level):
+def test_a_dead_motor_damps_only_its_joint(level):
     more = struck(CompleteShutdown(degree="moderate"), level)["dof_damping"] - model().dof_damping
     expected = np.zeros(model().nv)
     expected[robot().dofs[2]] = 10.0 * level
@@ -89,7 +89,7 @@ def test_both_stops_close_in_along_the_ramp(level):
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.25, 1.0), (0.5, 1.0), (0.5, 0.5)])
-def test_a_joint_rubs_with_the_share_of_its_torque_that_time_has_brought(share, level):
+def test_friction_grows_with_the_ramp(share, level):
     fault = StuckPosition(degree="minor")
     plant = struck(fault, level, step=round(share * fault.amount / DT))
     rubbing = (plant["dof_frictionloss"] - model().dof_frictionloss)[robot().dofs]
@@ -109,7 +109,7 @@ def test_readings_are_off_as_far_as_the_ramp_has_come(fault, level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_commands_are_late_by_the_delay_that_the_ramp_has_come_to(level):
+def test_command_delay_grows_with_the_ramp(level):
     plant = struck(ControlDelay(degree="severe"), level)
     column = robot().actuators[2]
     assert (plant.healthy - plant.command)[:, column] == pytest.approx(round(0.1 * level / DT))
@@ -124,7 +124,7 @@ def test_a_gripper_opens_as_far_as_the_ramp_has_come(level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_weak_grip_presses_with_what_the_ramp_has_left(level):
+def test_grip_force_falls_with_the_ramp(level):
     left = struck(WeakGrip(degree="moderate"), level)["actuator_forcerange"] / model().actuator_forcerange
     assert left[robot().gripper_actuators] == pytest.approx(1.0 - 0.9 * level)
     assert left[robot().actuators] == pytest.approx(1.0)
@@ -174,7 +174,7 @@ def test_a_brake_holds_half_as_much_again_as_the_motor():
     assert np.delete(holds, robot().dofs) == pytest.approx(0.0)
 
 
-def test_a_reading_that_is_too_great_acts_as_one():
+def test_a_scaled_reading_acts_through_the_servo():
     plant = plant_of(Noise(), joints=(1, 4))
     error = np.array([0.01, -0.02])
     plant.misread(plant.joints, np.tile(error, (len(plant.command), 1)))

@@ -52,7 +52,7 @@ def made_up(n: int = 600, *, factor: float = 1.5, seed: int = 0) -> Pairs:
 # --- scenes -----------------------------------------------------------------------------------------------------------
 
 
-def test_scenes_are_what_their_names_say() -> None:
+def test_scenes_match_their_names() -> None:
     first = generated_scene("generated_3")
     generated_scene.cache_clear()
     again, other = generated_scene("generated_3"), generated_scene("generated_4")
@@ -93,7 +93,7 @@ def drops() -> list[Failures]:
 
 
 @pytest.mark.long
-def test_pairs_are_those_of_the_drop_model(drops: list[Failures]) -> None:
+def test_pairs_equal_those_of_the_drop_model(drops: list[Failures]) -> None:
     pairs = pairs_of(drops)
     assert len(pairs) > 10 and pairs.hit.any() and not pairs.hit.all()
     np.testing.assert_array_equal(pairs.chooses, pairs.motion == 1)
@@ -148,7 +148,7 @@ def test_the_gradient_of_the_likelihood() -> None:
         assert check_grad(lambda z: of(z)[0], lambda z: of(z)[1], x) < 1e-5
 
 
-def test_what_is_off_is_learned() -> None:
+def test_the_fit_learns_a_known_error() -> None:
     found = train(made_up(4000), replace(SMALL, iterations=120))
     fresh = made_up(4000, seed=1)
     truth = made_up(4000, seed=1).hit

@@ -47,7 +47,7 @@ def straight(scene):
 
 
 @pytest.mark.parametrize(("half_width", "falls"), [(0.03, True), (0.12, False)])
-def test_what_stands_on_a_base_tips_over_if_it_is_stopped_harder_than_it_is_wide(half_width, falls):
+def test_an_object_on_a_base_tips_over_if_the_base_brakes_hard(half_width, falls):
     """A block tips if deceleration over gravity, 0.6 here, exceeds width over height: 0.25 or 1."""
     half_height = 0.12
     scene = laden(half_width, half_height)
@@ -64,7 +64,7 @@ def test_what_stands_on_a_base_tips_over_if_it_is_stopped_harder_than_it_is_wide
 
 
 @pytest.mark.long
-def test_tea_on_a_jackal_is_planned_driven_and_spilt_only_if_it_fails():
+def test_tea_on_a_jackal_spills_only_in_failures():
     task = gp.load_scene("apartment").tasks["serve_tea"]
     result = gp.plan(task.start, task.goal, task.scene, iterations=3000)
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["contents"].passed

@@ -45,7 +45,7 @@ def motion(scene):
     return gp.plan([-2.0, 0.0, 0.0], gp.BasePose(2.0, 0.0, 0.0), scene, w=0.0, iterations=1000).unwrap()
 
 
-def test_a_controller_takes_its_own_time_and_what_it_drove_is_the_motion(scene, motion):
+def test_a_controlled_drive_sets_its_own_duration(scene, motion):
     """At half the greatest speed the motion takes longer; accelerating takes the same time in both."""
     slow = PurePursuit(speed=0.5 * float(np.abs(motion.qd[:, 0]).max()))
     execution = execute(motion, build_world(scene), controller=slow)
@@ -64,7 +64,7 @@ def test_the_same_controller_by_default_is_bit_by_bit_the_same(scene, motion):
 
 
 @pytest.mark.long
-def test_what_looks_around_does_less_harm_when_it_fails():
+def test_a_cautious_controller_does_less_harm():
     """Without power the base rolls into the child behind the goal, unless the controller approached slowly."""
     scene, kind = jackal((2.85, 0.0)), fb.faults()["complete_shutdown"]
     motion = gp.plan([-2.0, 0.0, 0.0], gp.BasePose(2.0, 0.0, 0.0), scene, w=0.0, iterations=1000).unwrap()
@@ -92,7 +92,7 @@ def test_places_on_the_floor_are_enough(scene):
     assert driven.arrived and driven.failures.n == 2 and driven.failures.duration > 4.0 / 0.8
 
 
-def test_what_makes_no_sense_is_refused(scene, motion):
+def test_invalid_arguments_are_refused(scene, motion):
     tabletop = gp.load_scene("tabletop").tasks["lift_to_goal"]
     with pytest.raises(SettingError, match="does not drive"):
         execute(np.stack([tabletop.start, tabletop.goal[0]]), build_world(tabletop.scene), controller=PurePursuit())

@@ -134,7 +134,7 @@ def test_native_rollouts_are_the_same_bit_by_bit(driven):
         assert rollout.status == "completed" and np.isfinite(data.qpos).all()
 
 
-def test_what_a_failing_base_hits_counts_by_its_speed():
+def test_hits_of_a_failing_base_count_by_speed():
     scene = jackal((1.2, 0.05))
     motion = gp.plan([-3.0, -0.9, 0.0], gp.BasePose(0.0, 0.0), scene, w=0.0, iterations=1500)
     report = fb.validate(motion, scene, fault("bias_drift", targets=LEFT), n=8, horizon=2.0, threads=1)

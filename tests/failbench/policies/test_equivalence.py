@@ -35,7 +35,7 @@ def positions(task: PolicyTask, execution: Execution, job: Job | None) -> tuple[
     return np.array(found), episode.onset
 
 
-def test_a_healthy_policy_that_is_the_executor_does_what_the_executor_does(exact, execution):
+def test_a_policy_with_the_executors_commands_reproduces_the_healthy_run(exact, execution):
     found, _ = positions(exact, execution, None)
     nq = exact.world.model.nq
     states = execution.states[: len(found) // CHECKPOINT + 1, 1 : 1 + nq]
@@ -46,7 +46,7 @@ def test_a_healthy_policy_that_is_the_executor_does_what_the_executor_does(exact
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.long) for name in faults()]
 )
-def test_with_every_fault_it_does_what_rollouts_do(exact, execution, name):
+def test_every_fault_reproduces_the_rollout(exact, execution, name):
     compare(exact, execution, faults()[name](degree="severe"))
 
 
@@ -56,7 +56,7 @@ def test_with_every_fault_it_does_what_rollouts_do(exact, execution, name):
     [faults()["noise"](degree="critical", duration=0.1), faults()["voltage_drop"](degree="severe", ramp=0.05)],
     ids=["ends", "ramp"],
 )
-def test_so_it_does_with_faults_that_end_or_grow(exact, execution, fault):
+def test_temporary_and_growing_faults_reproduce_the_rollout(exact, execution, fault):
     compare(exact, execution, fault)
 
 

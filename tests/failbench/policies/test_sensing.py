@@ -41,7 +41,7 @@ def test_a_healthy_robot_sees_the_truth(easy):
         np.testing.assert_array_equal(seen.qd, qd)
 
 
-def test_a_loose_joint_is_seen_as_it_is(easy):
+def test_readings_of_a_loose_joint_are_exact(easy):
     for seen, q, _ in watched(easy, LooseJoint(degree="severe", targets=struck(easy))):
         np.testing.assert_array_equal(seen.q, q)
 
@@ -63,7 +63,7 @@ def test_drift_grows_at_its_rate(easy):
     assert all(np.delete(seen.q - q, JOINT).any() == 0 for seen, q, _ in found)
 
 
-def test_noise_scatters_as_much_as_it_says(easy):
+def test_noise_has_the_stated_deviation(easy):
     fault = Noise(degree="critical", targets=("all",))
     errors = np.array([seen.q - q for seen, q, _ in watched(easy, fault, 1.5) if seen.time > ONSET + 1e-9])
     assert errors.std() == pytest.approx(0.1, rel=0.15)

@@ -23,7 +23,7 @@ ROOM = """
     ("struck", "moved", "far"),
     [("drawer", {"drawer": [0.8]}, True), ("cup", {"tray": [1.0, 1.0, 0.5]}, True), ("shelf", {}, False)],
 )
-def test_what_was_moved_is_looked_for_where_it_is(struck, moved, far):
+def test_moved_objects_are_searched_at_their_place(struck, moved, far):
     names = ("drawer", "tray", "cup", "shelf", "ball")
     scene = gp.Scene.from_mjcf(
         ROOM,

@@ -7,7 +7,7 @@ from failbench import build_world
 from failbench.recording.contact_query import ContactQuery
 
 
-def test_things_that_barely_touch_have_met_at_their_speed():
+def test_a_slight_contact_has_the_approach_speed():
     """MuJoCo's normal between cylinder and box may flip at overlaps of some nanometres."""
     scene = gp.Scene.from_mjcf(
         ARM.format(fingers="", actuators=SERVO),

@@ -44,7 +44,7 @@ def test_a_level_mug_does_no_harm() -> None:
     assert healthy.to_document() == {"harm": 0.0, "spilled": 0.0, "dropped": False, "by_entity": {}, "events": []}
 
 
-def test_a_mug_that_is_turned_over_harms_whom_the_coffee_reaches() -> None:
+def test_an_overturned_mug_harms_the_entities_below() -> None:
     done = _done(_OVER)
     healthy, scene = done.healthy, done.world.scene
     assert healthy.spilled > 0.98 and not healthy.dropped
@@ -59,7 +59,7 @@ def test_a_mug_that_is_turned_over_harms_whom_the_coffee_reaches() -> None:
     assert "99.2 %" in text and "'mug' (hot)" in text and "laptop 20" in text
 
 
-def test_a_mug_that_is_tilted_half_way_keeps_what_a_cylinder_keeps() -> None:
+def test_a_half_tilted_mug_keeps_the_capacity_of_a_cylinder() -> None:
     done = _done(_HALF)
     scene, vessel = done.world.scene, find_vessel(done.world.scene)
     assert vessel is not None and done.healthy.kept is not None
@@ -84,7 +84,7 @@ def test_a_planned_motion_does_no_harm_and_nothing_about_its_failures_changes() 
 # --- with failures ----------------------------------------------------------------------------------------------------
 
 
-def test_what_had_left_before_the_onset_is_not_the_failures() -> None:
+def test_contents_lost_before_the_onset_are_not_counted_for_the_failure() -> None:
     """The same drop before and after the mug was turned over: each part of the contents spills once."""
     done = _done(_OVER)
     jobs = [Job(fault=Drop(), onset=onset, seed=0) for onset in (0.0, done.duration)]
@@ -140,7 +140,7 @@ def test_an_execution_by_hand() -> None:
 # --- hits and lost objects --------------------------------------------------------------------------------------------
 
 
-def test_what_a_healthy_robot_bumps_into_is_harm() -> None:
+def test_hits_of_a_healthy_robot_are_harm() -> None:
     spec = arm().spec.copy()
     spec.geom("vase").size[1], spec.geom("vase").mass = 0.2, 0.1
     spec.body("vase").pos = -0.05, 0.0, 0.2
@@ -162,14 +162,14 @@ def test_what_a_healthy_robot_bumps_into_is_harm() -> None:
 
 
 @pytest.mark.long
-def test_touches_with_which_a_motion_begins_or_that_are_allowed_are_no_harm() -> None:
+def test_initial_and_allowed_contacts_are_no_harm() -> None:
     task = gp.load_scene("dining_table").tasks["move_bottle"]  # the bottle stands on the table at both ends
     moved = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=2000, speed=0.5)
     down = execute(moved, world("dining_table", "move_bottle"))
     assert ("carried", "table") in down.baseline and down.healthy.harmless
 
 
-def test_an_object_that_is_lost_is_refused_and_its_harm_is_told() -> None:
+def test_a_lost_object_is_refused_with_its_harm() -> None:
     bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
     rushed = np.stack([bottle.start, bottle.goal[0]])
     with pytest.raises(ObjectLost, match=r"'bottle'.*SimSettings\(grasp='weld'\)") as lost:

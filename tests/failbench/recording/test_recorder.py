@@ -167,7 +167,7 @@ def test_impulse_is_the_change_of_momentum(world: World) -> None:
     assert event.impulse == pytest.approx(left, rel=0.02)
 
 
-def test_events_equal_what_a_plain_loop_reads() -> None:
+def test_events_equal_those_of_a_plain_loop() -> None:
     world = _world('type="box" size=".05 .04 .03"')
     run = _simulate(world, [0.66, 0.05, 0.7, 0.9, 0.3, 0.2, 0.1], (0.6, 0.0, -0.5, 1.0, 2.0, 0.5), segments=(1, 7, 50))
     events = _events(run)
@@ -206,7 +206,7 @@ def test_baseline_is_left_out(world: World) -> None:
 
 
 @pytest.mark.parametrize("unnamed", ["shelf", "floor"])
-def test_what_is_no_entity_is_landed_on(world: World, unnamed: str) -> None:
+def test_landings_on_other_bodies_are_recorded(world: World, unnamed: str) -> None:
     place = [0.6, 0.0, 0.75] if unnamed == "shelf" else [1.5, 1.5, 0.4]
     named, without = _simulate(world, place), _simulate(_world(unnamed=(unnamed,)), place)
     expected = dataclasses.replace(_events(named)["carried", unnamed], entity="")

@@ -125,7 +125,7 @@ def _left(vessel: Vessel, motion: VesselMotion, kept: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_an_accelerated_container_spills_where_statics_say(factor: float) -> None:
+def test_an_accelerated_container_spills_at_the_static_limit(factor: float) -> None:
     """An upright container spills once the slope a/g exceeds freeboard over radius."""
     vessel = _vessel()
     freeboard = vessel.height - vessel.volume / (np.pi * vessel.radius**2)
@@ -182,7 +182,7 @@ def _parcel(position: list[float], velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 @pytest.mark.long
 @given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0.05, 0.6), st.floats(-0.5, 1.0))
-def test_it_lands_where_ballistics_say(world: World, vx: float, vy: float, height: float, vz: float) -> None:
+def test_contents_land_on_the_ballistic_path(world: World, vx: float, vy: float, height: float, vz: float) -> None:
     flight = (vz + np.sqrt(vz**2 + 2 * _G * height)) / _G
     start = np.array([0.0, 0.35, 0.8]) - [vx * flight, vy * flight, -height]
     events = _spill(world, _parcel(start.tolist(), (vx, vy, vz), 1e-6))
@@ -194,7 +194,7 @@ def test_it_lands_where_ballistics_say(world: World, vx: float, vy: float, heigh
     assert not event.secondary and event.striker == "contents"
 
 
-def test_a_puddle_reaches_what_stands_within_its_radius(world: World) -> None:
+def test_a_puddle_reaches_entities_within_its_radius(world: World) -> None:
     start = [0.1, -0.3, 1.0]
     gap = 0.3 - 0.08  # to the edge of the phone
     for volume, reached in ((np.pi * DEPTH * (0.9 * gap) ** 2, False), (np.pi * DEPTH * (1.1 * gap) ** 2, True)):
@@ -204,7 +204,7 @@ def test_a_puddle_reaches_what_stands_within_its_radius(world: World) -> None:
     assert events["phone"].energy == 0.0 and events["phone"].time == events["table"].time
 
 
-def test_it_runs_over_edges(world: World) -> None:
+def test_contents_run_over_edges(world: World) -> None:
     """Liquid that runs over the table's edge falls on the cat, and from there on the floor."""
     inside = _spill(world, _parcel([0.3, 0.0, 1.0], volume=np.pi * DEPTH * 0.1**2), phone=-0.3)
     assert set(inside) == {"table"}
@@ -221,7 +221,7 @@ def test_dry_contents_lie_in_a_heap() -> None:
     assert "phone" in _spill(world, _parcel([0.1, -0.26, 1.0], volume=volume))
 
 
-def test_robot_and_container_let_it_through(world: World) -> None:
+def test_robot_and_container_do_not_stop_contents(world: World) -> None:
     closeup = ContactQuery(world)
     qpos = world.model.qpos0.copy()
     adr = int(world.model.jnt_qposadr[world.model.body_jntadr[world.carried_body]])
@@ -295,7 +295,7 @@ def test_nothing_spills_without_contents() -> None:
     assert _fly(_world(None), [0.3, 0.2, 1.2, 0, 1, 0, 0], steps=20)["spilled"] == 0.0
 
 
-def test_a_healthy_run_loses_what_a_cylinder_does_not_keep(world: World) -> None:
+def test_a_healthy_run_loses_contents_beyond_the_capacity_of_a_cylinder(world: World) -> None:
     """A healthy robot that tilts by 45 degrees leaves a cylinder's capacity; less tilt loses nothing more."""
     vessel = find_vessel(world.scene)
     assert vessel is not None
@@ -322,7 +322,7 @@ def test_a_healthy_run_loses_what_a_cylinder_does_not_keep(world: World) -> None
     assert times == sorted(times) and 0.0 < times[0] and times[-1] < 0.2  # nothing is lost after the greatest tilt
 
 
-def test_what_does_not_stand_in_it_at_first_was_never_there(world: World) -> None:
+def test_contents_beyond_the_initial_capacity_do_not_exist(world: World) -> None:
     vessel = find_vessel(world.scene)
     assert vessel is not None
     model = world.model
@@ -335,7 +335,7 @@ def test_what_does_not_stand_in_it_at_first_was_never_there(world: World) -> Non
     assert loss.there == pytest.approx(float(vessel.capacity(np.array(np.pi / 4)))) == pytest.approx(loss.end)
 
 
-def test_only_what_is_there_at_the_onset_can_be_lost(world: World) -> None:
+def test_only_the_contents_at_the_onset_can_be_lost(world: World) -> None:
     """Two mugs fall alike, one of them almost empty."""
     vessel = find_vessel(world.scene)
     assert vessel is not None

@@ -111,7 +111,7 @@ def test_a_failure_after_the_end_strikes_a_robot_at_rest(done):
     assert rollout.onset == pytest.approx(done.duration, abs=CHECKPOINT * done.dt)
 
 
-def test_a_simulation_that_blows_up_is_reported(done, monkeypatch):
+def test_a_diverging_simulation_is_reported(done, monkeypatch):
     broken = copy.copy(done.states)
     broken[10, :] = np.where(np.arange(broken.shape[1]) == 3, np.nan, broken[10])
     object.__setattr__(exploding := copy.copy(done), "states", broken)
@@ -131,7 +131,7 @@ def test_a_simulation_that_blows_up_is_reported(done, monkeypatch):
 
 def test_no_log_is_left_in_the_working_directory(done, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    test_a_simulation_that_blows_up_is_reported(done, monkeypatch)
+    test_a_diverging_simulation_is_reported(done, monkeypatch)
     assert not list(tmp_path.iterdir())
 
 

@@ -38,7 +38,7 @@ def trace(done, fault, onset):
 
 
 @pytest.mark.parametrize("grasp", ["fingers", "weld"])
-def test_an_object_let_go_after_it_has_come_to_rest_in_the_hand_falls(grasp):
+def test_a_sleeping_object_falls_when_released(grasp):
     done = execution(settings=SimSettings(grasp=grasp))
     height, asleep = trace(done, LateDrop(), done.duration + 1.0).T
     released = round(LateDrop().wait / done.dt)
@@ -56,7 +56,7 @@ def test_an_object_that_lies_still_sleeps():
     assert np.all(height[first:] == height[first])
 
 
-def test_only_what_is_out_of_the_hand_may_sleep():
+def test_only_released_objects_may_sleep():
     done = execution()
     world = done.world
     data = mujoco.MjData(world.model)

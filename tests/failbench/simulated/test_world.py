@@ -49,7 +49,7 @@ def test_a_contact_sensor_feels_its_pair_and_no_other():
     assert data.sensordata[adr] == 0.0
 
 
-def test_fingers_press_with_what_their_drive_can_however_thin_the_object():
+def test_finger_force_does_not_depend_on_object_width():
     for name, task in (("tabletop", "green_to_blue"), ("dining_table", "serve_tea")):
         made = world(name, task)
         held = gp.load_scene(name).tasks[task]
@@ -90,7 +90,7 @@ def test_without_fingers_only_a_weld_holds():
 
 
 @pytest.mark.parametrize("axes", ["0 1 0|0 -1 0", "0 -1 0|0 1 0"])
-def test_the_gripper_opens_the_way_the_fingers_part(axes):
+def test_the_gripper_opens_as_the_fingers_part(axes):
     first, second = axes.split("|")
     fingers = FINGERS.replace('axis="0 1 0"', f'axis="{first}"').replace('axis="0 -1 0"', f'axis="{second}"')
     servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
@@ -143,6 +143,6 @@ def test_drives_without_limits_of_their_own_have_those_of_the_scene():
     assert model.actuator_forcerange == pytest.approx(np.outer([30.0, 4.0, 4.0], [-1.0, 1.0]))
 
 
-def test_nobody_changes_the_robot_of_all_rollouts():
+def test_the_shared_robot_is_read_only():
     with pytest.raises(ValueError, match="read-only"):
         build_world(arm()).robot.kp[:] = 0.0

@@ -63,7 +63,7 @@ class Watched:
         return self.qvel[:, adr : adr + 3]
 
 
-def test_they_are_seven_and_none_of_the_robots():
+def test_there_are_seven_faults_of_surroundings():
     assert list(disturbances()) == ALL
     assert not set(disturbances()) & set(faults())
     assert {cls.CATEGORY for cls in disturbances().values()} == {"surroundings"}
@@ -71,7 +71,7 @@ def test_they_are_seven_and_none_of_the_robots():
         disturbances()["mine"] = WetFloor
 
 
-def test_patterns_mean_the_robots_own_faults_unless_surroundings_are_asked_for():
+def test_patterns_exclude_surroundings_unless_named():
     for pattern in ("*", "*/*", "*/*/*", "*/*/*/severe", "tabletop/*"):
         assert {scenario.fault.NAME for scenario in fb.scenarios(pattern)} == set(faults())
     around = fb.scenarios("surroundings/*")
@@ -83,7 +83,7 @@ def test_patterns_mean_the_robots_own_faults_unless_surroundings_are_asked_for()
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_they_keep_the_contract_of_faults(name):
+def test_faults_of_surroundings_keep_the_contract(name):
     fault = disturbances()[name]()
     check_fault(fault, staged(fault) if fault.visitor() else healthy_run())
     assert from_document(to_document(fault), disturbances()) == fault
@@ -103,7 +103,7 @@ def test_native_rollouts_are_the_plain_loop(name):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_what_is_over_is_over(name):
+def test_a_finished_fault_has_no_effect(name):
     fault = disturbances()[name](duration=0.04)
     seen = Watched(fault, staged(fault) if fault.visitor() else healthy_run(), horizon=0.1)
     assert not seen.xfrc[20:].any()
@@ -128,7 +128,7 @@ def test_a_push_gives_its_speed_to_one_thing():
     assert sorted(others)[len(others) // 2] < 1e-3  # it may hit a neighbour
 
 
-def test_any_thing_is_pushed_any_way():
+def test_pushes_have_random_targets_and_directions():
     bodies, ways = set(), []
     for seed in range(8):
         force = Watched(PushedObject(), healthy_run(), seed=seed, horizon=0.004).xfrc[0]
@@ -165,7 +165,7 @@ def sliding(fault):
     return -np.polyfit(seen.done.dt * np.arange(len(speed)), speed, 1)[0]
 
 
-def test_on_a_wet_floor_things_slow_down_by_what_is_left_of_friction():
+def test_on_a_wet_floor_objects_decelerate_by_the_remaining_friction():
     dry, wet = sliding(PushedObject(entity="white1", degree="minor")), sliding(WetFloor(degree="severe"))
     assert wet == pytest.approx(0.2 * dry, rel=0.15)
 
@@ -195,7 +195,7 @@ def test_a_heavier_object_pulls_the_arm_down_by_its_weight_over_the_stiffness(de
     assert robot.kp * sag == pytest.approx(G * more * jacobian[2, robot.dofs], abs=0.03 * G * more)
 
 
-def test_fingers_lose_what_is_too_heavy():
+def test_fingers_lose_a_heavy_object():
     done = execution("tabletop", "green_to_blue", WELD)
     held, lost = (
         fb.run_rollouts(done, [fb.Job(fault=HeavierObject(degree=degree), onset=0.3, seed=0)])[0].dropped
@@ -207,7 +207,7 @@ def test_fingers_lose_what_is_too_heavy():
     assert HeavierObject().when == fb.AtFraction(0.0)
 
 
-def test_what_is_put_in_the_way_is_hit():
+def test_an_obstacle_put_in_the_path_is_hit():
     fault = AddedObject(degree="critical", category="glass")
     done = staged(fault)
     rollouts = fb.run_rollouts(done, [fb.Job(fault=fault, onset=0.2, seed=0)], horizon=1.0)
@@ -223,7 +223,7 @@ def test_what_is_put_in_the_way_is_hit():
     assert np.array_equal(seen.mocap, np.tile(place, (len(seen.mocap), 1, 1)))
 
 
-def test_nothing_is_put_where_the_tool_does_not_come_any_more():
+def test_no_obstacle_appears_after_the_motion():
     fault = AddedObject()
     assert (Watched(fault, staged(fault), onset=99.0, horizon=0.02).mocap[:, 0, 2] == -30.0).all()
 
@@ -253,7 +253,7 @@ def test_a_person_may_set_off_slowly():
     assert speed == pytest.approx(1.5 * np.minimum(1.0, np.arange(1, len(speed) + 1) / 100), abs=1.5 * 5 / 100)
 
 
-def test_who_walks_into_a_robot_is_touched():
+def test_a_person_walking_into_the_robot_is_hit():
     fault = PersonWalksIn(degree="critical", passing=0.0, distance=0.5)
     rollouts = fb.run_rollouts(staged(fault), [fb.Job(fault=fault, onset=0.2, seed=s) for s in range(4)], horizon=0.6)
     touched = [{e.striker for e in r.events if e.entity == fault.NAME and not e.secondary} for r in rollouts]
@@ -278,7 +278,7 @@ def test_a_door_turns_about_its_hinge_through_the_tool():
     assert across / np.linalg.norm(across) == pytest.approx([np.cos(later), np.sin(later)], abs=5e-3)
 
 
-def test_who_is_not_in_the_scene_cannot_come():
+def test_intruders_must_be_in_the_scene():
     with pytest.raises(UnsupportedError, match="failbench"):
         Watched(PersonWalksIn(), healthy_run(), horizon=0.01)
 
@@ -292,7 +292,7 @@ def test_who_is_not_in_the_scene_cannot_come():
         (lambda: AddedObject(size=float("nan")), "size = nan"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(make, message):
+def test_invalid_settings_are_refused(make, message):
     with pytest.raises(SettingError, match=message):
         make()
 

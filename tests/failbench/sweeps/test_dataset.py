@@ -58,7 +58,7 @@ def test_pandas_polars_and_duckdb_read_it_in_one_line(folder):
     assert list(pandas.read_parquet(folder / "contacts")) == [column.name for column in TABLES["contacts"]]
 
 
-def test_bytes_depend_on_the_rows_alone_not_on_how_they_come(folder, tmp_path):
+def test_bytes_depend_on_the_rows_alone(folder, tmp_path):
     write_dataset(tmp_path / "again", chunks(size=4), ABOUT)
     assert files(folder) == files(tmp_path / "again")
     write_dataset(tmp_path / "other", chunks(count=COUNT - 1), ABOUT)
@@ -84,7 +84,7 @@ def test_a_table_without_rows_can_be_read(tmp_path):
     assert len(pandas.read_parquet(tmp_path / "contacts")) == 0
 
 
-def test_every_part_says_what_it_is(folder):
+def test_every_file_describes_itself(folder):
     import pyarrow.parquet as pq
 
     for table, columns in TABLES.items():
@@ -230,7 +230,7 @@ def test_files_of_others_are_neither_removed_nor_mixed_with(folder):
 
 
 @pytest.mark.parametrize("writes", [0, 1, 2])
-def test_whatever_is_written_before_a_crash_is_no_dataset(folder, monkeypatch, writes):
+def test_files_before_a_crash_are_no_dataset(folder, monkeypatch, writes):
     real, count = dataset._write, iter(range(9))
 
     def crash(file, content):

@@ -33,7 +33,7 @@ def done(index):
     return ChunkOutcome(chunk=CHUNKS[index], rows=fake_work.rows(CHUNKS[index]))
 
 
-def test_what_is_recorded_is_there_after_reopening(file):
+def test_records_survive_reopening(file):
     with SweepJournal(file) as journal:
         assert not journal.begun
         journal.begin(ABOUT)
@@ -75,7 +75,7 @@ def test_a_chunk_is_done_once_but_a_failed_one_can_be_done_again(begun):
         assert journal.rows(CHUNKS[0]) == fake_work.rows(CHUNKS[0])
 
 
-def test_rows_that_are_not_there(begun):
+def test_missing_rows(begun):
     with SweepJournal(begun) as journal:
         journal.record(ChunkOutcome(chunk=CHUNKS[1], error="it broke"))
         for chunk in CHUNKS[:2]:

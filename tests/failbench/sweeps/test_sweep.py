@@ -70,7 +70,7 @@ def test_the_bytes_do_not_depend_on_the_number_of_workers(sweep, reference, tmp_
     assert made.manifest["rows"]["rollouts"] == 120
 
 
-def test_the_card_says_what_is_in_it_and_spares_a_file_of_somebody_else(sweep, tmp_path):
+def test_the_card_describes_the_dataset_and_keeps_foreign_files(sweep, tmp_path):
     manifest = {"rows": {"rollouts": 120, "contacts": 7}, "versions": versions()}
     write_card(tmp_path, sweep, manifest)
     card = tmp_path / CARD
@@ -100,7 +100,7 @@ def test_hugging_face_finds_the_tables_by_the_card(sweep, tmp_path):
         assert (found.num_rows, found.column_names) == (count, [column.name for column in TABLES[table]])
 
 
-def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
+def test_the_dataset_matches_the_sweep(sweep, reference, tmp_path):
     generate_dataset(sweep, tmp_path, executor=InProcess(order=-1))
     assert files(tmp_path) == reference and "120 rollouts" in (tmp_path / CARD).read_text()
     made = read_dataset(tmp_path)
@@ -114,7 +114,7 @@ def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
 
 
 @pytest.mark.long
-def test_an_interrupted_sweep_goes_on_where_it_was(sweep, reference, tmp_path):
+def test_an_interrupted_sweep_resumes(sweep, reference, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         generate_dataset(sweep, tmp_path, executor=InProcess(stop_after=2))
     assert not (tmp_path / MANIFEST).exists()
@@ -163,7 +163,7 @@ def test_failed_chunks_are_tried_again_by_resume(sweep, reference, tmp_path, mon
     assert files(tmp_path) == reference
 
 
-def test_another_sweep_in_the_folder_is_refused_by_what_differs(sweep, tmp_path):
+def test_another_sweep_in_the_folder_is_refused_with_the_difference(sweep, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         generate_dataset(sweep, tmp_path, executor=InProcess(stop_after=0))
     other = dataclasses.replace(sweep, seed=1, horizon=0.06)

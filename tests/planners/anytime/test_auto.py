@@ -76,7 +76,7 @@ def test_searches_share_the_budget_and_only_improve(task, workers):
 
 @pytest.mark.long
 @pytest.mark.parametrize("setting", first_quick(["descents", "scouts"]))
-def test_what_a_search_leaves_out_it_does_without(task, setting):
+def test_bounded_searches_skip_hopeless_edges(task, setting):
     problem, objective = bound(task)
     paths, _ = solved(gp.Auto(search=gp.Anytime(**{setting: False})), problem, objective)
     whole, _ = solved(gp.Auto(), problem, objective)
@@ -84,7 +84,7 @@ def test_what_a_search_leaves_out_it_does_without(task, setting):
     assert not np.array_equal(paths[-1].q, whole[-1].q)
 
 
-def test_without_fear_there_is_one_search(task):
+def test_without_impact_there_is_one_search(task):
     problem, objective = bound(task, w=0.0)
     one, _ = solved(gp.Auto(workers=1), problem, objective)
     several, _ = solved(gp.Auto(workers=4), problem, objective)

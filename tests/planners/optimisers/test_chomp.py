@@ -84,7 +84,7 @@ def test_reaches_the_optimum_in_seven_dimensions() -> None:
 
 
 @pytest.mark.parametrize("memory", [0, 8])
-def test_smoothness_alone_needs_one_step(memory: int) -> None:
+def test_smoothness_without_cost_needs_one_step(memory: int) -> None:
     """The energy of free space equals the metric, so the first full step is a Newton step."""
     instance = free_space(3)
     rng = np.random.default_rng(0)
@@ -101,7 +101,7 @@ def test_smoothness_alone_needs_one_step(memory: int) -> None:
 
 @given(seed=st.integers(0, 1000), size=st.integers(1, 8))
 @settings(max_examples=20, deadline=None)
-def test_memory_learns_the_curvature_it_was_shown(seed: int, size: int) -> None:
+def test_memory_reproduces_the_last_curvature(seed: int, size: int) -> None:
     """L-BFGS maps the last change of the gradient exactly to its step, and gives a descent direction."""
     rng = np.random.default_rng(seed)
     metric = Smoothness(6, 1)
@@ -288,7 +288,7 @@ def test_a_path_is_cut_up_evenly(corners: int, edges: int, seed: int) -> None:
         assert lengths.max() <= 2.0 * max(path.length / edges, np.median(lengths)) + path.length / edges
 
 
-def test_what_is_free_of_a_better_path_is_taken() -> None:
+def test_free_stretches_of_a_better_path_are_taken() -> None:
     """A disc blocks the middle of the straight path; elsewhere the incumbent moves closer to that path."""
     instance = disc()
     around = Path(np.array([[-2.0, 0.0], [-2.0, 1.5], [2.0, 1.5], [2.0, 0.0]]))

@@ -273,7 +273,7 @@ def test_hits_can_be_smeared(carrying: gp.Scene, faults: str, rounding: float) -
     assert wide.edge_gradients(q[:1], q[1:2]) is not None
 
 
-def test_what_cannot_be_smeared_says_so(carrying: gp.Scene) -> None:
+def test_objectives_that_cannot_be_smeared_are_refused(carrying: gp.Scene) -> None:
     for impact in (
         gp.ImpactCost("box_overlap"),
         gp.ImpactCost(consequence="energy"),

@@ -87,7 +87,7 @@ def test_a_path_that_is_not_free_is_pushed_out() -> None:
     assert path_total(instance.objective, paths[-1]) <= _WITHIN * instance.optimum
 
 
-def test_the_program_has_the_slopes_that_it_says() -> None:
+def test_the_program_has_correct_derivatives() -> None:
     # Without impact, since sums over samples jump where an edge gets one more sample.
     problem, objective, first = _panda("tabletop_l1", "green_to_blue", w=0.0)
     q = np.stack([first.resampled(0.2).q[k] for k in np.linspace(0, len(first.resampled(0.2)) - 1, 7).astype(int)])
@@ -133,7 +133,7 @@ def test_misuse_is_refused(settings: dict) -> None:
         CasADi(**settings)
 
 
-def test_plan_takes_it_by_name() -> None:
+def test_plan_accepts_the_planner_by_name() -> None:
     task = gp.load_scene("tabletop_l1").tasks["far_to_near"]
     result = gp.plan(task.start, task.goal, task.scene, planner="casadi", iterations=60)
     assert result.status is gp.PlanStatus.SOLVED

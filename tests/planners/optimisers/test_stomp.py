@@ -102,12 +102,12 @@ def test_gets_out_of_an_obstacle() -> None:
     assert path_total(instance.objective, paths[0]) > path_total(instance.objective, shallow)
 
 
-def test_yields_nothing_if_there_is_no_way_out() -> None:
+def test_a_blocked_start_yields_nothing() -> None:
     wall = _space((-1.0, 0.0), (1.0, 0.0), free=lambda q: np.abs(q[:, 0]) > 0.2)
     assert _improve(_path([-1, 0], [1, 0]), wall, _FREE, iterations=40) == []
 
 
-def test_bends_around_a_jump_of_the_cost_that_has_no_slope() -> None:
+def test_paths_bend_around_a_jump_of_the_cost() -> None:
     """A cost without any gradient: 0 or 5, and the straight line crosses the 5."""
     problem = _space((-2.0, 0.0), (2.0, 0.0))
     objective = DensityObjective(
@@ -194,7 +194,7 @@ def test_a_path_that_leaves_the_limits_comes_back() -> None:
 
 
 @pytest.mark.parametrize("path", [_path([0.5, 0.5]), _path([0.5, 0.5], [0.5, 0.5])])
-def test_nothing_to_do_for_a_path_that_stays(path: Path) -> None:
+def test_a_path_without_length_stays(path: Path) -> None:
     assert _improve(path, _space((0.5, 0.5), (0.5, 0.5)), _FREE) == []
 
 
@@ -253,7 +253,7 @@ def test_an_initial_path_is_joined_to_the_start_and_the_nearest_goal() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, -1.0])
-def test_an_objective_that_breaks_its_contract_is_named(value: float) -> None:
+def test_a_broken_objective_is_named(value: float) -> None:
     objective = DensityObjective(density=lambda q: np.full(len(q), value))
     with pytest.raises(CostError, match=r"DensityObjective: .*>= 0"):
         _improve(Path(np.array(_DETOURS["disc"])), disc().problem, objective)
@@ -300,7 +300,7 @@ def test_weights_sum_to_one_and_those_of_free_paths_are_the_greatest(seed: int, 
     assert np.all(least >= most * (1.0 - 1e-9))
 
 
-def test_weights_are_those_of_the_paper() -> None:
+def test_weights_equal_those_of_the_paper() -> None:
     cost = np.array([[1.0, 3.0, 2.0], [3.0, 1.0, 4.0], [2.0, 2.0, 2.0]])
     at_points = 0.5 * (cost[:, 1:] + cost[:, :-1])
     score = (at_points - at_points.min(axis=0)) / np.ptp(at_points, axis=0).clip(1e-300)
@@ -309,7 +309,7 @@ def test_weights_are_those_of_the_paper() -> None:
     np.testing.assert_allclose(weights(_batch(cost), np.eye(2), 10.0), expected)
 
 
-def test_where_all_cost_the_same_all_count_the_same() -> None:
+def test_equal_costs_give_equal_weights() -> None:
     """The update is then the mean of the noise, which is unbiased."""
     weight = weights(_batch(np.full((5, 9), 3.0)), np.eye(8), 10.0)
     np.testing.assert_array_equal(weight, np.full((5, 8), 0.2))
@@ -360,7 +360,7 @@ def test_improves_the_motion_of_an_arm_and_keeps_it_free_at_the_finest_step() ->
         assert kernels.edges_free(path.q[:-1], path.q[1:], FINE_STEP, 0.002).all()
 
 
-def test_what_only_a_fine_step_sees_blocks_the_first_path() -> None:
+def test_the_first_path_is_checked_at_the_fine_step() -> None:
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     kernels = compile_scene(task.scene).kernels
     problem = SceneProblem(kernels=kernels, start=task.start, goals=task.goal, check_step=50.0)

@@ -51,7 +51,7 @@ def brute_force_front(edges: list[Edge], start: int, goals: set[int]) -> list[tu
 @pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(graphs(), st.data())
-def test_the_front_is_that_of_all_paths(case, data):
+def test_the_front_equals_that_of_all_paths(case, data):
     n, edges = case
     start = data.draw(st.integers(0, n - 1))
     goals = data.draw(st.sets(st.integers(0, n - 1), min_size=1, max_size=3))
@@ -75,7 +75,7 @@ def test_the_front_of_costs_that_round(case):
 
 @settings(max_examples=150, deadline=None)
 @given(graphs())
-def test_paths_lead_from_start_to_goal_and_cost_what_is_said(case):
+def test_paths_lead_from_start_to_goal_at_the_stated_cost(case):
     n, edges = case
     graph, cost = of(n, edges)
     found = graph.front(cost, 0, [n - 1])
@@ -104,7 +104,7 @@ def test_cheapest_paths_are_on_the_front_and_none_is_cheaper(case, w):
 
 @settings(max_examples=150, deadline=None)
 @given(graphs(), st.floats(0.0, 1.0))
-def test_epsilon_leaves_out_only_what_it_may(case, epsilon):
+def test_epsilon_fronts_are_within_epsilon(case, epsilon):
     n, edges = case
     graph, cost = of(n, edges)
     every, some = graph.front(cost, 0, [n - 1]).cost, graph.front(cost, 0, [n - 1], epsilon).cost

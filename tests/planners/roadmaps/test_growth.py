@@ -42,7 +42,7 @@ def front_of_roadmap(problem, objective, rng, *, nodes=200, deadline=np.inf) -> 
 
 
 @given(st.integers(1, 40), st.integers(1, 12), st.integers(0, 1000))
-def test_nearest_is_what_a_full_sort_says(n, k, seed):
+def test_nearest_equals_a_full_sort(n, k, seed):
     rng = np.random.default_rng(seed)
     nodes, q = rng.uniform(size=(n, 3)), rng.uniform(size=(7, 3))
     expected = np.argsort(np.linalg.norm(q[:, None] - nodes, axis=2), axis=1)[:, :k]
@@ -144,7 +144,7 @@ def test_without_time_nothing_is_added():
     assert front_of_roadmap(instance.problem, instance.objective, np.random.default_rng(0), deadline=late) == []
 
 
-def test_what_is_late_is_left_out_and_the_rest_is_whole():
+def test_a_deadline_leaves_complete_parts():
     asked: list[int] = []
 
     def price(q0: np.ndarray, q1: np.ndarray) -> EdgeCosts:

@@ -52,7 +52,7 @@ def test_costs_are_sums_along_branches(seed: int, n: int, goals: int) -> None:
 
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=10, deadline=None)
-def test_leading_never_makes_anything_dearer(seed: int) -> None:
+def test_rewiring_never_raises_costs(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tree = _tree()
     _steps_changed_at_random(tree, 20, rng)
@@ -75,7 +75,7 @@ def test_goals_are_there_from_the_beginning_and_not_reached() -> None:
     np.testing.assert_array_equal(tree.q[[0, 2]], [[0.0, 1.0], [4.0, 5.0]])
 
 
-def test_nearest_and_neighbours_are_those_of_a_scan() -> None:
+def test_nearest_and_neighbours_equal_a_scan() -> None:
     """More nodes than the initial capacity."""
     rng, tree = np.random.default_rng(0), _tree(2)
     q = rng.normal(size=(2500, 2))

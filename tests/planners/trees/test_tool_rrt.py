@@ -93,7 +93,7 @@ def test_same_seed_same_path():
     np.testing.assert_array_equal(first, again)
 
 
-def test_trees_that_are_full_begin_anew():
+def test_full_trees_restart():
     problem, scene = _problem(*_TASKS[2])
     budget = Budget(iterations=400)
     solved = list(

@@ -88,7 +88,7 @@ def _edge_costs(wiring: TreeConnector, q0: np.ndarray, q1: np.ndarray) -> np.nda
 @_OBJECTIVES
 @pytest.mark.parametrize("bounded", [False, True])
 @pytest.mark.parametrize("trust", [0.0, 0.5, 1.0])
-def test_costs_are_those_of_free_paths_along_the_tree(objective: BoundObjective, bounded: bool, trust: float) -> None:
+def test_costs_equal_those_of_paths_along_the_tree(objective: BoundObjective, bounded: bool, trust: float) -> None:
     wiring = _grown(_wiring(objective, bounded, trust=trust), np.random.default_rng(0))
     tree, problem = wiring.tree, wiring.questions.problem
     assert len(tree) > 10
@@ -102,7 +102,7 @@ def test_costs_are_those_of_free_paths_along_the_tree(objective: BoundObjective,
 @_OBJECTIVES
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=8, deadline=None)
-def test_the_cheapest_parent_is_chosen_and_nobody_is_left_who_gains(objective: BoundObjective, seed: int) -> None:
+def test_the_cheapest_parent_is_chosen_and_all_rewirings_are_done(objective: BoundObjective, seed: int) -> None:
     rng = np.random.default_rng(seed)
     wiring = _grown(_wiring(objective), rng, batches=3)
     tree, (q, near) = wiring.tree, _samples(wiring, 1, rng)
@@ -116,7 +116,7 @@ def test_the_cheapest_parent_is_chosen_and_nobody_is_left_who_gains(objective: B
 @_OBJECTIVES
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=8, deadline=None)
-def test_an_informed_search_never_leaves_out_what_improves(objective: BoundObjective, seed: int) -> None:
+def test_an_informed_search_never_skips_an_improvement(objective: BoundObjective, seed: int) -> None:
     """A configuration is added if the path through it is cheaper than the best one."""
     rng = np.random.default_rng(seed)
     wiring = _grown(_wiring(objective, bounded=True), rng, batches=6)
@@ -131,7 +131,7 @@ def test_an_informed_search_never_leaves_out_what_improves(objective: BoundObjec
         assert tree.cost[tree.goals].min() <= min(before, over) * (1.0 + 1e-8)
 
 
-def test_an_informed_search_leaves_out_what_cannot_improve() -> None:
+def test_an_informed_search_skips_hopeless_samples() -> None:
     wiring = _wiring(_HILL, bounded=True)
     wiring.tree.lead(1, 0, 4.6)
     aside = np.array([[-2.0, 2.9]])
@@ -139,7 +139,7 @@ def test_an_informed_search_leaves_out_what_cannot_improve() -> None:
     assert len(_wiring(_HILL).join(aside, np.zeros(1, dtype=int), 4, _NO_WAY)) == 1
 
 
-def test_nobody_is_asked_twice_about_an_edge() -> None:
+def test_no_edge_is_checked_twice() -> None:
     problem = _Asked(disc().problem)
     wiring = _wiring(_HILL, problem=problem)
     rng = np.random.default_rng(0)
@@ -159,7 +159,7 @@ def test_joining_nothing_changes_nothing() -> None:
     assert len(wiring.tree) == 2
 
 
-def test_more_nodes_to_be_led_over_a_new_one() -> None:
+def test_distant_nodes_are_rewired_over_a_new_one() -> None:
     """The distant node is not among the neighbours, but on the best path."""
     problem = FunctionProblem(
         start=np.zeros(2), goals=np.array([[9.0, 0.0]]), lower=np.full(2, -1.0), upper=np.full(2, 10.0)
