@@ -137,7 +137,7 @@ def test_no_stretch_is_shorter(mass, steps, share):
     assert place[last] - place[first] == min(place[j] - place[i] for i, j in pairs)
 
 
-def test_the_worst_place_has_the_stated_density(task, result):
+def test_the_worst_place_has_the_stated_probability(task, result):
     path = result.path
     length = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
     entities, components = list(task.scene.entities), list(task.scene.components)

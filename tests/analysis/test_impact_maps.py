@@ -216,7 +216,7 @@ def test_a_deeper_fall_damages_the_object_more():
     assert own[0] == pytest.approx(own[-1]) and own[0] > 1.2 * own[len(own) // 2] > 0.0
 
 
-def test_only_falling_components_and_severe_entities_are_in_the_map():
+def test_only_falling_components_are_in_the_map():
     scene, settings = boxes((0.0, 0.0)), {"height": 0.3, "resolution": 0.1}
     body, all_parts, carried = (
         gp.impact_map(scene, gp.ImpactCost(model="box_overlap", components=components), **settings).impact

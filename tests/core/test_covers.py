@@ -136,7 +136,7 @@ def test_a_broken_file_is_made_again(damage: str) -> None:
     assert repaired is not None and repaired.shape == whole.shape
 
 
-def test_an_unwritable_cache_is_ignored(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disabled_or_unwritable_cache_is_ignored(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GRACEFUL_PLAN_NO_CACHE", "1")
     model = _model(4, count=1)
     group_cover(model, (0,), _poses(model), base=False)

@@ -47,7 +47,7 @@ def test_slopes_of_states_equal_differences(cost: gp.Cost, n: int, seed: int, sc
         )
 
 
-def test_gradients_of_costs_are_used_if_available(scene: gp.Scene) -> None:
+def test_slopes_know_whether_a_cost_has_gradients_and_uses_velocities(scene: gp.Scene) -> None:
     assert CostSlopes(Bowl(), scene).has_gradient and not CostSlopes(Bowl(told=False), scene).has_gradient
     assert CostSlopes(Haste(), scene).uses_velocity and not CostSlopes(Height(), scene).uses_velocity
 
@@ -107,9 +107,7 @@ def test_only_the_direction_of_a_tangent_counts(scene: gp.Scene) -> None:
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), gp.JointLength((1.0, 2.0, 1.0, 1.0, 1.0, 0.5, 1.0)), Crosswise()])
 @pytest.mark.parametrize("impact", [Bowl(), Bowl(told=False), Haste()], ids=repr)
-def test_slopes_of_edges_equal_differences(
-    impact: gp.Cost, motion: gp.Cost, exposure: str, scene: gp.Scene
-) -> None:
+def test_slopes_of_edges_equal_differences(impact: gp.Cost, motion: gp.Cost, exposure: str, scene: gp.Scene) -> None:
     bound = Objective(motion=motion, impact=impact, w=0.7, exposure=exposure).bind(scene, search_paces())
     q0, direction = states(scene, 8, 3)
     q1 = q0 + 0.2 * direction / np.linalg.norm(direction, axis=1, keepdims=True)

@@ -60,9 +60,7 @@ def descent(task: gp.Task, objective: SceneObjective, **settings: float) -> _nat
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), Crosswise()], ids=repr)
 @pytest.mark.parametrize("impact", [Bowl(), Bowl(told=False), Haste()], ids=repr)
-def test_gradients_of_motions_equal_differences(
-    task: gp.Task, impact: gp.Cost, motion: gp.Cost, exposure: str
-) -> None:
+def test_gradients_of_motions_equal_differences(task: gp.Task, impact: gp.Cost, motion: gp.Cost, exposure: str) -> None:
     one = descent(task, bound(task, Objective(motion=motion, impact=impact, w=W[exposure], exposure=exposure)))
     x = one.controls[1:-1].ravel()
     gradient = one.energy(x)[1].ravel()

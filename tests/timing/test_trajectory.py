@@ -56,7 +56,7 @@ def test_places_are_times_by_piece() -> None:
     np.testing.assert_allclose(q, trajectory.positions(t), atol=_TOLERANCE)
 
 
-def test_waiting_keeps_the_position() -> None:
+def test_a_single_sample_has_its_position_at_every_place() -> None:
     standing = Trajectory(np.array([0.5]), np.array([[1.0, 2.0]]), np.zeros((1, 2)), np.zeros((1, 2)), ("a", "b"))
     t, q = standing.at_places(np.zeros(3))
     np.testing.assert_array_equal(t, 0.5)

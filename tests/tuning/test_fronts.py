@@ -62,7 +62,7 @@ def test_choice_of_a_front(front):
 
 
 @pytest.mark.long
-def test_the_time_limit_is_kept_and_reported(task):
+def test_times_are_recorded_and_reported(task):
     told: list[FrontProgress] = []
     front = gp.pareto(task.start, task.goal, task.scene, points=4, iterations=_ITERATIONS, callback=told.append)
     assert front.status is gp.PlanStatus.SOLVED

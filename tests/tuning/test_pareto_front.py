@@ -85,7 +85,7 @@ def test_hypervolume_is_the_area_of_cells_that_are_dominated(costs):
 
 @settings(max_examples=40, deadline=None)
 @given(clouds, st.floats(0.0, 100.0))
-def test_the_best_point_depends_on_the_weight(costs, w):
+def test_points_are_best_for_their_weights(costs, w):
     found = front(costs)
     totals = found.costs @ np.array([1.0, w])
     for p, total in zip(found.points, totals, strict=True):

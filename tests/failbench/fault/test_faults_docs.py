@@ -83,7 +83,7 @@ def test_the_table_of_skill_equals_the_calibration():
     ]
 
 
-def test_the_text_lists_the_well_predicted_faults():
+def test_the_text_counts_the_well_predicted_faults():
     well = {name for name, x in held_out().items() if x["brier_skill"] >= 0.3}
     assert f"{len(well)} of {len(faults())} faults" in PRIOR
     shares = shipped_effects()

@@ -117,6 +117,6 @@ def test_replanning_needs_working_joints_and_equal_stops_share_a_plan(monkeypatc
     assert len(calls) == 1
 
 
-def test_policies_of_torques_cannot_be_relieved(easy):
+def test_policies_of_actuator_commands_cannot_be_relieved(easy):
     with pytest.raises(PolicyError, match="sends actuator commands"):
         recovering(lambda task, seed: Acting(following, "command"), StopOnFailure(), 0.3, 0.1)(easy, 0)

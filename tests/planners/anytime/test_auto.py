@@ -76,7 +76,7 @@ def test_searches_share_the_budget_and_only_improve(task, workers):
 
 @pytest.mark.long
 @pytest.mark.parametrize("setting", first_quick(["descents", "scouts"]))
-def test_bounded_searches_skip_hopeless_edges(task, setting):
+def test_parts_of_the_default_search_can_be_switched_off(task, setting):
     problem, objective = bound(task)
     paths, _ = solved(gp.Auto(search=gp.Anytime(**{setting: False})), problem, objective)
     whole, _ = solved(gp.Auto(), problem, objective)

@@ -102,7 +102,7 @@ def test_gets_out_of_an_obstacle() -> None:
     assert path_total(instance.objective, paths[0]) > path_total(instance.objective, shallow)
 
 
-def test_a_blocked_start_yields_nothing() -> None:
+def test_an_impassable_wall_yields_nothing() -> None:
     wall = _space((-1.0, 0.0), (1.0, 0.0), free=lambda q: np.abs(q[:, 0]) > 0.2)
     assert _improve(_path([-1, 0], [1, 0]), wall, _FREE, iterations=40) == []
 
