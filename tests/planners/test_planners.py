@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import (
-    DensityObjective,
-    FunctionProblem,
-    analytic_problems,
-    disc,
-    free_space,
-    two_media,
-)
+from graceful_plan.compare.problems.analytic import analytic_problems, disc, free_space, two_media
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners import PLANNERS, PRM, RRT, BITStar, InformedRRTStar, PRMStar, RRTConnect, RRTStar

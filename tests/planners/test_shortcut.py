@@ -7,13 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import (
-    AnalyticProblem,
-    DensityObjective,
-    FunctionProblem,
-    analytic_problems,
-    disc,
-)
+from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems, disc
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import InterruptibleProblem

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, catenary, disc, two_media
+from graceful_plan.compare.problems.analytic import catenary, disc, two_media
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.costs.objective import MAX_WEIGHT
 from graceful_plan.exceptions import CostError
 from graceful_plan.path import Path

@@ -8,16 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graceful_plan.compare.problems.analytic import (
-    DensityObjective,
-    FunctionProblem,
     analytic_problems,
     disc,
     free_space,
-    mechanical_work,
     saddle,
     saddle_density,
     two_media,
 )
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem, mechanical_work
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import path_total

@@ -10,14 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import (
-    AnalyticProblem,
-    DensityObjective,
-    FunctionProblem,
-    analytic_problems,
-    disc,
-    free_space,
-)
+from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems, disc, free_space
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.costs.objective import search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path

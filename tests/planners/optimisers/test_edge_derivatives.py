@@ -10,7 +10,8 @@ import pytest
 from body_twin import BodyTwin
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, analytic_problems, disc, saddle
+from graceful_plan.compare.problems.analytic import analytic_problems, disc, saddle
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.exceptions import CostError, SettingError

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import AnalyticProblem, DensityObjective, analytic_problems, disc
+from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems, disc
+from graceful_plan.compare.problems.function_problem import DensityObjective
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes

@@ -10,13 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import (
-    DensityObjective,
-    FunctionProblem,
-    analytic_problems,
-    disc,
-    two_media,
-)
+from graceful_plan.compare.problems.analytic import analytic_problems, disc, two_media
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.exceptions import CostError, NonFiniteError, SettingError, ShapeError

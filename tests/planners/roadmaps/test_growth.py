@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, analytic_problems, saddle
+from graceful_plan.compare.problems.analytic import analytic_problems, saddle
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import path_total
 from graceful_plan.planners.roadmaps.edge_prices import EdgeCosts, Edges, symmetric

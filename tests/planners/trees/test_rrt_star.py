@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, disc, free_space, saddle
+from graceful_plan.compare.problems.analytic import disc, free_space, saddle
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.objective import Objective, SceneObjective, search_paces

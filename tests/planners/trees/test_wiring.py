@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, disc
+from graceful_plan.compare.problems.analytic import disc
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import probe_objective
 from graceful_plan.planners.interruptible import InterruptibleProblem
