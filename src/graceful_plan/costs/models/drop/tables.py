@@ -14,7 +14,8 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.compile import PLANE_EXTENT, compile_scene, reference_data
+from graceful_plan.core.compile import PLANE_EXTENT, compile_scene
+from graceful_plan.core.frames import reference_data
 from graceful_plan.costs.models.drop.crowds import simplified
 from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_layout, per_scene
