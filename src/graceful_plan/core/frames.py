@@ -48,7 +48,7 @@ def pose_matrix(rotation: Array, position: Array) -> Float[Array, "4 4"]:
 
 
 def moving_frames(scene: Scene, data: mujoco.MjData) -> Frames:
-    """Return the frames of a scene at the reference configuration; bodies of the carried object belong to the tool's."""
+    """Return the frames of a scene at the reference configuration; the carried object is on the tool's."""
     model = scene.model
     joint_ids = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in scene.qpos_adr]
     frame_of_joint = {joint: k + 1 for k, joint in enumerate(joint_ids)}
