@@ -1,4 +1,4 @@
-"""Names that are imported when they are first asked for are found wherever they would be without that."""
+"""Names that are imported on first access behave like ordinary attributes of the package."""
 
 import importlib
 import inspect
@@ -16,7 +16,7 @@ names = pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package
 
 
 def fresh(code):
-    """Run code in a new process and return what it prints."""
+    """Run code in a new process and return the words that it prints."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.stderr, done.returncode) == ("", 0)
     return done.stdout.split()
@@ -85,7 +85,7 @@ def test_other_packages_can_do_the_same(tmp_path, monkeypatch):
     assert isinstance(lazy, lazy_imports.LazyPackage)
     assert lazy.__all__ == ["lift", "parts"]
     assert (lazy.parts.HEIGHT, lazy.lift()) == (2, 1)
-    monkeypatch.setattr(lazy, "lift", len)  # what tests put in its place stays
+    monkeypatch.setattr(lazy, "lift", len)  # a replacement by a test stays
     assert lazy.lift is len
 
 

@@ -15,7 +15,7 @@ NAMES = ["vase", "person"]
 
 
 def answer(**changes):
-    """An answer about both, with fields of the vase replaced; None takes one away."""
+    """Return an answer about both entities, with fields of the vase replaced; None removes one."""
     found = rows(NAMES)
     found["vase"] |= changes
     found["vase"] = {field: value for field, value in found["vase"].items() if value is not None}

@@ -55,7 +55,7 @@ def test_pictures_show_each_entity_outlined(room, server):
     named = [part["text"] for part in parts[1:] if part["type"] == "text"]
     urls = [part["image_url"]["url"] for part in parts if part["type"] == "image_url"]
     assert named.count("vase, outlined in red:") == 2 and len(urls) == len(named)
-    assert not any(name.startswith("inside") for name in named)  # nobody can see it
+    assert not any(name.startswith("inside") for name in named)  # it is not visible
     sizes = [struct.unpack(">II", base64.b64decode(url.removeprefix("data:image/png;base64,"))[16:24]) for url in urls]
     assert sizes == [(384, 288)] * 2
 
@@ -156,7 +156,7 @@ def test_redirections_are_not_followed(room, server, monkeypatch):
     assert len(server.asked) == 1
 
 
-# --- servers that do not do what they should --------------------------------------------------------------------------
+# --- misbehaving servers ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

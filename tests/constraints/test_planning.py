@@ -1,4 +1,4 @@
-"""Plans with constraints: kept by the judge's account, refused where they cannot be, unchanged where not needed."""
+"""Plans with constraints: kept according to the judge, refused where impossible, unchanged where inactive."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_vessel_that_is_tilted_too_far_at_an_end_is_told_by_how_much(coffee: g
 
 
 def test_the_fuller_the_slower(coffee: gp.Task) -> None:
-    """Not a law of planners, whose paths differ, but of one path that is timed."""
+    """A law of a single path that is timed; planners may choose other paths."""
     scene = gp.load_scene("desk")
     durations = []
     for volume in (0.15, 0.25, 0.29):
@@ -97,7 +97,7 @@ def test_two_of_a_kind_are_checked_both(task: gp.Task) -> None:
 
 @dataclass(frozen=True)
 class Below(gp.Constraint):
-    """The tool stays below a height: a user's own."""
+    """The tool stays below a height: a custom constraint."""
 
     height: float
 
@@ -119,7 +119,7 @@ def test_constraints_of_ones_own_are_kept_by_planners_of_all_kinds(task: gp.Task
 
 
 def test_where_nothing_can_be_planned_the_status_says_so(task: gp.Task) -> None:
-    """A wall of a rule between start and goal."""
+    """A wall between start and goal, as a custom constraint."""
     X = np.stack([task.start, np.atleast_2d(task.goal)[0]])
     result = planned(task, constraints=[Below(-1.0)])
     assert result.status is gp.PlanStatus.INVALID_START and "Below" in result.detail

@@ -1,4 +1,4 @@
-"""Constraints in a scene: the core says what Python says, projections arrive, misuse raises."""
+"""Constraints in a scene: core and Python agree, projections converge, misuse raises."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TURNED = np.array([(0.0, -1.0, 0.0, 0.45), (1.0, 0.0, 0.0, 0.1), (0.0, 0.0, 1.0,
 
 @dataclass(frozen=True)
 class BehindPlane(gp.Constraint):
-    """The tool stays behind a plane: what a user would write."""
+    """The tool stays behind a plane: a custom constraint."""
 
     x: float
     sloped: bool = True
@@ -60,7 +60,7 @@ def samples(scene: gp.Scene, n: int, seed: int = 0) -> Float[Array, "n nq"]:
 
 @pytest.mark.parametrize("index", range(5))
 def test_the_core_says_what_python_says(task: gp.Task, index: int) -> None:
-    """Its clearance is the least of that of collisions and of the constraint's own; angles count with a lever."""
+    """The clearance is the least of collisions and of the constraint; angles are scaled by a lever."""
     scene, constraint = task.scene, constraints_of(task)[index]
     q = samples(scene, 3000)
     held = SceneConstraints(scene, [constraint])
@@ -105,7 +105,7 @@ def test_projections_arrive_and_move_nothing_that_holds(task: gp.Task) -> None:
     projected = held.kernels.projected(q)
     batch = gp.StateBatch(scene, projected)
     inside = np.min([-c.lever * c.residual(batch) for c in held.constraints if isinstance(c, gp.Constraint)], axis=0)
-    assert np.mean(inside >= 0.003 - 1e-6) > 0.6  # some run into joint limits
+    assert np.mean(inside >= 0.003 - 1e-6) > 0.6  # some reach joint limits
     arrived = projected[inside >= 0.0031]
     np.testing.assert_array_equal(held.kernels.projected(arrived), arrived)
     np.testing.assert_array_equal(SceneConstraints(scene, ()).kernels.projected(q), q)

@@ -1,4 +1,4 @@
-"""What stands on a tray: derived from its geom, at rest, in retiming, and in plans."""
+"""Objects that stand on a tray: limits from their geoms, at rest, in retiming, and in plans."""
 
 from __future__ import annotations
 

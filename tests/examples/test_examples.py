@@ -1,4 +1,4 @@
-"""The examples run, and do what they say."""
+"""The examples run and print what their texts promise."""
 
 import importlib.util
 
@@ -38,7 +38,7 @@ def test_a_robot_that_sees_plans_among_what_has_moved(capsys):
     results = _load("perception_loop").main(iterations=200, limit=60.0)
     assert [result.status for result in results] == 3 * [gp.PlanStatus.SOLVED]
     ways = [result.trajectory.q[0] for result in results]
-    assert abs(ways[1] - ways[0]).max() > 0.0  # each goes on from where the robot has got to
+    assert abs(ways[1] - ways[0]).max() > 0.0  # each continues from the robot's current state
     assert capsys.readouterr().out.count("cycle") == 3
 
 
@@ -62,7 +62,7 @@ def test_a_motion_with_regard_for_failures_does_less_harm_in_simulation():
 
 @pytest.mark.long
 def test_custom_cost_keeps_the_mug_away(capsys):
-    results = _load("custom_cost").main(iterations=2000)  # no clock: it has to hold on any machine
+    results = _load("custom_cost").main(iterations=2000)  # no time limit: it must pass on any machine
     assert results["away"].cost.impact < 0.8 * results["shortest"].cost.impact
     assert "away: SOLVED" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""The nodes for ROS 2, beside stubs of its messages: what they send, and what they refuse to send."""
+"""The ROS 2 nodes against stubs of its messages: sent messages, and refusals."""
 
 import importlib
 import sys

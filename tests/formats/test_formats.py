@@ -1,4 +1,4 @@
-"""What leaves in one form comes back from it; what is no such form is refused, with where it came from."""
+"""Formats: writing and reading gives the same content; other files are refused with their name."""
 
 import json
 import sys
@@ -23,7 +23,7 @@ NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\x00\r"), min_s
 
 @st.composite
 def samples(draw):
-    """What trajectories are made of, with odd names and with times that are whole nanoseconds from 0 on."""
+    """Draw the data of trajectories, with odd names and times in whole nanoseconds from 0."""
     n, nq = draw(st.integers(1, 4)), draw(st.integers(1, 3))
     joints = tuple(draw(st.lists(NAMES, min_size=nq, max_size=nq, unique=True)))
     steps = draw(st.lists(st.integers(1, 10**10), min_size=n - 1, max_size=n - 1))

@@ -1,4 +1,4 @@
-"""What is no regular file is refused at once wherever a file is expected, and with its name."""
+"""Pipes, devices and folders are refused immediately and by name where a file is expected."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def impatient() -> Iterator[None]:
 @pytest.mark.parametrize("name", _READERS)
 def test_every_reader_refuses_it_by_name(name: str, kind: str, tmp_path: Path) -> None:
     if kind == "folder" and name in ("problems.json", "problems.yaml", "known.yaml"):
-        return  # which they read
+        return  # these readers accept folders
     file = _make(kind, tmp_path / name)
     with pytest.raises((FormatError, SceneError), match=_MADE.get(kind, "Is a directory")) as caught:
         _READERS[name](file)
@@ -185,7 +185,7 @@ def test_the_cache_does_without(kind: str, tmp_path: Path, monkeypatch: pytest.M
 )
 def test_the_command_line_says_so(argv: tuple[str, ...], kind: str, tmp_path: Path, capsys, monkeypatch) -> None:
     if kind == "folder" and argv[0] in ("bench", "view"):
-        return  # which may be given one
+        return  # these commands accept folders
     monkeypatch.chdir(tmp_path)
     file = _make(kind, tmp_path / argv[-1])
     assert main(argv) == 2
@@ -207,7 +207,7 @@ def test_failbench_says_so(kind: str, tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_a_file_is_read_as_it_is_and_no_further_than_allowed(tmp_path: Path) -> None:
     file = tmp_path / "a"
-    check_regular(file)  # it may still be made
+    check_regular(file)  # a missing file may still be written
     file.write_bytes(bytes(range(256)))
     check_regular(file)
     assert read_content(file) == read_content(str(file), 256) == bytes(range(256))

@@ -1,4 +1,4 @@
-"""The judge of those who walk past, against distances in closed form."""
+"""The judge of moving entities, against distances in closed form."""
 
 import mujoco
 import numpy as np
@@ -55,7 +55,7 @@ def test_who_is_beside_is_met_by_the_corners_of_a_base_that_turns_in_place():
     t = np.linspace(0.0, 2.0, 41)
     q = np.column_stack([np.zeros((41, 2)), t])
     turning = gp.Trajectory(t, q, np.tile([0.0, 0.0, 1.0], (41, 1)), np.zeros((41, 3)), SCENE.joints)
-    beside = at([[0.0, 0.49, 0.85]])  # 3 cm from the wheels of a base that stands as it begins
+    beside = at([[0.0, 0.49, 0.85]])  # 3 cm from the wheels of a base at rest
     assert not passing_check(turning, beside).passed
     assert passing_check(turning, at([[0.0, 0.7, 0.85]])).passed
 
@@ -67,7 +67,7 @@ def test_verdicts_have_it_for_bases_among_those_who_move_alone():
 
 
 def dense_passing(motion, scene):
-    """Measure every geom at every moment: least clearance [m], at most 1, to whom; first time of an overlap [s]."""
+    """Measure every geom at every time: least clearance [m], at most 1, its entity, and first time of overlap [s]."""
     t = passing_by._times(motion, scene)
     state = motion.at(t)
     model = passing_by._with_walkers(scene)
@@ -90,7 +90,7 @@ def dense_passing(motion, scene):
 
 
 def random_drive(seed, length=4.0):
-    """An arm's base on a winding way, with all joints moving."""
+    """Return a motion of an arm's base along a winding path, with all joints moving."""
     scene = gp.load_scene("hallway").without_moving()
     rng, t, nq = np.random.default_rng(seed), np.linspace(0.0, 6.0, 121), len(scene.joints)
     middle, half = scene.limits.position.mean(axis=1), np.minimum(0.5 * np.ptp(scene.limits.position, axis=1), 1.0)
@@ -104,7 +104,7 @@ def random_drive(seed, length=4.0):
 @pytest.mark.parametrize("seed", first_quick(range(4)))
 @pytest.mark.parametrize("gap", [0.0, 0.35, 0.5, 0.7, 1.5])
 def test_bounds_change_nothing(seed, gap):
-    """As with every geom at every moment: through somebody, grazing, near, far."""
+    """Compared with every geom at every time: through a person, grazing, near, far."""
     scene, motion = random_drive(seed)
     rng = np.random.default_rng(seed)
     on_the_way = motion.q[60, :2] + gap * np.array([np.cos(seed), np.sin(seed)])
@@ -119,7 +119,7 @@ def test_bounds_change_nothing(seed, gap):
     worst, whom, first = dense_passing(motion, scene)
     assert check.worst == pytest.approx(worst, abs=1e-5)
     assert check.passed == (worst >= 0.0)
-    if 0.0 <= worst < 1.0:  # two that it is deep in may be as deep as each other
+    if 0.0 <= worst < 1.0:  # in deep overlaps two entities may be equally deep
         assert repr(whom) in check.detail
     assert check.first == (None if first == np.inf else pytest.approx(first))
 

@@ -1,4 +1,4 @@
-"""Masks of collision leave every pair to test that may not touch."""
+"""Collision masks keep every pair that must not touch."""
 
 from __future__ import annotations
 

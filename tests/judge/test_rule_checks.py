@@ -1,4 +1,4 @@
-"""Checks of rules beside slow twins: distances of every pair of geoms, loads by cross products, what is no number."""
+"""Checks of rules against slow twins: distances of every pair of geoms, loads by cross products, NaN."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = np.ndarray
 
 
 def _motion(task: gp.Task, seed: int = 0) -> gp.Trajectory:
-    """From the start to somewhere near, and back."""
+    """Return a motion from the start to a nearby configuration, and back."""
     away = np.asarray(task.start) + np.random.default_rng(seed).uniform(-0.4, 0.4, len(task.scene.joints))
     path = Path(np.stack([task.start, away, task.start]))
     return retime(path, task.scene.limits, joints=task.scene.joints)
@@ -60,7 +60,7 @@ def test_samples_are_two_a_piece_within_bounds(task: gp.Task) -> None:
 
 
 def _felt(motion: gp.Trajectory, scene: Scene, frames: FrameMotion, point: Array) -> Array:
-    """What is felt at a point of the carried object, in its frame: second differences of MuJoCo's placement."""
+    """Return the specific force at a point of the carried object, in its frame, by differences of placements."""
     assert scene.carried is not None
     placement, body, p, R = Placement(scene), scene.model.body(scene.carried.body).id, [], []
     for q in motion.at(frames.at).q:

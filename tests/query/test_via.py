@@ -1,4 +1,4 @@
-"""Poses on the way: passed in their order, at speed where there is room, or the result says which cannot be."""
+"""Via poses: passed in order, without a stop where possible, or the result names the one that is not."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graceful_plan.timing.retiming import retime
 Array = np.ndarray
 
 _NEAR = 1e-4
-"""Joint error with which a configuration is passed [rad]."""
+"""Joint error at which a configuration counts as passed [rad]."""
 
 
 def _plan(scene, start, goal, via, **settings):
@@ -25,7 +25,7 @@ def _plan(scene, start, goal, via, **settings):
 
 
 def _nearest(trajectory: gp.Trajectory, q: Array) -> tuple[float, float]:
-    """Least joint error [rad] on the way, and when."""
+    """Return the least joint error on the way [rad], and its time."""
     t = np.linspace(trajectory.t[0], trajectory.t[-1], 20_001)
     error = np.abs(trajectory.at(t).q - q).max(axis=1)
     return float(error.min()), float(t[error.argmin()])

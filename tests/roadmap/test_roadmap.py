@@ -1,4 +1,4 @@
-"""Roadmaps: what is stored is true, and questions are answered as if everything were computed anew."""
+"""Roadmaps: stored values are correct, and queries equal a full computation."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def answer(task, roadmap):
     return roadmap.query(task.start, task.goal)
 
 
-# --- what is stored ---------------------------------------------------------------------------------------------------
+# --- stored values ----------------------------------------------------------------------------------------------------
 
 
 def test_nodes_and_edges_are_free(task, roadmap):
@@ -190,7 +190,7 @@ def test_no_path_of_the_front_is_cheaper_than_the_answer(task, roadmap, w, facto
         return prices.motion.sum() + w * prices.impact(roadmap.severity(severity=severity)).sum()
 
     assert stored(answer.path.q) <= min(stored(point.q) for point in front) * (1.0 + 1e-6) + 1e-9
-    # What is reported is charged otherwise, and nothing is left out of the front that is not dominated by that.
+    # Reported costs are computed differently; no point outside of the front dominates by them.
     assert min(point.motion + w * point.impact for point in front) <= answer.cost.total * (1.0 + 1e-6) + 1e-9
 
 
@@ -198,7 +198,7 @@ def test_more_weight_means_less_impact_and_more_motion(task, roadmap):
     found = [roadmap.query(task.start, task.goal, w=w).cost for w in (0.0, 0.1, 0.5, 1.0, 3.0, 10.0, 100.0)]
     for less, more in pairwise(found):
         assert more.motion >= less.motion * (1.0 - 1e-3)
-        assert more.impact <= less.impact * 1.1  # of what a query minimises 1.02; this is charged at the limits
+        assert more.impact <= less.impact * 1.1  # 1.02 by a query's own cost; here joint limits set the pace
     assert found[-1].impact < 0.9 * found[0].impact
 
 
@@ -267,12 +267,12 @@ def test_ends_that_cannot_be_used(task, roadmap):
 
 @dataclass(frozen=True)
 class Low(gp.Constraint):
-    """The tool stays below a height: a user's own."""
+    """The tool stays below a height: a custom constraint."""
 
     height: float
 
     def residual(self, batch: gp.StateBatch) -> np.ndarray:
-        """Height above that [m]."""
+        """Return the height above the limit [m]."""
         return batch.tool_poses[:, 2, 3] - self.height
 
 
@@ -300,7 +300,7 @@ def test_what_a_plan_keeps_a_roadmap_keeps():
 
 
 def _tilts(roadmap: gp.Roadmap) -> np.ndarray:
-    """How far what is carried is tilted in each node [rad]."""
+    """Return the tilt of the carried object in each node [rad]."""
     scene = roadmap.scene
     poses = gp.StateBatch(scene, roadmap.q).tool_poses @ scene.carried.X_TO
     return np.arccos(np.clip(poses[:, 2, 2], -1.0, 1.0))
@@ -320,7 +320,7 @@ def test_a_wall_with_a_way_around_and_a_vase_beside_it():
     ends = [-0.8, 0.4], [0.8, 0.4]
     roadmap = gp.Roadmap.build(gantry(vase=5.0), nodes=400, motions=[ends])
     short = roadmap.query(*ends, w=0.0)
-    taut = 2.0 * (np.hypot(0.8 - 0.1, 0.15) + 0.1)  # around the wall's upper end, by the size of what moves
+    taut = 2.0 * (np.hypot(0.8 - 0.1, 0.15) + 0.1)  # around the wall's upper end, at the distance of the moving box
     assert 0.95 * taut < short.cost.motion < 1.15 * taut
     safe = roadmap.query(*ends, w=20.0)
     assert 0.0 <= safe.cost.impact < 0.5 * short.cost.impact
@@ -384,7 +384,7 @@ def test_a_front_of_few_points_keeps_its_ends(task, roadmap):
     assert [p.motion for p in few] == sorted(p.motion for p in few)
 
 
-# --- costs of one's own, and entities that move -----------------------------------------------------------------------
+# --- custom costs, and moving entities --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

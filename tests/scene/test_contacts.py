@@ -18,7 +18,7 @@ _MASK = st.sampled_from([0, 1, 2, 3])
 
 @st.composite
 def heaps(draw: st.DrawFn) -> mujoco.MjModel:
-    """Draw spheres that all overlap, on a random tree of bodies, with every kind of contact filter."""
+    """Draw overlapping spheres on a random tree of bodies, with every kind of contact filter."""
     count = draw(st.integers(2, 9))
     spec = mujoco.MjSpec()
     bodies = [spec.worldbody]
@@ -167,7 +167,7 @@ def test_links_that_may_touch_are_told_with_the_reason() -> None:
         "adjacent": [("r/a", "r/b"), ("r/b", "r/c")],
         "filters of the model": [("r/a", "r/c")],
     }
-    # The parent of r/a does not move: MuJoCo tests it.
+    # The parent of r/a does not move, so MuJoCo tests the pair.
     assert count == 2
     assert "links that may not touch: 2 pairs; that may:\n  SRDF: r/foot - r/c\n  adjacent: " in scene.describe()
 
@@ -184,7 +184,7 @@ def test_more_contacts_may_be_allowed_later() -> None:
 
 @pytest.mark.parametrize(("gap", "touching"), [(0.02, False), (0.001, False), (-0.001, True)])
 def test_what_is_within_a_margin_does_not_touch(gap: float, touching: bool) -> None:
-    """MuJoCo counts it among the contacts, with the distance that there still is."""
+    """MuJoCo lists it among the contacts, with its positive distance."""
     scene = gp.Scene.from_mjcf(
         f"""<mujoco><worldbody>
           <geom name="wall" type="box" size=".1 1 1" pos="{1.3 + gap} 0 0" margin=".05"/>

@@ -1,4 +1,4 @@
-"""Sizes and places far out: covered coarsely, or refused by name before anything is built."""
+"""Extreme sizes and positions: covered coarsely, or refused by name before anything is built."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_place_farther_than_single_precision_can_tell_is_refused(place: float)
 
 
 def test_a_kilometre_of_a_beam_is_covered_by_what_kernels_hold() -> None:
-    """Once 2.2 million spheres were built before it was refused."""
+    """It used to be refused only after 2.2 million spheres had been built."""
     assert len(compile_scene(_robot(link="500 .05 .05")).robot.sphere) <= CAPACITY["spheres"]
 
 

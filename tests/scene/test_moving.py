@@ -1,4 +1,4 @@
-"""Entities that move: where they are when, how scenes hold them, and what is refused."""
+"""Moving entities: positions over time, storage in scenes, refused arguments."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def person(**changes) -> gp.MovingEntity:
     return gp.MovingEntity("person", "adult", **{**PERSON, **changes})
 
 
-# --- where it is ------------------------------------------------------------------------------------------------------
+# --- positions --------------------------------------------------------------------------------------------------------
 
 
 def test_it_moves_evenly_and_stands_still_before_and_after():
@@ -96,7 +96,7 @@ def test_neither_obstacle_nor_entity(scene):
     assert gp.clearance(q, in_the_way) == gp.clearance(q, held)
 
 
-# --- what is refused --------------------------------------------------------------------------------------------------
+# --- refused arguments ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What is kept per scene: made once for each key, and freed with the scene."""
+"""Values cached per scene: computed once for each key, and freed with the scene."""
 
 import copy
 import gc
@@ -21,11 +21,11 @@ from graceful_plan.scene.rules.grip import find_grip
 
 
 class Kept:
-    """Something that can be watched."""
+    """An object with a weak reference."""
 
 
 def fresh(name: str) -> gp.Scene:
-    """Read a bundled scene again: `load_scene` returns the same one in all tests."""
+    """Load a bundled scene from its file: `load_scene` returns the same scene in all tests."""
     return read_scene(LIBRARY / "scene" / "scenes" / f"{name}.yaml")
 
 
@@ -34,7 +34,7 @@ def test_a_value_is_made_once_for_each_scene_and_key():
 
     @per_scene
     def kept(scene, number=0, *, word=""):
-        """Keep it."""
+        """Return the cached value."""
         calls.append((scene, number, word))
         return Kept()
 
@@ -75,7 +75,7 @@ def test_the_oldest_goes_where_there_are_too_many():
     scene, other = fresh("tabletop"), fresh("tabletop")
     assert [kept(scene, number) for number in (1, 2, 1, 3, 2, 1)] == [1, 2, 1, 3, 2, 1]
     assert calls == [1, 2, 3, 1]
-    assert kept(other, 1) == 1  # each scene has its own
+    assert kept(other, 1) == 1  # each scene has its own value
     assert kept(scene, 1) == 1
     assert calls == [1, 2, 3, 1, 1]
 

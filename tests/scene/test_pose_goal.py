@@ -1,4 +1,4 @@
-"""Regions of goals: boxes around a pose, and axes that are free."""
+"""Goal regions: boxes around a pose, and free axes."""
 
 from __future__ import annotations
 

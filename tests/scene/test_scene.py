@@ -606,7 +606,7 @@ def test_a_summary_names_everything() -> None:
 def test_scenes_are_freed() -> None:
     import weakref
 
-    scene = read_scene(LIBRARY / "scene" / "scenes" / "tabletop.yaml")  # fresh: load_scene keeps its own for all tests
+    scene = read_scene(LIBRARY / "scene" / "scenes" / "tabletop.yaml")  # fresh: load_scene caches its own
     watched = [weakref.ref(scene), weakref.ref(scene.tasks["lift_to_goal"].scene)]
     del scene
     gc.collect()

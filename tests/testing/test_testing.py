@@ -1,4 +1,4 @@
-"""check_planner and check_cost: they pass what is right and name what is wrong."""
+"""check_planner and check_cost accept correct implementations and name the defect of broken ones."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from graceful_plan.testing import ContractError, PlannerTrial, check_cost, check
 Array = np.ndarray
 
 _TRIAL = PlannerTrial(iterations=40, time_limit=0.02, overrun=5.0)
-"""A wide overrun, for the machine that runs the tests may be busy."""
+"""The overrun is large because the test machine may be busy."""
 
 
 def _corners(problem: Problem) -> list[Array]:
-    """Via points that lead around the block of the check, both ways."""
+    """Via points around the block of the check, on both sides."""
     return [np.array([[-1.0, s], [1.0, s]]) if len(problem.start) == 2 else np.zeros((0, 1)) for s in (1.0, -1.0)]
 
 
 @dataclass(frozen=True)
 class Corners(Planner):
-    """Knows the ways around; breaks the contract in the manner that it is told."""
+    """A planner that knows the paths; it breaks the contract in a given way."""
 
     name: ClassVar[str] = "corners"
     anytime: ClassVar[bool] = False

@@ -396,7 +396,7 @@ def test_reader_that_goes_away_is_no_error():
 
 
 def test_demo_says_what_the_graceful_motion_costs_and_buys():
-    """All figures of the sentence are those of the results, whichever way they changed."""
+    """All numbers of the sentence come from the results, for increases and decreases."""
 
     def result(motion, impact, seconds, w):
         trajectory = gp.Trajectory(np.array([0.0, seconds]), *np.zeros((3, 2, 1)), ("joint",))

@@ -1,4 +1,4 @@
-"""`graceful-plan tune`: what it prints and writes, and how it asks FailBench."""
+"""`graceful-plan tune`: its output, its files, and its use of FailBench."""
 
 import json
 import re

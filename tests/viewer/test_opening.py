@@ -1,4 +1,4 @@
-"""What `view` and the command take, before there is any page."""
+"""Arguments of `view` and of its command, before a page exists."""
 
 from __future__ import annotations
 

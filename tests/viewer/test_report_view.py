@@ -1,4 +1,4 @@
-"""The 3-D view of reports: one document that needs nothing else, or why there is none."""
+"""The 3-D view of reports: one self-contained document, or the reason why there is none."""
 
 from __future__ import annotations
 

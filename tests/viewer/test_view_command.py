@@ -1,4 +1,4 @@
-"""`graceful-plan view` from the shell: it says where the page is, serves it, and ends when it is interrupted."""
+"""`graceful-plan view` from the shell: it prints the address, serves the page, and ends on interrupts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from graceful_plan.documents import result_document, to_json
 from graceful_plan.tools.cli import INTERRUPTED, MISUSE, main
 
 _LONG = 60.0
-"""Seconds after which a test gives up."""
+"""Seconds after which a test fails."""
 
 needs_viser = pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="viser is not installed")
 

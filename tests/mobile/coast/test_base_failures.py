@@ -77,7 +77,7 @@ def case(held, *, delay=10.0, left=True, friction=0.6):
 
 def test_one_side_that_is_held_makes_a_skid_steer_spin_as_its_slip_says():
     places = integrated(BODY, np.array(1.0), np.array(0.0), case(True, delay=3.0))
-    rate = np.gradient(places[:, 2], places[:, 4])[140]  # of steps of 0.02 s: long before the other side stops
+    rate = np.gradient(places[:, 2], places[:, 4])[140]  # in steps of 0.02 s; long before the other side stops
     assert rate == pytest.approx(spin_rate(1.0, BODY.base), rel=0.1)
 
 
@@ -112,7 +112,7 @@ def test_a_controller_that_goes_on_swings_it_about_its_way_as_in_mujoco(v, omega
     locked = Case(True, True, np.array(5.9 / 9.81), np.array(0.8), np.array(0.4), np.array(2.0), 1.5, np.array(True))
     (found,) = integrated(body, np.array([v]), np.array([omega]), locked)[:, : len(poses)]
     np.testing.assert_allclose(found[:, :2], poses[:, :2], atol=0.12)
-    # It does not simply pivot until it has turned round: it is steered back.
+    # The steering limits the pivoting, which alone would turn the base around.
     (alone,) = integrated(body, np.array([v]), np.array([omega]), locked._replace(steered=np.array(False)))
     assert found[:, 2].max() < 2.8 and found[-1, 2] < found[:, 2].max() - 0.1 and alone[:, 2].max() > 4.0
 
@@ -165,7 +165,7 @@ def test_what_steers_on_says_what_the_tracking_controller_and_its_motors_do():
             (x, y, turned, rate), rims = rng.normal(0.0, 0.3, 4), rng.uniform(-2.0, 2.0, 2)
             t = tick * TICK
             way = omega * t
-            # The way goes on with this rate of turning, and as fast as the base may be.
+            # The target continues with this turning rate, at the greatest speed of the base.
             later, whole = np.linspace(0.0, t, 1001), np.minimum(v + base.a_max * np.linspace(0.0, t, 1001), base.v_max)
             chord = np.trapezoid(whole, later) * np.sinc(0.5 * way / np.pi)
             wanted = DriveState(chord * np.cos(0.5 * way), chord * np.sin(0.5 * way), way, whole[-1], omega)

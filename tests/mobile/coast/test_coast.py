@@ -34,7 +34,7 @@ def only(**way):
 
 
 def hit(x, v, *, y=0.8, yaw=0.0, omega=0.0, scene=SCENE, settings=SHIPPED):
-    """P that the base, driving at x, hits the person, who stands at (2, 0.8) with a radius of 0.25 m."""
+    """Return P that the base, driving at x, hits the person, who stands at (2, 0.8) with a radius of 0.25 m."""
     q = np.array([[x, y, yaw]])
     qd = np.array([[v * np.cos(yaw), v * np.sin(yaw), omega]])
     return Coast(settings).probability(moving_batch(scene, q, qd))[0, 0, 0]
@@ -78,7 +78,7 @@ CROWDED = [gp.load_scene("warehouse_aisle"), gp.load_scene("hallway").without_mo
 @pytest.mark.parametrize("isa", instruction_sets())
 @pytest.mark.parametrize("scene", CROWDED)
 def test_instruction_sets_agree(scene, isa):
-    """Also with several parts of a base, several entities, and shapes that hide behind each other."""
+    """With several parts of a base, several entities, and shapes that hide behind each other."""
     q, qd = states_in(scene, 1)
     compiled, tables = compile_scene(scene), coast_tables(scene)
 
@@ -139,7 +139,7 @@ def test_a_round_base_is_round_and_hides_its_casters():
 
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-3, 3))
 def test_a_hit_is_where_mujoco_has_the_geoms_touch(x, y, yaw):
-    """A base that hardly moves, and a box that lies anyhow: P is a half where they are as far apart as the spread."""
+    """A nearly static base and a box at a random pose: P is one half at a distance equal to the spread."""
     box = '<body name="box" pos="0 0 .1" euler="0 0 .4"><geom name="box" type="box" size=".3 .1 .1"/></body>'
     scene = boxed(box)
     q = np.array([x, y, yaw])
@@ -158,7 +158,7 @@ def test_a_hit_is_where_mujoco_has_the_geoms_touch(x, y, yaw):
 
 @cache
 def boxed(box):
-    """The hall with a box that is an entity, and nothing else that is met."""
+    """The hall with a box as the only entity."""
     return hall(walls="", extra=box, entities={"box": "adult"})
 
 
@@ -166,7 +166,7 @@ def boxed(box):
 def test_it_goes_as_far_as_the_closed_form_says(v):
     settings = only(deceleration=(1.0,), delay=(0.2,))
     far = 0.2 * v + v**2 / 2.0
-    front = 0.229  # of the foremost disc, wheels included
+    front = 0.229  # front of the foremost disc, including wheels
     gap = 2.0 - 0.25 - front
     assert hit(gap - 0.85 * far, v, settings=settings) > 0.0
     assert hit(gap - 1.05 * far, v, settings=settings) < 1e-12
@@ -193,7 +193,7 @@ SIDE = '<body name="side" pos="0 1 .5"><geom type="box" size="6 .05 .5"/></body>
 @pytest.mark.parametrize("angle", [0.3, 0.6, 1.0, np.pi / 2])
 @pytest.mark.parametrize("backwards", [False, True])
 def test_energy_counts_along_the_normal(angle, backwards):
-    """Who drives against a long side at an angle hits it with the sine of the angle times the speed."""
+    """The impact speed on a long side is the speed times the sine of the angle."""
     scene = hall(walls="", extra=SIDE, entities={"side": "adult"})
     settings, v = only(deceleration=(1e-4,), delay=(5.0,)), 0.8
     turned, v = (angle + np.pi, -v) if backwards else (angle, v)
@@ -216,20 +216,20 @@ def test_who_is_grazed_does_not_stop_it():
 
 @pytest.mark.parametrize("y", [0.2, 0.8])
 def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
-    """Half of the energy, where the base drives by and where it comes straight on."""
+    """Half of the energy counts, both for passing and for driving straight at the entity."""
     settings = replace(only(deceleration=(1e-4,), delay=(5.0,)), position_spread=3.0)
     touched = hit(0.0, 0.5, y=y, settings=replace(settings, reference_speed=1e-6))
     assert hit(0.0, 0.5, y=y, settings=settings) / touched == pytest.approx(0.5 * 0.5**2, rel=0.05)
 
 
 def astray():
-    """All failures lead a base astray, at rates that hardly turn it."""
+    """Settings in which all failures are odometry drift, at rates that hardly turn the base."""
     lost = OdometryDrift(weight=1.0, misread=0.001 * BASE.track * BASE.slip, lasts=16.0, pace=1.0, spread=0.2)
     return replace(SHIPPED, harmless=0.95, ways={}, astray=lost, position_spread=1e-3, reference_speed=1e-3)
 
 
 def passing(settings, gap, v, scene=None, dt=0.005):
-    """Sum over time of P along a straight way past the person, who stands to the left [s]."""
+    """Return the sum over time of P along a straight path past the person, who stands to the left [s]."""
     scene = hall(walls="") if scene is None else scene
     t = np.arange(-2.0, 2.0, dt * abs(v)) / abs(v)
     q = np.column_stack(
@@ -243,7 +243,7 @@ def passing(settings, gap, v, scene=None, dt=0.005):
 @pytest.mark.parametrize("gap", [0.02, 0.1, 0.2])
 @pytest.mark.parametrize("v", [0.05, -0.05, 0.2])
 def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
-    """Who has been astray for 2, 6, 10 or 14 s at 2 m/s is 1 to 39 cm aside, to either side."""
+    """After 2, 6, 10 or 14 s of drift at 2 m/s, the base is 1 to 39 cm aside, on either side."""
     way = 2.0 * np.array([2.0, 6.0, 10.0, 14.0])
     aside = 0.001 * way**2 / 2.0
     met = 0.5 * erfc((gap - aside) / np.hypot(1e-3, 0.2 * aside) / np.sqrt(2.0))
@@ -321,7 +321,7 @@ def test_by_default_all_failures_of_a_base_without_an_arm_are_its_own():
 
 
 class Doubtful(FailingBase):
-    """A user's own: as the shipped one, and half of that."""
+    """A custom model: the shipped one plus half of it."""
 
     coast, share = Coast(), 0.5
 
@@ -360,7 +360,7 @@ def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_des
 
 def test_settings_alone_are_no_model_of_how_bases_fail():
     model = gp.FailureMixture()
-    object.__setattr__(model, "base", SHIPPED)  # past the checks of types, which users do not have
+    object.__setattr__(model, "base", SHIPPED)  # past the type checks, which users do not have
     with pytest.raises(SettingError, match=r"base = .*Coast\(settings\)"):
         model.__post_init__()
 

@@ -1,4 +1,4 @@
-"""Failing bases and those who move: the same as those who stand, where they then are."""
+"""Failing bases and moving entities: the result is that of static entities at their predicted places."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_only_the_time_since_the_prediction_counts(shift):
 def test_who_is_there_when_the_base_comes_is_hit_and_who_was_there_before_is_not():
     q, qd = np.array([[-3.0, 1.2, 0.0]]), np.array([[1.5, 0.0, 0.0]])
     crossing = walker([[-2.0, -6.0, 0.85], [-2.0, 8.0, 0.85]], t=[0.0, 14.0])  # at y = 1.2 after 7.2 s
-    soon = SHIPPED.only("wheels_locked", "runaway", "delayed")  # none is still about when the next one comes
+    soon = SHIPPED.only("wheels_locked", "runaway", "delayed")  # these failures end before the next entity arrives
     before, at, after = (met(crossing, q, qd, t, settings=soon)[0] for t in (4.0, 6.8, 9.5))
     assert at > 0.3 and before < 0.05 * at and after < 0.01 * at
 

@@ -43,7 +43,7 @@ def test_a_rate_that_wheels_cannot_keep_up_with_slows_the_base():
 
 
 def rolled(controller, wanted, sideways, *, seconds, start, dt=0.02):
-    """Drive a base that slips sideways where it turns; return how far off it was, second by second."""
+    """Drive a base that slips sideways in turns; return its error each second."""
     state, off = start, []
     for k in range(int(seconds / dt)):
         aim = wanted(k * dt)
@@ -62,7 +62,7 @@ def circle(t, v=1.0, omega=1.5):
 
 
 def test_tracking_comes_back_to_its_motion():
-    # What stays is of the steps of Euler: half as much with half of them.
+    # The rest is the error of Euler steps: half of it with half the step.
     begins = DriveState(0.05, -0.1, 0.2, 1.0, 1.5)
     off = rolled(Tracking(), circle, 0.0, seconds=4.0, start=begins, dt=0.01)
     assert off[0] > 0.05 and off[-1] < 5e-3
@@ -140,7 +140,7 @@ HERE, PATH = DriveState(0.0, 0.0, 0.0, 0.0, 0.0), np.array([[0.0, 0.0], [1.0, 0.
     ],
 )  # fmt: skip
 def test_who_does_not_know_where_it_is_gets_no_command(state, path):
-    """An error, by which a loop stops the base: comparisons with NaN would all be false, and it would drive on."""
+    """An error stops the base; comparisons with NaN are false, and the base would drive on."""
     window = gp.DWA().bind(gp.load_scene("hallway"))
     with pytest.raises((ShapeError, NonFiniteError, SettingError), match=r"state|path"):
         PurePursuit().command(state, path, BASE)
@@ -177,7 +177,7 @@ def test_surroundings_that_mean_nothing_are_refused(wrong):
 
 
 def test_discs_that_mean_nothing_are_refused():
-    """An unknown severity, above all, is not that of nobody."""
+    """In particular, an unknown severity must not count as zero."""
     for centre, radius, severity in (
         ([[1.0, 0.0]], 0.2, NAN),
         ([[1.0, 0.0]], [0.1, 0.2], None),

@@ -17,7 +17,7 @@ NOTHING = Surroundings(np.zeros((0, 7)))
 
 
 def driven(window, path, around, *, seconds=10.0, start=(-4.0, 0.0, 0.0)):
-    """States of a base that does what it is told at once, until it stands."""
+    """Return the states of a base that follows commands exactly, until it stands."""
     state, period = DriveState(*start, 0.0, 0.0), window.settings.period
     found = [state]
     for k in range(int(seconds / period)):
@@ -50,7 +50,7 @@ def test_commands_stay_within_what_the_base_can_do():
             assert abs(told.omega - omega) <= BASE.alpha_max * period + 1e-9
             lateral = max(BASE.lateral_max, abs(v * omega))
             assert abs(told.v * told.omega) <= lateral + 1e-9
-            rims = max(BASE.rim_max, abs(v) + BASE.lever * abs(omega))  # it may be too fast already
+            rims = max(BASE.rim_max, abs(v) + BASE.lever * abs(omega))  # it may exceed the limit initially
             assert abs(told.v) + BASE.lever * abs(told.omega) <= rims * (1 + 1e-6)
 
 

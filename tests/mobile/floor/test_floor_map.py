@@ -1,4 +1,4 @@
-"""Floor maps: files, hostile ones too, distances, slices of scenes, and scenes made of maps."""
+"""Floor maps: files, hostile files, distances, slices of scenes, and scenes made from maps."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_distances_are_those_to_the_nearest_square(outside, seed, share):
 
 
 def test_pixels_become_occupancy_as_map_server_says(tmp_path):
-    # Above, below and between the thresholds; 205 is unknown, for 50 / 255 = .1961 is above .196.
+    # Above, below and between the thresholds; 205 is unknown, since 50 / 255 = .1961 is above .196.
     file = written(tmp_path, [[0, 89, 90], [205, 206, 254]])
     floor = OccupancyGrid.from_map_server(file)
     assert floor.occupancy.tolist() == [[-1, 0, 0], [100, 100, -1]]
@@ -258,7 +258,7 @@ def test_a_turned_map_becomes_the_same_floor_as_a_scene():
     rng = np.random.default_rng(0)
     cells = rng.integers(0, [80, 60], (200, 2))
     q = np.column_stack([floor.centres(cells), np.zeros(200)])
-    # A base whose middle is on something, or which is far from everything.
+    # A base whose middle is on an obstacle, or far from everything.
     on = floor.occupied[cells[:, 1], cells[:, 0]]
     far = (floor.clearance(q[:, :2]) > 0.6) & (np.linalg.norm(q[:, :2] - (0, 3), axis=1) > 0.9)
     clearance = gp.clearance(q, scene)

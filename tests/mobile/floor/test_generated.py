@@ -1,4 +1,4 @@
-"""Floors by chance: the same for a seed, with a way between all rooms, and planned through."""
+"""Random floors: the same for a seed, connected, and suitable for planning."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def test_floor_plans_leave_a_way(seed):
     np.testing.assert_array_equal(one.floor.occupied, two.floor.occupied)
     np.testing.assert_array_equal(one.start, two.start)
     path = FloorGrid(floor=one.floor, radius=0.4).path(one.start[:2], one.goal[:2])
-    # People are in the way too, so that the way past them is no shorter.
+    # People block cells, too, so the path past them is no shorter.
     assert path.status is GridStatus.SOLVED and path.cost <= one.length + 1e-6
     assert {solid.entity for solid in one.floor.entities} <= {"adult", "child", "pet", "heirloom", "glass"}
     assert (gp.clearance(np.array([one.start, one.goal]), one.floor.to_scene()) > 0.05).all()

@@ -17,11 +17,11 @@ def planned(goal, scene=SCENE, start="west", **given):
 
 
 def test_a_base_drives_round_what_is_in_the_way():
-    result = planned("east", w=0.0)  # with a weight it is slow near the person
+    result = planned("east", w=0.0)  # with w > 0 it is slow near the person
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["rolling"].passed
     trajectory = result.trajectory
     np.testing.assert_allclose(trajectory.q[[0, -1]], [[-4, 0, 0], [4, 0, 0]], atol=1e-9)
-    # One smooth curve: it stops nowhere, and takes little longer than the straight line would.
+    # One smooth curve without stops, hardly slower than the straight line.
     speed = np.linalg.norm(trajectory.at(np.linspace(0.3, trajectory.duration - 0.3, 500)).qd[:, :2], axis=1)
     assert speed.min() > 0.3
     assert trajectory.duration < 1.15 * (8.0 / BASE.v_max + BASE.v_max / BASE.a_max)
@@ -93,7 +93,7 @@ def test_the_arm_goes_with_it():
 
 def test_slower_is_slower():
     full, half = (planned("east", w=0.0, speed=speed).trajectory.duration for speed in (1.0, 0.5))
-    assert 1.7 * full < half < 2.05 * full  # bends may be tighter where it is slower
+    assert 1.7 * full < half < 2.05 * full  # slower motions may turn tighter
 
 
 def test_other_planners_do_not_roll():

@@ -1,4 +1,4 @@
-"""Descents of curves that a base rolls along: exact derivatives, and ends that stay where they are."""
+"""Descents of curves along which a base rolls: exact derivatives, and fixed ends."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ PATH = np.array([[-4.0, -0.8, 0.0], [-1.0, -1.1, 0.0], [1.0, -1.1, 0.0], [4.0, -
 
 
 def descent(scene, w=0.0, path=PATH, controls=11, **kind):
-    """Return a descent from a path, the arm at rest but for its last vertex."""
+    """Return a descent from a path, with the arm at rest except at its last vertex."""
     nq = len(scene.joints)
     q = np.column_stack([path, np.zeros((len(path), nq - 3))])
     q[-1, 3:] = 0.4
@@ -95,7 +95,7 @@ def test_gaps_to_entities_that_move_are_told_at_the_times_of_the_motion():
     through = PATH.copy()
     through[1:-1, 1] = 0.0
     found, _ = descent(AMONG, path=through)
-    assert found.gap < 0.0  # she is in the middle when it gets there
+    assert found.gap < 0.0  # the pedestrian is in the middle when the base arrives
     found.run(80, np.inf)
     assert found.gap > 0.0
     alone, _ = descent(HALL)

@@ -1,4 +1,4 @@
-"""Ways over the floor, routes along them, and postures to begin with."""
+"""Homotopy classes on the floor, routes along them, and initial postures."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""OMPL's planners over poses: what they return rolls, is free, gets better and repeats itself."""
+"""OMPL's planners over poses: their paths roll, are free, improve, and repeat for a seed."""
 
 from dataclasses import replace
 

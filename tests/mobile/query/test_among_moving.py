@@ -9,7 +9,7 @@ SCENE = hall(extra="").edit(remove=["person", "pillar"])
 CROSSING = gp.MovingEntity(
     "ann", "adult", size=[0.25, 0.85], t=[0.0, 4.0], position=[[0.0, -1.6, 0.85], [0.0, 1.6, 0.85]], spread=0.05
 )
-"""Who is in the middle of the hall when a base that drives straight on at once gets there."""
+"""A pedestrian who is in the middle of the hall when a base that starts at once gets there."""
 
 
 def planned(scene, **given):
@@ -40,7 +40,7 @@ def test_nobody_is_driven_into_and_harm_is_less_than_without_regard_for_time():
 @pytest.mark.long
 def test_who_is_far_away_changes_nothing_and_w_of_0_still_drives_into_nobody():
     far = gp.MovingEntity("ann", "adult", size=[0.25, 0.85], t=[0.0], position=[[30.0, 30.0, 0.85]])
-    # Searches share 300 iterations in other ways, and one of them looks at cells: the motion may be a little better.
+    # Searches divide the 300 iterations differently, and one uses cells, so the motion may be slightly better.
     alone, haunted = planned(SCENE), planned(SCENE.with_moving(far))
     assert haunted.trajectory.duration == pytest.approx(alone.trajectory.duration, rel=0.02)
     assert haunted.cost.total <= 1.01 * alone.cost.total

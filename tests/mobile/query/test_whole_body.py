@@ -1,4 +1,4 @@
-"""Poses of a tool with the base free: reached, free, nearest first; through the front door too."""
+"""Tool poses with a free base: reached, free, the nearest first, also through the front door."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_arms_go_round_what_is_between():
     held = SceneConstraints(scene, [])
     assert gp.clearance(np.stack([above, below]), scene).min() > 0.002
     ends = find_endpoints(start, below, held, np.random.default_rng(0))
-    # With one joint there is no way round; the goal stays as it is.
+    # With one joint there is no detour, so the goal stays.
     assert len(with_arm_detours(ends).arrivals) == 1
 
 
@@ -113,14 +113,14 @@ def test_ways_round_a_corner_are_free_where_the_straight_one_is_not():
 
 
 def test_who_stops_the_search_late_does_not_wait_for_all_of_the_time():
-    """Motions near a path took half a minute of this minute; now as long as its search."""
+    """Motions near a path used to take half a minute of this minute; now they take as long as the search."""
     q = np.array([3.6, 1.82, -1.06, 0.18, -1.44, 0.54, -0.81, 0.39, -0.42, 1.7, -2.92])
 
     def stops(_: object) -> bool:
-        time.sleep(0.15)  # a motion soon is for who stops earlier
+        time.sleep(0.15)  # earlier stops end with a quick motion
         return True
 
-    gp.plan(READY, READY, KITCHEN, iterations=1)  # compiles
+    gp.plan(READY, READY, KITCHEN, iterations=1)  # compile the scene
     result = gp.plan(READY, gp.PoseGoal.from_tool(q, KITCHEN), KITCHEN, time_limit=60.0, callback=stops)
     assert result.status is gp.PlanStatus.SOLVED
     assert result.stats["total_time"] < 15.0
@@ -131,5 +131,5 @@ def test_the_first_motion_ends_the_call_of_a_base():
     told = []
     goal = gp.PoseGoal.from_tool(q, KITCHEN)
     result = gp.plan(READY, goal, KITCHEN, time_limit=60.0, stop="first", callback=told.append)
-    assert result.status is gp.PlanStatus.SOLVED and len(told) == 2  # the path, and the motion
+    assert result.status is gp.PlanStatus.SOLVED and len(told) == 2  # path and motion
     assert result.stats["total_time"] < 15.0

@@ -1,4 +1,4 @@
-"""Plans among those who move: timed costs, waiting, what is refused."""
+"""Plans among moving entities: timed costs, waiting, refused arguments."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def still(task):
 
 
 def passer(trajectory, scene, share, **more):
-    """Somebody who walks through the place of the object, just when it is there and a little later."""
+    """Return a pedestrian who walks through the object's place when it is there and slightly later."""
     t = float(trajectory.t[0] + share * trajectory.duration)
     x, y, _ = scene.data_at(trajectory.at(np.array(t)).q).site(scene.tool).xpos
     times, offset = t + 0.35 + np.array([-2.0, 2.0]), np.array([-2.4, 2.4])
@@ -34,7 +34,7 @@ def crossing(task, still):
     return task.scene.with_moving(passer(still.trajectory, task.scene, 0.5))
 
 
-# --- costs at their times ---------------------------------------------------------------------------------------------
+# --- costs over time --------------------------------------------------------------------------------------------------
 
 
 def test_a_trajectory_meets_them_at_its_times(still, crossing):

@@ -1,4 +1,4 @@
-"""Motions for cheaper objectives compete with, and begin, those for costly ones."""
+"""Motions for simpler objectives compete with motions for the full one, and are their initial guesses."""
 
 from __future__ import annotations
 

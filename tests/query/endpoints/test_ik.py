@@ -1,4 +1,4 @@
-"""Inverse kinematics: what it returns reaches the pose inside the limits; unreachable poses are told as such."""
+"""Inverse kinematics: solutions reach the pose within the limits; unreachable poses are reported."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_colliding_solutions_are_dropped_and_counted(scene: Scene, start: np.nda
 def test_mink_is_asked_only_where_no_seed_arrives(
     scene: Scene, start: np.ndarray, free_yaw: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every solution of the core is as exact as doubles allow."""
+    """Every solution of the core is exact to double precision."""
     asked, solve = [], mink.solve_ik
 
     def spy(*args: Any, **settings: Any) -> np.ndarray:
@@ -124,7 +124,7 @@ def test_what_reaches_the_pose_is_not_moved(scene: Scene, start: np.ndarray) -> 
 
 
 def test_mink_reaches_poses_within_limits(scene: Scene) -> None:
-    """Where the search brought nothing near: from seeds near a configuration mink comes back to its pose."""
+    """The fallback for failed searches: from seeds near a configuration, mink returns to its pose."""
     rng = np.random.default_rng(0)
     reached = 0
     lower, upper = scene.limits.position.T

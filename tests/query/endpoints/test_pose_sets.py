@@ -1,4 +1,4 @@
-"""Many poses at once: whatever is returned reaches its pose and is free, and one that can be reached is found."""
+"""Many poses at once: every solution reaches its pose and is free, and reachable poses are found."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def _error(goal: PoseGoal, q: np.ndarray, scene: Scene) -> tuple[float, float]:
 
 
 def _around(scene: Scene, start: np.ndarray, n: int, **given: bool) -> list[PoseGoal]:
-    """Return poses about where the tool is: some are in the table, some out of reach."""
+    """Return poses around the tool: some are in the table, some out of reach."""
     rng, tip = np.random.default_rng(0), PoseGoal.from_tool(start, scene).X_WT[:3, 3]
     return [
         PoseGoal.at(tip + rng.normal(0.0, 0.3, 3), np.array([0.0, 1.0, 0.0, 0.0]) + rng.normal(0.0, 0.3, 4), **given)
@@ -85,7 +85,7 @@ def test_the_one_that_can_be_reached_is_found_among_those_inside_of_the_table(sc
     assert set(resolve_goal(goals, scene, start).index) == {217}
     result = gp.plan(start, goals, scene, w=0.0, iterations=50)
     assert (result.status, result.goal_index) == (gp.PlanStatus.SOLVED, 217)
-    # Where none was reached together, each is looked at, and what is wrong is told of each.
+    # If the batch reached no pose, each is tried singly and reported with its reason.
     nothing = resolve_goal(goals[:9], scene, start)
     assert not nothing.index and len(nothing.problems) == 9
 

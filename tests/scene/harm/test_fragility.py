@@ -89,4 +89,4 @@ def test_contents_do_not_ask_for_energy() -> None:
     table = FragilityTable({"laptop": Fragility(2.0, 0.3, 0.7)}, Fragility(1.0, 1.0, 0.7))
     assert table.probability("laptop", "contents", 0.0) == 0.3
     assert table.probability("laptop", "carried", 2.0) == pytest.approx(0.5)
-    assert table.probability("vase", "body", 1.0) == pytest.approx(0.5)  # a class that is not listed
+    assert table.probability("vase", "body", 1.0) == pytest.approx(0.5)  # an unlisted class

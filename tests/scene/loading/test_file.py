@@ -164,7 +164,7 @@ def test_a_robot_of_ones_own(tmp_path: Path) -> None:
     assert (renamed.joints, renamed.limits.velocity.tolist()) == (("c_j",), [1.0])
 
 
-_BROKEN = {  # what to replace, by what, where the complaint points, its words
+_BROKEN = {  # text to replace, its replacement, place and words of the error
     "version": ("version: 1", "version: 2", "only version 1 of scene files is known"),
     "unknown key": ("fingers: 0.04", "finger: 0.04", "unknown key 'finger'.*valid: version, name, .*fingers"),
     "unknown key deep down": ("class: heirloom,", "klass: heirloom,", "unknown key 'klass'.*valid: class, severity"),
@@ -242,7 +242,7 @@ def test_broken_files_end_in_a_scene_error_with_a_line(case: str, tmp_path: Path
         read_scene(file)
     assert caught.value.file == str(file)
     wrong = 1 + _SCENE[: _SCENE.index(old)].count("\n")
-    # The line itself, or the head of the block that it is in; of the file, if a key is missing.
+    # The line itself, or the head of its block; the file's, if a key is missing.
     block = max(n for n, line in enumerate(_SCENE.splitlines(), start=1) if n <= wrong and line[:1] not in " #")
     assert caught.value.line in ({1} if "needs the key 'world'" in words else set(range(block, wrong + 1)))
 

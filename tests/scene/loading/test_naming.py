@@ -1,4 +1,4 @@
-"""What cannot be a name is refused before MuJoCo sees it: it crashes on None, and ends a text at its first null."""
+"""Invalid names are refused before MuJoCo, which crashes on None and cuts a text at its first null character."""
 
 import subprocess
 import sys
@@ -111,6 +111,6 @@ for name, call in calls.items():
 
 
 def test_arguments_of_other_types_are_refused_by_name():
-    """In a process of its own: in this one types are checked before any function sees them, and None used to crash."""
+    """Run in a separate process without type checks: None used to crash there."""
     run = subprocess.run([sys.executable, "-c", ODD], capture_output=True, text=True, check=False, timeout=300)
     assert (run.returncode, run.stdout, run.stderr[-2000:]) == (0, "", "")

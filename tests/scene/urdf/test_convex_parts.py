@@ -1,4 +1,4 @@
-"""Meshes that their hulls do not fit are divided: the bend of an angle is free, and none of its surface is left out."""
+"""Meshes that differ from their hulls are decomposed: a concave corner is free, and the surface is covered."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def box(low: list[float], high: list[float]) -> Array:
 
 
 def angle() -> Array:
-    """Two legs of 0.4 m, 4 cm thick, one solid."""
+    """Return two legs of 0.4 m, 4 cm thick, as one solid."""
     outline = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.04], [0.04, 0.04], [0.04, 0.4], [0.0, 0.4]])
     low, high = (np.column_stack([outline, np.full(6, z)]) for z in (-0.02, 0.02))
     top = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
@@ -51,7 +51,7 @@ def angle() -> Array:
 
 
 def outside(parts: list[Array], points: Array) -> Array:
-    """Return how far points are outside of the hulls of parts."""
+    """Return the distance of points outside the hulls of parts."""
     spatial = pytest.importorskip("scipy.spatial")
     hulls = [spatial.ConvexHull(part).equations for part in parts]
     return np.min([(points @ planes[:, :3].T + planes[:, 3]).max(axis=1) for planes in hulls], axis=0)

@@ -1,4 +1,4 @@
-"""Robots from URDF: limits, meshes, frames, grippers, what may touch, and that motions are planned with them."""
+"""Robots from URDF: limits, meshes, frames, grippers, allowed contacts, and planned motions."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def test_packages_are_not_left(tmp_path: Path) -> None:
 
 
 def test_collada_needs_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with suppress(ImportError):  # it looks for the other one when it is imported, and never again
+    with suppress(ImportError):  # trimesh looks for the library only on its first import
         importlib.import_module("trimesh.exchange.load")
     file = tmp_path / "a.dae"
     file.write_text("<COLLADA/>")
