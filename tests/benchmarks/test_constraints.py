@@ -120,8 +120,8 @@ def test_ompl_gets_the_same_problem():
 def test_spilling_motions_are_reported():
     asked = upright.question("table_pick/0")
     lying = asked.start + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
-    told = upright.objection(replace(asked, start=lying))
-    assert told.startswith("start: Upright")
+    reason = upright.objection(replace(asked, start=lying))
+    assert reason.startswith("start: Upright")
 
 
 def test_only_missing_jobs_are_done_and_reported(tmp_path, monkeypatch):
