@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import asdict, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -64,8 +65,9 @@ def test_ends_are_free_and_keep_all_of_the_contents(name):
     assert gp.KeepContents().rule(task.scene).vessel.axis[2] == pytest.approx(1.0)
 
 
-def test_a_path_that_keeps_the_contents_exists():
+def test_a_path_that_keeps_the_contents_exists(monkeypatch):
     assert set(TASKS) == set(FILLS)
+    monkeypatch.setattr(gp, "plan", partial(gp.plan, iterations=200))  # the machine may be busy
     kept = contents.examine(JOB)
     assert kept.status == "SOLVED" and kept.lost <= constraints.LOST and kept.swung <= constraints.LOST
 
