@@ -20,7 +20,7 @@ import numpy as np
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.arrays import ImpactArrays, RobotArrays, WorldArrays
 from graceful_plan.core.covers import GroupCover, geom_name, group_cover
-from graceful_plan.core.frames import Frames, moving_frames, pose_matrix, reference_data
+from graceful_plan.core.frames import MovingFrames, moving_frames, pose_matrix, reference_data
 from graceful_plan.core.kernels import CAPACITY, Kernels
 from graceful_plan.core.link_groups import LinkGroup, link_groups, overlapping_geoms, overlaps, touchable_geoms
 from graceful_plan.core.obstacles import Obstacles, find_obstacles, world_arrays
@@ -142,7 +142,7 @@ def _check_capacity(
 def _robot_arrays(
     scene: Scene,
     data: mujoco.MjData,
-    frames: Frames,
+    frames: MovingFrames,
     groups: list[LinkGroup],
 ) -> RobotArrays:
     n_frame = len(frames.parent)
@@ -188,7 +188,9 @@ def _robot_arrays(
     return arrays
 
 
-def _covers(model: mujoco.MjModel, data: mujoco.MjData, frames: Frames, groups: list[LinkGroup]) -> list[GroupCover]:
+def _covers(
+    model: mujoco.MjModel, data: mujoco.MjData, frames: MovingFrames, groups: list[LinkGroup]
+) -> list[GroupCover]:
     """Cover all links by spheres, with the smallest protrusion at which the kernels can hold them."""
     X_LG = [
         np.stack(
@@ -245,7 +247,7 @@ def _blocked(scene: Scene, data: mujoco.MjData, parts: _RobotParts) -> Int[Array
     return np.repeat(np.array(links, dtype=int)[:, None], 2, axis=1)
 
 
-def _impact_arrays(scene: Scene, data: mujoco.MjData, frames: Frames) -> ImpactArrays:
+def _impact_arrays(scene: Scene, data: mujoco.MjData, frames: MovingFrames) -> ImpactArrays:
     model = scene.model
     parts = [(r, geom) for r, component in enumerate(scene.components.values()) for geom in component.geoms]
     boxes = []

@@ -16,7 +16,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frames:
+class MovingFrames:
     """Moving frames: 0 is the base, k + 1 belongs to planned joint k."""
 
     parent: list[int]
@@ -47,7 +47,7 @@ def pose_matrix(rotation: Array, position: Array) -> Float[Array, "4 4"]:
     return X
 
 
-def moving_frames(scene: Scene, data: mujoco.MjData) -> Frames:
+def moving_frames(scene: Scene, data: mujoco.MjData) -> MovingFrames:
     """Return the frames of a scene at the reference configuration; the carried object is on the tool's."""
     model = scene.model
     joint_ids = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in scene.qpos_adr]
@@ -67,7 +67,7 @@ def moving_frames(scene: Scene, data: mujoco.MjData) -> Frames:
         for body in range(model.nbody):
             if _is_below(model, body, root):
                 of_body[body] = of_body[tool_body]
-    return Frames(parent=parent, X_W=np.stack(X_W), reference=model.qpos0[scene.qpos_adr].copy(), of_body=of_body)
+    return MovingFrames(parent=parent, X_W=np.stack(X_W), reference=model.qpos0[scene.qpos_adr].copy(), of_body=of_body)
 
 
 def _is_below(model: mujoco.MjModel, body: int, root: int) -> bool:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Int
-from graceful_plan.core.frames import Frames, moving_frames, reference_data
+from graceful_plan.core.frames import MovingFrames, moving_frames, reference_data
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -24,7 +24,7 @@ class LinkGroup:
     partners: frozenset[int]
 
 
-def link_groups(scene: Scene, frames: Frames) -> list[LinkGroup]:
+def link_groups(scene: Scene, frames: MovingFrames) -> list[LinkGroup]:
     """Group the geoms of robot and carried object that may touch anything, in the order of their frames."""
     moving = {geom for name in ("body", "carried") if name in scene.components for geom in scene.components[name].geoms}
     bodies = np.asarray(scene.model.geom_bodyid)
