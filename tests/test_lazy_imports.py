@@ -23,7 +23,7 @@ def fresh(code):
 
 
 @names
-def test_every_name_is_what_its_module_calls_so(package):
+def test_every_name_is_that_of_its_module(package):
     for name in package.__all__:
         value = getattr(package, name)
         home = importlib.import_module(package._homes[name])
@@ -31,7 +31,7 @@ def test_every_name_is_what_its_module_calls_so(package):
 
 
 @names
-def test_it_lists_its_names_and_knows_no_others(package):
+def test_packages_list_exactly_their_names(package):
     assert set(package.__all__) <= set(dir(package))
     assert not hasattr(package, "plam")
     with pytest.raises(AttributeError, match=f"'{package.__name__}'.*'plam'") as caught:
@@ -48,12 +48,12 @@ def test_the_module_plan_never_hides_the_function(first):
 
 
 @pytest.mark.parametrize("module", ["graceful_plan", "failbench", "graceful_plan.tools.cli", "failbench.cli"])
-def test_importing_imports_nothing_that_takes_time(module):
+def test_importing_needs_no_slow_imports(module):
     assert fresh(f"import sys, {module}\nprint(*{{'numpy', 'mujoco', 'yaml'}} & set(sys.modules))") == []
 
 
 @pytest.mark.parametrize("program", ["graceful_plan.tools", "failbench"])
-def test_the_version_is_said_without_anything_that_takes_time(program):
+def test_the_version_needs_no_slow_imports(program):
     code = f"""
 import sys
 from {program}.cli import main
@@ -65,13 +65,13 @@ except SystemExit as end:
     assert fresh(code) == [gp.__version__, "0"]
 
 
-def test_what_planning_needs_is_not_all_there_is():
+def test_planning_imports_only_what_it_needs():
     code = "import sys, graceful_plan as gp\ngp.plan, gp.load_scene\nprint(*sys.modules)"
     rooms = {name.split(".")[1] for name in fresh(code) if name.startswith("graceful_plan.")}
     assert "query" in rooms and not rooms & {"compare", "roadmap", "testing", "tools", "tuning", "viewer", "viz"}
 
 
-def test_other_packages_can_do_the_same(tmp_path, monkeypatch):
+def test_other_packages_can_use_lazy_imports(tmp_path, monkeypatch):
     folder = tmp_path / "lazy_one"
     folder.mkdir()
     (folder / "__init__.py").write_text("from graceful_plan import lazy_imports\nlazy_imports.install(__name__)\n")

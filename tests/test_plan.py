@@ -31,7 +31,7 @@ def _quick(task, **settings):
 # --- results ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_solved_plan_is_what_it_says(task):
+def test_a_solved_plan_keeps_its_promises(task):
     result = _quick(task, w=1.0)
     assert result.status is gp.PlanStatus.SOLVED
     trajectory = result.unwrap()
@@ -43,7 +43,7 @@ def test_a_solved_plan_is_what_it_says(task):
     assert trajectory.joints == task.scene.joints
 
 
-def test_compiling_is_told_of_where_it_takes_much_of_the_time(task, monkeypatch):
+def test_long_compile_times_are_reported(task, monkeypatch):
     # The bundled scenes compile within milliseconds.
     monkeypatch.setattr(sys.modules["graceful_plan.plan"], "_COMPILED_SOON", 0.0)
     told = gp.plan(task.start, task.goal, task.scene.edit(move={}), time_limit=1e-6)
@@ -101,7 +101,7 @@ def test_a_time_limit_besides_iterations_only_ends_them_early(task):
     assert ended.status is not gp.PlanStatus.SOLVED or ended.stats["iterations"] < 10**9
 
 
-def test_iterations_make_what_is_seen_on_the_way_reproducible(task):
+def test_iterations_make_intermediate_results_reproducible(task):
     first, second = (_quick(task, iterations=400, seed=4) for _ in range(2))
     assert len(first.trace) > 1
     assert [point.total for point in first.trace] == [point.total for point in second.trace]

@@ -99,7 +99,7 @@ def test_at_rest_the_load_is_weight(name):
 
 
 @pytest.mark.parametrize("name", ["serve_tea", "put_book_away"])
-def test_the_cones_of_the_core_say_what_the_residual_says(name):
+def test_cones_of_the_core_equal_the_residual(name):
     scene = task_of(name).scene
     holds = gp.GraspHolds(force=20.0, share=1.0)
     q = np.random.default_rng(0).uniform(*scene.limits.position.T, size=(400, 7))
@@ -126,7 +126,7 @@ def test_a_weaker_grasp_never_makes_a_motion_faster(name):
 
 
 @pytest.mark.parametrize("name", ["serve_tea", "serve_cake"])
-def test_gradients_of_descents_are_those_of_finite_differences(name):
+def test_gradients_of_descents_equal_finite_differences(name):
     task = task_of(name)
     objective = Objective(w=0.0).bind(task.scene, search_paces())
     felt = SceneConstraints(task.scene, [gp.GraspHolds(force=60.0)]).felt
@@ -175,7 +175,7 @@ def test_an_end_that_needs_more_gets_more():
     assert execute(result, build_world(task.scene)).healthy.harmless
 
 
-def test_descents_leave_to_timing_what_is_hardly_ever_felt():
+def test_descents_leave_rare_loads_to_timing():
     mug = SceneConstraints(gp.load_scene("desk").tasks["bring_coffee"].scene, [gp.GraspHolds()])
     assert mug.felt and not mug.penalised
     bottle = SceneConstraints(task_of("pass_bottle").scene, [gp.GraspHolds()])
@@ -189,7 +189,7 @@ def test_a_grasp_goes_without_saying_only_where_it_holds_at_home():
         assert default_constraints(_pressing(force)) == asked
 
 
-def test_a_grasp_that_does_not_hold_at_home_is_told():
+def test_a_grasp_that_does_not_hold_at_home_is_reported():
     task = task_of("serve_stew")
     weak = gp.plan(task.start, task.goal, _pressing(20.0), stop="first")
     assert "fingers" in weak.detail and "pan" in weak.detail
@@ -216,14 +216,14 @@ def _pressing(force):
     )
 
 
-def test_what_cannot_even_rest_says_by_how_much():
+def test_an_object_too_heavy_at_rest_is_reported_with_its_excess():
     task = task_of("serve_stew")
     result = gp.plan(task.start, task.goal, task.scene, constraints=[gp.GraspHolds(force=30.0)])
     assert result.status is gp.PlanStatus.INVALID_START
     assert "2.04" in result.detail and "0.95" in result.detail
 
 
-def test_fingers_lose_what_is_carried_too_fast_and_keep_it_inside_the_limit():
+def test_fingers_lose_the_object_above_the_limit_and_keep_it_below():
     task = task_of("pass_bottle")
     world = build_world(task.scene, SimSettings(grasp="fingers"))
     path = gp.Path(np.vstack([task.start, np.atleast_2d(task.goal)[0]]))
@@ -291,7 +291,7 @@ def _pulled(world, held, scene, direction, load_of):
     return np.array(found).T
 
 
-def test_model_says_how_it_holds():
+def test_the_grip_comes_from_model_and_settings():
     grip = find_grip(task_of("serve_tea").scene)
     assert grip.force == pytest.approx(70.0) and grip.friction == 1.0
     assert np.allclose(grip.axes @ grip.axes.T, np.eye(3))

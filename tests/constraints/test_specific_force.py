@@ -60,7 +60,7 @@ def held(task: gp.Task, spline: Spline, *felt: Felt, speed: float = 1.0) -> gp.T
     return timed(spline, scene.limits, scene.joints, speed=speed, felt=level(task, *felt))
 
 
-def test_derivatives_of_a_point_are_those_of_differences(coffee: gp.Task) -> None:
+def test_derivatives_of_a_point_equal_differences(coffee: gp.Task) -> None:
     kernels, cone = compile_scene(coffee.scene).kernels, cone_of(coffee, 0.5)
     spline, h = curve(coffee), 1e-4
     u = np.linspace(0.5, 4.5, 9)
@@ -80,7 +80,7 @@ def test_derivatives_of_a_point_are_those_of_differences(coffee: gp.Task) -> Non
     np.testing.assert_allclose((first, second), twin, atol=1e-12)
 
 
-def test_what_does_not_hold_at_rest_is_said(coffee: gp.Task) -> None:
+def test_limits_violated_at_rest_are_reported(coffee: gp.Task) -> None:
     kernels, cone = compile_scene(coffee.scene).kernels, cone_of(coffee, 0.5)
     grid = curve(coffee, 3.0).grid(1)
     tilt = np.arccos(np.clip((kernels.link_poses(grid.q)[:, cone.link, :3, :3] @ cone.axis)[:, 2], -1.0, 1.0))
@@ -117,7 +117,7 @@ def test_timing_in_the_core_is_timing_within_all_rows(seed: int, angle: float, s
     np.testing.assert_allclose(held(task, spline, *carried, speed=speed).t, twin.t, rtol=1e-9)
 
 
-def test_timed_motions_feel_what_they_may(coffee: gp.Task) -> None:
+def test_timed_motions_keep_the_specific_force_in_its_cone(coffee: gp.Task) -> None:
     """The angle between vessel and specific force, by differences of positions."""
     scene, cone = coffee.scene, cone_of(coffee, 0.25)
     spline = curve(coffee)
@@ -127,7 +127,7 @@ def test_timed_motions_feel_what_they_may(coffee: gp.Task) -> None:
     assert specific_force_angle(trajectory, cone, coffee) < 0.26 < specific_force_angle(free, cone, coffee)
 
 
-def test_what_is_carried_is_never_near_free_fall(coffee: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_object_is_never_near_free_fall(coffee: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
     """A vertical motion with an increased limit: near free fall the direction of the specific force is undefined."""
     assert cone_of(coffee, 0.6).room[-1] == pytest.approx(-0.5 * cone_of(coffee, 0.6).gravity)
     monkeypatch.setattr(specific_force, "_LIGHTEST", 0.75)
@@ -141,7 +141,7 @@ def test_what_is_carried_is_never_near_free_fall(coffee: gp.Task, monkeypatch: p
     assert felt_along(free, cone, coffee).min() < 0.95 * least < 0.99 * least <= felt_along(gentle, cone, coffee).min()
 
 
-def test_what_is_nearly_full_is_hardly_heaved(coffee: gp.Task) -> None:
+def test_a_nearly_full_vessel_is_lifted_gently(coffee: gp.Task) -> None:
     """The ratio of lateral to axial acceleration is limited, too, except at rest."""
     assert coffee.object_name is not None and coffee.scene.contents is not None
     vessel, heaves = find_vessel(coffee.scene), []
@@ -170,7 +170,7 @@ def test_motions_are_slowed_down_until_the_surface_stays_below_the_rim(coffee: g
         assert factor > 1.05 and stays(1.02 * factor) and not stays(factor / 1.03)
 
 
-def test_no_level_alone_is_faster_than_what_is_chosen_among_them(coffee: gp.Task) -> None:
+def test_the_chosen_level_is_the_fastest(coffee: gp.Task) -> None:
     scene, chosen = coffee.scene, set()
 
     def duration(spline: Spline, felt: SpecificForceLevels) -> float:
@@ -218,7 +218,7 @@ def test_tightening_never_makes_a_motion_faster(angle: float, wider: float, seed
 
 
 @pytest.mark.parametrize("sloshing", [False, True])
-def test_gradients_of_descents_know_what_is_felt(coffee: gp.Task, sloshing: bool) -> None:
+def test_gradients_of_descents_include_specific_force(coffee: gp.Task, sloshing: bool) -> None:
     """Compare their share of J, as the difference to a descent without them, with finite differences."""
     scene = coffee.scene
     objective = Objective(w=0.0).bind(scene, search_paces())
@@ -260,7 +260,7 @@ def test_gradients_of_descents_know_what_is_felt(coffee: gp.Task, sloshing: bool
         assert wide.energy(x)[0] == pytest.approx(without.energy(x)[0], abs=1e-12)
 
 
-def test_a_pendulum_swings_with_its_frequency_and_loses_what_its_damping_says() -> None:
+def test_a_pendulum_has_its_frequency_and_damping() -> None:
     slosh = Slosh(frequency=20.0, damping=0.02, length=G / 400.0)
     dt, n = 0.001, 4000
     felt = np.tile([0.0, 0.0, G], (n, 1))

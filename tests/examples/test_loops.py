@@ -38,7 +38,7 @@ def arm(monkeypatch, tmp_path):
     return arm
 
 
-def test_every_sample_is_sent_and_the_arm_is_told_to_stop(arm):
+def test_every_sample_is_sent_and_the_arm_stops(arm):
     exec(compile(LOOP, "robot-loops.md", "exec"), {})
     *sent, last = arm.calls
     assert (len(sent), last) == (101, "stop")

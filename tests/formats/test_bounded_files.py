@@ -77,7 +77,7 @@ def test_a_table_of_equal_rows_is_refused_by_their_number(tmp_path: Path, monkey
         gp.Trajectory.from_parquet(content)
 
 
-def test_a_part_of_a_dataset_has_as_many_rows_as_its_manifest_says(tmp_path: Path) -> None:
+def test_part_files_must_have_the_row_count_of_the_manifest(tmp_path: Path) -> None:
     pa = pytest.importorskip("pyarrow")
     pq = pytest.importorskip("pyarrow.parquet")
     file = tmp_path / "rollouts" / "part-00000.parquet"

@@ -11,7 +11,7 @@ from places import ROOT
 
 
 @pytest.mark.long
-def test_public_functions_refuse_what_makes_no_sense(tmp_path: Path) -> None:
+def test_public_functions_refuse_invalid_arguments(tmp_path: Path) -> None:
     """Run it in a separate process, without the type checks that tests add."""
     command = [sys.executable, str(ROOT / ".ci" / "fuzz_calls.py")]
     run = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, cwd=tmp_path)

@@ -105,7 +105,7 @@ def _with(document: Any, place: tuple[Any, ...], value: Any) -> Any:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", _READERS)
-def test_what_once_broke_a_reader_does_not_break_any(name: str, tmp_path: Path) -> None:
+def test_values_that_broke_a_reader_break_none(name: str, tmp_path: Path) -> None:
     document, read = _READERS[name]
     file = tmp_path / ("motion.yaml" if name == "ROS" else "document.json")
     file.write_text(json.dumps(document))

@@ -115,7 +115,7 @@ def test_every_reader_refuses_it_by_name(name: str, kind: str, tmp_path: Path) -
         '<asset><hfield name="h" file="part" size="1 1 1 1"/></asset>',
     ],
 )
-def test_what_a_scene_names_is_as_well(tag: str, kind: str, tmp_path: Path) -> None:
+def test_files_named_by_a_scene_are_refused_too(tag: str, kind: str, tmp_path: Path) -> None:
     _make(kind, tmp_path / "part")
     (tmp_path / "scene.xml").write_text(f"<mujoco>{tag}</mujoco>")
     with pytest.raises(SceneError):
@@ -143,7 +143,7 @@ def test_the_picture_of_a_map_is_as_well(name: str, kind: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_what_stands_where_folders_have_their_files_is_as_well(kind: str, tmp_path: Path) -> None:
+def test_files_in_folders_are_refused_too(kind: str, tmp_path: Path) -> None:
     for name in ("manifest.json", "journal.sqlite", "journal.jsonl", "t.json", "scene0001.yaml", "request0001.yaml"):
         folder = tmp_path / name.replace(".", "_")
         folder.mkdir()
@@ -183,7 +183,7 @@ def test_the_cache_does_without(kind: str, tmp_path: Path, monkeypatch: pytest.M
         ("bench", "--known", "FILE.yaml"),
     ],
 )
-def test_the_command_line_says_so(argv: tuple[str, ...], kind: str, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_the_command_line_refuses_them(argv: tuple[str, ...], kind: str, tmp_path: Path, capsys, monkeypatch) -> None:
     if kind == "folder" and argv[0] in ("bench", "view"):
         return  # these commands accept folders
     monkeypatch.chdir(tmp_path)
@@ -194,7 +194,7 @@ def test_the_command_line_says_so(argv: tuple[str, ...], kind: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder"])
-def test_failbench_says_so(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failbench_refuses_them(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = _make(kind, tmp_path / "x.json")
     for argv in (
         ("run", "tabletop/lift_to_goal/gripper_failure/severe", "--trajectory", str(file)),

@@ -72,7 +72,7 @@ def _motions(scene: Scene, count: int) -> list[Trajectory]:
     return [retime(Path(ends), scene.limits, scene.joints) for ends in q]
 
 
-def test_verdicts_are_those_of_exact_geometry_everywhere(task) -> None:
+def test_verdicts_equal_those_of_exact_geometry(task) -> None:
     scene = task.scene
     clearance = compile_scene(scene).proof.clearance
     refused = 0
@@ -120,7 +120,7 @@ def test_a_wrong_proof_is_found_out_and_no_longer_believed(task, caplog: pytest.
     assert not samples.proved.any() and "wrong" in caplog.text
 
 
-def test_a_joint_that_turns_round_beyond_its_limit_between_two_samples_is_found(task) -> None:
+def test_a_limit_exceeded_between_two_samples_is_found(task) -> None:
     scene = task.scene
     q = np.repeat(task.start[None], 2, axis=0)
     upper = scene.limits.position[0, 1]
@@ -136,7 +136,7 @@ def test_a_joint_that_turns_round_beyond_its_limit_between_two_samples_is_found(
     assert verify(inside, scene).checks["position_limits"].passed
 
 
-def test_plan_looks_as_closely_as_asked(task) -> None:
+def test_plan_verifies_with_the_given_resolution(task) -> None:
     def judged(verification: VerificationSettings | None) -> str:
         result = plan(task.start, task.goal, task.scene, w=0.0, iterations=50, verification=verification)
         assert result.status is PlanStatus.SOLVED and result.verdict is not None

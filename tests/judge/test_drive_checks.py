@@ -69,6 +69,6 @@ def test_paths_roll_or_turn_in_place():
     assert "rolling" in gp.verify(gp.Path(west + np.array([[0, 0, 0], [1, 0, 1]])), SCENE).failures
 
 
-def test_what_moves_in_all_directions_is_not_asked():
+def test_holonomic_bases_are_not_checked():
     free = hall(None)
     assert "rolling" not in gp.verify(motion((0.0, 0.2), start=(-4.0, 0.5)), free).checks

@@ -113,7 +113,7 @@ def _check(scene: Scene, n: int = 5) -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_poses_are_those_of_mujoco_with_empty_hands_and_with_what_the_tasks_carry(name: str) -> None:
+def test_poses_equal_those_of_mujoco_with_and_without_objects(name: str) -> None:
     scene = gp.load_scene(name)
     held = {task.object_name: task.scene for task in scene.tasks.values() if task.object_name is not None}
     for one in [scene, *held.values()]:

@@ -99,7 +99,7 @@ def test_order_counts(gantry):
     assert check.worst == pytest.approx(0.5 / NEAR, rel=1e-3) and check.first == pytest.approx(0.7, abs=1e-3)
 
 
-def test_what_is_passed_twice_is_passed_the_first_time_that_is_left(gantry):
+def test_a_pose_passed_twice_counts_at_its_first_remaining_time(gantry):
     motion, x = out_and_back(gantry), np.array([0.3, 0.0, 0.0])
     (first,) = passing(motion, [x], gantry)[1]
     assert first < 1.0 < motion.duration - first

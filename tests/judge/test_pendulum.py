@@ -37,7 +37,7 @@ def _twin(felt: Array, dt: float, length: float, drag: float) -> Array:
 
 
 @pytest.mark.parametrize(("length", "drag"), [(0.02, 0.4), (0.05, 0.0), (0.006, 2.0)])
-def test_it_swings_as_its_twin_in_python(length: float, drag: float) -> None:
+def test_the_pendulum_equals_its_python_twin(length: float, drag: float) -> None:
     felt = _felt(60, 0.004)
     found = _pendulum.swung(felt, dt=0.004, length=length, drag=drag)
     np.testing.assert_allclose(found, _twin(felt, 0.004, length, drag), atol=3e-5)
@@ -60,7 +60,7 @@ def test_small_swings_have_the_frequency_and_the_decay_of_a_damped_oscillator() 
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-12)
 
 
-def test_without_drag_a_great_swing_keeps_its_energy() -> None:
+def test_without_drag_a_large_swing_keeps_its_energy() -> None:
     felt = np.tile([0.0, 0.0, G], (4000, 1))
     felt[0] = [G, 0.0, 0.01]
     up = _pendulum.swung(felt, dt=0.002, length=0.02, drag=0.0)[:, 2]

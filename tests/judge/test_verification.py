@@ -155,7 +155,7 @@ def test_collision_distance_is_that_of_mujoco(scene: Scene) -> None:
     assert state_contacts(q, scene)[0].depth == pytest.approx(depth, rel=1e-9)
 
 
-def test_the_judge_sees_what_mujoco_sees() -> None:
+def test_the_judge_finds_the_contacts_of_mujoco() -> None:
     """With changed masks it finds the same contacts as the scene's own model, in a scene with many geoms."""
     scene = load_scene("tabletop").tasks["lift_to_goal"].scene
     pairs = {tuple(sorted(pair)) for pair in scene.collision_pairs().tolist()}
@@ -246,7 +246,7 @@ def test_reach_of_a_known_arm(empty_handed: Scene, scene: Scene) -> None:
     assert reach(scene)[1] == pytest.approx(0.36 + 0.04 * np.sqrt(3.0))
 
 
-def test_placement_is_where_the_scene_says(scene: Scene) -> None:
+def test_placement_equals_the_scene(scene: Scene) -> None:
     placement = Placement(scene)
     for q in np.random.default_rng(0).uniform(*scene.limits.position.T, size=(5, 2)):
         data, expected = placement.place(q), scene.data_at(q)
@@ -430,7 +430,7 @@ def test_torque_limits_are_kept(scene: Scene) -> None:
     assert (np.abs(torques) / scene.limits.torque).max() <= 1.0 + 1e-6
 
 
-def test_short_pieces_are_not_blamed_for_what_rounding_makes_of_their_positions(scene: Scene) -> None:
+def test_short_pieces_are_not_refused_for_rounded_positions(scene: Scene) -> None:
     """In steps of 0.1 us, the last digit of a position is a quarter of the acceleration limit."""
     limit = 0.999 * scene.limits.acceleration
     t = 1e-7 * np.arange(50)
@@ -441,7 +441,7 @@ def test_short_pieces_are_not_blamed_for_what_rounding_makes_of_their_positions(
     assert verify(motion, scene).checks["acceleration_limits"].passed
 
 
-def test_what_may_touch_at_the_ends_may_graze_on_the_way(scene: Scene) -> None:
+def test_contacts_allowed_at_the_ends_may_graze_on_the_way(scene: Scene) -> None:
     """By less than a micrometre, the rounding error of an object that slides along its support."""
     judge = Judge(scene)
     first, second = (int(geom) for geom in np.argwhere(judge._ends)[0])

@@ -77,7 +77,7 @@ def test_cancelled_at_random_moments(task: gp.Task, pose: PoseGoal):
     assert gp.PlanStatus.SOLVED in statuses
 
 
-def test_who_cancels_gets_a_smooth_motion(task: gp.Task):
+def test_a_cancelled_plan_is_smooth(task: gp.Task):
     """A coarse descent is always worth its millisecond, since polylines cost half as much again."""
     cancelled = After(40)
     result = gp.plan(task.start, task.goal, task.scene, w=0.3, cancelled=cancelled, **_ENDLESS)
@@ -98,13 +98,13 @@ def test_every_stage_listens(task: gp.Task, settings: dict):
         _check(result, task, goal)
 
 
-def test_before_anything_is_found_the_status_says_so(task: gp.Task):
+def test_cancelling_before_a_solution_has_its_status(task: gp.Task):
     result = gp.plan(task.start, task.goal[0], task.scene, cancelled=lambda: True)
     assert result.status is gp.PlanStatus.CANCELLED and "plan again" in result.status.value
     assert result.detail == "before the search"
 
 
-def test_not_cancelled_is_as_if_nobody_could(task: gp.Task):
+def test_an_uncancelled_plan_equals_one_without_a_callback(task: gp.Task):
     first = gp.plan(task.start, task.goal, task.scene, iterations=500, seed=5)
     second = gp.plan(task.start, task.goal, task.scene, iterations=500, seed=5, cancelled=lambda: False)
     assert first.unwrap().q.tobytes() == second.unwrap().q.tobytes()

@@ -78,7 +78,7 @@ _vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
     length=st.floats(0.02, 0.3),
     turn=_vectors.map(lambda v: 0.7 * v),
 )
-def test_the_tool_stays_on_its_line_or_the_result_says_where_not(name, seed, direction, length, turn):
+def test_the_tool_stays_on_its_line_or_the_result_names_the_place(name, seed, direction, length, turn):
     scene = _scene(name)
     q = scene.keyframes["ready"] + np.random.default_rng(seed).normal(size=7) * 0.3
     q = np.clip(q, *scene.limits.position.T)
@@ -159,7 +159,7 @@ def test_an_obstacle_on_the_line_is_named_with_its_place(scene):
 
 
 @pytest.mark.parametrize("far", [3.0, 1e6])
-def test_a_line_that_leaves_the_reach_says_where(scene, far):
+def test_a_line_out_of_reach_is_reported_with_its_place(scene, far):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, translation=[far, 0.0, 0.0])
     result = gp.plan_cartesian("ready", goal, scene)
     assert result.status is PlanStatus.INVALID_GOAL
@@ -186,7 +186,7 @@ def test_nothing_to_travel(scene):
     assert result.status is PlanStatus.SOLVED and result.unwrap().duration == 0.0
 
 
-def test_a_colliding_start_is_told(scene):
+def test_a_colliding_start_is_reported(scene):
     q = np.array([0.0, 1.7, 0.0, -0.1, 0.0, 1.6, 0.0])
     result = gp.plan_cartesian(q, gp.PoseGoal.from_tool(q, scene, translation=[0.0, 0.0, 0.1]), scene)
     assert result.status is PlanStatus.INVALID_START and "start" in result.detail
@@ -204,7 +204,7 @@ def test_same_seed_same_motion(scene):
     np.testing.assert_array_equal(first, again)
 
 
-def test_what_is_carried_comes_along(task):
+def test_the_carried_object_comes_along(task):
     goal = gp.PoseGoal.from_tool(task.start, task.scene, translation=[0.0, 0.0, 0.15])
     result = gp.plan_cartesian(task.start, goal, task.scene, w=1.0)
     assert result.status is PlanStatus.SOLVED, result.detail

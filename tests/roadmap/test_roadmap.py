@@ -94,7 +94,7 @@ def test_every_edge_is_there_in_both_directions_and_once(roadmap):
     assert sorted(there) == sorted((b, a) for a, b in there)
 
 
-def test_prices_are_those_of_the_objective(task, roadmap):
+def test_stored_costs_equal_the_objective(task, roadmap):
     edges = slice(None, None, 7)
     q0, q1 = roadmap.q[roadmap.edges.tail[edges]], roadmap.q[roadmap.edges.head[edges]]
     exact = roadmap.objective.bind(task.scene, search_paces()).edges(q0, q1)
@@ -134,7 +134,7 @@ def test_builds_depend_on_the_seed_alone(task, roadmap, monkeypatch):
     assert not np.array_equal(other.q, roadmap.q)
 
 
-def test_a_build_without_time_can_still_be_asked(task):
+def test_a_build_without_time_can_still_be_queried(task):
     roadmap = gp.Roadmap.build(task.scene, time_limit=0.0)
     assert len(roadmap.edges) == 0
     result = roadmap.query(task.start, task.goal)
@@ -159,7 +159,7 @@ def test_an_answer_is_a_free_path_at_its_price(task, roadmap, answer):
     assert roadmap.query(task.start, task.goal).cost == answer.cost
 
 
-def test_other_severities_are_as_if_priced_anew(task, roadmap):
+def test_other_severities_equal_a_new_roadmap(task, roadmap):
     entity = next(iter(task.scene.entities))
     severity = {entity: {"carried": 37.0}}
     other = task.scene.with_severity(severity)
@@ -202,7 +202,7 @@ def test_more_weight_means_less_impact_and_more_motion(task, roadmap):
     assert found[-1].impact < 0.9 * found[0].impact
 
 
-def test_severities_of_nobody_change_nothing(task):
+def test_empty_severities_change_nothing(task):
     pose = np.eye(4)
     pose[:3, 3] = (5.0, 5.0, 0.2)
     ghost = task.scene.add_box("ghost", [0.1, 0.1, 0.1], pose, entity="glass").with_severity({"ghost": 0.0})
@@ -246,7 +246,7 @@ def test_motions_that_cannot_be_used_are_skipped(task, motions):
     assert roadmap.query(task.start, task.goal).status is QueryStatus.FOUND
 
 
-def test_any_two_configurations_can_be_asked_for(roadmap):
+def test_any_two_configurations_can_be_queried(roadmap):
     rng = np.random.default_rng(5)
     pairs = roadmap.q[rng.integers(len(roadmap), size=(12, 2))]
     found = [roadmap.query(*pair).status for pair in pairs if np.any(pair[0] != pair[1])]
@@ -292,7 +292,7 @@ def test_nodes_edges_and_answers_keep_constraints(task, asked):
     assert refused.status is QueryStatus.INVALID_START and asked.name in refused.detail
 
 
-def test_what_a_plan_keeps_a_roadmap_keeps():
+def test_roadmaps_keep_the_constraints_of_plans():
     coffee = gp.load_scene("desk").tasks["lift_coffee"]
     ends = [(coffee.start, coffee.goal)]
     kept, free = (gp.Roadmap.build(coffee.scene, motions=ends, nodes=60, constraints=asked) for asked in (None, []))
@@ -397,7 +397,7 @@ class Height(gp.Cost):
         return self.scale * np.abs(batch.q[:, 0])
 
 
-def test_a_cost_of_ones_own():
+def test_a_custom_cost():
     scene, objective = gantry(), gp.Objective(impact=Height(2.0))
     roadmap = gp.Roadmap.build(scene, objective=objective, nodes=60, motions=[([-0.8, 0.0], [0.8, 0.0])])
     result = roadmap.query([-0.8, 0.0], [0.8, 0.0])
@@ -426,7 +426,7 @@ def test_entities_that_move_count(task, exposure):
         roadmap.query(task.start, task.goal, other)
 
 
-def test_without_those_who_move_they_do_not_count(task):
+def test_removed_moving_entities_do_not_count(task):
     place = task.scene.data_at(0.5 * (task.start + task.goal[0])).site(task.scene.tool).xpos
     walker = gp.MovingEntity("walker", "adult", size=[0.3, 0.3], t=[0.0], position=[place - [0.0, 0.0, 0.4]])
     scene = task.scene.with_moving(walker)

@@ -55,7 +55,7 @@ def test_all_in_one_go_is_one_by_one(scene: Scene) -> None:
     _same_tables(back, scene)
 
 
-def test_what_is_moved_stands_where_a_new_one_would(scene: Scene) -> None:
+def test_a_moved_body_equals_a_new_one(scene: Scene) -> None:
     first = scene.edit(add=_solids())
     poses = {solid.name: np.array([0.7, 0.1 * k, 1.2]) for k, solid in enumerate(_solids())}
     turned = np.eye(4)
@@ -89,7 +89,7 @@ _first = _desk.add_box("crate", _CRATE, [0.3, -0.5, 0.9], entity="robust")
     st.tuples(st.floats(-0.2, 0.8), st.floats(-0.8, 0.8), st.floats(0.4, 1.2)),
     st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda quat: np.linalg.norm(quat) > 0.1),
 )
-def test_wherever_something_is_moved_all_is_as_if_it_had_been_put_there(place, quat) -> None:
+def test_moved_bodies_leave_no_outdated_tables(place, quat) -> None:
     """Tables of kernels, drops and spills, and the resulting motion contain nothing outdated.
 
     The crate stands on things, over them, in them, beneath them and in the base of the robot.

@@ -80,7 +80,7 @@ def test_the_oldest_goes_where_there_are_too_many():
     assert calls == [1, 2, 3, 1, 1]
 
 
-def test_what_says_nothing_of_obstacles_outlives_their_moves():
+def test_values_independent_of_obstacles_survive_their_moves():
     calls = []
 
     @per_layout(most=2)
@@ -134,7 +134,7 @@ def test_nothing_that_the_library_keeps_holds_a_scene():
     assert [ref() for ref in watched] == [None, None]
 
 
-def test_a_scene_is_its_own_copy_and_says_why_it_is_no_pickle():
+def test_a_copied_scene_is_the_scene_and_pickling_gives_the_reason():
     scene = fresh("tabletop")
     assert copy.deepcopy(scene) is scene and copy.deepcopy({"a": [scene]})["a"][0] is scene
     with pytest.raises(TypeError, match=r"'tabletop'.*pickled"):
@@ -146,7 +146,7 @@ def test_a_scene_is_its_own_copy_and_says_why_it_is_no_pickle():
             again.rows["glass"]["medium"] = 0.0
 
 
-def test_threads_that_plan_at_once_in_one_scene_get_what_one_alone_gets():
+def test_concurrent_plans_in_one_scene_equal_sequential_ones():
     task = fresh("tabletop").tasks["right_to_left"]
 
     def planned(seed):

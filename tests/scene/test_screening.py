@@ -266,7 +266,7 @@ def test_mujocos_own_complaints_keep_their_line(tmp_path: Path) -> None:
     assert (error.file, error.line) == (str(file), 3)
 
 
-def test_what_cannot_be_compiled_is_a_scene_error() -> None:
+def test_uncompilable_models_raise_a_scene_error() -> None:
     spec = load_spec('<mujoco><worldbody><body><freejoint/><geom size="-1"/></body></worldbody></mujoco>')
     with pytest.raises(SceneError, match="size"):
         compile_spec(spec)
@@ -293,7 +293,7 @@ def test_there_is_memory_for_thousands_of_bodies() -> None:
     assert _contacts(compile_spec(_pile(2000))) == 13
 
 
-def test_what_takes_more_memory_than_there_is_says_so() -> None:
+def test_models_beyond_the_memory_are_refused() -> None:
     model = _pile(2000).compile()  # with MuJoCo's default
     with pytest.raises(TooLargeError, match=r"a pile.*memory"):
         with within_memory("a pile"):
@@ -390,7 +390,7 @@ def _picture(pixels: bytes, before: bytes = b"") -> bytes:
     return b"\x89PNG\r\n\x1a\n" + header + before + _chunk(b"IDAT", zlib.compress(pixels)) + _chunk(b"IEND", b"")
 
 
-def test_a_picture_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) -> None:
+def test_an_image_larger_than_its_header_is_refused(tmp_path: Path) -> None:
     """3 MB of zeros would become 3 GB; MuJoCo would notice afterwards."""
     world = _write(tmp_path, "w.xml", '<mujoco><asset><texture name="t" type="2d" file="a.png"/></asset></mujoco>')
     (tmp_path / "a.png").write_bytes(_picture(bytes(4 * 13)))
@@ -420,7 +420,7 @@ def test_addresses_are_refused(tmp_path: Path, tag: str) -> None:
     assert "no addresses" in str(_refusal(_write(tmp_path, "world.xml", f"<mujoco>{tag}</mujoco>")))
 
 
-def test_what_is_kilometres_away_is_refused() -> None:
+def test_bodies_kilometres_away_are_refused() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body name='cup'>{_BOX}</body></worldbody></mujoco>")
     model.geom_size[0, 0] = 1e5
     with pytest.raises(SceneError, match=r"geom_size.*'#0'.*100000 m"):
@@ -443,7 +443,7 @@ _FIELD = '<asset><hfield name="hills" nrow="3" ncol="3" size="1 1 1 1"/></asset>
 _CONTACT_OFF = '<option><flag contact="disable"/></option>'
 
 
-def test_geoms_that_nobody_can_represent_are_named() -> None:
+def test_unsupported_geoms_are_named() -> None:
     hills = '<worldbody><geom name="hills" type="hfield" hfield="hills"/></worldbody>'
     with pytest.raises(SceneError, match=r"'hills'.*hfield.*plane, sphere, .*mesh"):
         check_supported(compile_spec(load_spec(f"<mujoco>{_FIELD}{hills}</mujoco>")))

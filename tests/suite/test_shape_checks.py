@@ -88,7 +88,7 @@ def test_closures_generators_and_unknown_names_are_checked():
     assert len(list(numbers(np.zeros(1)))) == 2
 
 
-def test_nothing_of_a_closure_is_kept_by_its_checks():
+def test_checks_keep_no_closures_alive():
     class Held:
         pass
 

@@ -135,7 +135,7 @@ def test_lateness_is_named_and_forgiven_by_a_wider_margin() -> None:
     assert "time limit" in findings and "cancelled" in findings
 
 
-def test_a_planner_that_finds_nothing_is_told_so() -> None:
+def test_a_planner_without_solution_is_reported() -> None:
     @dataclass(frozen=True)
     class Nothing(Planner):
         name: ClassVar[str] = "nothing"
@@ -230,7 +230,7 @@ def test_every_fault_of_a_cost_is_named(fault: str, finding: str, scene: Scene) 
     assert finding in str(caught.value)
 
 
-def test_what_is_not_a_cost_is_refused(scene: Scene) -> None:
+def test_other_objects_are_refused(scene: Scene) -> None:
     with pytest.raises(ContractError, match=r"graceful_plan\.Cost"):
         check_cost(lambda batch: batch, scene)  # pyright: ignore[reportArgumentType]
 

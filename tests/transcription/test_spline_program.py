@@ -156,7 +156,7 @@ def test_slopes_of_torque_and_clearance(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("name", ["impact", "effort", "acceleration", "length"])
-def test_slopes_of_what_is_charged(scene: Scene, name: str) -> None:
+def test_gradients_of_costs_in_the_program(scene: Scene, name: str) -> None:
     layout, limits = SplineLayout(2, 7, 0.08), scene.limits
     charge = {
         "impact": ImpactCharge(gp.ImpactCost(), scene, 2.0),

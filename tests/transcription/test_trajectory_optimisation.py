@@ -160,7 +160,7 @@ def test_a_collision_that_cannot_be_left_is_named(scene: Scene, first: Trajector
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.3, 0.8])
-def test_an_interrupted_solve_returns_what_it_has(scene: Scene, first: Trajectory, moment: float) -> None:
+def test_an_interrupted_solve_returns_the_best_iterate(scene: Scene, first: Trajectory, moment: float) -> None:
     end = time.perf_counter() + moment
     result = optimise_trajectory(first, scene, w=3.0, intervals=_PIECES, cancelled=lambda: time.perf_counter() >= end)
     assert result.status is not OptimisationStatus.INFEASIBLE

@@ -54,7 +54,7 @@ def test_rollouts_are_found_by_harm_motion_and_fault(rollouts):
 
 
 @pytest.mark.long  # needs a sweep
-def test_those_that_blew_up_are_last(rollouts, monkeypatch):
+def test_diverged_rollouts_are_last(rollouts, monkeypatch):
     monkeypatch.setattr(rollouts, "_impact", np.array([np.nan, 0.0, 2.0, 1.0]))
     assert rollouts.worst_first().tolist() == [2, 3, 1, 0]
 
@@ -70,7 +70,7 @@ def test_a_rollout_happens_again_as_it_was_written_down(rollouts):
 
 
 @pytest.mark.long  # needs a sweep
-def test_it_is_said_when_something_else_happens(rollouts, monkeypatch):
+def test_differing_replays_are_reported(rollouts, monkeypatch):
     row = rollouts[0]
     monkeypatch.setattr(RecordedRollouts, "__getitem__", lambda self, number: row._replace(impact=row.impact + 1.0))
     assert any(f"The dataset has {row.impact + 1.0:.2f}" in note for note in recorded_replay(rollouts, 0).notes)
@@ -106,7 +106,7 @@ ROW = Recorded(
 )
 
 
-def test_words_are_those_of_the_dataset():
+def test_the_text_has_the_values_of_the_dataset():
     said = words.recorded_words(ROW, 4)
     assert "noise, severe" in said and "0, of 4" in said and "25%" in said and "<b>x</b>" not in said
     assert "blew up" in words.recorded_words(ROW._replace(diverged=True, impact=None), 4)

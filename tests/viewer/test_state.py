@@ -277,7 +277,7 @@ def test_an_entity_is_moved_and_its_severity_changed(question):
             change()
 
 
-def test_other_severities_change_what_both_motions_risk(fresh):
+def test_other_severities_change_the_impact_of_both_motions(fresh):
     before = fresh.answer.ordinary
     worst = before.worst(1)[0]
     fresh.ask(fresh.question.with_severity(worst, 0.0))
@@ -286,7 +286,7 @@ def test_other_severities_change_what_both_motions_risk(fresh):
     assert after.trajectory is before.trajectory and after.cost.impact < before.cost.impact
 
 
-def test_a_goal_out_of_reach_is_said_and_nothing_is_shown(question):
+def test_an_unreachable_goal_is_reported_and_no_motion_shown(question):
     X_WT = question.goal_pose()
     X_WT[0, 3] += 9.0
     state = asked(question.going_to(X_WT))
@@ -306,7 +306,7 @@ def careless(question, state):
     own.close()
 
 
-def test_a_gripper_failure_is_replayed_beside_what_was_predicted(careless):
+def test_a_gripper_failure_is_replayed_next_to_the_prediction(careless):
     fresh = careless
     replay = fresh.fail(Failure(fault="gripper_failure", moment=0.5))
     assert replay.onset == pytest.approx(0.5 * fresh.motion.duration, abs=0.011)

@@ -50,7 +50,7 @@ def test_the_latest_question_is_answered_and_older_ones_are_cancelled(desk):
     assert set(work.cancelled) <= {"first", "second", "third"}
 
 
-def test_errors_are_told_and_the_worker_goes_on(desk):
+def test_errors_are_reported_and_the_worker_continues(desk):
     worker, work, answers, errors = desk
     work.go.set()
     worker.ask("broken")

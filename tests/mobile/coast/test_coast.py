@@ -47,7 +47,7 @@ def states(n=400, seed=0):
     return q, np.column_stack([v * np.cos(q[:, 2]), v * np.sin(q[:, 2]), omega])
 
 
-def test_the_core_says_the_same():
+def test_the_core_equals_the_twin():
     q, qd = states(200)
     cost = gp.ImpactCost(model=Coast())
     kernel = Coast().kernel(SCENE, cost.severity(SCENE), (1.0, 1.0))
@@ -101,7 +101,7 @@ def test_instruction_sets_agree(scene, isa):
 
 
 @pytest.mark.parametrize("scene", CROWDED)
-def test_the_core_says_the_same_where_many_are_near(scene):
+def test_the_core_equals_the_twin_among_many_entities(scene):
     q, qd = states_in(scene, 2, n=50)
     batch = moving_batch(scene, q, qd)
     P = hits(batch, coast_tables(scene), SHIPPED, SHIPPED.straightens if scene.base.slip > SKIDS else 1e6)
@@ -110,7 +110,7 @@ def test_the_core_says_the_same_where_many_are_near(scene):
     np.testing.assert_allclose(Coast().probability(batch)[:, body], P, atol=1e-9)
 
 
-def test_tables_that_are_kept_are_read_again_and_broken_ones_are_made_again(tmp_path, monkeypatch):
+def test_cached_tables_are_read_and_broken_ones_recomputed(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     body = coast_tables(SCENE).body
     first = one_sided_trajectories.__wrapped__(body, SHIPPED)
@@ -122,7 +122,7 @@ def test_tables_that_are_kept_are_read_again_and_broken_ones_are_made_again(tmp_
     np.testing.assert_array_equal(one_sided_trajectories.__wrapped__(body, SHIPPED).places, first.places)
 
 
-def test_the_outline_is_that_of_the_geoms_and_shapes_are_what_stands_at_its_height():
+def test_the_outline_covers_the_geoms_and_shapes_are_at_its_height():
     tables = coast_tables(SCENE)
     chassis, *wheels = tables.outline
     np.testing.assert_allclose(chassis, [0, 0, 1, 0, 0.21, 0.155, 0], atol=1e-9)
@@ -163,7 +163,7 @@ def boxed(box):
 
 
 @pytest.mark.parametrize("v", [0.5, 1.0, 2.0])
-def test_it_goes_as_far_as_the_closed_form_says(v):
+def test_the_base_covers_the_closed_form_distance(v):
     settings = only(deceleration=(1.0,), delay=(0.2,))
     far = 0.2 * v + v**2 / 2.0
     front = 0.229  # front of the foremost disc, including wheels
@@ -201,7 +201,7 @@ def test_energy_counts_along_the_normal(angle, backwards):
     assert P == pytest.approx((v * np.sin(angle)) ** 2, rel=0.02)
 
 
-def test_who_is_grazed_does_not_stop_it():
+def test_grazed_entities_do_not_stop_the_base():
     behind = '<body name="behind" pos="2.6 0 .5"><geom type="cylinder" size=".25 .5"/></body>'
     names = {"person": "adult", "behind": "adult"}
     scene, settings = hall(walls="", extra=behind, entities=names), only(deceleration=(0.1,), delay=(2.0,))
@@ -215,7 +215,7 @@ def test_who_is_grazed_does_not_stop_it():
 
 
 @pytest.mark.parametrize("y", [0.2, 0.8])
-def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
+def test_very_uncertain_entities_have_no_known_normal(y):
     """Half of the energy counts, both for passing and for driving straight at the entity."""
     settings = replace(only(deceleration=(1e-4,), delay=(5.0,)), position_spread=3.0)
     touched = hit(0.0, 0.5, y=y, settings=replace(settings, reference_speed=1e-6))
@@ -242,7 +242,7 @@ def passing(settings, gap, v, scene=None, dt=0.005):
 
 @pytest.mark.parametrize("gap", [0.02, 0.1, 0.2])
 @pytest.mark.parametrize("v", [0.05, -0.05, 0.2])
-def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
+def test_passed_entities_are_hit_by_drifting_bases(gap, v):
     """After 2, 6, 10 or 14 s of drift at 2 m/s, the base is 1 to 39 cm aside, on either side."""
     way = 2.0 * np.array([2.0, 6.0, 10.0, 14.0])
     aside = 0.001 * way**2 / 2.0
@@ -251,7 +251,7 @@ def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
     assert passing(astray(), gap, v) == pytest.approx(expected, rel=0.1)
 
 
-def test_at_one_moment_what_leads_astray_bends_off():
+def test_without_drift_odometry_failures_take_its_weight():
     seen = SHIPPED.without_drift()
     total = sum(way.weight for way in SHIPPED.ways.values()) + SHIPPED.astray.weight
     assert sum(way.weight for way in seen.ways.values()) == pytest.approx(total) and seen.astray.weight == 0.0
@@ -259,7 +259,7 @@ def test_at_one_moment_what_leads_astray_bends_off():
     assert only().without_drift() == only()
 
 
-def test_walls_keep_those_astray_from_whom_they_are_not_to_meet():
+def test_walls_stop_drifting_bases():
     wall = '<body name="wall" pos="2 0.45 .5"><geom type="box" size="4 .06 .5"/></body>'
     assert passing(astray(), 0.2, 0.05, hall(walls="", extra=wall)) < 0.1 * passing(astray(), 0.2, 0.05)
 
@@ -284,7 +284,7 @@ def test_reversing_is_driving_the_other_way():
     assert hit(0.0, -1.5, yaw=np.pi) == pytest.approx(ahead, rel=1e-6)
 
 
-def test_arcs_lead_where_they_lead():
+def test_hits_on_arcs_are_at_the_right_place():
     settings = only(deceleration=(0.5,))
     # From (1, -0.2), heading to +y on an arc of 1 m to the right, it comes to the person at (2, 0.8).
     assert hit(1.0, 1.5, y=-0.2, yaw=np.pi / 2, omega=-1.5, settings=settings) > 0.3
@@ -299,7 +299,7 @@ def test_a_skid_steer_goes_straight_on_once_its_wheels_are_let_go():
     assert hit(1.7, 1.5, y=-0.6, yaw=np.pi / 2, omega=0.3, settings=settings) > 0.05
 
 
-def test_walls_stop_it():
+def test_walls_stop_the_base():
     shield = '<body name="shield" pos="1 .8 .5"><geom type="box" size=".05 .6 .5"/></body>'
     assert hit(0.0, 2.0) > 0.1
     assert hit(0.0, 2.0, scene=hall(extra=shield)) < 1e-4
@@ -347,7 +347,7 @@ class Doubtful(FailingBase):
         return self.coast.gradients(batch, severity)
 
 
-def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_descents():
+def test_a_custom_model_of_failing_bases_counts_in_states_searches_and_descents():
     q, qd = states()
     batch = moving_batch(SCENE, q, qd)
     shipped, own = (gp.ImpactCost(model=gp.FailureMixture(base=base)) for base in (None, Doubtful()))

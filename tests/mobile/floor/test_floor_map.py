@@ -37,7 +37,7 @@ def written(folder, pixels, *, most=255, negate=0, more=THRESHOLDS, plain=False)
 @pytest.mark.parametrize("outside", [True, False])
 @given(seed=st.integers(0, 1000), share=st.floats(0, 0.5))
 @settings(max_examples=15, deadline=None)
-def test_distances_are_those_to_the_nearest_square(outside, seed, share):
+def test_distances_are_to_the_nearest_square(outside, seed, share):
     from graceful_plan.core import _native
 
     rng = np.random.default_rng(seed)
@@ -56,7 +56,7 @@ def test_distances_are_those_to_the_nearest_square(outside, seed, share):
     assert (found <= 0.1 * least + 1e-12).all()
 
 
-def test_pixels_become_occupancy_as_map_server_says(tmp_path):
+def test_pixels_become_occupancy_as_in_map_server(tmp_path):
     # Above, below and between the thresholds; 205 is unknown, since 50 / 255 = .1961 is above .196.
     file = written(tmp_path, [[0, 89, 90], [205, 206, 254]])
     floor = OccupancyGrid.from_map_server(file)
@@ -88,7 +88,7 @@ def test_png_is_read(tmp_path):
 
 @given(seed=st.integers(0, 100), mixed=st.booleans())
 @settings(max_examples=10, deadline=None)
-def test_what_is_saved_is_read_again(tmp_path_factory, seed, mixed):
+def test_saved_maps_can_be_read(tmp_path_factory, seed, mixed):
     rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("maps")
     values = np.arange(-1, 101) if mixed else np.array([-1, 0, 100])
     floor = OccupancyGrid(
@@ -284,7 +284,7 @@ NAN, INF = float("nan"), float("inf")
     ],
     ids=str,
 )  # fmt: skip
-def test_maps_that_nobody_could_plan_on_are_refused(change):
+def test_unusable_maps_are_refused(change):
     with pytest.raises((gp.GracefulPlanError, TypeCheckError)):
         OccupancyGrid(**({"occupancy": [[0, 100]], "resolution": 0.1} | change))
 

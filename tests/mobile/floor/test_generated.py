@@ -22,7 +22,7 @@ def test_floor_plans_leave_a_way(seed):
     assert (gp.clearance(np.array([one.start, one.goal]), one.floor.to_scene()) > 0.05).all()
 
 
-def test_seeds_differ_and_rooms_are_as_many_as_asked_for():
+def test_seeds_differ_and_the_number_of_rooms_is_kept():
     assert not np.array_equal(floor_plan(0).floor.occupied, floor_plan(1).floor.occupied)
     assert floor_plan(3, rooms=(4, 3), people=9).floor.shape == (270, 360)
     assert len(floor_plan(3, people=9).floor.entities) == 9

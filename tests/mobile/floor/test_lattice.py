@@ -123,7 +123,7 @@ def least_gap(path, occupied):
 
 @pytest.mark.parametrize("steering", [CAR, AHEAD, BASE], ids=["car", "ahead", "base"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_costs_are_those_of_dijkstra(seed, steering):
+def test_costs_equal_those_of_dijkstra(seed, steering):
     lattice = StateLattice(
         distance=distances(floor(seed)),
         resolution=RESOLUTION,
@@ -147,7 +147,7 @@ def test_costs_are_those_of_dijkstra(seed, steering):
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
-def test_costs_with_impact_are_those_of_dijkstra(seed):
+def test_costs_with_impact_equal_those_of_dijkstra(seed):
     occupied = floor(seed)
     lattice = StateLattice(
         distance=distances(occupied),
@@ -214,7 +214,7 @@ def test_an_open_floor_is_crossed_on_the_shortest_curve():
     assert path.cost <= float(shortest_curves(start, goal, CAR).cost) + 1e-9
 
 
-def test_what_is_off_the_map_is_an_obstacle():
+def test_cells_off_the_map_are_obstacles():
     settings = LatticeSettings(steering=BASE, headings=16)
     lattice = StateLattice(
         distance=np.full((30, 30), 9.0), resolution=RESOLUTION, discs=DISCS, settings=settings,
@@ -345,7 +345,7 @@ def test_a_path_of_the_lead_is_free_and_its_bound_is_true(seed):
                 assert quick.cost <= quick.bound * best.cost + _TOLERANCE
 
 
-def test_driving_backwards_has_an_impact_of_its_own():
+def test_driving_backwards_has_its_own_impact():
     occupied = np.zeros((26, 60), dtype=bool)
     one = np.ones((*occupied.shape, 16), dtype=np.float32)
     made = {

@@ -51,7 +51,7 @@ def of_ompl(space, a, b):
 
 @pytest.mark.parametrize("n", [2_000, pytest.param(100_000, marks=pytest.mark.long)])
 @pytest.mark.parametrize("steering", [CAR, AHEAD], ids=["Reeds-Shepp", "Dubins"])
-def test_lengths_are_those_of_ompl(steering, n):
+def test_lengths_equal_those_of_ompl(steering, n):
     from ompl import base as ob
 
     space = (ob.ReedsSheppStateSpace if steering.reverse else ob.DubinsStateSpace)(steering.radius)

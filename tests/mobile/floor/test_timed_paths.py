@@ -90,7 +90,7 @@ def every_path(of, who, start, goal):
 
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000))
-def test_costs_are_those_of_the_best_of_all_paths(seed):
+def test_costs_equal_those_of_the_best_of_all_paths(seed):
     rng = np.random.default_rng(seed)
     opened = everywhere(2, 3) & np.where(rng.uniform(size=(HEADINGS, 2, 3)) < 0.85, 3, 1).astype(np.uint8)
     places = rng.uniform([0.0, -1.0], [3.0, 2.0], (30, 2))
@@ -113,7 +113,7 @@ def test_costs_are_those_of_the_best_of_all_paths(seed):
         assert (np.diff(found.nodes[:, 3]) > 0).all()
 
 
-def test_it_waits_until_the_door_is_open_or_turns_in_place():
+def test_the_base_waits_for_a_door_or_turns_in_place():
     # A person blocks the door of a corridor until the 20th half tick.
     places = [[2.0, 0.0]] * 20 + [[2.0, 9.0]]
     of = lattice(everywhere(1, 4), 40)
@@ -127,7 +127,7 @@ def test_it_waits_until_the_door_is_open_or_turns_in_place():
     assert sorted({int(h) for h in round_.nodes[:, 2]}) in ([0, 1, 2, 3, 4], [0, 4, 5, 6, 7])
 
 
-def test_who_comes_along_a_corridor_is_let_by_at_a_bay():
+def test_the_base_lets_a_pedestrian_pass_at_a_bay():
     # A corridor one cell wide with a bay; a person comes from the far end: the base waits in the bay.
     opened = np.zeros((HEADINGS, 2, 9), dtype=np.uint8)
     opened[:, 0], opened[:, 1, 3] = STANDS | LEAVES, STANDS | LEAVES

@@ -39,7 +39,7 @@ def rates(trajectory, n=4000):
 
 
 @pytest.mark.parametrize("forward", [True, False])
-def test_derivatives_of_the_heading_are_those_of_differences(forward):
+def test_derivatives_of_the_heading_equal_differences(forward):
     grid = rolling(forward=forward).grid(16)
     du = np.diff(grid.s)
     inside = slice(40, -40)

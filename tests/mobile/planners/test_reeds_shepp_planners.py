@@ -48,7 +48,7 @@ def test_through_plan_with_result_and_verdict():
     assert result.trace[-1].total == pytest.approx(result.cost.total)
 
 
-def test_who_cannot_use_them_is_told():
+def test_unsuitable_robots_are_refused():
     forward = hall(replace(BASE, reverse=False))
     for planner in PLANNERS:
         assert DRIVING[planner.name] is planner

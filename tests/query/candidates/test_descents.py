@@ -14,7 +14,7 @@ from sizes import first_quick
 
 
 @pytest.mark.parametrize("name", first_quick(["corner_to_blue", "near_to_blue", "green_to_blue"]))
-def test_a_motion_passes_things_with_room_for_what_a_robot_strays(name: str) -> None:
+def test_motions_keep_the_tracking_clearance(name: str) -> None:
     task = gp.load_scene("tabletop_l3").tasks[name]
     found = gp.plan(task.start, task.goal, task.scene, w=3.0, iterations=30, seed=1)
     clearance = gp.clearance(found.unwrap().sample(0.004).q, task.scene)
@@ -35,7 +35,7 @@ def _clearance_of_held(scene, q):
 
 
 @pytest.mark.parametrize(("scene_name", "name"), [("dining_table", "pass_bottle"), ("kitchen_counter", "move_oil")])
-def test_what_is_held_by_a_long_lever_keeps_more_room(scene_name: str, name: str) -> None:
+def test_objects_on_a_long_lever_keep_more_clearance(scene_name: str, name: str) -> None:
     """Also for vessels that are kept level."""
     task = gp.load_scene(scene_name).tasks[name]
     assert stray(task.scene) > 2.0 * TRACKING_CLEARANCE > TRACKING_CLEARANCE == stray(gp.load_scene("tabletop"))

@@ -99,9 +99,7 @@ def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, pro
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_of_what_was_found_the_best_by_the_measure_is_taken(
-    bound: SceneObjective, problem: SceneProblem, kind: str
-) -> None:
+def test_the_best_candidate_by_the_measure_is_chosen(bound: SceneObjective, problem: SceneProblem, kind: str) -> None:
     preference = Preference(gp.RiskMeasure(kind), bound)
     offered = ways(problem)
     found = preference.search(Offers(*offered), problem, Budget(), np.random.default_rng(0))

@@ -53,7 +53,7 @@ def test_several_goals_keep_their_order_and_index(scene: Scene, start: np.ndarra
     np.testing.assert_array_equal(mixed.q, [scene.keyframes["ready"], start])
 
 
-def test_the_usable_ones_of_many_are_those_that_exact_geometry_accepts(scene: Scene, start: np.ndarray) -> None:
+def test_usable_goals_are_those_accepted_by_exact_geometry(scene: Scene, start: np.ndarray) -> None:
     lower, upper = scene.limits.position.T
     goals = np.random.default_rng(1).uniform(lower - 0.05, upper + 0.05, (300, 7))
     resolved = resolve_goal(goals, scene, start)
@@ -91,7 +91,9 @@ def test_of_twenty_thousand_goals_only_the_nearest_are_looked_at(
     assert len(passed_over) > 100 and not exactly_free(goals[passed_over], scene).any()
 
 
-def test_who_is_in_a_hurry_looks_on_until_one_is_usable(scene: Scene, start: np.ndarray, colliding: np.ndarray) -> None:
+def test_without_time_goals_are_checked_up_to_a_usable_one(
+    scene: Scene, start: np.ndarray, colliding: np.ndarray
+) -> None:
     """Goals that collide except the last one, and goals of which the first are free."""
     goals = np.tile(colliding, (300, 1))
     goals[-1] = scene.keyframes["ready"]
@@ -119,7 +121,7 @@ def test_a_goal_among_a_thousand_that_cannot_be_used_is_found(scene: Scene, star
 @pytest.mark.long
 @pytest.mark.parametrize("count", [300, 1000, 20_000])
 @pytest.mark.parametrize("every", [None, 10])
-def test_what_is_usable_of_many_goals_is_planned_for(scene: Scene, start: np.ndarray, count: int, every: int) -> None:
+def test_usable_goals_of_many_are_planned_for(scene: Scene, start: np.ndarray, count: int, every: int) -> None:
     """A single usable goal, or one in ten; the benchmark `hardening` measures the time."""
     q = np.random.default_rng(1).uniform(*scene.limits.position.T, (2 * count + 1000, 7))
     clearance = gp.clearance(q, scene)
@@ -150,7 +152,7 @@ def test_a_set_of_poses_is_tried_from_the_nearest_on(scene: Scene, start: np.nda
     assert len(resolve_goal([beyond, beyond], scene, start).q) == 0
 
 
-def test_a_plan_to_a_set_of_poses_says_which_one_it_reached(scene: Scene, start: np.ndarray) -> None:
+def test_a_plan_to_a_set_of_poses_names_the_reached_one(scene: Scene, start: np.ndarray) -> None:
     tool = Placement(scene).place(start).site(scene.tool)
     poses = [PoseGoal.at(tool.xpos + [0.0, 0.05 * k, 0.1], [0.0, 1.0, 0.0, 0.0], free_yaw=True) for k in (9, 1, 2)]
     result = gp.plan(start, poses, scene, w=0.0, iterations=200)
@@ -182,7 +184,7 @@ def test_one_goal_needs_no_number_and_one_contact_no_others(scene: Scene, start:
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_slightly_outside_is_clamped_and_told(scene: Scene, side: int) -> None:
+def test_slight_excess_is_clamped_and_reported(scene: Scene, side: int) -> None:
     q = np.array(scene.keyframes["ready"])
     limit = scene.limits.position[2, side]
     outside = q.copy()

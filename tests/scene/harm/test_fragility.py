@@ -32,7 +32,7 @@ def test_every_shipped_class_has_a_fragility() -> None:
     assert set(table.carried) == set(severity.rows[ITSELF]) == set(CARRIED_CLASSES)
 
 
-def test_what_is_soft_spares_what_falls_on_it() -> None:
+def test_soft_surfaces_spare_falling_objects() -> None:
     table = FragilityTable.shipped()
     assert table.loss("glass", "floor", 0.55) == table.loss("glass", "", 0.55) == pytest.approx(0.5)
     assert table.loss("glass", "textile", 5.5) == pytest.approx(0.5)

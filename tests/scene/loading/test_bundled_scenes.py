@@ -129,7 +129,7 @@ def test_what_collides_is_an_entity_or_known_to_be_none(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", HOUSEHOLD)
-def test_entities_cover_what_is_none_because_it_is_covered(name: str) -> None:
+def test_covered_bodies_are_covered_by_entities(name: str) -> None:
     """Seen straight from above; an object that gets there otherwise has hit an entity before."""
     scene = household(name)
     model, data = scene.model, scene.data_at(scene.keyframes["ready"])
@@ -160,7 +160,7 @@ def depth_below(model: mujoco.MjModel, data: mujoco.MjData, xy: tuple[float, flo
 
 
 @pytest.mark.parametrize("name", HOUSEHOLD)
-def test_whoever_is_there_has_a_class(name: str) -> None:
+def test_all_people_and_pets_have_a_class(name: str) -> None:
     expected = {
         "dining_table": {"adult_head", "adult", "glass", "heirloom"},
         "desk": {"laptop", "phone", "paper", "mains", "pet", "glass"},
@@ -228,7 +228,7 @@ def test_ends_have_room_by_exact_geometry(name: str, task: str, end: str) -> Non
 
 
 @pytest.mark.parametrize(("name", "task", "end"), ENDS)
-def test_ends_are_not_above_what_is_severe(name: str, task: str, end: str) -> None:
+def test_ends_are_not_above_severe_entities(name: str, task: str, end: str) -> None:
     found, q = end_of(name, task, end)
     assert worst_impact(found.scene, q) < _MILD
 

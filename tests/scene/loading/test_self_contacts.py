@@ -36,7 +36,7 @@ def _scene(text: str, self_collision: str = "model") -> gp.Scene:
     )
 
 
-def test_filters_that_test_no_link_are_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_filters_that_exclude_all_links_are_reported(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "graceful_plan"):
         scene = _scene(_arm())
     assert "robot 'a'" in caplog.text and "1 pairs" in caplog.text and "self_collision='links'" in caplog.text
@@ -49,7 +49,7 @@ def test_filters_that_test_no_link_are_told(caplog: pytest.LogCaptureFixture) ->
     assert not caplog.records
 
 
-def test_links_are_tested_whatever_the_filters_say() -> None:
+def test_links_are_tested_despite_filters() -> None:
     scene = _scene(_arm(), self_collision="links")
     assert "links that may not touch: 1 pairs; that may:\n  adjacent: a - b, b - c" in scene.describe()
     assert not exactly_free(np.array([FOLDED]), scene).any()

@@ -154,7 +154,7 @@ def test_names_of_scenes() -> None:
 
 
 @pytest.mark.parametrize(("number", "total"), [(1, 3.78), (2, 5.74), (3, 3.95), (4, 1.27)])
-def test_algorithm_1_gives_what_was_recomputed_for_the_published_trajectories(number: int, total: float) -> None:
+def test_algorithm_1_gives_the_recomputed_values_for_the_published_trajectories(number: int, total: float) -> None:
     """With the carried box, hard boxes, no table, and the four published samples: lift, via twice, goal."""
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene.with_severity({"table": 0.0})
     stops = [scene.keyframes[name] for name in ("lift", f"t{number}_via", f"t{number}_via", f"t{number}_goal")]

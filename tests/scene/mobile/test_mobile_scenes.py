@@ -108,7 +108,7 @@ def test_ends_have_room_by_exact_geometry(name, task):
 
 
 @pytest.mark.parametrize(("name", "task"), [pair for pair in TASKS if mobile(pair[0]).robot == "jackal/"])
-def test_what_is_carried_stands_on_the_deck(name, task):
+def test_the_load_stands_on_the_deck(name, task):
     """A Jackal has no gripper: its load stands slightly above the deck, upright."""
     scene = mobile(name).tasks[task].scene
     if scene.carried is not None:

@@ -239,7 +239,7 @@ def test_only_robots_that_drive_roll():
         rolling_spec(gp.load_scene("tabletop"))
 
 
-def test_models_that_say_half_of_how_they_drive_are_refused():
+def test_incomplete_drive_descriptions_are_refused():
     spec = ground("jackal")
     spec.delete(next(n for n in spec.numerics if n.name == "jackal/drive/track"))
     with pytest.raises(SceneError, match="needs track"):
@@ -298,7 +298,7 @@ def test_coasting_goes_as_far_as_the_closed_form(robot):
 
 
 @pytest.mark.parametrize(("steeper", "moves"), [(0.9, False), (1.1, True)])
-def test_a_ramp_moves_what_its_friction_does_not_hold(steeper, moves):
+def test_a_steep_ramp_moves_a_base(steeper, moves):
     a, _ = Rolling("jackal").constants()
     level = Rolling("jackal")
     mass = level.model.body_mass.sum()
@@ -323,7 +323,7 @@ def test_a_fetch_pivots_about_a_locked_wheel():
 
 
 @pytest.mark.parametrize("v", [1.0, 2.0])
-def test_a_jackal_with_all_wheels_locked_slides_as_far_as_its_tyres_let_it(v):
+def test_a_jackal_with_all_wheels_locked_slides_by_tyre_friction(v):
     sim = Rolling("jackal")
     for speed in np.linspace(0.0, v, 21):
         sim.run(0.06, v=speed)

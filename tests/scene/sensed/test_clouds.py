@@ -69,7 +69,7 @@ def test_noise_does_not_make_dust_of_a_table() -> None:
     assert len(gp.PointCloud(name="seen", points=top, resolution=0.02).boxes[0]) < 20
 
 
-def test_points_stand_where_their_frame_is_and_what_was_not_seen_is_not_there() -> None:
+def test_points_follow_their_frame_and_invalid_ones_are_dropped() -> None:
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [1.0, 2.0, 3.0]
     points = [[0.105, 0.005, 0.005], [np.nan, 0.0, 0.0], [0.0, np.inf, 1.0]]
@@ -80,7 +80,7 @@ def test_points_stand_where_their_frame_is_and_what_was_not_seen_is_not_there() 
         assert len(gp.PointCloud(name="seen", points=nothing).boxes[0]) == 0
 
 
-def test_a_depth_image_is_what_a_pinhole_camera_sees() -> None:
+def test_a_depth_image_equals_a_pinhole_camera() -> None:
     """Return a wall half a metre before a camera that looks along x, through a pinhole with a given opening."""
     X_WC = np.eye(4)
     X_WC[:3, :3] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # x right is -y, y down is -z
@@ -198,7 +198,7 @@ def test_names_are_taken_once_and_boxes_are_not_too_many(scene: gp.Scene) -> Non
         lambda: gp.HeightMap(name="map", heights=[[1.0]], cell=0.1, corner=(0.0, 0.0), bottom=float("nan")),
     ],
 )
-def test_what_no_sensor_saw_is_refused(wrong) -> None:
+def test_impossible_sensor_data_are_refused(wrong) -> None:
     """In particular, an infinite height must not count as zero."""
     with pytest.raises((gp.GracefulPlanError, TypeCheckError)):
         wrong()

@@ -164,7 +164,7 @@ def test_motions_are_kept_in_sight(page, viewer):
     assert errors(page) == []
 
 
-def test_it_plays_and_pauses(page, viewer):
+def test_the_page_plays_and_pauses(page, viewer):
     if viewer._page.player.playing:
         click(page, "Pause")
         until(lambda: not viewer._page.player.playing)

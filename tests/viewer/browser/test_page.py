@@ -162,13 +162,13 @@ def watched(question, motions):
         yield Watched(desk.server, alone, shapes)
 
 
-def test_a_browser_never_hears_of_what_is_gone(watched):
+def test_no_message_refers_to_a_removed_element(watched):
     """Also for a slow browser that receives all messages at once, as one did while it was drawing."""
     assert watched.server.errors() == [] and watched.server.complaints == []
     assert sum(handle._name == "chart" for handle in watched.server.handles) == 1
 
 
-def test_whoever_writes_holds_the_lock(watched):
+def test_every_writer_holds_the_lock(watched):
     """Threads of player, planner and browsers: none writes while another one replaces elements."""
     assert watched.alone == []
 
@@ -205,7 +205,7 @@ def test_the_chart_is_of_the_motion_that_is_shown(desk):
     np.testing.assert_allclose(drawn, 0.5 * motion.duration, atol=1e-5)
 
 
-def test_what_is_moved_stays_where_it_was_put_while_the_answer_is_awaited(desk):
+def test_a_moved_entity_stays_in_place_until_the_answer(desk):
     """The previous motion keeps playing; it used to move the object back."""
     desk.c.entity.enter("red1")
     desk.c.move.enter(True)
@@ -222,7 +222,7 @@ def test_what_is_moved_stays_where_it_was_put_while_the_answer_is_awaited(desk):
     np.testing.assert_allclose(desk.place("red1"), there, atol=1e-6)
 
 
-def test_without_a_motion_nothing_is_said_of_one(desk):
+def test_without_a_motion_there_is_no_text_about_it(desk):
     desk.page.player.seek(0.5 * desk.page.state.duration)
     far = desk.server.only("scene", "/footprint/near")
     assert far.visible and "Impact of a failure now" in desk.c.now_text.content
@@ -236,7 +236,7 @@ def test_without_a_motion_nothing_is_said_of_one(desk):
     assert np.abs(begun - start).max() > 0.01
 
 
-def test_a_thing_that_cannot_be_moved_has_its_handle_where_it_is(desk, monkeypatch):
+def test_a_refused_move_resets_the_handle(desk, monkeypatch):
     def refuse(*_):
         raise gp.GracefulPlanError("it hangs on something else")
 
@@ -262,7 +262,7 @@ def test_half_of_a_number_is_no_start(desk):
     assert "out of reach" in said
 
 
-def test_who_comes_while_two_scenes_stand_side_by_side_sees_both(desk):
+def test_a_new_browser_sees_both_scenes_side_by_side(desk):
     alone = np.array(desk.server.initial_camera.look_at)
     desk.server.client.camera.position, desk.server.client.camera.look_at = np.ones(3), np.zeros(3)
     desk.c.other.enter("beside it")

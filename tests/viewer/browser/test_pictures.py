@@ -30,7 +30,7 @@ def test_other_fonts_and_edges_pass(arm):
 
 
 @pytest.mark.parametrize("place", [ROBOT, CHART])
-def test_what_is_missing_or_too_much_is_noticed(arm, place):
+def test_missing_and_additional_content_is_noticed(arm, place):
     without = arm.copy()
     without[place] = arm[place][0, 0]
     assert unlike(arm, without) > 1.5 * UNLIKE

@@ -113,7 +113,7 @@ def robot_of(shown):
             yield frame
 
 
-def test_a_failure_with_what_it_has_hit(arm, browser, tmp_path):
+def test_a_failure_with_its_hits(arm, browser, tmp_path):
     with arm.lock:
         replay = arm.state.fail(Failure(fault="gripper_failure", moment=0.5))
         arm._draw()
