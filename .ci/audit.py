@@ -16,7 +16,7 @@ from pathlib import Path
 FILES = ("build", "runtime", "dev", "docs", "viewer", "robots", "checks")
 
 
-def asked(file: Path) -> list[dict[str, object]] | str:
+def audited(file: Path) -> list[dict[str, object]] | str:
     """Return the findings of pip-audit for each pin in a file, or its error message."""
     command = [sys.executable, "-m", "pip_audit", "--disable-pip", "--no-deps", "--format", "json", "-r", str(file)]
     run = subprocess.run([*command, "--progress-spinner", "off"], capture_output=True, text=True, check=False)
@@ -32,7 +32,7 @@ def main() -> int:
     files = [Path(name) for name in sys.argv[1:]] or [root / f"{name}.txt" for name in FILES]
     looked_at, total, known = 0, 0, 0
     for file in files:
-        found = asked(file)
+        found = audited(file)
         if isinstance(found, str):
             print(f"{file.name}: not audited: {found}")
             continue

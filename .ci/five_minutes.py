@@ -62,9 +62,9 @@ def main() -> int:
 
         def step(what: str, act: Callable[[], str]) -> None:
             began = time.perf_counter()
-            said = act()
+            output = act()
             rows.append((what, time.perf_counter() - began))
-            print(f"{rows[-1][1]:7.1f} s  {what}{said and ': ' + said}", flush=True)
+            print(f"{rows[-1][1]:7.1f} s  {what}{output and ': ' + output}", flush=True)
 
         def run(*command: str) -> str:
             done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)

@@ -458,10 +458,10 @@ def main() -> int:
         for _ in range(args.calls):
             name = rng.choice(sorted(groups))
             call = rng.choice(groups[name])
-            said = attack(call, rng, pool, seen, trace=args.trace)
-            if said:
+            problem = attack(call, rng, pool, seen, trace=args.trace)
+            if problem:
                 wrong += 1
-                print(said, flush=True)
+                print(problem, flush=True)
         wrong += seen["slow"]
         print(f"{isa}: {args.calls} calls of {len(groups)} kinds: {dict(seen)}; {wrong} wrong", flush=True)
     return wrong

@@ -382,10 +382,10 @@ def write_maps(folder: Path) -> None:
     floor.save(folder / "floor.yaml")
     floor.save_moving_ai(folder / "floor.map")
     write_scenarios(folder / "floor.scen", [MovingAIScenario((0, 0), (11, 8), 15.5)] * 9, "floor.map", (9, 12))
-    said = (folder / "floor.yaml").read_text()
-    (folder / "scale.yaml").write_text(said.replace("floor.pgm", "scale.pgm").replace("trinary", "scale"))
+    text = (folder / "floor.yaml").read_text()
+    (folder / "scale.yaml").write_text(text.replace("floor.pgm", "scale.pgm").replace("trinary", "scale"))
     (folder / "scale.pgm").write_text("P2\n# plain\n12 9\n1000\n" + "\n".join(map(str, range(0, 972, 9))) + "\n")
-    (folder / "grey.yaml").write_text(said.replace("floor.pgm", "grey.png"))
+    (folder / "grey.yaml").write_text(text.replace("floor.pgm", "grey.png"))
     Image.fromarray(np.dstack([np.where(occupancy, 0, 254), np.full((9, 12), 255)]).astype(np.uint8)).save(
         folder / "grey.png"
     )
@@ -543,7 +543,7 @@ def place(valid: Path, names: tuple[str, ...], folder: Path, rng: random.Random)
 # --- judging ---------------------------------------------------------------------------------------------------------
 
 
-SAID: dict[str, Counter[str]] = {name: Counter() for name in READERS}
+MESSAGES: dict[str, Counter[str]] = {name: Counter() for name in READERS}
 """Messages of each reader, without numbers."""
 
 
@@ -583,7 +583,7 @@ def judge(name: str, reader: Reader, folder: Path, seen: Counter[str]) -> str | 
         signal.alarm(0)
     except gp.GracefulPlanError as error:
         seen["refused"] += 1
-        SAID[name].update([re.sub(r"\d+", "#", str(error))[-90:]])
+        MESSAGES[name].update([re.sub(r"\d+", "#", str(error))[-90:]])
         return None
     except TooSlow:
         return f"took more than {SLOW} s"
@@ -621,7 +621,7 @@ def main() -> int:
         for name in args.reader:
             counts: Counter[str] = Counter()
             if (found := judge(name, READERS[name], valid, counts)) or not counts["read"]:
-                raise SystemExit(f"{name} does not read its valid file: {found or list(SAID[name])}")
+                raise SystemExit(f"{name} does not read its valid file: {found or list(MESSAGES[name])}")
         seen: dict[str, Counter[str]] = {name: Counter() for name in args.reader}
         for i in range(args.files):
             name = args.reader[i % len(args.reader)]
@@ -635,7 +635,11 @@ def main() -> int:
         for name, counts in seen.items():
             print(f"{name}: {counts['read']} read, {counts['refused']} refused, {wrong[name]} wrong", flush=True)
             if args.verbose:
-                print(*(f"    {count} x {said}" for said, count in SAID[name].most_common(8)), sep="\n", flush=True)
+                print(
+                    *(f"    {count} x {message}" for message, count in MESSAGES[name].most_common(8)),
+                    sep="\n",
+                    flush=True,
+                )
         greedy = sum(counts["greedy"] for counts in seen.values())
         print(f"{args.files} files, {wrong.total() + greedy} wrong", flush=True)
         return wrong.total() + greedy

@@ -25,7 +25,7 @@ from queue import SimpleQueue
 import cosmic_ray.plugins
 from cosmic_ray.ast import ast_nodes, get_ast_from_path
 from cosmic_ray.mutating import apply_mutation
-from mutated import ROOT, copied, tests_pass, told
+from mutated import ROOT, copied, report, tests_pass
 
 LIBRARY = "src/graceful_plan"
 MODULES = {
@@ -126,10 +126,10 @@ def tried(mutant: Mutant, place: Path) -> dict[str, object]:
         before, after = next(
             (a, b) for a, b in zip(original.splitlines(), str(text).splitlines(), strict=False) if a != b
         )
-        survived, said = tests_pass(place, MODULES[mutant.module])
+        survived, reason = tests_pass(place, MODULES[mutant.module])
     finally:
         file.write_text(original, encoding="utf-8")
-    return {**asdict(mutant), "survived": survived, "said": said, "before": before.strip(), "after": after.strip()}
+    return {**asdict(mutant), "survived": survived, "said": reason, "before": before.strip(), "after": after.strip()}
 
 
 def drawn(modules: Sequence[str], each: int, seed: int) -> Iterator[Mutant]:
@@ -183,7 +183,7 @@ def main() -> int:
             results.append(result)
             with args.journal.open("a") as out:
                 out.write(json.dumps(result) + "\n")
-    return told(results)
+    return report(results)
 
 
 if __name__ == "__main__":

@@ -25,8 +25,8 @@ def copied(place: Path) -> Path:
         if (ROOT / name).is_file():
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, place / name)
-    for room, module in (("core", "_native"), ("judge", "_pendulum")):
-        folder = Path("graceful_plan", room)
+    for package, module in (("core", "_native"), ("judge", "_pendulum")):
+        folder = Path("graceful_plan", package)
         (native,) = (Path(sysconfig.get_path("platlib")) / folder).glob(f"{module}*")
         shutil.copy(native, place / "src" / folder)
     return place
@@ -51,11 +51,11 @@ def tests_pass(place: Path, tests: Sequence[str], **variables: str) -> tuple[boo
         )
     except subprocess.TimeoutExpired:
         return False, f"took more than {PATIENCE} s"
-    said = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return run.returncode == 0, (said or run.stdout.splitlines()[-1:] or [run.stderr[-200:]])[0][:200]
+    failures = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return run.returncode == 0, (failures or run.stdout.splitlines()[-1:] or [run.stderr[-200:]])[0][:200]
 
 
-def told(results: Sequence[dict[str, object]]) -> int:
+def report(results: Sequence[dict[str, object]]) -> int:
     """Print scores and survivors; return how many survived."""
     survivors = [result for result in results if result["survived"]]
     total, left = (Counter(str(result["module"]) for result in some) for some in (results, survivors))

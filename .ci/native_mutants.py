@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mutated import ROOT, copied, tests_pass, told
+from mutated import ROOT, copied, report, tests_pass
 from native_edits import EDITS
 
 NATIVE = Path("src/graceful_plan/core/native")
@@ -27,8 +27,8 @@ VARIABLE = "GP_MUTANT"
 CHOICE = f"""#pragma once
 #include <cstdlib>
 inline const int gp_mutant = [] {{
-  const char* said = std::getenv("{VARIABLE}");
-  return said ? std::atoi(said) : -1;
+  const char* chosen = std::getenv("{VARIABLE}");
+  return chosen ? std::atoi(chosen) : -1;
 }}();
 """
 
@@ -106,12 +106,12 @@ def main() -> int:
         for edit in edits():
             if (edit.file, edit.before) in known or args.only not in edit.file or time.monotonic() > end:
                 continue
-            survived, said = tests_pass(place, edit.tests, **{VARIABLE: str(edit.number)})
+            survived, reason = tests_pass(place, edit.tests, **{VARIABLE: str(edit.number)})
             result = {"module": edit.file, "before": edit.before, "after": edit.after}
-            results.append({**result, "survived": survived, "said": said, "line": 0})
+            results.append({**result, "survived": survived, "said": reason, "line": 0})
             with args.journal.open("a") as out:
                 out.write(json.dumps(results[-1]) + "\n")
-    return told(results)
+    return report(results)
 
 
 if __name__ == "__main__":

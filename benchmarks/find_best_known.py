@@ -74,14 +74,14 @@ def _row(name: str, best: BestMotion | None, runs: list[Attempt]) -> list[str]:
     costs = [report.quantity(value, digits=5) for value in (best.total, best.motion, best.impact)]
     others = [run for run in runs if run.planner != best.planner and run.total is not None]
     second = min(others, key=lambda run: run.total or 0.0, default=None)
-    told = (
+    runner_up = (
         ""
         if second is None or second.total is None
         else (
             f"{second.planner}, {report.percent(second.total / best.total - 1.0 if best.total else second.total)} above"
         )
     )
-    return [name, *costs, found, str(len(runs)), str(failed), told]
+    return [name, *costs, found, str(len(runs)), str(failed), runner_up]
 
 
 if __name__ == "__main__":

@@ -86,9 +86,9 @@ def targets(options: suite.Options) -> Iterator[report.Target]:
 def _within(what: str, limit: float | None, seconds: list[float]) -> report.Target:
     """Judge by the median; the first process warms the file cache and does not count."""
     median, slowest = float(np.median(seconds[1:])), max(seconds[1:])
-    told = f"{report.quantity(median, ' s')}, slowest {report.quantity(slowest, ' s')}"
+    measured_text = f"{report.quantity(median, ' s')}, slowest {report.quantity(slowest, ' s')}"
     wanted, met = ("-", None) if limit is None else (f"< {limit:g} s", median < limit)
-    return report.Target(what=what, wanted=wanted, measured=told, met=met)
+    return report.Target(what=what, wanted=wanted, measured=measured_text, met=met)
 
 
 def _number(code: str, *arguments: str) -> float:

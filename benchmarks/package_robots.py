@@ -97,8 +97,8 @@ def loads() -> list[tuple[PackageRobot, Callable[[], gp.Scene]]]:
     ]
     fetch = others / _FETCH / "fetch" / "reach.xml"
     if fetch.is_file():
-        told = PackageRobot(name="Fetch, MJCF", file=str(fetch), tool="robot0:grip", joints=8, of_issue=True)
-        found.append((told, partial(fetch_at_a_table, fetch)))
+        robot = PackageRobot(name="Fetch, MJCF", file=str(fetch), tool="robot0:grip", joints=8, of_issue=True)
+        found.append((robot, partial(fetch_at_a_table, fetch)))
     return found
 
 

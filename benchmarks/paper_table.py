@@ -288,8 +288,8 @@ def targets(rows: Sequence[Row]) -> list[report.Target]:
 def differences(rows: Sequence[Row]) -> str:
     """Describe the differences from the published table and their reasons."""
     paper = [row for row in rows if row.name != "direct"]
-    told = [_about_costs(rows, paper), _about_observations(rows, paper)]
-    return "\n\n".join(textwrap.fill(" ".join(text.split()), 120) for text in told)
+    paragraphs = [_about_costs(rows, paper), _about_observations(rows, paper)]
+    return "\n\n".join(textwrap.fill(" ".join(text.split()), 120) for text in paragraphs)
 
 
 def _about_costs(rows: Sequence[Row], paper: Sequence[Row]) -> str:
@@ -335,8 +335,8 @@ def _about_observations(rows: Sequence[Row], paper: Sequence[Row]) -> str:
         """
 
 
-def _listed(rows: Sequence[Row], told: Callable[[Row], str]) -> str:
-    return ", ".join(f"{told(row)} ({row.name})" for row in rows)
+def _listed(rows: Sequence[Row], text_of: Callable[[Row], str]) -> str:
+    return ", ".join(f"{text_of(row)} ({row.name})" for row in rows)
 
 
 def _ranked(rows: Sequence[Row], value: Callable[[Row], float]) -> str:

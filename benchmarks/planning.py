@@ -40,7 +40,7 @@ def problem(task: str) -> ProblemSpec:
 
 def runs(jobs: Sequence[PlannerJob], processes: int, label: str) -> Iterator[Run]:
     """Do runs and yield them as they finish; one process means this process."""
-    return suite.told(workers.done(jobs, processes if processes > 1 else 0), len(jobs), label)
+    return suite.with_progress(workers.done(jobs, processes if processes > 1 else 0), len(jobs), label)
 
 
 def warm(planner: str, task: str | None = None) -> None:

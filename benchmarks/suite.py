@@ -121,10 +121,10 @@ def _tasks_of(scenes: Sequence[str], options: Options | None) -> list[str]:
 
 def spread(do: Callable[[J], R], jobs: Sequence[J], processes: int, label: str) -> Iterator[R]:
     """Do jobs in worker processes, or in this process if there is only one, and yield results as they come."""
-    return told(workers.spread(workers.Work(do=do), jobs, processes if processes > 1 else 0), len(jobs), label)
+    return with_progress(workers.spread(workers.Work(do=do), jobs, processes if processes > 1 else 0), len(jobs), label)
 
 
-def told(results: Iterator[R], count: int, label: str) -> Iterator[R]:
+def with_progress(results: Iterator[R], count: int, label: str) -> Iterator[R]:
     """Yield results and print progress on standard error."""
     started, terminal = time.perf_counter(), sys.stderr.isatty()
     for done, result in enumerate(results, 1):

@@ -36,7 +36,7 @@ def hall(
     extra: str = "",
     entities: dict[str, str] | None = None,
 ) -> gp.Scene:
-    """Make the hall: 12 m long, 4 m wide, a person beside the middle."""
+    """Return the hall: 12 m long, 4 m wide, a person beside the middle."""
     wheels = "".join(
         f'<geom type="cylinder" size=".098 .02" pos="{x} {y} .098" euler="1.5708 0 0" mass=".477"/>'
         for x in (0.131, -0.131)

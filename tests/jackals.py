@@ -10,7 +10,7 @@ from graceful_plan.scene.mobile.known_bases import known_base
 
 
 def jackal(*bodies):
-    """A Jackal on a wide floor, among cylinders that are children."""
+    """Return a Jackal on a wide floor, among cylinders that stand for children."""
     things = "".join(
         f'<body name="child{k}" pos="{x} {y} .5"><geom type="cylinder" size=".2 .5"/></body>'
         for k, (x, y) in enumerate(bodies)

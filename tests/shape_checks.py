@@ -1,7 +1,7 @@
-"""Checks of shapes and types, thinned out: of every function the first calls in each test, and then one in many.
+"""Checks of shapes and types: the first calls of each function in each test, then one call in many.
 
-Checking every call takes several times as long as what is called. What breaks a shape does so at one of the first
-calls, or at any.
+Checking every call takes several times as long as the calls. A function that breaks a shape does so at one of its
+first calls, or at random.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import jaxtyping
 from beartype.roar import BeartypeCallHintViolation, BeartypeDecorHintException
 
 FIRST = 20
-"""So many calls of a function are checked in each test. Some functions are called 100,000 times in a test."""
+"""Number of checked first calls of a function in each test. Some functions are called 100,000 times in a test."""
 EVERY = 50
-"""And then one call in so many. Four files of tests of planning (via, departure, straight, stomp) take 49 s of a core
-with all calls checked, 26 s with these numbers, and 19 s without checks."""
+"""After those, one call in this number is checked. Four files of tests of planning (via, departure, straight, stomp)
+take 49 s of a core with all calls checked, 26 s with these numbers, and 19 s without checks."""
 
 _in_full = jaxtyping.jaxtyped
 
 
 class _Test:
     number = 0
-    """How many tests have begun."""
+    """Number of tests begun."""
 
 
 def begin_test() -> None:
@@ -39,7 +39,7 @@ class _Decorator(Protocol):
 
 
 def jaxtyped(*, typechecker: Callable[..., Any]) -> _Decorator:
-    """Stand in for the decorator that jaxtyping's import hook puts on every function and class."""
+    """Replace the decorator that jaxtyping's import hook puts on every function and class."""
     return functools.partial(_thinned, typechecker)
 
 
@@ -57,7 +57,7 @@ def _thinned(typechecker: Callable[..., Any], thing: Any) -> Any:
 
 
 def _function(typechecker: Callable[..., Any], function: Callable[..., Any]) -> Callable[..., Any]:
-    checked: Callable[..., Any] | None = None  # made when it is first needed: that takes long, and few are
+    checked: Callable[..., Any] | None = None  # made on first use, since making one is slow and few are used
     test, calls = -1, 0
 
     @functools.wraps(function)
@@ -75,12 +75,12 @@ def _function(typechecker: Callable[..., Any], function: Callable[..., Any]) -> 
 
 
 def _checked(typechecker: Callable[..., Any], function: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a function that checks its calls.
+    """Return a function that checks its calls.
 
-    jaxtyping has arguments and results checked by two functions of its own, which takes twice as long to make and to
-    call. Those are for what the checker alone gets wrong: generators, whose yields it would look at when their shapes
-    are forgotten, annotations that it does not understand as strings, and closures, which it keeps for ever: with what
-    is in them of the native core, which then complains when the process ends.
+    jaxtyping checks arguments and results by two functions, which takes twice as long to make and to call. These are
+    used where the checker alone is wrong: for generators, whose yields it would check after it forgot the shapes; for
+    string annotations that it does not understand; and for closures, which it keeps alive together with objects of the
+    native core, which then reports leaks when the process ends.
     """
     if inspect.isgeneratorfunction(function) or function.__closure__:
         return _in_full(function, typechecker=typechecker)
@@ -102,5 +102,5 @@ def _checked(typechecker: Callable[..., Any], function: Callable[..., Any]) -> C
 
 
 def install() -> None:
-    """Put it in the place of jaxtyping's own, for all modules that are imported from now on."""
+    """Replace jaxtyping's decorator for all modules imported from now on."""
     jaxtyping.jaxtyped = jaxtyped

@@ -1,4 +1,4 @@
-"""What of a test is done by `make test`, and what by `make test-long`."""
+"""Division of tests between `make test` and `make test-long`, and into parts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def portion(text: str) -> Portion:
     """Read "K/N".
 
     Raises:
-        ArgumentTypeError: If it is not that, with 1 <= K <= N.
+        ArgumentTypeError: Unless it has this form, with 1 <= K <= N.
     """
     k, _, n = text.partition("/")
     if not (k.isdecimal() and n.isdecimal() and 1 <= int(k) <= int(n)):

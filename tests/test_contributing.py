@@ -1,4 +1,4 @@
-"""The worked examples of CONTRIBUTING.md: complete, within their contracts, and usable as it says there."""
+"""The worked examples of CONTRIBUTING.md are complete, keep their contracts, and work as described."""
 
 import ast
 import re

@@ -56,7 +56,7 @@ def test_reads_trajectories_and_results(tmp_path):
         ('{"schema": "something else"}', FormatError, "missing keys"),
     ],
 )
-def test_refuses_what_is_no_motion(text, error, message, tmp_path):
+def test_other_documents_are_refused(text, error, message, tmp_path):
     file = tmp_path / "file.json"
     file.write_text(text)
     with pytest.raises(error, match=message) as raised:

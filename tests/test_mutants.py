@@ -1,4 +1,4 @@
-"""What `make mutants` runs: an edit becomes a choice between original and edit, and the named tests exist."""
+"""Tools of `make mutants`: an edit becomes a choice between original and edit, and the named tests exist."""
 
 import ast
 import importlib

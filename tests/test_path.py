@@ -1,4 +1,4 @@
-"""Path: lengths, resampling, what is refused."""
+"""Path: lengths, resampling, refused arguments."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ def test_finite_array_names_what_it_expected() -> None:
         finite_array("start", [0.0, 1.0], last=7)
 
 
-def test_what_is_masked_is_not_a_number() -> None:
-    """A mask says that a value is not known; what lies below it was taken for one."""
+def test_masked_values_are_refused() -> None:
+    """Masked values are unknown; the numbers below a mask used to be read."""
     q = np.ma.array([[0.0, 1.0], [2.0, 3.0]], mask=[[0, 0], [1, 0]])
     with pytest.raises(NonFiniteError, match=r"path.*\(1, 0\)"):
         Path(q)

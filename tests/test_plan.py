@@ -1,4 +1,4 @@
-"""plan() from outside: statuses, contracts, unhappy paths."""
+"""plan() from the outside: statuses, contracts, unhappy paths."""
 
 import sys
 import time
@@ -28,10 +28,10 @@ def _quick(task, **settings):
     return gp.plan(task.start, task.goal, task.scene, **settings)
 
 
-# --- what is returned -------------------------------------------------------------------------------------------------
+# --- results ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_solved_plan_is_what_it_says(task):
+def test_a_solved_plan_keeps_its_promises(task):
     result = _quick(task, w=1.0)
     assert result.status is gp.PlanStatus.SOLVED
     trajectory = result.unwrap()
@@ -43,7 +43,7 @@ def test_a_solved_plan_is_what_it_says(task):
     assert trajectory.joints == task.scene.joints
 
 
-def test_compiling_is_told_of_where_it_takes_much_of_the_time(task, monkeypatch):
+def test_long_compile_times_are_reported(task, monkeypatch):
     # The bundled scenes compile within milliseconds.
     monkeypatch.setattr(sys.modules["graceful_plan.plan"], "_COMPILED_SOON", 0.0)
     told = gp.plan(task.start, task.goal, task.scene.edit(move={}), time_limit=1e-6)
@@ -78,7 +78,7 @@ def test_w_trades_motion_for_impact(task):
 
 @pytest.mark.parametrize("name", _NAMES)
 def test_every_planner_solves_a_task(task, name):
-    # A T-RRT climbs slowly where the impact has slopes everywhere; over boxes most of the space is flat.
+    # A T-RRT climbs slowly where the impact has slopes everywhere; by the box model most of the space is flat.
     model = "box_overlap" if name == "trrt" else "mixture"
     objective = gp.Objective(impact=gp.ImpactCost(model=model), w=1.0)
     result = _quick(task, planner=name, objective=objective, iterations=100_000, callback=lambda point: True)
@@ -101,7 +101,7 @@ def test_a_time_limit_besides_iterations_only_ends_them_early(task):
     assert ended.status is not gp.PlanStatus.SOLVED or ended.stats["iterations"] < 10**9
 
 
-def test_iterations_make_what_is_seen_on_the_way_reproducible(task):
+def test_iterations_make_intermediate_results_reproducible(task):
     first, second = (_quick(task, iterations=400, seed=4) for _ in range(2))
     assert len(first.trace) > 1
     assert [point.total for point in first.trace] == [point.total for point in second.trace]
@@ -300,7 +300,7 @@ def test_misuse_names_the_culprit(task):
 
 @dataclass(frozen=True)
 class Trapped(gp.Cost):
-    """Is not a number in a place so small that only dense samples meet it."""
+    """A cost that is NaN in a region so small that only dense samples find it."""
 
     place: float
 
@@ -329,7 +329,7 @@ def test_without_an_object_there_is_no_impact():
     assert with_body.cost.impact > 0.0
 
 
-# --- what went wrong once ---------------------------------------------------------------------------------------------
+# --- fixed bugs -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("end", [0.05, 1.5])

@@ -1,4 +1,4 @@
-"""The shape of the project: imports point one way, importing is light, tables and documents say what is true."""
+"""Structure of the project: import directions, light imports, complete tables, correct documents."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HARNESS = ROOT / "sim" / "failbench"
 HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 BASICS = {"_version", "array_types", "exceptions", "disk_cache", "lazy_imports", "path", "regular_file", "yaml_file"}
-"""Modules at the root that every room may use."""
+"""Modules at the root that every package may use."""
 FLOORS = (
     {"basics"},
     {"scene"},
@@ -54,7 +54,7 @@ FLOORS = (
     {"graceful_plan"},
     {"testing", "tools"},
 )
-"""From the bottom up: a room uses rooms of lower floors, not its neighbours. "graceful_plan" is the package itself."""
+"""From the bottom up: a package uses only lower floors. "graceful_plan" is the package itself."""
 HARNESS_FLOORS = (
     {"basics"},
     {"simulated"},
@@ -89,7 +89,7 @@ HEAVY = (
 
 
 def module_name(file: Path) -> str:
-    """Name a module of either package: planners/trees/trrt.py is graceful_plan.planners.trees.trrt."""
+    """Return the module name of a file: planners/trees/trrt.py is graceful_plan.planners.trees.trrt."""
     root = LIBRARY if file.is_relative_to(LIBRARY) else HARNESS
     return ".".join([root.name, *file.relative_to(root).with_suffix("").parts]).removesuffix(".__init__")
 
@@ -104,7 +104,7 @@ def syntax_of(file: Path) -> ast.Module:
 
 
 def imports(tree: ast.Module) -> Iterator[str]:
-    """Yield the full name of everything imported, for types and inside of functions too."""
+    """Yield the full name of every import, also for types and inside functions."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -114,7 +114,7 @@ def imports(tree: ast.Module) -> Iterator[str]:
 
 
 def imported_modules(name: str) -> set[str]:
-    """Name the modules of both packages that a module imports; a name in a module stands for the module."""
+    """Return the modules of both packages that a module imports; a name in a module stands for the module."""
     found = set()
     for full in imports(syntax_of(MODULES[name])):
         parts = full.split(".")
@@ -125,18 +125,18 @@ def imported_modules(name: str) -> set[str]:
 
 @cache
 def all_imports() -> dict[str, set[str]]:
-    """Return what each module imports; every file is parsed for it, which not every process that runs tests needs."""
+    """Return the imports of each module; on demand, since not every test process needs to parse all files."""
     return {name: imported_modules(name) for name in MODULES}
 
 
 def room(module: str) -> str:
-    """Name the room of a module, which may be a module itself."""
+    """Return the package below the root to which a module belongs; it may be the module itself."""
     package, *rest = module.split(".")
     return package if not rest else "basics" if rest[0] in BASICS and package == LIBRARY.name else rest[0]
 
 
 def above(package: str, floors: tuple[set[str], ...]) -> list[str]:
-    """List imports within a package that lead to a neighbour or upwards."""
+    """List imports within a package that lead to the same floor or upwards."""
     floor = {name: i for i, names in enumerate(floors) for name in names}
     return [
         f"{module} imports {other}"
@@ -209,7 +209,7 @@ def test_no_module_has_the_name_of_a_public_function():
         if inspect.isfunction(getattr(package, name))
     }
     shared = {(m.split(".")[0], m.split(".")[-1]) for m in MODULES} & functions
-    assert shared == {("graceful_plan", "plan")}  # plan.py is where the story is told
+    assert shared == {("graceful_plan", "plan")}  # plan.py tells the steps of a query
 
 
 def test_the_judge_shares_nothing_with_the_planners():
@@ -279,7 +279,7 @@ def test_every_python_that_is_supported_gets_a_wheel():
     versions = sorted(tuple(map(int, word.split("."))) for word in words)
     built = sorted((3, int(name[3:-2])) for name in project["tool"]["cibuildwheel"]["build"])
     stable = (3, int(project["tool"]["scikit-build"]["wheel"]["py-api"][3:]))
-    assert built[0] == versions[0] and built[-1] == stable  # those in between have their own, the newer ones share one
+    assert built[0] == versions[0] and built[-1] == stable  # packages in between have their own; newer ones share one
     assert built == [version for version in versions if version <= stable]
 
 
@@ -310,7 +310,7 @@ def test_readme_has_snippets():
 
 @pytest.fixture
 def counted(monkeypatch):
-    """Give calls of `plan` as they stand in documents iterations in the place of seconds: the machine may be busy."""
+    """Replace the time limits of `plan` calls in documents by iterations: the machine may be busy."""
 
     def plan(*args, **kwargs):
         return real(*args, **(kwargs if "time_limit" in kwargs else {"iterations": 300, **kwargs}))
@@ -363,7 +363,7 @@ def test_guides_run(guide, tmp_path, monkeypatch):
 
 
 def dotted_names() -> list[tuple[str, str]]:
-    """List what documents call graceful_plan.x or failbench.x.y, each with its document; names of files are none."""
+    """List the attributes graceful_plan.x and failbench.x.y in documents, each with its document, except file names."""
     found = set()
     for file in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
         for name in re.findall(r"(?<![\w./-])(?:graceful_plan|failbench)(?:\.[A-Za-z_]\w*)+", file.read_text()):

@@ -50,7 +50,7 @@ _REFUSED = {
 
 
 @pytest.mark.parametrize("attack", _REFUSED)
-def test_what_strangers_may_not_do(attack: str) -> None:
+def test_hostile_files_are_refused(attack: str) -> None:
     text, line, words = _REFUSED[attack]
     error = _refusal(text)
     assert words in error.message
@@ -80,7 +80,7 @@ def test_what_strangers_may_not_do(attack: str) -> None:
         ("a: {b: 1}", lambda a: a.only("c", "d"), "unknown key 'b' in a.yaml.a; valid: c, d"),
     ],
 )
-def test_wrong_types_say_what_is_wanted(text: str, ask: object, words: str) -> None:
+def test_errors_name_the_expected_type(text: str, ask: object, words: str) -> None:
     with pytest.raises(SceneError, match=words) as caught:
         ask(parse_yaml(f"z: 0\n{text}\n", "a.yaml")["a"])  # type: ignore[operator]
     assert caught.value.line == 2
@@ -125,7 +125,7 @@ _TREES = st.recursive(
 
 @settings(max_examples=100, deadline=None)
 @given(st.dictionaries(_KEYS, _TREES, max_size=3), st.sampled_from([True, False, None]))
-def test_what_is_dumped_is_read(tree: dict, flow: bool | None) -> None:
+def test_dumped_values_can_be_read(tree: dict, flow: bool | None) -> None:
     text = yaml.safe_dump(tree, default_flow_style=flow)
     if "&id" in text:
         assert "anchors" in _refusal(text).message

@@ -35,7 +35,7 @@ class Held:
         lost: Message if the object was lost; otherwise "".
         refused: Message if the robot could not follow; otherwise "".
         harm: Total harm of the healthy motion.
-        told: The harm in words.
+        harm_text: The harm in words.
     """
 
     job: HeldJob
@@ -45,7 +45,7 @@ class Held:
     lost: str = ""
     refused: str = ""
     harm: float = 0.0
-    told: str = ""
+    harm_text: str = ""
 
 
 def jobs(options: suite.Options) -> list[HeldJob]:
@@ -78,5 +78,5 @@ def examine(job: HeldJob) -> Held:
         duration=duration,
         slip=done.slip,
         harm=done.healthy.harm,
-        told=str(done.healthy),
+        harm_text=str(done.healthy),
     )

@@ -114,7 +114,7 @@ def names(options: suite.Options) -> dict[str, list[str]]:
 def objection(asked: Question) -> str:
     """Return the reason why start and goal cannot be upright or connected; otherwise ""."""
     held = SceneConstraints(asked.scene, [UPRIGHT])
-    at_start = [f"start: {told}" for told in held.objections(asked.start)]
+    at_start = [f"start: {reason}" for reason in held.objections(asked.start)]
     at_goals = [held.objections(q) for q in np.atleast_2d(asked.goal)]
     return "; ".join([*at_start, *([f"goal: {at_goals[0][0]}"] if all(at_goals) else [])])
 
@@ -126,8 +126,8 @@ def examine(job: UprightJob) -> UprightFigures:
     lacking = objection(asked)
     ends = None if lacking else find_endpoints(asked.start, asked.goal, held, np.random.default_rng(0))
     if ends is None or isinstance(ends, gp.PlanResult):
-        told = lacking if ends is None else f"{ends.status.name}: {ends.detail}"
-        return UprightFigures(name=job.name, objection=told, first={})
+        reason = lacking if ends is None else f"{ends.status.name}: {ends.detail}"
+        return UprightFigures(name=job.name, objection=reason, first={})
     problem = SceneProblem(
         kernels=held.kernels,
         start=ends.departure.q[-1],

@@ -61,7 +61,7 @@ def headline_sections(found: Found, asked: Sequence[str], job: HeadlineJob) -> I
     )
     yield from _remarks(found, asked)
     for label in job.labels:
-        yield _told(f"Healthy motions that spill more than 1 %, {label}", spilt_on_the_way(found.heads, label))
+        yield _listed(f"Healthy motions that spill more than 1 %, {label}", spilt_on_the_way(found.heads, label))
     yield report.targets(_headline_targets(found, job, len(asked)))
     for kind in KINDS:
         yield f"{kind.capitalize()}, at the default w:\n"
@@ -97,12 +97,12 @@ def _least_of_all(found: Found) -> Iterator[str]:
 
 
 def _remarks(found: Found, asked: Sequence[str]) -> Iterator[str]:
-    yield _told("Not done", sorted(set(asked) - {done.task for done in found.heads}))
-    yield _told("Held by a weld", [done.task for done in found.heads if done.grasp == "weld"])
-    yield _told("Not in", _refused(found))
+    yield _listed("Not done", sorted(set(asked) - {done.task for done in found.heads}))
+    yield _listed("Held by a weld", [done.task for done in found.heads if done.grasp == "weld"])
+    yield _listed("Not in", _refused(found))
 
 
-def _told(what: str, entries: Sequence[str]) -> str:
+def _listed(what: str, entries: Sequence[str]) -> str:
     return f"{what}: {'; '.join(entries)}.\n" if entries else f"{what}: none.\n"
 
 

@@ -103,10 +103,10 @@ def run(options: suite.Options) -> str:
         + sum(map(len, groups.values()))
         - sum(map(len, figures.values()))
     )
-    told = f"\n**Not finished: {left} jobs are left.**\n" if left else ""
+    unfinished = f"\n**Not finished: {left} jobs are left.**\n" if left else ""
     return "\n".join(
         [
-            MEASURED + told,
+            MEASURED + unfinished,
             report.targets(_targets(kept, gripped, figures)),
             *_contents(kept),
             *_held(gripped),
@@ -145,10 +145,10 @@ def _targets(
     kept: Sequence[Kept], gripped: Sequence[Held], figures: dict[str, list[UprightFigures]]
 ) -> Iterator[report.Target]:
     mine = [x for x in kept if x.job.constraints == DEFAULT]
-    for told, lost in (("FailBench", [x.lost for x in mine]), ("the pendulum", [x.swung for x in mine])):
+    for observer, lost in (("FailBench", [x.lost for x in mine]), ("the pendulum", [x.swung for x in mine])):
         bad, unknown = sum(x > LOST for x in lost), sum(not math.isfinite(x) for x in lost)
         yield report.Target(
-            what=f"healthy motions that lose more than 1 % by {told}",
+            what=f"healthy motions that lose more than 1 % by {observer}",
             wanted="0",
             measured=f"{bad} of {len(lost)}; {unknown} not planned or not carried out",
             met=not bad and not unknown,
@@ -208,13 +208,13 @@ def _held(gripped: Sequence[Held]) -> Iterator[str]:
             ]
         )
     yield report.table(header, rows)
-    told = Counter((x.job.task, x.lost or x.refused or x.told or x.status) for x in gripped if not _is_well(x))
-    if told:
-        yield report.table(("what happens", "how", "motions"), [[*key, str(n)] for key, n in sorted(told.items())])
+    problems = Counter((x.job.task, x.lost or x.refused or x.harm_text or x.status) for x in gripped if not _is_well(x))
+    if problems:
+        yield report.table(("what happens", "how", "motions"), [[*key, str(n)] for key, n in sorted(problems.items())])
 
 
 def _is_well(x: Held) -> bool:
-    return x.status == "SOLVED" and not (x.lost or x.refused or x.told)
+    return x.status == "SOLVED" and not (x.lost or x.refused or x.harm_text)
 
 
 def ratios(kept: Iterable[Kept]) -> dict[ContentsJob, float]:

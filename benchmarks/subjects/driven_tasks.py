@@ -151,8 +151,8 @@ def _examined(name: str, options: suite.Options) -> Task:
             unsolved += result.trajectory is None
     motions = {w: [_motion(task, w, seed, options) for seed in seeds] for w in (0.0, None)}
     objective = gp.Objective()
-    charged = {w: [gp.evaluate(one, scene, objective) for one in of] for w, of in motions.items()}
-    plain, ours = (float(np.median([cost.total for cost in charged[w]])) for w in (0.0, None))
+    costs = {w: [gp.evaluate(one, scene, objective) for one in of] for w, of in motions.items()}
+    plain, ours = (float(np.median([cost.total for cost in costs[w]])) for w in (0.0, None))
     return Task(
         name=name,
         first=float(np.median(first)),
@@ -160,8 +160,8 @@ def _examined(name: str, options: suite.Options) -> Task:
         unsolved=unsolved,
         bound=_bound(motions[0.0][0], scene),
         duration=_medians({w: [one.duration for one in of] for w, of in motions.items()}),
-        impact=_medians({w: [cost.impact for cost in of] for w, of in charged.items()}),
-        others=_medians({w: [_of_others(cost, scene) for cost in of] for w, of in charged.items()}),
+        impact=_medians({w: [cost.impact for cost in of] for w, of in costs.items()}),
+        others=_medians({w: [_of_others(cost, scene) for cost in of] for w, of in costs.items()}),
         worse=ours / plain - 1.0,
     )
 

@@ -136,9 +136,10 @@ def _time(timing: Timing, count: int, do: Callable[[], object]) -> None:
     """Time one round and keep it if it is the fastest."""
     parts = {"simulation": 0.0, "recorder": 0.0}
     with (
-        mock.patch(f"{rollout.__name__}.Batch", _told(Batch, ("rollout",), parts, "simulation")),
+        mock.patch(f"{rollout.__name__}.Batch", _timed(Batch, ("rollout",), parts, "simulation")),
         mock.patch(
-            "failbench.rollouts.rollout.Recorder", _told(Recorder, ("__init__", "observe", "finish"), parts, "recorder")
+            "failbench.rollouts.rollout.Recorder",
+            _timed(Recorder, ("__init__", "observe", "finish"), parts, "recorder"),
         ),
     ):
         started = time.perf_counter()
@@ -148,10 +149,10 @@ def _time(timing: Timing, count: int, do: Callable[[], object]) -> None:
         timing.seconds, timing.rollouts, timing.parts = seconds, count, parts
 
 
-def _told(cls: type, methods: Sequence[str], parts: dict[str, float], part: str) -> type:
+def _timed(cls: type, methods: Sequence[str], parts: dict[str, float], part: str) -> type:
     """Return a class whose methods add their duration to a part."""
 
-    def told(method: Callable[..., object]) -> Callable[..., object]:
+    def timed_method(method: Callable[..., object]) -> Callable[..., object]:
         def timed(*args: object, **named: object) -> object:
             started = time.perf_counter()
             try:
@@ -161,7 +162,7 @@ def _told(cls: type, methods: Sequence[str], parts: dict[str, float], part: str)
 
         return timed
 
-    return type(cls.__name__, (cls,), {name: told(getattr(cls, name)) for name in methods})
+    return type(cls.__name__, (cls,), {name: timed_method(getattr(cls, name)) for name in methods})
 
 
 def _targets(timings: dict[str, Timing], differing: int, compared: int) -> Iterator[report.Target]:

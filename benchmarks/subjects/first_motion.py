@@ -296,9 +296,17 @@ class Overruns:
         """Return the row of a table."""
         median, most = np.median(self.over), self.over.max()
         solved, timeout = self.statuses.count("SOLVED"), self.statuses.count("TIMEOUT")
-        told = [f"{1e3 * x:.1f}" for x in (median, np.percentile(self.over, 99), most)]
+        overruns = [f"{1e3 * x:.1f}" for x in (median, np.percentile(self.over, 99), most)]
         other = len(self.statuses) - solved - timeout
-        return (self.name, f"{1e3 * self.limit:g}", str(len(self.over)), *told, str(solved), str(timeout), str(other))
+        return (
+            self.name,
+            f"{1e3 * self.limit:g}",
+            str(len(self.over)),
+            *overruns,
+            str(solved),
+            str(timeout),
+            str(other),
+        )
 
 
 def _overruns(problems: list[ProblemFile], calls: int | None, most: int = CALLS) -> Iterator[Overruns]:

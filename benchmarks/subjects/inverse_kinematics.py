@@ -105,14 +105,14 @@ def _row(word: str, findings: list[PoseFigures]) -> list[str]:
         str(sum(len(f.solutions) > 0 for f in findings)),
         f"{np.median(milliseconds):.2f}",
         f"{np.max(milliseconds):.1f}",
-        _told(np.median(solutions, axis=0)),
-        _told(solutions.max(axis=0)),
+        _errors_text(np.median(solutions, axis=0)),
+        _errors_text(solutions.max(axis=0)),
         str(SEEDS * len(findings)),
         str(sum(f.arrived for f in findings)),
     ]
 
 
-def _told(error: Array) -> str:
+def _errors_text(error: Array) -> str:
     return f"{error[0]:.1e} m, {error[1]:.1e} rad"
 
 

@@ -186,12 +186,12 @@ def _drop_work(scene: Scene, isa: str, heavy: Array, edges: tuple[Array, Array])
     drop = DropKernel(tables, constants, _kernels(scene, isa), limit, len(scene.entities))
     length = np.linalg.norm(edges[1] - edges[0], axis=1)
     rates = limit * np.random.default_rng(2).uniform(-1.0, 1.0, heavy.shape)
-    charged = drop.with_severity(np.ones((len(ROWS), len(scene.entities))))
+    weighed = drop.with_severity(np.ones((len(ROWS), len(scene.entities))))
     samples = int(np.ceil(length / COST_STEP).sum()) + len(length)
     return {
         "drop model": (len(heavy), lambda: drop.probability(heavy, rates)),
         "drop model, pairs": (len(heavy) * len(scene.entities), lambda: drop.probability(heavy, rates)),
-        "drop model, edge costs": (samples, lambda: charged.edges(*edges)),
+        "drop model, edge costs": (samples, lambda: weighed.edges(*edges)),
     }
 
 

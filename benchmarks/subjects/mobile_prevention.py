@@ -93,7 +93,7 @@ class Prevented:
         return self.duration[1] / self.duration[0]
 
 
-def asked(name: str) -> tuple[gp.Scene, Array, Array, tuple[fb.Fault, ...]]:
+def query_of(name: str) -> tuple[gp.Scene, Array, Array, tuple[fb.Fault, ...]]:
     """Return scene, start, goal and possible faults of a task: "SCENE/TASK", or "floor SEED"."""
     if name.startswith("floor"):
         plan = floor_plan(SEED + int(name.split()[1]), people=PEOPLE)
@@ -107,7 +107,7 @@ def asked(name: str) -> tuple[gp.Scene, Array, Array, tuple[fb.Fault, ...]]:
 def examine(job: tuple[str, float, int]) -> Prevented:
     """Plan a task with both weights, and simulate the same failures along both motions."""
     name, seconds, each = job
-    scene, start, goal, faults = asked(name)
+    scene, start, goal, faults = query_of(name)
     found, reports = Prevented(task=name, failures=each * len(faults)), {people: [] for people in ("stop", "walk")}
     n, reactions = each * len(faults), ("stop", "walk") if scene.moving else ("stop",)
     gp.plan(start, goal, scene, iterations=1)  # compiles

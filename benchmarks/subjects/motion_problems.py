@@ -102,8 +102,8 @@ def run(options: suite.Options) -> str:
     marks = [f"at {1e3 * mark:g} ms" for mark in MARKS]
     header = ("kind", "problems", "solved", "search [ms]", "95 %", "slowest", "verified [ms]", "first length [rad]",
               *(f"length {mark}" for mark in marks), *(f"ratio {mark}" for mark in marks))  # fmt: skip
-    told = [f"{f.name}: {f.status}" for f in findings if f.status != "SOLVED"]
-    failed = f"\nNot solved: {'; '.join(told)}.\n" if told else ""
+    statuses = [f"{f.name}: {f.status}" for f in findings if f.status != "SOLVED"]
+    failed = f"\nNot solved: {'; '.join(statuses)}.\n" if statuses else ""
     some = [problem for group in groups for problem in [p for p in problems if p.group == group][:2]]
     targets = report.targets([*_targets(findings, own=not given), _refusals(tight_ends(some))])
     return f"{MEASURED}\n{origin} {seeds} seeds; medians.\n\n{targets}\n{report.table(header, rows)}{failed}"
@@ -131,14 +131,14 @@ def _without_scene(problem: ProblemFile) -> ProblemFile:
 def examine(job: tuple[ProblemFile, int, bool]) -> ProblemFigures:
     """Measure one problem."""
     problem, seeds, long = job
-    asked = _asked(problem)
+    searched = _search_problem(problem)
     search: tuple[float, ...] = (np.inf,) * seeds
     lengths: tuple[float, ...] = (np.inf,) * (1 + len(MARKS))
     ratios = None
-    if asked is not None:
+    if searched is not None:
         objective = gp.Objective(w=0.0).bind(problem.scene)
-        search = tuple(_search(asked, objective, seed) for seed in [0, *range(seeds)])[1:]  # warm-up
-        *lengths_, last = _lengths(asked, objective, LONG if long else MARKS[-1])
+        search = tuple(_search(searched, objective, seed) for seed in [0, *range(seeds)])[1:]  # warm-up
+        *lengths_, last = _lengths(searched, objective, LONG if long else MARKS[-1])
         lengths = tuple(lengths_)
         ratios = tuple(length / last for length in lengths) if long and np.isfinite(last) else None
     started = time.perf_counter()
@@ -156,7 +156,7 @@ def examine(job: tuple[ProblemFile, int, bool]) -> ProblemFigures:
     )
 
 
-def _asked(problem: ProblemFile) -> SceneProblem | None:
+def _search_problem(problem: ProblemFile) -> SceneProblem | None:
     """Return the problem as `plan` passes it to planners; None if start or goals are invalid."""
     scene, compiled = problem.scene, compile_scene(problem.scene)
     start = resolve_start(problem.start, scene).q

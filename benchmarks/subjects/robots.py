@@ -71,12 +71,12 @@ def run(options: suite.Options) -> str:
     there = package_robots.loads()
     if not there:
         raise report.NotMeasured(f"none of the packages is installed; {package_robots.FOLDER} can name a folder")
-    rows, told, wanted = [], [], {}
+    rows, unread, wanted = [], [], {}
     for robot, load in there[: options.pick(len(there), quick=1)]:
         try:
             one = examine(load, seconds=options.pick(SECONDS, quick=1.0, long=LONG_SECONDS))
         except gp.GracefulPlanError as error:
-            told.append(f"{robot.name}: {type(error).__name__}, {error}")
+            unread.append(f"{robot.name}: {type(error).__name__}, {error}")
             continue
         if robot.of_issue:
             wanted[robot.name] = one
@@ -101,7 +101,7 @@ def run(options: suite.Options) -> str:
         "OMPL",
         "first",
     )
-    others = f"Not read: {'; '.join(told)}.\n" if told else ""
+    others = f"Not read: {'; '.join(unread)}.\n" if unread else ""
     return "\n".join([MEASURED, report.targets(_targets(wanted)), report.table(header, rows), others])
 
 

@@ -64,8 +64,8 @@ def run(options: suite.Options) -> str:
     findings = sorted(suite.spread(examine, jobs, options.processes, "safety"), key=lambda f: (f.scene, f.carried))
     rows = [_row(finding) for finding in findings]
     header = ("scene", "carried", "free", "missed", "too cautious", "Algorithm 1")
-    sizes_told = f"{sizes.collision} configurations a row, {sizes.algorithm} for Algorithm 1."
-    return f"{MEASURED}\n{sizes_told}\n\n{report.targets(_targets(findings))}\n{report.table(header, rows)}"
+    sample_sizes = f"{sizes.collision} configurations a row, {sizes.algorithm} for Algorithm 1."
+    return f"{MEASURED}\n{sample_sizes}\n\n{report.targets(_targets(findings))}\n{report.table(header, rows)}"
 
 
 def examine(job: tuple[str, str, Sizes]) -> SafetyFigures:

@@ -80,9 +80,9 @@ def run(options: suite.Options) -> str:
         draw(findings, PICTURE)
     header = ("task", "front of", "seconds", "points", "by a weight", "hypervolume", "of the sweep's", "epsilon")
     rows = [row for finding in findings for row in _rows(finding)]
-    told = MEASURED.format(weights=weights, times=TIMES)
+    introduction = MEASURED.format(weights=weights, times=TIMES)
     picture = "" if options.quick else f"\n![Fronts and sweeps](../../docs/images/{PICTURE.name})\n"
-    return f"{told}\n{report.targets(_targets(findings))}\n{report.table(header, rows)}{picture}"
+    return f"{introduction}\n{report.targets(_targets(findings))}\n{report.table(header, rows)}{picture}"
 
 
 def examine(name: str, seeds: int, seconds: float, weights: int) -> TaskFronts:

@@ -45,7 +45,7 @@ from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import scene_with_intruder
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float
-from graceful_plan.costs.objective import trajectory_batch
+from graceful_plan.costs.cost_samples import trajectory_batch
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.harm.fragility import FragilityTable
 

@@ -1,4 +1,4 @@
-"""Certificates: never better than the truth by dense sampling, exact where the truth is known."""
+"""Certificates: never better than dense sampling, exact where the true value is known."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def tabletop() -> Scene:
 
 @dataclass(frozen=True)
 class Field(Cost):
-    """The same everywhere."""
+    """A constant cost."""
 
     constant: float
 
@@ -40,7 +40,7 @@ class Field(Cost):
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=40, deadline=None)
-def test_no_way_to_a_pose_is_shorter_than_the_lower_bound(tabletop: Scene, seed: int):
+def test_no_path_to_a_pose_is_shorter_than_the_lower_bound(tabletop: Scene, seed: int):
     rng = np.random.default_rng(seed)
     lower, upper = tabletop.limits.position.T
     start, end = rng.uniform(lower, upper, size=(2, len(lower)))
@@ -52,7 +52,7 @@ def test_no_way_to_a_pose_is_shorter_than_the_lower_bound(tabletop: Scene, seed:
 
 
 def arm_of(bodies: str, joints: int) -> Scene:
-    """An arm "arm/" with a tool, whose joints may all move at 1 rad/s or m/s."""
+    """An arm "arm/" with a tool; every joint may move at 1 rad/s or m/s."""
     return Scene.from_mjcf(
         f'<mujoco><compiler angle="radian"/><worldbody>{bodies}</worldbody></mujoco>',
         robot="arm/",
@@ -63,7 +63,7 @@ def arm_of(bodies: str, joints: int) -> Scene:
 
 
 def test_bounds_of_two_slides_and_a_hinge_by_hand():
-    """A slide moves the tool by as much as it moves itself, the hinge by .25 m a radian and turns it by as much."""
+    """A slide moves the tool by its own displacement; the hinge by .25 m per radian, and turns it by the same angle."""
     scene = arm_of(
         """
           <body name="arm/x"><joint name="arm/x" type="slide" axis="1 0 0" range="-2 2"/><geom size=".02" mass="1"/>
@@ -81,7 +81,7 @@ def test_bounds_of_two_slides_and_a_hinge_by_hand():
 
 
 def test_bounds_of_two_hinges_by_hand():
-    """The first joint counts as well: it moves the tool by .55 m a radian, the second by .25 m, both turn it."""
+    """The first joint moves the tool by .55 m per radian, the second by .25 m; both turn it."""
     scene = arm_of(
         """
           <body name="arm/a"><joint name="arm/a" axis="0 0 1" range="-3 3"/><geom size=".02" mass="1"/>
@@ -121,14 +121,14 @@ def test_no_gap_is_claimed_where_no_bound_is_known(tabletop: Scene):
     assert round_trip.lower_bound == 0.0 and round_trip.gap is None
 
 
-def test_a_gap_is_told_only_where_impact_does_not_count(tabletop: Scene):
+def test_a_gap_is_reported_only_without_impact(tabletop: Scene):
     q = np.stack([tabletop.keyframes["right"], tabletop.keyframes["near"]])
     weighed = certify(q, tabletop, Objective(w=0.1))
     assert weighed.gap is None and weighed.lower_bound == certify(q, tabletop, Objective(w=0.0)).lower_bound
 
 
 @pytest.mark.parametrize("w", [0.0, 1.0])
-def test_results_are_certified_as_they_are_executed(tabletop: Scene, w: float):
+def test_results_are_certified_along_the_executed_motion(tabletop: Scene, w: float):
     task = load_scene("tabletop").tasks["green_to_blue"]
     solved = plan(task.start, task.goal, tabletop, w=w, iterations=500, seed=1)
     found = certify(solved, tabletop)

@@ -1,4 +1,4 @@
-"""Certified clearance: never above the true one, close to it, and honest where it cannot be had."""
+"""Certified clearance: never above the true one, close to it, and uncertified stretches are reported."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def tabletop() -> Scene:
 
 
 def _exact_clearance(scene: Scene, q: Array) -> float:
-    """Return the least distance that MuJoCo finds between geoms that must not touch [m]."""
+    """Return the least MuJoCo distance between geoms that must not touch [m]."""
     least = np.inf
     for configuration in q:
         data = scene.data_at(configuration)
@@ -121,7 +121,7 @@ def test_a_wall_thinner_than_the_samples_are_apart_is_found():
     found = certified_clearance(path, _kernels(_BALL.format(_WALL), 2))
     assert found.bound < 0.0
     ((first, last),) = found.uncertified
-    # It touches from -0.1005 to 0.1005 m, 0.8995 rad into the path.
+    # Contact from -0.1005 to 0.1005 m; the first is 0.8995 rad into the path.
     assert first <= 0.8995 <= first + 1e-3 and last >= 1.1005 >= last - 1e-3
 
 
@@ -156,7 +156,7 @@ def test_random_paths_of_the_arm_are_never_nearer_than_certified(tabletop: Scene
     found = certified_clearance(path, kernels)
     dense = kernels.clearance(path.resampled(path.length / 3000).q)
     assert found.bound <= float(dense.min()) <= found.sampled + 1e-3
-    # The clearance is a lower bound of the exact one only where it is positive.
+    # The kernels' clearance is a lower bound only where it is positive.
     exact = _exact_clearance(tabletop, path.resampled(path.length / 150).q)
     assert found.bound <= max(exact, 0.0) + 1e-6
     assert (found.bound < 0.0) == bool(found.uncertified)
@@ -166,7 +166,7 @@ def test_random_paths_of_the_arm_are_never_nearer_than_certified(tabletop: Scene
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
-def test_hinges_that_carry_slides_that_carry_hinges(seed: int):
+def test_chains_of_hinges_and_slides(seed: int):
     rng = np.random.default_rng(seed)
     kernels = _kernels(_MIXED, 3)
     path = Path(rng.uniform([-2.5, 0.0, -2.0], [2.5, 0.4, 2.0], size=(3, 3)))
@@ -176,7 +176,7 @@ def test_hinges_that_carry_slides_that_carry_hinges(seed: int):
     assert dense > 0.0 or found.uncertified
 
 
-def test_trajectories_cut_corners_and_are_certified_as_they_run(tabletop: Scene):
+def test_trajectories_cut_corners_and_are_certified_along_the_cut(tabletop: Scene):
     kernels = compile_scene(tabletop).kernels
     q = np.stack([tabletop.keyframes[name] for name in ("right", "far", "left")])
     trajectory = retime(Path(q), tabletop.limits, tabletop.joints, deviation=0.1)

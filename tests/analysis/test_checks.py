@@ -1,4 +1,4 @@
-"""Quick questions about configurations: they mean what the exact judge and `plan` mean."""
+"""Quick checks of configurations agree with the exact judge and `plan`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TASKS = {
 
 
 def _held_otherwise(task: gp.Task, rng: np.random.Generator) -> gp.Scene:
-    """Attach the task's object turned and shifted at random, so that it may reach into the arm."""
+    """Attach the task's object turned and shifted at random, so it may intersect the arm."""
     assert task.object_name is not None and task.scene.carried is not None
     X_TO = task.scene.carried.X_TO.copy()
     angle = rng.uniform(-np.pi, np.pi)
@@ -46,8 +46,8 @@ def test_positive_clearance_is_free_by_exact_geometry(name: str) -> None:
     assert clear[0] == 40 and sum(clear) >= 120
 
 
-def test_what_is_held_inside_the_last_link_is_a_collision_for_both() -> None:
-    """The two ride on one link: their distance is the same in all configurations."""
+def test_an_object_held_inside_the_last_link_is_a_collision_for_both() -> None:
+    """Both are fixed to the same link, so their distance is constant."""
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     X_TO = task.scene.carried.X_TO.copy()
     X_TO[2, 3] -= 0.1
@@ -58,8 +58,8 @@ def test_what_is_held_inside_the_last_link_is_a_collision_for_both() -> None:
     assert result.status is gp.PlanStatus.INVALID_START and "panda/link7" in result.detail
 
 
-def test_what_is_held_close_to_the_last_link_is_free_for_both() -> None:
-    """Spheres that cover it overlap those of the link; the two themselves never do."""
+def test_an_object_held_close_to_the_last_link_is_free_for_both() -> None:
+    """The object's covering spheres overlap those of the link; the geoms never touch."""
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     X_TO = task.scene.carried.X_TO.copy()
     X_TO[2, 3] -= 0.056
@@ -69,7 +69,7 @@ def test_what_is_held_close_to_the_last_link_is_free_for_both() -> None:
 
 
 @pytest.mark.parametrize(("gap", "free"), [(0.001, True), (-0.001, False)])
-def test_what_stands_beside_the_base_blocks_all_or_nothing(gap: float, free: bool) -> None:
+def test_an_obstacle_beside_the_base_blocks_all_or_nothing(gap: float, free: bool) -> None:
     text = f"""<mujoco><compiler angle="radian" autolimits="true"/>
     <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
     <worldbody>
@@ -83,7 +83,7 @@ def test_what_stands_beside_the_base_blocks_all_or_nothing(gap: float, free: boo
     assert status is (gp.PlanStatus.SOLVED if free else gp.PlanStatus.INVALID_START)
 
 
-def test_the_default_interaction_model_is_the_one_that_is_stated():
+def test_the_default_interaction_model_is_the_documented_one():
     stated = re.search(
         r'by default "(\w+)"[^"]*of\s+`ImpactCost` is\s+"(\w+)"', str(gp.interaction_probability.__doc__)
     )

@@ -1,4 +1,4 @@
-"""Explanations: sums equal the breakdown, stretches hold what they say and are the shortest, unhappy paths."""
+"""Explanations: sums equal the breakdown, stretches hold the stated share and are the shortest, unhappy paths."""
 
 import dataclasses
 import json
@@ -35,7 +35,7 @@ def result(task):
 
 
 class TwoFaults(gp.InteractionModel):
-    """Everything is hit by the carried object: 3 times out of 10 by a drop, else by a spill; two faults drop it."""
+    """The carried object hits everything: 3 times in 10 by a drop, else by a spill; two faults drop it."""
 
     def probability(self, batch):
         return sum(self.sources(batch).values())
@@ -50,7 +50,7 @@ class TwoFaults(gp.InteractionModel):
 
 
 class HalfTold(TwoFaults):
-    """Its sources leave out half of what happens."""
+    """A model whose sources account for only half of its probability."""
 
     def probability(self, batch):
         return np.minimum(1.0, 2.0 * super().probability(batch))
@@ -87,7 +87,7 @@ def test_parts_add_up_to_the_breakdown(task, result, name, kind):
 
 
 @pytest.mark.parametrize("name", _OBJECTIVES)
-def test_a_result_is_explained_as_it_was_charged(task, result, name):
+def test_an_explanation_has_the_cost_of_the_result(task, result, name):
     objective = _OBJECTIVES[name]
     found = gp.explain(result, task.scene, objective)
     assert found.cost == gp.evaluate(result.trajectory, task.scene, objective)
@@ -137,7 +137,7 @@ def test_no_stretch_is_shorter(mass, steps, share):
     assert place[last] - place[first] == min(place[j] - place[i] for i, j in pairs)
 
 
-def test_the_worst_place_is_where_it_says(task, result):
+def test_the_worst_place_has_the_stated_probability(task, result):
     path = result.path
     length = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
     entities, components = list(task.scene.entities), list(task.scene.components)
@@ -150,15 +150,15 @@ def test_the_worst_place_is_where_it_says(task, result):
         np.testing.assert_allclose(row.position, task.scene.data_at(q).body("mug").xpos, atol=1e-9)
 
 
-def test_times_are_those_of_the_trajectory(task, result):
+def test_times_are_on_the_clock_of_the_trajectory(task, result):
     found = gp.explain(result.trajectory, task.scene, _OBJECTIVES["mixture-length"])
     length = np.concatenate([[0.0], np.cumsum(result.trajectory.path.segment_lengths)])
     np.testing.assert_allclose(np.interp(found.place, length, result.trajectory.t), found.time, atol=1e-6)
     assert gp.explain(result.path, task.scene).contributions[0].worst_time is None
 
 
-def test_backwards_it_is_the_mirror_image(task, result):
-    objective = _OBJECTIVES["box_overlap-length"]  # boxes do not ask which way things move
+def test_the_reversed_path_has_the_mirrored_explanation(task, result):
+    objective = _OBJECTIVES["box_overlap-length"]  # the box model ignores velocities
     there, back = (gp.explain(path, task.scene, objective) for path in (result.path, result.path.reversed()))
     assert back.cost.impact == pytest.approx(there.cost.impact, rel=1e-9)
     first, mirrored = there.contributions[0], back.contributions[0]
@@ -170,7 +170,7 @@ def test_backwards_it_is_the_mirror_image(task, result):
 # --- sources and faults ---------------------------------------------------------------------------------------------
 
 
-def test_sources_and_their_faults_are_told_apart(task, result):
+def test_sources_and_their_faults_are_separate(task, result):
     found = gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=TwoFaults())))
     share = {source: sum(r.share for r in found.contributions if r.source == source) for source in ("drop", "spill")}
     assert share == pytest.approx({"drop": 0.3, "spill": 0.7})
@@ -183,15 +183,15 @@ def test_sources_and_their_faults_are_told_apart(task, result):
     assert "opened 67%, slip 33%" in str(found)
 
 
-def test_rows_that_are_not_shown_are_counted(task, result):
+def test_hidden_rows_are_counted(task, result):
     found = gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=TwoFaults())))
     *_, last = str(found).splitlines()
     left = sum(row.share for row in found.contributions[12:])
     assert last == f"and {len(found.contributions) - 12} others: {left:.1%}"
 
 
-def test_who_moves_is_met_where_it_is_then(task, result):
-    # It sits beside the way of the mug until half a second, and is then gone.
+def test_moving_entities_are_hit_at_their_place_at_that_time(task, result):
+    # The cat sits beside the mug's path until half a second, then it is gone.
     q, trajectory = result.trajectory.at([0.3]).q[0], result.trajectory
     below = task.scene.data_at(q).body("mug").xpos - [0.0, 0.0, 0.3]
     away = below + [9.0, 0.0, 0.0]
@@ -212,7 +212,7 @@ def test_who_moves_is_met_where_it_is_then(task, result):
 # --- documents and pictures -----------------------------------------------------------------------------------------
 
 
-def test_the_document_says_the_same(task, result):
+def test_the_document_has_the_same_values(task, result):
     found = gp.explain(result, task.scene)
     document = json.loads(found.to_json())
     assert document["cost"]["impact"] == found.cost.impact
@@ -258,12 +258,12 @@ def test_standing_still_costs_nothing_but_a_waypoint_does(task):
     assert {row.begin for row in point.contributions} | {row.end for row in point.contributions} == {0.0}
 
 
-def test_other_costs_do_not_tell_who_is_hit(task, result):
+def test_other_costs_have_no_entities(task, result):
     with pytest.raises(SettingError, match=r"Own\(\)"):
         gp.explain(result, task.scene, gp.Objective(impact=Own()))
 
 
-def test_sources_that_do_not_add_up(task, result):
+def test_sources_must_add_up(task, result):
     with pytest.raises(CostError, match=r"HalfTold: sources\(\).*probability\(\)"):
         gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=HalfTold())))
 

@@ -1,4 +1,4 @@
-"""Impact maps: the robot's own figures where it could hold the object, symmetry, what blocks, unhappy paths."""
+"""Impact maps: the robot's own values at reachable poses, symmetry, blocking obstacles, unhappy paths."""
 
 import dataclasses
 import json
@@ -19,7 +19,7 @@ from graceful_plan.viz.impact_maps import draw_impact_map
 from sizes import first_quick
 
 _ROUNDING = 1e-9
-"""The same formulas with poses from another chain of joints."""
+"""Relative; the same formulas with poses from another kinematic chain."""
 _TASKS = [
     ("tabletop_l3", "green_to_blue"),
     ("desk", "bring_coffee"),
@@ -39,7 +39,7 @@ WORLD = """<mujoco><worldbody>
 
 
 def boxes(*places, half="0.1 0.1 0.1"):
-    """A scene of slides that hold a box over others on the ground."""
+    """A scene of slides that hold a box over boxes on the ground."""
     names = [f"target{i}" for i in range(len(places))]
     bodies = [
         f'<body name="{name}" pos="{x} {y} 0.1"><geom type="box" size="{half}"/></body>'
@@ -56,7 +56,7 @@ def boxes(*places, half="0.1 0.1 0.1"):
 
 
 class DropsHalfTheTime(gp.InteractionModel):
-    """The gripper lets go in half of all failures; in the others everything is hit."""
+    """The gripper lets go in half of all failures; in the other half everything is hit."""
 
     share = 0.5
 
@@ -110,12 +110,12 @@ def one_cell(place, width=0.01):
     return (x - width / 2, x + width / 2, y - width / 2, y + width / 2)
 
 
-# --- the same as the robot --------------------------------------------------------------------------------------------
+# --- agreement with the robot -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("model", first_quick(["mixture", "box_overlap"]))
 @pytest.mark.parametrize("name", first_quick(_TASKS), ids="/".join)
-def test_a_cell_says_what_the_robot_would_be_told(name, model):
+def test_a_cell_has_the_impact_of_the_robot_there(name, model):
     task = gp.load_scene(name[0]).tasks[name[1]]
     scene, rng, seen = task.scene, np.random.default_rng(0), 0
     share = rng.uniform(size=(12, 1))
@@ -142,7 +142,7 @@ def test_a_cell_says_what_the_robot_would_be_told(name, model):
 
 @given(st.floats(-0.3, 0.3), st.floats(0.0, 2.0), st.floats(0.0, 2.0 * np.pi))
 @settings(max_examples=20)
-def test_a_cell_with_a_velocity_says_what_the_robot_would_be_told(x, speed, direction):
+def test_a_cell_with_a_velocity_has_the_impact_of_the_robot_there(x, speed, direction):
     scene = boxes((0.0, 0.0), (0.35, 0.1))
     found = gp.impact_map(
         scene,
@@ -186,7 +186,7 @@ def test_all_directions_are_the_mean_of_each():
     assert np.ptp([part.sum() for part in each]) > 0.0
 
 
-def test_it_flies_on_in_its_direction():
+def test_the_object_flies_on_in_its_direction():
     scene = boxes((0.5, 0.0))
     settings = {"height": 0.6, "speed": 1.0, "bounds": (0.0, 1.0, -0.025, 0.025), "resolution": 0.05}
     middle = [
@@ -197,7 +197,7 @@ def test_it_flies_on_in_its_direction():
     assert middle[1] > 0.6
 
 
-def test_entities_add_up_and_the_ground_is_not_one():
+def test_entities_add_up_and_the_ground_is_none():
     found = gp.impact_map(boxes((0.0, 0.0), (0.3, 0.0)), height=0.3, speed=0.3, resolution=0.05)
     np.testing.assert_allclose(found.impact, found.by_entity.sum(axis=-1))
     assert found.entities == ("target0", "target1", "load")
@@ -209,14 +209,14 @@ def test_entities_add_up_and_the_ground_is_not_one():
     np.testing.assert_array_equal(without.by_entity, found.by_entity[..., :2])
 
 
-def test_what_falls_deeper_is_damaged_more():
-    """0.2 m onto the box, 0.4 m onto the ground."""
+def test_a_deeper_fall_damages_the_object_more():
+    """A fall of 0.2 m onto the box, and of 0.4 m onto the ground."""
     found = gp.impact_map(boxes((0.0, 0.0)), height=0.4, bounds=(-0.5, 0.5, -0.01, 0.01), resolution=0.02)
     own = found.by_entity[0, :, found.entities.index("load")]
     assert own[0] == pytest.approx(own[-1]) and own[0] > 1.2 * own[len(own) // 2] > 0.0
 
 
-def test_only_what_falls_and_counts_is_in_it():
+def test_only_falling_components_are_in_the_map():
     scene, settings = boxes((0.0, 0.0)), {"height": 0.3, "resolution": 0.1}
     body, all_parts, carried = (
         gp.impact_map(scene, gp.ImpactCost(model="box_overlap", components=components), **settings).impact
@@ -235,11 +235,11 @@ def test_other_failures_are_left_out():
         gp.impact_map(scene, gp.ImpactCost(model=NeverDrops()), **settings)
 
 
-# --- where ------------------------------------------------------------------------------------------------------------
+# --- places -----------------------------------------------------------------------------------------------------------
 
 
 def test_cells_are_blocked_where_boxes_overlap():
-    # The box is turned by 90 degrees as it stands: half sizes 0.05 and 0.03. The ground begins where the box ends.
+    # The box stands turned by 90 degrees: half sizes 0.05 and 0.03. The ground begins where the box ends.
     found = gp.impact_map(boxes((0.0, 0.0)), height=0.05, bounds=(-0.3, 0.3, -0.3, 0.3), resolution=0.02)
     x, y = np.meshgrid(found.x, found.y)
     np.testing.assert_array_equal(found.blocked, (np.abs(x) < 0.15) & (np.abs(y) < 0.13))
@@ -247,7 +247,7 @@ def test_cells_are_blocked_where_boxes_overlap():
     assert np.isfinite(found.by_entity[~found.blocked]).all()
 
 
-def test_the_robot_is_not_in_it():
+def test_the_robot_is_not_in_the_map():
     scene = boxes((0.6, 0.0))
     data = scene.data_at([0.0, 0.0, 0.0])
     found = gp.impact_map(scene, height=float(data.geom("hand").xpos[2]), bounds=(-0.1, 0.1, -0.1, 0.1))
@@ -272,7 +272,7 @@ def test_the_default_window_is_around_the_entities_and_within_reach():
     assert np.hypot(wide.x.max(), wide.y.max()) < 2.0
 
 
-def test_it_is_upright_unless_a_configuration_says_otherwise():
+def test_the_object_is_upright_unless_a_configuration_is_given():
     scene = boxes((0.0, 0.0))
     upright = gp.impact_map(scene, height=0.3, resolution=0.1)
     np.testing.assert_allclose(upright.rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-9)
@@ -307,7 +307,7 @@ def test_a_gantry_of_nothing():
 # --- documents and pictures -------------------------------------------------------------------------------------------
 
 
-def test_the_document_says_the_same():
+def test_the_document_has_the_same_values():
     found = gp.impact_map(boxes((0.0, 0.0)), height=0.05, speed=0.2, direction=1.0, resolution=0.05)
     document = json.loads(found.to_json())
     impact = np.array(document["impact"], dtype=float)

@@ -30,7 +30,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Given(InteractionModel):
-    """Hits with the same probabilities wherever the robot is, by generator."""
+    """Hits with the same probabilities at every configuration, by generator."""
 
     shares: tuple[Array, ...]
     weights: tuple[float, ...] = ()
@@ -47,7 +47,7 @@ class Given(InteractionModel):
 
 @dataclass(frozen=True)
 class Later(InteractionModel):
-    """Hits the first entity in the second half of the way of the first joint from 0 to 1, and none before."""
+    """The first entity is hit while the first joint is between 0.5 and 1, and never before."""
 
     def probability(self, batch: StateBatch) -> Array:
         P = np.zeros((len(batch), len(batch.scene.components), len(batch.scene.entities)))
@@ -63,7 +63,7 @@ def scene() -> Scene:
 def cost(
     scene: Scene, carried: Mapping[int, float], *others: Mapping[int, float], weights: tuple[float, ...] = ()
 ) -> gp.ImpactCost:
-    """Let the carried object hit entities by number with these probabilities; more mappings are more generators."""
+    """Let the carried object hit entities, by index, with these probabilities; each mapping is one generator."""
     shares = []
     for hits in (carried, *others):
         P = np.zeros((len(scene.components), len(scene.entities)))
@@ -81,7 +81,7 @@ def still(scene: Scene) -> Array:
     return np.zeros((1, len(scene.joints)))
 
 
-def test_one_entity_is_a_coin(scene: Scene) -> None:
+def test_one_entity_has_a_two_point_distribution(scene: Scene) -> None:
     S = severities(scene)[0]
     assert S > 0.0
     found = risk(still(scene), scene, cost(scene, {0: 0.04}), level=0.9)
@@ -89,7 +89,7 @@ def test_one_entity_is_a_coin(scene: Scene) -> None:
     np.testing.assert_allclose(found.probability, [0.96, 0.04])
     assert found.expected == pytest.approx(0.04 * S)
     assert found.var == 0.0
-    assert found.cvar == pytest.approx(0.4 * S)  # of the worst tenth, 4 in 10
+    assert found.cvar == pytest.approx(0.4 * S)  # 4 in 10 of the worst tenth
     assert found.worst == S == found.conceivable
     assert found.no_harm == pytest.approx(0.96)
     assert risk(still(scene), scene, cost(scene, {0: 0.2}), level=0.9).cvar == pytest.approx(S)
@@ -115,7 +115,7 @@ def test_causes_exclude_each_other(scene: Scene) -> None:
 
 
 def test_entities_are_independent_given_the_kind_of_failure(scene: Scene) -> None:
-    """The first kind, one failure in ten, always hits both; the second, one in two, hits one, half of the time."""
+    """Kind 1, one failure in ten, always hits both; kind 2, one in two, hits entity b half of the time."""
     a, b = severities(scene)[:2]
     kinds = {0: 0.1, 1: 0.1}, {1: 0.25}
     found = risk(still(scene), scene, cost(scene, *kinds, weights=(0.1, 0.5)))
@@ -147,7 +147,7 @@ def test_components_add_up_and_strike_together() -> None:
 
 
 @pytest.mark.parametrize(("name", "task"), [("desk", "bring_coffee"), ("tabletop", "green_to_blue")])
-def test_the_mean_is_what_the_planner_charges(name: str, task: str) -> None:
+def test_the_mean_is_the_impact_of_the_planner(name: str, task: str) -> None:
     found = gp.load_scene(name).tasks[task]
     impact, scene = gp.ImpactCost(), found.scene
     q = np.linspace(found.start, np.atleast_2d(found.goal)[0], 20)
@@ -160,7 +160,7 @@ def test_the_mean_is_what_the_planner_charges(name: str, task: str) -> None:
 
 @given(st.integers(0, 10**6), st.floats(0.0, 0.99))
 @settings(max_examples=30, deadline=None)
-def test_the_distribution_is_that_of_all_combinations(scene: Scene, seed: int, level: float) -> None:
+def test_the_distribution_equals_the_enumeration_of_combinations(scene: Scene, seed: int, level: float) -> None:
     p = np.random.default_rng(seed).uniform(size=len(scene.entities))
     S = severities(scene)
     outcomes = list(itertools.product((0, 1), repeat=len(p)))
@@ -184,7 +184,7 @@ def test_measures_keep_their_order(scene: Scene, p: list[float], first: float, s
     assert low.probability.sum() == pytest.approx(1.0)
     assert low.expected - 1e-9 <= low.cvar <= high.cvar + 1e-9
     assert high.var <= high.cvar + 1e-9 <= high.conceivable + 2e-9
-    # What the worst case leaves out has a probability of 1e-3 at most.
+    # Outcomes beyond the worst case have a total probability of at most 1e-3.
     assert high.cvar <= high.worst + 1e-3 / (1.0 - high.level) * high.conceivable + 1e-9
     assert risk(still(scene), scene, cost(scene, dict(enumerate(p))), level=0.0).cvar == pytest.approx(low.expected)
 
@@ -212,14 +212,14 @@ def test_a_failure_may_come_at_any_time(scene: Scene) -> None:
     by_length = risk(path, scene, impact, level=0.75)
     assert by_length.expected == pytest.approx(0.5 * S, rel=0.02)
     assert by_length.cvar == pytest.approx(S)
-    # Twice as long in the second half as in the first.
+    # The second half takes twice as long as the first.
     t, q = np.array([0.0, 1.0, 3.0]), np.outer([0.0, 0.5, 1.0], np.eye(n)[0])
     rates = np.outer([0.5, 0.5, 0.25], np.eye(n)[0])
     slow = gp.Trajectory(t, q, rates, np.zeros_like(q), tuple(scene.joints))
     assert risk(slow, scene, impact).expected == pytest.approx(2.0 / 3.0 * S, rel=0.02)
 
 
-def test_a_trajectory_fails_at_the_velocity_that_it_has() -> None:
+def test_a_failure_starts_with_the_velocity_of_the_trajectory() -> None:
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     impact = gp.ImpactCost(model="mixture")
     motion = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500).unwrap()

@@ -1,4 +1,4 @@
-"""Sensitivity to severities: nothing changes without spread, ties, closed forms for two paths."""
+"""Sensitivity to severities: no change without spread, ties, closed forms for two paths."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_an_entity_without_severity_changes_nothing_else() -> None:
 
 
 def test_closed_form_of_two_paths() -> None:
-    """One path threatens one entity, the other another: the ratio of their impacts is log-normal."""
+    """Each path threatens another entity: the ratio of their impacts is log-normal."""
     spread, n = 0.5, 40_000
     factors = np.exp(spread * np.random.default_rng(1).normal(size=(n, 2)))
     report = sensitivity_to(("a", "b"), spread, np.zeros(2), 3.0, np.array([[1.0, 0.0], [0.0, 1.5]]), factors)
@@ -98,7 +98,7 @@ def test_closed_form_of_two_paths() -> None:
     assert report.impact_interval[0].tolist() == pytest.approx([low, high], rel=0.03)
 
 
-def test_tau_and_ranks_are_the_usual_ones() -> None:
+def test_tau_and_ranks_equal_those_of_scipy() -> None:
     rng = np.random.default_rng(2)
     factors, by_entity, motion = np.exp(rng.normal(size=(40, 5))), rng.random((7, 5)), rng.random(7)
     report = sensitivity_to(tuple("abcdefg"), 1.0, motion, 0.7, by_entity, factors)
@@ -127,7 +127,7 @@ def test_table(task: gp.Task, paths: dict[str, gp.Path]) -> None:
 
 @dataclass(frozen=True)
 class Own(gp.Cost):
-    """A cost that may compute anything."""
+    """A cost of unknown structure."""
 
     def state(self, batch: gp.StateBatch) -> np.ndarray:
         return np.ones(len(batch))

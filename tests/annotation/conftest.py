@@ -1,4 +1,4 @@
-"""What tests of annotations share."""
+"""Fixtures for tests of annotations."""
 
 import pytest
 
@@ -19,7 +19,7 @@ ROOM = """
 
 @pytest.fixture(scope="session")
 def room():
-    """A small room with a vase, a mug, a floor without end, and what cannot be seen: it is inside the vase."""
+    """A small room with a vase, a mug, an infinite floor, and an object hidden inside the vase."""
     entities = {"floor": "floor", "vase": "heirloom", "mug": "glass", "inside": "robust"}
     return gp.Scene.from_mjcf(
         ROOM, robot="arm/", tool="arm/tool", velocity=[1.0], acceleration=[1.0], entities=entities, name="room"

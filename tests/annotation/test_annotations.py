@@ -40,7 +40,7 @@ def test_any_reason_and_model_is_read_back(tmp_path_factory, text):
     assert Annotations.load(file) == said
 
 
-def test_what_a_person_changes_counts(tmp_path, room):
+def test_manual_changes_count(tmp_path, room):
     annotations("vase").save(tmp_path / "s.yaml")
     text = (tmp_path / "s.yaml").read_text()
     (tmp_path / "s.yaml").write_text(text.replace("arm_collapse: 15.0", "arm_collapse: 77"))
@@ -102,7 +102,7 @@ def test_numbers_out_of_range_are_refused(field, value):
         annotations("vase", **{field: value})
 
 
-def test_what_is_said_holds_whatever_is_carried_afterwards(room):
+def test_annotations_hold_for_objects_carried_later(room):
     changed = annotations("vase", "mug").apply(room)
     full = changed.attach("mug", object_class="light")
     assert full.entities["vase"].severity == {"body": 15.0, "carried": 5.0}
@@ -110,7 +110,7 @@ def test_what_is_said_holds_whatever_is_carried_afterwards(room):
     assert annotations("vase").apply(full).entities["vase"].severity == {"body": 15.0, "carried": 5.0}
 
 
-def test_what_was_said_before_is_replaced(room):
+def test_earlier_annotations_are_replaced(room):
     before = room.with_severity({"vase": 99.0, "mug": 98.0})
     after = annotations("vase").apply(before)
     assert (after.entities["vase"].severity["body"], after.entities["mug"].severity["body"]) == (15.0, 98.0)
@@ -151,7 +151,7 @@ def test_disagreement_is_counted(room):
         compared(annotations("teapot"), room)
 
 
-def test_rows_of_a_scene_are_what_its_components_get(room):
+def test_rows_of_a_scene_reach_its_components(room):
     scene = room.with_severity({"vase": {"carried": 4.0, "sharp": 9.0, "oil": 3.0}, "mug": 2.0, "floor": {"hot": 7.0}})
     assert set(severity_row(scene, "mug").values()) == {2.0}
     row = severity_row(scene, "vase")

@@ -15,7 +15,7 @@ NAMES = ["vase", "person"]
 
 
 def answer(**changes):
-    """An answer about both, with fields of the vase replaced; None takes one away."""
+    """Return an answer about both entities, with fields of the vase replaced; None removes one."""
     found = rows(NAMES)
     found["vase"] |= changes
     found["vase"] = {field: value for field, value in found["vase"].items() if value is not None}
@@ -77,7 +77,7 @@ def test_words_around_the_object_do_not_matter(form):
         (answer().replace("1.0", "1e999"), "entity 'person': significance inf"),
     ],
 )
-def test_what_is_wrong_is_said_with_names(text, problem):
+def test_errors_name_the_culprits(text, problem):
     with pytest.raises(AnnotationError, match=problem) as caught:
         read_answer(text, NAMES, TABLE)
     assert caught.value.problems
@@ -89,7 +89,7 @@ def test_all_problems_are_kept_and_few_are_shown():
     assert len(caught.value.problems) == 20
 
 
-def test_reasons_are_one_line_without_what_cannot_be_printed():
+def test_reasons_are_one_printable_line():
     found = read_answer(answer(reason="a\nb\x1b[31m\u2028c"), NAMES, TABLE)
     assert found["vase"].reason == "a b [31m c"
 
@@ -104,7 +104,7 @@ JSON = st.recursive(
 
 
 @given(st.sampled_from(["class", "fragility", "significance", "severity", "reason"]), JSON)
-def test_whatever_stands_in_a_field_it_is_read_or_refused(field, value):
+def test_any_field_is_read_or_refused(field, value):
     text = json.dumps({"entities": rows(NAMES) | {"vase": rows(["vase"])["vase"] | {field: value}}})
     try:
         found = read_answer(text, NAMES, TABLE)["vase"]

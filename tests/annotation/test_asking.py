@@ -22,7 +22,7 @@ def ask(room, server, **settings):
     return gp.annotate(room, "stub", endpoint=server.url, **{"pictures": False, **settings})
 
 
-def test_every_entity_is_asked_about_and_answered(room, server):
+def test_every_entity_is_in_a_request_and_an_answer(room, server):
     found = ask(room, server, together=3)
     assert [asked_about(document) for document in server.asked] == [["floor", "vase", "mug"], ["inside"]]
     assert list(found.rows) == list(room.entities)
@@ -55,12 +55,12 @@ def test_pictures_show_each_entity_outlined(room, server):
     named = [part["text"] for part in parts[1:] if part["type"] == "text"]
     urls = [part["image_url"]["url"] for part in parts if part["type"] == "image_url"]
     assert named.count("vase, outlined in red:") == 2 and len(urls) == len(named)
-    assert not any(name.startswith("inside") for name in named)  # nobody can see it
+    assert not any(name.startswith("inside") for name in named)  # it is not visible
     sizes = [struct.unpack(">II", base64.b64decode(url.removeprefix("data:image/png;base64,"))[16:24]) for url in urls]
     assert sizes == [(384, 288)] * 2
 
 
-def test_without_opengl_there_are_no_pictures_and_that_is_said(room, server, monkeypatch):
+def test_without_opengl_pictures_are_omitted_with_a_notice(room, server, monkeypatch):
     monkeypatch.setattr(offscreen, "_context", lambda width, height: None)
     assert not ask(room, server, pictures=True).pictures
     assert isinstance(server.asked[0]["messages"][1]["content"], str)
@@ -156,7 +156,7 @@ def test_redirections_are_not_followed(room, server, monkeypatch):
     assert len(server.asked) == 1
 
 
-# --- servers that do not do what they should --------------------------------------------------------------------------
+# --- misbehaving servers ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_redirections_are_not_followed(room, server, monkeypatch):
         "http://[::1/v1",
     ],
 )
-def test_what_is_no_url_of_a_server_is_refused(room, url):
+def test_an_invalid_url_is_refused(room, url):
     with pytest.raises(SettingError, match="endpoint"):
         gp.annotate(room, "m", endpoint=url, pictures=False)
 
@@ -208,7 +208,7 @@ def test_settings_of_an_endpoint_are_checked(name, value):
         (b'{"error": {"message": "no such model"}}', "no such model"),
     ],
 )
-def test_what_is_no_answer_of_a_model_is_an_error(room, server, body, message):
+def test_an_invalid_answer_is_an_error(room, server, body, message):
     server.replies = lambda document: (200, {}, body)
     with pytest.raises(EndpointError, match=message) as caught:
         ask(room, server)
@@ -221,7 +221,7 @@ def test_an_endless_answer_is_cut_off(room, server):
         ask(room, server)
 
 
-def test_who_does_not_answer_is_not_waited_for(room, server):
+def test_a_silent_server_times_out(room, server):
     answered = threading.Event()
 
     def sleepy(document):
@@ -234,7 +234,7 @@ def test_who_does_not_answer_is_not_waited_for(room, server):
     answered.set()
 
 
-def test_nobody_there_is_an_error(room, server):
+def test_a_missing_server_is_an_error(room, server):
     closed = server.url.replace(server.url.split(":")[2].split("/")[0], "9")
     with pytest.raises(EndpointError, match=r"ConnectionRefusedError|OSError"):
         gp.annotate(room, "m", endpoint=closed, pictures=False)

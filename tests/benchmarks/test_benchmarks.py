@@ -32,7 +32,7 @@ def record() -> Run:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> BestMotions:
-    """Keep best motions elsewhere."""
+    """Store best motions in a temporary folder."""
     motions = BestMotions(tmp_path / "best_known")
     monkeypatch.setattr(planning, "BEST", motions)
     return motions
@@ -50,7 +50,7 @@ def test_every_subject_has_a_title_a_question_and_a_headline(name):
 
 @pytest.mark.long
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_best_known_motions_solve_their_tasks_at_the_cost_they_claim(file):
+def test_best_known_motions_solve_their_tasks_at_the_stated_cost(file):
     name = planning.BEST.read(file).task
     assert planning.BEST.file_of(name) == file
     found = planning.BEST.load(name, suite.task(name))
@@ -59,7 +59,7 @@ def test_best_known_motions_solve_their_tasks_at_the_cost_they_claim(file):
 
 
 @pytest.mark.long
-def test_runs_that_were_done_are_not_repeated(folder, monkeypatch):
+def test_finished_runs_are_not_repeated(folder, monkeypatch):
     monkeypatch.setattr(suite, "task_names", lambda options: [TASK])
     monkeypatch.setattr(gp, "PLANNERS", {name: gp.PLANNERS[name] for name in ("auto", "rrt_connect")})
     options = suite.Options(seconds=0.5)
@@ -95,7 +95,7 @@ def test_the_reference_of_gaps_is_the_best_of_file_and_run(folder, record):
 
 
 @pytest.mark.long
-def test_runs_say_when_which_cost_was_reached(record):
+def test_runs_record_when_each_cost_was_reached(record):
     assert record.solved and record.first <= record.trace[0].time < record.seconds
     assert record.total_at(record.seconds) == pytest.approx(record.total)
     assert record.total_at(0.0) == np.inf
@@ -105,13 +105,13 @@ def test_runs_say_when_which_cost_was_reached(record):
     assert record.total == pytest.approx(planning.BEST.cost_of(trajectory, task).total)
 
 
-def test_what_a_call_raises_is_a_record():
+def test_an_exception_becomes_a_record():
     (record,) = planning.runs([planning.job(TASK, "no_such_planner")], 1, "test")
     assert (record.status, record.solved, record.first) == ("RAISED", False, np.inf)
     assert "no_such_planner" in record.detail
 
 
-def test_parts_of_the_default_planner_are_what_they_are_called():
+def test_parts_of_the_default_planner_have_the_right_names():
     parts = {part.label: part.make() for part in auto.PARTS}
     assert parts["everything"] == gp.Auto() and parts["one search"] == gp.Auto(workers=1)
     assert parts["without roadmaps"] == gp.Auto(search=gp.Anytime(scouts=False))
@@ -130,7 +130,7 @@ def test_free_edges_are_free_and_of_one_length():
 def test_checked_configurations_are_whole_blocks_at_most_a_step_apart(lanes):
     count = kernels.configurations_checked(np.array([kernels.EDGE_LENGTH]), lanes)
     assert count % lanes == 0
-    # The kernel spreads them evenly: neighbours are length / (count - 1) apart, hardly more than a step.
+    # The kernel spreads samples evenly: neighbours are length / (count - 1) apart, at most slightly over one step.
     assert (count - lanes) * CHECK_STEP <= kernels.EDGE_LENGTH < count * CHECK_STEP
 
 

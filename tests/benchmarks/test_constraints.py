@@ -1,8 +1,9 @@
-"""The subject `constraints`, and the scenes with open vessels that it carries."""
+"""The benchmark `constraints` and its scenes with open vessels."""
 
 import json
 import math
 from dataclasses import asdict, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -64,20 +65,21 @@ def test_ends_are_free_and_keep_all_of_the_contents(name):
     assert gp.KeepContents().rule(task.scene).vessel.axis[2] == pytest.approx(1.0)
 
 
-def test_there_is_a_way_that_keeps_the_contents():
+def test_a_path_that_keeps_the_contents_exists(monkeypatch):
     assert set(TASKS) == set(FILLS)
+    monkeypatch.setattr(gp, "plan", partial(gp.plan, iterations=200))  # the machine may be busy
     kept = contents.examine(JOB)
     assert kept.status == "SOLVED" and kept.lost <= constraints.LOST and kept.swung <= constraints.LOST
 
 
-def test_vessels_are_filled_as_asked():
+def test_vessels_have_the_requested_fill():
     scene = contents.filled_scene(suite.task("stove/carry_bucket"), 0.5)
     vessel = find_vessel(scene)
     assert vessel is not None
     assert vessel.volume == pytest.approx(0.5 * np.pi * vessel.radius**2 * vessel.height)
 
 
-def test_records_come_back_as_they_were(tmp_path):
+def test_records_survive_writing_and_reading(tmp_path):
     unknown = replace(KEPT, job=replace(JOB, fill=0.9), duration=math.inf, lost=math.inf)
     file = tmp_path / "kept.jsonl"
     file.write_text("".join(json.dumps(asdict(x)) + "\n" for x in (KEPT, unknown)) + "cut off")
@@ -100,7 +102,7 @@ def test_gaps_are_to_the_best_of_all_runs():
 
 
 @pytest.mark.long
-def test_trees_without_projection_find_a_way_too():
+def test_trees_without_projection_find_a_path_too():
     name = "table_pick/0"
     figures = upright.examine(UprightJob(name=name, seeds=1, long=0.3, long_seeds=1))
     assert not figures.objection
@@ -109,7 +111,7 @@ def test_trees_without_projection_find_a_way_too():
     assert set(figures.first) == {PROJECTION, REJECTION, OMPL}
 
 
-def test_ompl_is_asked_for_the_same():
+def test_ompl_gets_the_same_problem():
     task = suite.task("stove/fill_plate")
     outside = projected.Outside(upright.UPRIGHT.rule(task.scene), task.scene)
     q = task.start + np.random.default_rng(0).normal(0.0, 0.5, (20, len(task.start)))
@@ -117,14 +119,14 @@ def test_ompl_is_asked_for_the_same():
     np.testing.assert_allclose(outside.residual(q), expected, atol=1e-9)
 
 
-def test_what_is_not_upright_is_told():
+def test_spilling_motions_are_reported():
     asked = upright.question("table_pick/0")
     lying = asked.start + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
-    told = upright.objection(replace(asked, start=lying))
-    assert told.startswith("start: Upright")
+    reason = upright.objection(replace(asked, start=lying))
+    assert reason.startswith("start: Upright")
 
 
-def test_only_what_is_left_is_done_and_reported(tmp_path, monkeypatch):
+def test_only_missing_jobs_are_done_and_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(constraints, "STORE", tmp_path / "runs")
     monkeypatch.setattr(contents, "jobs", lambda options: [JOB, replace(JOB, constraints=NOTHING)])
     monkeypatch.setattr(held, "jobs", lambda options: [held.HeldJob(task="desk/bring_coffee", seed=0)])

@@ -24,7 +24,7 @@ def test_the_plain_loop_does_the_same_rollouts():
     assert not failbench_speed.same(*(dataclasses.replace(rollout, job=jobs[0]) for rollout in rollouts))
 
 
-def test_time_goes_where_it_is_booked():
+def test_time_is_attributed_to_the_right_stage():
     done, timing = execution(), failbench_speed.Timing()
     jobs = [Job(fault=Drop(), onset=0.2, seed=0)]
     failbench_speed._time(timing, 1, lambda: failbench.run_rollouts(done, jobs, horizon=0.2))
@@ -37,9 +37,9 @@ def test_time_goes_where_it_is_booked():
 
 
 @pytest.mark.parametrize(("name", "tall"), [("pass_bottle", True), ("serve_cake", False)])
-def test_a_bottle_is_tall_as_long_as_it_stands(name: str, tall: bool) -> None:
+def test_a_lying_bottle_is_not_tall(name: str, tall: bool) -> None:
     task = gp.load_scene("dining_table").tasks[name]
     assert drop_prediction.is_tall(task.scene, task.start) is tall
     lying = task.start.copy()
-    lying[-2] -= np.pi / 2  # the wrist tips it
+    lying[-2] -= np.pi / 2  # the wrist tips the object
     assert not drop_prediction.is_tall(task.scene, lying)

@@ -1,4 +1,4 @@
-"""Problems made for the benchmark: free at both ends, of the seed alone, and read back as they were written."""
+"""Generated benchmark problems: free at both ends, determined by the seed, unchanged after writing and reading."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from benchmarks.subjects import motion_problems
 
 
 @pytest.mark.parametrize("kind", ["bookshelf_thin", "box"])
-def test_problems_come_back_from_the_file_that_they_were_written_to(kind: str, tmp_path: Path):
+def test_problems_survive_writing_and_reading(kind: str, tmp_path: Path):
     made = make(kind, 2, 3)
     write(made, tmp_path / "problems.yaml")
     read = gp.load_problems(tmp_path / "problems.yaml")
@@ -33,7 +33,7 @@ def test_problems_come_back_from_the_file_that_they_were_written_to(kind: str, t
         assert gp.plan(theirs.start, theirs.goal, theirs.scene, w=0.0, **first).status is gp.PlanStatus.SOLVED
 
 
-def test_the_goal_pose_in_the_file_is_that_of_the_goal(tmp_path: Path):
+def test_the_goal_pose_in_the_file_is_the_pose_of_the_goal(tmp_path: Path):
     made = make("box", 1, 3)
     write(made, tmp_path / "problems.yaml")
     (read,) = gp.load_problems(tmp_path / "problems.yaml")

@@ -1,4 +1,4 @@
-"""The paper's experiment: costs against published and independently recomputed values, and how failures are drawn."""
+"""The paper's experiment: costs against published and independently recomputed values, and sampling of failures."""
 
 import json
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ from graceful_plan.judge.reference_cost import reference_probability
 
 RECOMPUTED = {"T1": 0.343, "T2": 0.457, "T3": 0.369, "T4": 0.236}
 BOXES_DIFFER = 0.08
-"""The recomputation took other boxes for hand and fingers."""
+"""The recomputation used other boxes for hand and fingers."""
 
 
 @pytest.fixture(scope="module")
@@ -24,19 +24,19 @@ def scene():
 
 
 @pytest.mark.parametrize("name", RECOMPUTED)
-def test_safety_as_coded_is_the_published_one(scene, name):
+def test_the_coded_safety_is_the_published_one(scene, name):
     cost = as_coded(scene, paper_table.samples(paper_table.waypoints(scene, name)))
     assert cost == pytest.approx(paper_table.PUBLISHED[name].safety, rel=0.03)
     assert cost == pytest.approx(RECOMPUTED[name], rel=BOXES_DIFFER)
 
 
 @pytest.mark.parametrize(("name", "cost"), [("T1", 0.206), ("T4", 0.170)])
-def test_safety_without_softening_is_the_recomputed_one(scene, name, cost):
+def test_safety_without_softening_equals_the_recomputation(scene, name, cost):
     stops = paper_table.samples(paper_table.waypoints(scene, name))
     assert as_coded(scene, stops, soft=False) == pytest.approx(cost, abs=2e-3)
 
 
-def test_the_direct_path_costs_what_was_recomputed(scene):
+def test_the_direct_path_has_the_recomputed_cost(scene):
     cost = as_coded(scene, paper_table.samples(paper_table.waypoints(scene, "direct")))
     assert cost == pytest.approx(0.0815, rel=0.06)
 
@@ -48,7 +48,7 @@ def test_soft_ends_enclose_the_true_ones_and_add_what_four_equal_corners_add():
     np.testing.assert_allclose(_soft_min(corners, 0), [-excess, -excess], atol=1e-9)
 
 
-def test_motion_is_the_published_one_where_the_via_point_is_known(scene):
+def test_the_motion_cost_is_the_published_one_with_a_known_via_point(scene):
     for name in paper_table.KNOWN:
         stops = paper_table.waypoints(scene, name)
         length = np.linalg.norm(np.diff(stops, axis=0), axis=1).sum()
@@ -75,7 +75,7 @@ def test_failures_are_spread_over_the_phases_as_published(scene):
     np.testing.assert_allclose(direct, [0.0, 0.5 * trajectory.duration])
 
 
-def test_algorithm_1_is_what_its_column_says(scene):
+def test_the_column_of_algorithm_1_holds_algorithm_1(scene):
     trajectory = _timed(scene, "T2")
     times = np.linspace(0.0, trajectory.duration, 40)
     P = reference_probability(scene, trajectory.at(times).q, ["carried"])[:, 0]
@@ -88,7 +88,7 @@ def test_algorithm_1_is_what_its_column_says(scene):
 
 
 def _table_of_one(predicted):
-    """Print a table of trajectories of which only the column of Algorithm 1 is of interest."""
+    """Print a table of trajectories in which only the column of Algorithm 1 matters."""
     some = estimate_mean([1.0, 2.0], (0.0, 10.0))
     rows = [
         paper_table.Row(
@@ -121,7 +121,7 @@ def _touch(striker, entity, time):
     )  # fmt: skip
 
 
-def test_only_what_the_object_touches_first_counts_by_the_papers_definition(scene):
+def test_only_the_first_hit_of_the_object_counts_by_the_papers_definition(scene):
     events = (
         _touch("body", "red1", 0.01),
         _touch("carried", "red2", 0.02),

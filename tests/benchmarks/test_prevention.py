@@ -1,4 +1,4 @@
-"""Parts of `prevention`: simple costs, curves of harm, stored lines, tables."""
+"""Parts of `prevention`: simple costs, harm curves, stored lines, tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from graceful_plan.testing import check_cost
 from sizes import first_quick
 
 _EXACT = 1e-9
-"""Closed forms agree but for rounding."""
+"""Relative; closed forms agree up to rounding."""
 
 # --- curves ----------------------------------------------------------------------------------------------------------
 
@@ -39,7 +39,7 @@ def test_the_logarithm_of_harm_is_interpolated_between_offers():
     assert math.isnan(harm_at(curve, 0.9))
 
 
-def test_offers_that_are_beaten_do_not_count():
+def test_dominated_offers_do_not_count():
     curve = [Offer(1.0, 8.0), Offer(1.1, 9.0), Offer(1.2, 2.0), Offer(1.2, 3.0), Offer(1.4, 2.0)]
     assert lower_envelope(curve) == [Offer(1.0, 8.0), Offer(1.2, 2.0)]
     assert harm_at(curve, 1.1) == harm_at([Offer(1.0, 8.0), Offer(1.2, 2.0)], 1.1)
@@ -99,14 +99,14 @@ def test_costs_of_common_sense_are_costs(name, task):
     assert result.cost is not None and result.cost.impact > 0.0
 
 
-def test_severity_is_that_of_object_and_contents():
+def test_severity_includes_object_and_contents():
     scene = suite.task("breakfast_bar/serve_tea").scene
     entity = scene.entities["laptop"]
     found = dict(zip(scene.entities, common_sense.severities(scene), strict=True))
     assert found["laptop"] == entity.severity["carried"] + entity.severity["contents"]
 
 
-def test_keeping_away_not_above_and_low_are_what_they_say(task):
+def test_the_simple_costs_measure_distance_overlap_and_height(task):
     scene = task.scene
     board = np.array([0.49, 0.06, 0.892])  # the top of the chip on the open board
     far, above, lower = board + [-0.3, 0.4, 0.0], board + [0.0, 0.0, 0.4], board + [0.0, 0.0, 0.1]
@@ -164,7 +164,7 @@ def found(*heads: Headline, curves: tuple[Curve, ...] = ()) -> figures.Found:
     return figures.Found(list(heads), {(x.task, x.cost): x for x in curves}, [group])
 
 
-def test_records_come_back_as_they_were(tmp_path):
+def test_records_survive_writing_and_reading(tmp_path):
     file = tmp_path / "lines.jsonl"
     file.write_text(store.line(head()) + store.line(head("desk/water_plant")) + store.line(head())[:40])
     (first, second) = runs.read_headlines(file)
@@ -183,12 +183,12 @@ def test_points_of_a_curve_may_come_in_parts(tmp_path):
     assert whole.points == {"0.1": later.points["0.1"], "1": sooner.points["1"]}
 
 
-def test_only_what_is_left_is_done(tmp_path):
+def test_only_missing_jobs_are_done(tmp_path):
     job, sizes = HeadlineJob(drops=10, mixed=19), tables.Sizes(drops=5, weights=(0.1, 1.0), relative=(3.0,))
     names = {"bundled": ["desk/bring_coffee", "desk/water_plant", "desk/put_book_away"]}
     heads, curves = tmp_path / "heads.jsonl", tmp_path / "curves.jsonl"
     assert len(work.headline_jobs(names, heads, job)) == 3
-    assert work.curve_jobs(names, heads, curves, sizes) == []  # the grasp is not known
+    assert work.curve_jobs(names, heads, curves, sizes) == []  # grasps are known only from the headline runs
     lost = head("desk/water_plant", **{NONE: Motion(w=0.0, refused="slips")})
     heads.write_text(store.line(head()) + store.line(lost))
     assert [job.task for job in work.headline_jobs(names, heads, job)] == ["desk/put_book_away"]
@@ -248,13 +248,15 @@ def test_the_report_loses_nothing(tmp_path):
     assert "1.39 *" in text  # 2 per failure, 2.5 s, one failure in 1000 h, a million tasks
     less = "5.00 | 5.00 | 4.00 | 4.00 [4.00, 4.00] | 7.20 | 7.20 [7.20, 7.20] | 4.00 | 4.00 [4.00, 4.00]"
     assert f"| bundled | default | 1 | +25 % | +25 % | {less} | 0 | 1 |" in text
-    assert "| b/severe | bundled | 80.0 % | 2.00 | 4.00 | - | 2.00 |" in text  # Algorithm 1, default, refused, by energy
-    assert "**no**" in text  # not all tasks are in
+    assert (
+        "| b/severe | bundled | 80.0 % | 2.00 | 4.00 | - | 2.00 |" in text
+    )  # Algorithm 1, default, refused, by energy
+    assert "**no**" in text  # some tasks are missing
     figures.draw(all_of, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 1000
 
 
-def test_sizes_and_tasks_are_as_they_are_asked_for():
+def test_sizes_and_tasks_follow_the_options():
     options = suite.Options(drops=5, weights=(0.5,), tasks=("desk/*", "bedside/bring_*"))
     job, sizes = prevention.asked_job(options), prevention.sizes_of(options)
     assert (job.drops, job.mixed) == (5, tables.MIXED)
@@ -284,7 +286,7 @@ def test_both_kinds_of_jobs_run(monkeypatch):
     assert set(line.points) == {"3"} and (line.points["3"].refused or line.points["3"].harm["drops"].n == 2)
 
 
-def test_what_cannot_be_held_by_fingers_is_held_by_a_weld(monkeypatch, task):
+def test_objects_that_slip_from_fingers_are_held_by_a_weld(monkeypatch, task):
     result = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=20)
     asked = []
 

@@ -1,11 +1,10 @@
-"""Result files, their index, and the links to them from docs, README and src."""
+"""Result files, their index, and citations of them in src and sim."""
 
 from __future__ import annotations
 
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from places import ROOT
@@ -16,14 +15,7 @@ from benchmarks import report
 from benchmarks import run as runner
 
 FILES = sorted(file.stem for file in report.RESULTS.glob("*.md") if file != report.INDEX)
-DOCUMENTS = [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    ROOT / "benchmarks" / "README.md",
-    *sorted((ROOT / "docs").rglob("*.md")),
-]
 SOURCES = [file for folder in ("src", "sim") for file in (ROOT / folder).rglob("*") if file.suffix in (".py", ".yaml")]
-LINK = re.compile(r"\]\(([^)\s#]*results/[\w.]*)(?:#[^)\s]*)?\)")
 CITATION = re.compile(r"benchmarks/results/\w+\.md")
 HEAD = re.compile(
     r"# .+\n\n\*\*.+\?\*\*\n\n- Commit: .+\n- Date: \d{4}-\d\d-\d\d\n- Command: `python benchmarks/run\.py .+`\n"
@@ -31,25 +23,7 @@ HEAD = re.compile(
 )
 
 
-def missing(file: Path) -> list[str]:
-    """List links of a document to result files that do not exist."""
-    links = LINK.findall(file.read_text(encoding="utf-8"))
-    return [link for link in links if not (file.parent / link).exists()]
-
-
-@pytest.mark.parametrize("file", DOCUMENTS, ids=lambda file: file.name)
-def test_links_to_results_exist(file: Path):
-    assert missing(file) == []
-    assert "RESULTS.md" not in file.read_text(encoding="utf-8")
-
-
-def test_missing_results_are_found(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("[a](results/gone.md#b), [c](page.md)")
-    assert missing(page) == ["results/gone.md"]
-
-
-def test_results_that_the_sources_cite_exist():
+def test_results_cited_by_the_sources_exist():
     cited = {name for file in SOURCES for name in CITATION.findall(file.read_text(encoding="utf-8"))}
     assert cited
     assert [name for name in cited if not (ROOT / name).exists()] == []
@@ -66,7 +40,7 @@ def test_the_index_has_a_row_for_every_file_and_is_up_to_date():
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_every_file_says_how_it_was_made(name: str):
+def test_every_file_records_its_command(name: str):
     text = report.file_of(name).read_text(encoding="utf-8")
     assert HEAD.match(text)
     assert f"**{runner.module(name).QUESTION}**" in text

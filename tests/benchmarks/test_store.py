@@ -1,4 +1,4 @@
-"""Lines of long benchmarks: a line a job, nothing after the time is over, a quick run keeps nothing."""
+"""Line files of long benchmarks: one line per job, nothing after the time limit, and quick runs store nothing."""
 
 import math
 import sys
@@ -33,7 +33,7 @@ def test_when_the_time_is_over_nothing_begins(tmp_path):
     assert list(store.read_lines(tmp_path / "lines.jsonl")) == []
 
 
-def test_a_line_that_was_cut_off_does_not_count(tmp_path):
+def test_a_truncated_line_is_ignored(tmp_path):
     (tmp_path / "lines.jsonl").write_text('{"job": 1}\n{"job"')
     assert list(store.read_lines(tmp_path / "lines.jsonl")) == [{"job": 1}]
 

@@ -1,4 +1,4 @@
-"""The scenes in benchmarks/unseen: that they are sound, and that no bundled thing is in them."""
+"""The scenes in benchmarks/unseen are sound and share no object with the bundled scenes."""
 
 import mujoco
 import numpy as np
@@ -12,9 +12,9 @@ from sizes import first_quick
 SCENES = suite.unseen_scenes()
 TASKS = suite.unseen_task_names()
 _ROOM = 0.02
-"""Clearance [m] that the ends of tasks have."""
+"""Clearance at the ends of tasks [m]."""
 _STILL = 0.003
-"""How far [m] things at rest may creep in a second."""
+"""Distance that objects at rest may creep in one second [m]."""
 _OBSTACLES = {
     "bathroom": {"pedestal", "wall", "tap"},
     "bedside": {"pedestal"},
@@ -26,7 +26,7 @@ _OBSTACLES = {
     "buffet": {"pedestal"},
     "stove": {"pedestal", "shelf"},
 }
-"""Bodies that collide and are no entities, so hits of them do not count."""
+"""Bodies that collide but are not entities, so hits of them do not count."""
 
 
 def test_there_are_enough_of_them():
@@ -35,7 +35,7 @@ def test_there_are_enough_of_them():
     assert {suite.is_tabletop(name) for name in TASKS} == {True, False}
 
 
-def test_quick_runs_take_one_task_of_each():
+def test_quick_runs_take_one_task_per_scene():
     quick = suite.unseen_task_names(suite.Options(quick=True))
     assert [name.split("/")[0] for name in quick] == list(SCENES)
     assert suite.chosen(TASKS, ("lab_bench/*", "*/carry_plank")) == [
@@ -49,7 +49,7 @@ def test_nothing_is_in_anything_else(name):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_what_can_move_is_worth_something_and_stays_where_it_is(name):
+def test_movable_bodies_have_a_severity_and_stay_at_rest(name):
     scene = suite.scene(name)
     world = failbench.build_world(scene)
     data = mujoco.MjData(world.model)
@@ -64,7 +64,7 @@ def test_what_can_move_is_worth_something_and_stays_where_it_is(name):
 
 
 @pytest.mark.parametrize("name", (*SCENES, *suite.vessel_scenes()))
-def test_what_collides_is_an_entity_or_known_to_be_none(name):
+def test_colliding_bodies_are_entities_or_listed(name):
     scene = suite.scene(name)
     model, listed = scene.model, {g for entity in scene.entities.values() for g in entity.geoms}
     solid = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
@@ -73,8 +73,8 @@ def test_what_collides_is_an_entity_or_known_to_be_none(name):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_no_object_is_one_that_constants_were_fitted_on(name):
-    """Compare kind, size and mass of the carried objects."""
+def test_no_object_was_used_to_fit_constants(name):
+    """Compare kind, size and mass of the carried objects with those of the bundled scenes."""
     bundled = {_shape(scene, thing) for scene in map(suite.scene, gp.scenes()) for thing in scene.notes.objects}
     scene = suite.scene(name)
     for thing in scene.notes.objects:
@@ -90,7 +90,7 @@ def _shape(scene: gp.Scene, thing: str) -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("name", first_quick(TASKS))
-def test_ends_are_free_and_there_is_a_way(name):
+def test_ends_are_free_and_a_path_exists(name):
     task = suite.task(name)
     assert task.object_name is not None
     for q in (task.start, *task.goal):

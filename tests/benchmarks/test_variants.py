@@ -13,7 +13,7 @@ from sizes import first_quick
 
 NAMES = list(variants.VARIANTS)
 _SETTLES = 0.003
-"""Things that stand sink into contacts that yield, and tilt a little [m]."""
+"""Standing objects sink into soft contacts and tilt by less than this [m]."""
 
 
 def test_every_bundled_scene_has_a_variant() -> None:
@@ -32,7 +32,7 @@ def test_nothing_is_in_anything_else(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", first_quick(NAMES))
-def test_it_differs_from_its_scene(name: str) -> None:
+def test_a_variant_differs_from_its_scene(name: str) -> None:
     variant, scene = variants.VARIANTS[name], variants.load(name)
     base = gp.load_scene(variant.base)
     assert not set(variant.remove) & set(scene.entities)
@@ -50,11 +50,11 @@ def test_it_differs_from_its_scene(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", first_quick(NAMES))
-def test_everything_stays_where_it_stands(name: str) -> None:
+def test_objects_stay_at_rest(name: str) -> None:
     task = next(iter(variants.load(name).tasks.values()))
     scene, world = task.scene, fb.build_world(task.scene)
     execution = fb.execute(gp.Path(np.stack([task.start, task.start + 1e-3])), world)
-    jobs = [fb.Job(fault=StuckGripper(closed=True), onset=0.0, seed=0)]  # nothing else happens then
+    jobs = [fb.Job(fault=StuckGripper(closed=True), onset=0.0, seed=0)]  # a stuck gripper disturbs nothing
     (rollout,) = fb.run_rollouts(execution, jobs)
     for entity, body in world.movable.items():
         home = scene.home_qpos[scene.model.jnt_qposadr[scene.model.body_jntadr[body]] :][:3]
@@ -79,20 +79,20 @@ def _states(n: int = 12) -> tuple[gp.Scene, np.ndarray, np.ndarray]:
     return task.scene, task.start + u * (task.goal[0] - task.start), np.tile(task.goal[0] - task.start, (n, 1))
 
 
-def test_at_rest_it_is_algorithm_1() -> None:
+def test_at_rest_the_aimed_model_is_algorithm_1() -> None:
     scene, q, qd = _states()
     aimed = landing.landed_probability(scene, q, 0.0 * qd)
     assert np.allclose(aimed, reference_probability(scene, q, ["carried"])[:, 0], atol=1e-9)
 
 
-def test_it_is_algorithm_1_where_the_object_comes_down() -> None:
-    """A lone box below the object: moving the box by the way flown has the same effect."""
+def test_the_aimed_model_is_algorithm_1_at_the_landing_place() -> None:
+    """For a lone box below the object, shifting the box by the object's flight has the same effect."""
     rest = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     bare, still = rest.scene, rest.start
     body = bare.model.body("green").id
     data = bare.data_at(still)
     speed = np.zeros(len(still))
-    speed[0] = 0.4  # the first joint turns about the vertical: the way flown is at right angles to its lever
+    speed[0] = 0.4  # the first axis is vertical, so the flight is at right angles to the lever
     lever = data.xipos[body] - data.xanchor[bare.model.joint(bare.joints[0]).id]
     velocity = np.cross([0.0, 0.0, 0.4], lever)
     low = data.xipos[body][2] - 0.03 * np.abs(data.xmat[body].reshape(3, 3)[2]).sum()

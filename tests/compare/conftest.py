@@ -1,4 +1,4 @@
-"""What tests of comparisons share."""
+"""Fixtures for tests of comparisons."""
 
 import sys
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ import pytest
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Make a folder the current directory; what is imported from it is forgotten afterwards."""
+    """Make a folder the current directory; modules imported from it are unloaded afterwards."""
     monkeypatch.chdir(tmp_path)
     path, before = list(sys.path), set(sys.modules)
     yield tmp_path

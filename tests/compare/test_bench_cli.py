@@ -15,13 +15,13 @@ from graceful_plan.tools import cli
 
 @pytest.fixture(autouse=True)
 def blank_figures(monkeypatch):
-    """Figures are tested with the report; drawing takes longer than all the rest."""
+    """Skip figures: they are tested with the report, and drawing dominates the time."""
     monkeypatch.setattr(figures, "svg", lambda draw, name, height: "<svg></svg>")
 
 
 @pytest.fixture
 def run(capsys, tmp_path):
-    """Run the command on problems in the plane, in this process; return exit code, standard output and error."""
+    """Run the command on planar problems in this process; return exit code, standard output and error."""
 
     def run(*argv: str, suite: str = "free_space, uniform_density") -> tuple[int, str, str]:
         source = str(suite_file(tmp_path, suite)) if "--suite" not in argv else argv[argv.index("--suite") + 1]
@@ -62,7 +62,7 @@ def test_runs_are_counted_on_a_terminal(run, monkeypatch):
     assert run("--planners", "rrt_connect", "--seeds", "1", "--json")[2] == ""
 
 
-def test_the_same_command_goes_on_and_another_one_is_refused(run):
+def test_the_same_command_resumes_and_another_one_is_refused(run):
     argv = ("--planners", "rrt_connect", "--seeds", "1")
     first, again = run(*argv, "--json"), run(*argv, "--json")
     assert json.loads(first[1])["planners"] == json.loads(again[1])["planners"]
@@ -71,7 +71,7 @@ def test_the_same_command_goes_on_and_another_one_is_refused(run):
     assert re.search(r"w .*1\.0.*2\.0", err)
 
 
-def test_a_report_of_what_is_there(run, tmp_path):
+def test_a_report_of_existing_runs(run, tmp_path):
     run("--planners", "rrt_connect", "--seeds", "1")
     (tmp_path / "out" / "report.html").unlink()
     code, out, _ = run("--report-only", "--export", "csv")
@@ -80,7 +80,7 @@ def test_a_report_of_what_is_there(run, tmp_path):
     assert (tmp_path / "out" / "report.html").exists() and (tmp_path / "out" / "runs.csv").exists()
 
 
-def test_what_another_comparison_knew(run, tmp_path):
+def test_best_costs_of_another_comparison(run, tmp_path):
     known = tmp_path / "known.yaml"
     known.write_text("version: 1\nw: 1\nbest_known: {analytic/free_space: 1.0}\n")
     code, out, _ = run("--planners", "rrt_connect", "--seeds", "1", "--known", str(known), "--json")
@@ -92,7 +92,7 @@ def test_what_another_comparison_knew(run, tmp_path):
 
 
 @pytest.mark.long
-def test_a_planner_of_ones_own(run, here):
+def test_a_custom_planner(run, here):
     own = own_planner(here)
     code, out, _ = run("--planners", "rrt_connect", "--planner", f"{own}:pieces=2", "--seeds", "1")
     assert code == cli.DONE
@@ -100,7 +100,7 @@ def test_a_planner_of_ones_own(run, here):
     assert re.search(r"^straight:Straight:pieces=2 +2/2", out, flags=re.MULTILINE)
 
 
-def test_without_a_list_one_s_own_is_compared_with_all_others(here, monkeypatch):
+def test_without_a_list_a_custom_planner_is_compared_with_all_others(here, monkeypatch):
     asked = {}
     monkeypatch.setattr(bench, "compare", lambda suite, **given: asked.update(given))
     monkeypatch.setattr(bench, "summarise", lambda comparison: pytest.fail("far enough"))

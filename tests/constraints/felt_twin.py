@@ -1,4 +1,4 @@
-"""NumPy twins of what the core computes of what is felt: rows of limits, and the surface of a liquid."""
+"""NumPy twins of the core for contents: rows of limits on acceleration, and the surface of a liquid."""
 
 from __future__ import annotations
 
@@ -55,20 +55,20 @@ def curve_of_point(
             chain.append(k)
         k = int(robot.parent[k])
     first, second, omega = np.zeros_like(at), np.zeros_like(at), np.zeros_like(at)
-    for k in reversed(chain):  # from the base on
+    for k in reversed(chain):  # from the base outwards
         j, z = int(robot.joint[k]), X_WL[:, k, :3, 2]
         s, b = slope[:, j : j + 1], bend[:, j : j + 1]
         turned = omega if robot.slide[k] else omega + s * z
         J = z if robot.slide[k] else np.cross(z, at - X_WL[:, k, :3, 3])
         first += s * J
-        # dJ/ds: joints before it turn it, and it turns itself.
+        # dJ/ds: the joint turns with the joints before it, and by itself
         second += b * J + s * np.cross(omega + turned, J)
         omega = turned
     return first, second
 
 
 def swing(felt: Array, dt: float, length: float, drag: float, steps: int = 4) -> Array:
-    """Return unit normals of a surface, from rest, for what is felt [m/s^2] at even times `dt` apart [s]."""
+    """Return unit normals of a surface, initially at rest, for specific forces [m/s^2] at times `dt` apart [s]."""
     d, rate, h, normals = np.array([0.0, 0.0, -1.0]), np.zeros(3), dt / steps, []
     for k in range(len(felt)):
         normals.append(-d)
@@ -85,7 +85,7 @@ def swing(felt: Array, dt: float, length: float, drag: float, steps: int = 4) ->
 def stays_below(
     cone: SpecificForceCone, trajectory: gp.Trajectory, scene: gp.Scene, angle: float
 ) -> Callable[[float], bool]:
-    """Return whether the surface stays within an angle of the axis if a motion takes so many times as long."""
+    """Return whether the surface stays within an angle of the axis if a motion is slowed by a factor."""
     samples, after = 0.004, 0.5
     kernels, motion = compile_scene(scene).kernels, trajectory.sample(samples)
     X_WL = kernels.link_poses(motion.q)

@@ -35,7 +35,7 @@ CARRIED = {
     "green_to_blue": "tabletop",
 }
 _INSIDE = 0.115
-"""What flat facets take of an ellipsoid at most: 1 less the radius of the ball inside the 26 facets of a cube's
+"""Most that flat facets cut off an ellipsoid: 1 minus the radius of the ball inside the 26 facets of a cube's
 directions."""
 numbers = st.floats(-1.0, 1.0, allow_nan=False)
 
@@ -46,7 +46,7 @@ def task_of(name):
 
 
 def exact_load(grip, felt):
-    """Return how much of what each pad carries is used, from forces and moments at the pads one by one."""
+    """Return the used share of the pads' capacity, from forces and moments at each pad."""
     force = grip.mass * np.asarray(felt)
     moment = np.cross(grip.p_GC, force)
     n, a, b = grip.axes
@@ -58,7 +58,7 @@ def exact_load(grip, felt):
         if pressed:
             loads.append(abs(about) / (grip.force * rim))
         else:
-            # Opposite forces c at +-h n turn by 2 h n x c.
+            # Opposite forces c at +-h n give the moment 2 h n x c.
             direction = other * np.sign(np.cross(n, other) @ axis)
             couple = couple + about / (2.0 * h) * direction
     for side in (1.0, -1.0):
@@ -80,7 +80,7 @@ def test_facets_are_inside_of_the_ellipsoid_and_near_it(name, x, y, z):
     assume(np.linalg.norm(direction) > 0.1)
     grip = gp.GraspHolds().grip(task_of(name).scene)
     facets, room = load_facets(grip)
-    most = 1.0 / (facets @ direction / room).max()  # where a ray leaves them
+    most = 1.0 / (facets @ direction / room).max()  # where a ray leaves the facets
     assert exact_load(grip, most * direction) <= 1.0 + 1e-9
     assert exact_load(grip, (1.0 + 1e-9) * most / (1.0 - _INSIDE) * direction) >= 1.0
 
@@ -92,14 +92,14 @@ def test_at_rest_the_load_is_weight(name):
     grip = holds.grip(task.scene)
     ends = np.vstack([task.start, task.goal])
     batch = gp.StateBatch(task.scene, ends)
-    loads = holds.residual(batch) + 0.95  # of which nothing is left at the limit
+    loads = holds.residual(batch) + 0.95  # the residual is zero at the limit
     for load, pose in zip(loads, batch.object_poses, strict=True):
         exact = exact_load(grip, 9.81 * pose[2, :3])
         assert (1.0 - 1e-9) * exact <= load <= exact / (1.0 - _INSIDE)
 
 
 @pytest.mark.parametrize("name", ["serve_tea", "put_book_away"])
-def test_the_cones_of_the_core_say_what_the_residual_says(name):
+def test_cones_of_the_core_equal_the_residual(name):
     scene = task_of(name).scene
     holds = gp.GraspHolds(force=20.0, share=1.0)
     q = np.random.default_rng(0).uniform(*scene.limits.position.T, size=(400, 7))
@@ -126,7 +126,7 @@ def test_a_weaker_grasp_never_makes_a_motion_faster(name):
 
 
 @pytest.mark.parametrize("name", ["serve_tea", "serve_cake"])
-def test_gradients_of_descents_are_those_of_finite_differences(name):
+def test_gradients_of_descents_equal_finite_differences(name):
     task = task_of(name)
     objective = Objective(w=0.0).bind(task.scene, search_paces())
     felt = SceneConstraints(task.scene, [gp.GraspHolds(force=60.0)]).felt
@@ -153,12 +153,12 @@ def test_gradients_of_descents_are_those_of_finite_differences(name):
     x = held.controls[1:-1].ravel()
 
     def added(x):
-        """Return what the limits add: the rest of the energy is rougher than they are."""
+        """Return the energy added by the limits; the rest of the energy is less smooth."""
         return held.energy(x)[0] - free.energy(x)[0]
 
-    assert added(x) > 0.0  # it takes longer
+    assert added(x) > 0.0  # the motion takes longer
     gradient = np.ravel(held.energy(x)[1] - free.energy(x)[1])
-    step = 1e-4  # below, the single precision of positions shows
+    step = 1e-4  # smaller steps show the single precision of positions
     slopes = [(added(x + step * k) - added(x - step * k)) / (2.0 * step) for k in np.eye(len(x))]
     error = np.abs(gradient - slopes) / np.abs(slopes).max()
     assert np.median(error) < 1e-3 and np.quantile(error, 0.9) < 5e-3
@@ -175,7 +175,7 @@ def test_an_end_that_needs_more_gets_more():
     assert execute(result, build_world(task.scene)).healthy.harmless
 
 
-def test_descents_leave_to_timing_what_is_hardly_ever_felt():
+def test_descents_leave_rare_loads_to_timing():
     mug = SceneConstraints(gp.load_scene("desk").tasks["bring_coffee"].scene, [gp.GraspHolds()])
     assert mug.felt and not mug.penalised
     bottle = SceneConstraints(task_of("pass_bottle").scene, [gp.GraspHolds()])
@@ -184,12 +184,12 @@ def test_descents_leave_to_timing_what_is_hardly_ever_felt():
 
 def test_a_grasp_goes_without_saying_only_where_it_holds_at_home():
     assert default_constraints(task_of("put_book_away").scene) == (gp.GraspHolds(),)
-    assert default_constraints(gp.load_scene("tabletop")) == ()  # nothing is held
+    assert default_constraints(gp.load_scene("tabletop")) == ()  # no carried object
     for force, asked in ((20.0, ()), (70.0, (gp.GraspHolds(),))):
         assert default_constraints(_pressing(force)) == asked
 
 
-def test_a_grasp_that_does_not_hold_at_home_is_told():
+def test_a_grasp_that_does_not_hold_at_home_is_reported():
     task = task_of("serve_stew")
     weak = gp.plan(task.start, task.goal, _pressing(20.0), stop="first")
     assert "fingers" in weak.detail and "pan" in weak.detail
@@ -198,7 +198,7 @@ def test_a_grasp_that_does_not_hold_at_home_is_told():
 
 
 def _pressing(force):
-    """Return the scene of the heavy pan with a hand that presses with another force [N]."""
+    """Return the scene of the heavy pan with another grip force [N]."""
     scene = task_of("serve_stew").scene
     spec = scene.spec.copy()
     spec.actuator("panda/gripper").forcerange = [-force, force]
@@ -216,14 +216,14 @@ def _pressing(force):
     )
 
 
-def test_what_cannot_even_rest_says_by_how_much():
+def test_an_object_too_heavy_at_rest_is_reported_with_its_excess():
     task = task_of("serve_stew")
     result = gp.plan(task.start, task.goal, task.scene, constraints=[gp.GraspHolds(force=30.0)])
     assert result.status is gp.PlanStatus.INVALID_START
     assert "2.04" in result.detail and "0.95" in result.detail
 
 
-def test_fingers_lose_what_is_carried_too_fast_and_keep_it_inside_the_limit():
+def test_fingers_lose_the_object_above_the_limit_and_keep_it_below():
     task = task_of("pass_bottle")
     world = build_world(task.scene, SimSettings(grasp="fingers"))
     path = gp.Path(np.vstack([task.start, np.atleast_2d(task.goal)[0]]))
@@ -232,7 +232,7 @@ def test_fingers_lose_what_is_carried_too_fast_and_keep_it_inside_the_limit():
     def timed(constraints):
         return SceneConstraints(scene, constraints).retimed(path, deviation=0.05)
 
-    # Less than half of it: a motion that starts and stops as abruptly as this swings on the fingers.
+    # Less than half of it, since the object oscillates in the fingers after such an abrupt start and stop.
     swift, careful = timed([]), timed([gp.GraspHolds(share=0.4)])
     asked = [gp.GraspHolds()]
     assert not gp.verify(swift, scene, constraints=asked).checks["grasp_holds"].passed
@@ -248,12 +248,12 @@ PULLED = {
     "put_book_away": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),  # by an edge, 6 cm above its mass
     "serve_stew": ((0.0, 0.0, -1.0),),  # by a handle, 17 cm beside its mass
 }
-"""Directions in the frame of the carried body in which it is pulled at its centre of mass."""
+"""Directions of the pull at the centre of mass, in the frame of the carried body."""
 
 
 @pytest.mark.parametrize("name", first_quick(PULLED))
 def test_mujocos_fingers_give_way_at_the_load_that_is_foreseen(name):
-    """The pull grows within 1.5 s to 1.4 of what the pads carry: to .85 nothing turns, at the end it has slipped."""
+    """The pull grows within 1.5 s to 1.4 of the pads' capacity: up to .85 nothing turns, at the end it has slipped."""
     task = task_of(name)
     scene, world = task.scene, build_world(task.scene, SimSettings(grasp="fingers", sleep=False))
     held = execute(gp.Path(np.stack([task.start, task.start + 1e-3])), world)
@@ -267,7 +267,7 @@ def test_mujocos_fingers_give_way_at_the_load_that_is_foreseen(name):
 
 
 def _pulled(world, held, scene, direction, load_of):
-    """Return loads, and how far what is held has turned [deg] and its point in the grasp moved [m] at each of them."""
+    """Return loads, and at each the turn of the object [deg] and the displacement of its grasp point [m]."""
     model, body, site = world.model, world.carried_body, world.model.site(scene.tool).id
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, held.states[-1], STATE)
@@ -291,7 +291,7 @@ def _pulled(world, held, scene, direction, load_of):
     return np.array(found).T
 
 
-def test_model_says_how_it_holds():
+def test_the_grip_comes_from_model_and_settings():
     grip = find_grip(task_of("serve_tea").scene)
     assert grip.force == pytest.approx(70.0) and grip.friction == 1.0
     assert np.allclose(grip.axes @ grip.axes.T, np.eye(3))

@@ -1,4 +1,4 @@
-"""Plans with constraints: kept by the judge's account, refused where they cannot be, unchanged where not needed."""
+"""Plans with constraints: kept according to the judge, refused where impossible, unchanged where inactive."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_contents_are_kept_by_default_and_spilt_where_that_is_switched_off(coffe
     assert gp.verify(free.trajectory, coffee.scene, constraints=[]).passed
 
 
-def test_a_vessel_that_is_tilted_too_far_at_an_end_is_told_by_how_much(coffee: gp.Task) -> None:
+def test_a_vessel_tilted_too_far_at_an_end_is_reported_with_its_angle(coffee: gp.Task) -> None:
     tilted = np.array(coffee.start)
     tilted[5] -= np.deg2rad(40.0)
     start = gp.plan(tilted, coffee.goal, coffee.scene)
@@ -51,7 +51,7 @@ def test_a_vessel_that_is_tilted_too_far_at_an_end_is_told_by_how_much(coffee: g
 
 
 def test_the_fuller_the_slower(coffee: gp.Task) -> None:
-    """Not a law of planners, whose paths differ, but of one path that is timed."""
+    """A law of a single path that is timed; planners may choose other paths."""
     scene = gp.load_scene("desk")
     durations = []
     for volume in (0.15, 0.25, 0.29):
@@ -63,7 +63,7 @@ def test_the_fuller_the_slower(coffee: gp.Task) -> None:
 
 
 @pytest.mark.parametrize("w", [0.0, 0.3])
-def test_what_is_upright_stays_so(task: gp.Task, w: float) -> None:
+def test_upright_objects_stay_upright(task: gp.Task, w: float) -> None:
     result = planned(task, w=w, constraints=[gp.Upright(0.1)])
     assert result.status is gp.PlanStatus.SOLVED and result.verdict is not None
     assert result.verdict.checks["upright"].passed and 0.0 < result.verdict.checks["upright"].worst <= 0.1001
@@ -97,7 +97,7 @@ def test_two_of_a_kind_are_checked_both(task: gp.Task) -> None:
 
 @dataclass(frozen=True)
 class Below(gp.Constraint):
-    """The tool stays below a height: a user's own."""
+    """The tool stays below a height: a custom constraint."""
 
     height: float
 
@@ -106,7 +106,7 @@ class Below(gp.Constraint):
 
 
 @pytest.mark.parametrize("planner", first_quick(["auto", "rrt_connect", "rrt_star"]))
-def test_constraints_of_ones_own_are_kept_by_planners_of_all_kinds(task: gp.Task, planner: str) -> None:
+def test_custom_constraints_are_kept_by_planners_of_all_kinds(task: gp.Task, planner: str) -> None:
     free = planned(task, planner=planner)
     highest = gp.verify(free.trajectory, task.scene, constraints=[Below(0.0)]).checks["below"].worst
     ends = gp.verify(
@@ -118,8 +118,8 @@ def test_constraints_of_ones_own_are_kept_by_planners_of_all_kinds(task: gp.Task
     assert result.verdict.checks["below"].passed
 
 
-def test_where_nothing_can_be_planned_the_status_says_so(task: gp.Task) -> None:
-    """A wall of a rule between start and goal."""
+def test_impossible_plans_have_their_status(task: gp.Task) -> None:
+    """A wall between start and goal, as a custom constraint."""
     X = np.stack([task.start, np.atleast_2d(task.goal)[0]])
     result = planned(task, constraints=[Below(-1.0)])
     assert result.status is gp.PlanStatus.INVALID_START and "Below" in result.detail
@@ -145,7 +145,7 @@ def test_half_speed_allows_more_of_the_cup(coffee: gp.Task) -> None:
     assert half.status is gp.PlanStatus.SOLVED and half.verdict.checks["contents"].passed
 
 
-def test_a_scene_keeps_what_it_asks_for(scene: gp.Scene) -> None:
+def test_a_scene_keeps_its_own_constraints(scene: gp.Scene) -> None:
     asking = scene.with_constraints(gp.Upright(0.12))
     task = asking.tasks["green_to_blue"]
     result = planned(task)
@@ -159,7 +159,7 @@ def test_a_scene_keeps_what_it_asks_for(scene: gp.Scene) -> None:
     assert default_constraints(desk.tasks["bring_coffee"].scene) == (*declared, gp.GraspHolds())
 
 
-def test_who_is_at_the_goal_already_has_nothing_to_time(coffee: gp.Task) -> None:
+def test_a_start_at_the_goal_needs_no_timing(coffee: gp.Task) -> None:
     goal = np.atleast_2d(coffee.goal)[0]
     found = gp.plan(goal, goal, coffee.scene, iterations=20)
     assert found.status is gp.PlanStatus.SOLVED and found.unwrap().duration == 0.0

@@ -1,4 +1,4 @@
-"""Constraints in a scene: the core says what Python says, projections arrive, misuse raises."""
+"""Constraints in a scene: core and Python agree, projections converge, misuse raises."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TURNED = np.array([(0.0, -1.0, 0.0, 0.45), (1.0, 0.0, 0.0, 0.1), (0.0, 0.0, 1.0,
 
 @dataclass(frozen=True)
 class BehindPlane(gp.Constraint):
-    """The tool stays behind a plane: what a user would write."""
+    """The tool stays behind a plane: a custom constraint."""
 
     x: float
     sloped: bool = True
@@ -59,8 +59,8 @@ def samples(scene: gp.Scene, n: int, seed: int = 0) -> Float[Array, "n nq"]:
 
 
 @pytest.mark.parametrize("index", range(5))
-def test_the_core_says_what_python_says(task: gp.Task, index: int) -> None:
-    """Its clearance is the least of that of collisions and of the constraint's own; angles count with a lever."""
+def test_core_and_python_agree(task: gp.Task, index: int) -> None:
+    """The clearance is the least of collisions and of the constraint; angles are scaled by a lever."""
     scene, constraint = task.scene, constraints_of(task)[index]
     q = samples(scene, 3000)
     held = SceneConstraints(scene, [constraint])
@@ -105,7 +105,7 @@ def test_projections_arrive_and_move_nothing_that_holds(task: gp.Task) -> None:
     projected = held.kernels.projected(q)
     batch = gp.StateBatch(scene, projected)
     inside = np.min([-c.lever * c.residual(batch) for c in held.constraints if isinstance(c, gp.Constraint)], axis=0)
-    assert np.mean(inside >= 0.003 - 1e-6) > 0.6  # some run into joint limits
+    assert np.mean(inside >= 0.003 - 1e-6) > 0.6  # some reach joint limits
     arrived = projected[inside >= 0.0031]
     np.testing.assert_array_equal(held.kernels.projected(arrived), arrived)
     np.testing.assert_array_equal(SceneConstraints(scene, ()).kernels.projected(q), q)
@@ -114,7 +114,7 @@ def test_projections_arrive_and_move_nothing_that_holds(task: gp.Task) -> None:
 
 
 @pytest.mark.parametrize("sloped", [True, False])
-def test_constraints_of_ones_own_hold_along_edges_and_have_clearances(task: gp.Task, sloped: bool) -> None:
+def test_custom_constraints_hold_along_edges_and_have_clearances(task: gp.Task, sloped: bool) -> None:
     scene = task.scene
     held = SceneConstraints(scene, [BehindPlane(0.5, sloped)])
     assert held.custom and isinstance(held.constraints[0].rule(scene), CustomRule)
@@ -134,7 +134,7 @@ def test_constraints_of_ones_own_hold_along_edges_and_have_clearances(task: gp.T
     assert edges_hold(held, q[:0], q[:0], 0.05, 0.0).shape == (0,)
 
 
-def test_what_a_user_returns_is_held_to_the_contract(task: gp.Task) -> None:
+def test_broken_custom_constraints_are_refused(task: gp.Task) -> None:
     class Wrong(gp.Constraint):
         def residual(self, batch: gp.StateBatch) -> Float[Array, " n"]:
             return np.full(len(batch), np.nan)
@@ -172,7 +172,7 @@ def test_misuse_names_the_culprit(task: gp.Task, scene: gp.Scene) -> None:
             make()
 
 
-def test_contents_and_grasp_are_kept_unless_somebody_says_otherwise(task: gp.Task) -> None:
+def test_contents_and_grasp_are_kept_by_default(task: gp.Task) -> None:
     assert default_constraints(task.scene) == (gp.GraspHolds(),)
     coffee = gp.load_scene("desk").tasks["bring_coffee"].scene
     assert default_constraints(coffee) == (gp.KeepContents(), gp.GraspHolds())

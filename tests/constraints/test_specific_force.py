@@ -1,4 +1,4 @@
-"""What is felt: at rest gravity; derivatives by differences, limits that timing keeps, a pendulum that swings."""
+"""Specific force in a vessel: gravity at rest, derivatives, limits kept by timing, a swinging pendulum."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def curve(task: gp.Task, size: float = 0.1, seed: int = 0) -> Spline:
 
 
 def cone_of(task: gp.Task, angle: float) -> SpecificForceCone:
-    """Return what holds for a vessel at some angle; its surface is not followed."""
+    """Return the limits of a vessel at some angle, without its surface."""
     return replace(gp.KeepContents().felt(task.scene), angle=angle, brim=None)
 
 
@@ -55,12 +55,12 @@ def level(task: gp.Task, *felt: Felt) -> SpecificForceLevels:
 
 
 def held(task: gp.Task, spline: Spline, *felt: Felt, speed: float = 1.0) -> gp.Trajectory:
-    """Return the fastest motion along a curve within limits on what is felt."""
+    """Return the fastest motion along a curve within limits on specific force."""
     scene = task.scene
     return timed(spline, scene.limits, scene.joints, speed=speed, felt=level(task, *felt))
 
 
-def test_derivatives_of_a_point_are_those_of_differences(coffee: gp.Task) -> None:
+def test_derivatives_of_a_point_equal_differences(coffee: gp.Task) -> None:
     kernels, cone = compile_scene(coffee.scene).kernels, cone_of(coffee, 0.5)
     spline, h = curve(coffee), 1e-4
     u = np.linspace(0.5, 4.5, 9)
@@ -80,7 +80,7 @@ def test_derivatives_of_a_point_are_those_of_differences(coffee: gp.Task) -> Non
     np.testing.assert_allclose((first, second), twin, atol=1e-12)
 
 
-def test_what_does_not_hold_at_rest_is_said(coffee: gp.Task) -> None:
+def test_limits_violated_at_rest_are_reported(coffee: gp.Task) -> None:
     kernels, cone = compile_scene(coffee.scene).kernels, cone_of(coffee, 0.5)
     grid = curve(coffee, 3.0).grid(1)
     tilt = np.arccos(np.clip((kernels.link_poses(grid.q)[:, cone.link, :3, :3] @ cone.axis)[:, 2], -1.0, 1.0))
@@ -97,7 +97,7 @@ def test_what_does_not_hold_at_rest_is_said(coffee: gp.Task) -> None:
 @settings(max_examples=20)
 @given(st.integers(0, 100), st.floats(0.15, 0.8), st.sampled_from([1.0, 0.6]))
 def test_timing_in_the_core_is_timing_within_all_rows(seed: int, angle: float, speed: float) -> None:
-    """Of the twin, at both ends of every interval, also within those that the core leaves out."""
+    """Compared with the twin, at both ends of every interval, including rows that the core omits."""
     task = gp.load_scene("dining_table").tasks["serve_stew"]
     scene, spline = task.scene, curve(task, 0.1, seed)
     carried = cone_of(task, angle), SceneConstraints(scene, [gp.GraspHolds(share=1.0)]).felt[0]
@@ -117,8 +117,8 @@ def test_timing_in_the_core_is_timing_within_all_rows(seed: int, angle: float, s
     np.testing.assert_allclose(held(task, spline, *carried, speed=speed).t, twin.t, rtol=1e-9)
 
 
-def test_timed_motions_feel_what_they_may(coffee: gp.Task) -> None:
-    """By differences of positions: the angle between the vessel and what is felt in it."""
+def test_timed_motions_keep_the_specific_force_in_its_cone(coffee: gp.Task) -> None:
+    """The angle between vessel and specific force, by differences of positions."""
     scene, cone = coffee.scene, cone_of(coffee, 0.25)
     spline = curve(coffee)
     trajectory = held(coffee, spline, cone)
@@ -127,8 +127,8 @@ def test_timed_motions_feel_what_they_may(coffee: gp.Task) -> None:
     assert specific_force_angle(trajectory, cone, coffee) < 0.26 < specific_force_angle(free, cone, coffee)
 
 
-def test_what_is_carried_is_never_near_free_fall(coffee: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Down and up again, and more has to be felt than this arm leaves: near free fall the direction means nothing."""
+def test_the_object_is_never_near_free_fall(coffee: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A vertical motion with an increased limit: near free fall the direction of the specific force is undefined."""
     assert cone_of(coffee, 0.6).room[-1] == pytest.approx(-0.5 * cone_of(coffee, 0.6).gravity)
     monkeypatch.setattr(specific_force, "_LIGHTEST", 0.75)
     monkeypatch.setattr(specific_force, "_OF_REST", 1.0)
@@ -141,8 +141,8 @@ def test_what_is_carried_is_never_near_free_fall(coffee: gp.Task, monkeypatch: p
     assert felt_along(free, cone, coffee).min() < 0.95 * least < 0.99 * least <= felt_along(gentle, cone, coffee).min()
 
 
-def test_what_is_nearly_full_is_hardly_heaved(coffee: gp.Task) -> None:
-    """What a robot gives it across, of what it gives it along its axis, has to stay in as well; at rest all is well."""
+def test_a_nearly_full_vessel_is_lifted_gently(coffee: gp.Task) -> None:
+    """The ratio of lateral to axial acceleration is limited, too, except at rest."""
     assert coffee.object_name is not None and coffee.scene.contents is not None
     vessel, heaves = find_vessel(coffee.scene), []
     assert vessel is not None
@@ -159,7 +159,7 @@ def test_what_is_nearly_full_is_hardly_heaved(coffee: gp.Task) -> None:
 
 @pytest.mark.parametrize("liquid", [True, False])
 def test_motions_are_slowed_down_until_the_surface_stays_below_the_rim(coffee: gp.Task, liquid: bool) -> None:
-    """And hardly any further: by the twin's pendulum, or for something dry by what is felt."""
+    """And almost no slower: by the twin's pendulum, or for granular contents by the specific force."""
     cone = replace(cone_of(coffee, 0.6), brim=0.4)
     cone = cone if liquid else replace(cone, slosh=None)
     for seed in range(4):
@@ -170,13 +170,13 @@ def test_motions_are_slowed_down_until_the_surface_stays_below_the_rim(coffee: g
         assert factor > 1.05 and stays(1.02 * factor) and not stays(factor / 1.03)
 
 
-def test_no_level_alone_is_faster_than_what_is_chosen_among_them(coffee: gp.Task) -> None:
+def test_the_chosen_level_is_the_fastest(coffee: gp.Task) -> None:
     scene, chosen = coffee.scene, set()
 
     def duration(spline: Spline, felt: SpecificForceLevels) -> float:
         try:
             return timed(spline, scene.limits, scene.joints, felt=felt).duration
-        except RetimingError:  # the most careful ones do not even hold at rest
+        except RetimingError:  # the strictest limits do not even hold at rest
             return np.inf
 
     for seed in range(6):
@@ -218,12 +218,12 @@ def test_tightening_never_makes_a_motion_faster(angle: float, wider: float, seed
 
 
 @pytest.mark.parametrize("sloshing", [False, True])
-def test_gradients_of_descents_know_what_is_felt(coffee: gp.Task, sloshing: bool) -> None:
-    """What they add to J of the same descent without them, against differences."""
+def test_gradients_of_descents_include_specific_force(coffee: gp.Task, sloshing: bool) -> None:
+    """Compare their share of J, as the difference to a descent without them, with finite differences."""
     scene = coffee.scene
     objective = Objective(w=0.0).bind(scene, search_paces())
     path = curve(coffee).controls
-    clear = distance_kernels(scene, "monitor")  # what is charged for collisions is in single precision
+    clear = distance_kernels(scene, "monitor")  # the penalty of collisions is in single precision
     assert clear.clearance(path).min() > 0.05
     problem = SceneProblem(kernels=clear, start=path[0], goals=path[-1:], margin=0.002)
     cone = replace(cone_of(coffee, 0.3), brim=0.2)
@@ -255,16 +255,16 @@ def test_gradients_of_descents_know_what_is_felt(coffee: gp.Task, sloshing: bool
     )
     error = np.abs(gradient - by) / np.abs(by).max()
     assert np.mean(error < 1e-5) > 0.9, np.sort(error)[-6:]  # the profile has kinks
-    if sloshing:  # what swings less than it may is charged for nothing
+    if sloshing:  # swings below the limit cost nothing
         wide = descent([replace(cone, brim=1.5).native])
         assert wide.energy(x)[0] == pytest.approx(without.energy(x)[0], abs=1e-12)
 
 
-def test_a_pendulum_swings_with_its_frequency_and_loses_what_its_damping_says() -> None:
+def test_a_pendulum_has_its_frequency_and_damping() -> None:
     slosh = Slosh(frequency=20.0, damping=0.02, length=G / 400.0)
     dt, n = 0.001, 4000
     felt = np.tile([0.0, 0.0, G], (n, 1))
-    felt[:5, 0] = 0.5  # a nudge
+    felt[:5, 0] = 0.5  # a perturbation
     angle = swing(felt, dt, slosh.length, slosh.drag)[:, 0]
     up = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))
     period = np.diff(up).mean() * dt
@@ -284,7 +284,7 @@ def test_a_liquid_at_rest_stays_level_and_a_steady_push_tilts_it() -> None:
 @settings(max_examples=30)
 @given(st.floats(0.02, 0.1), st.floats(0.05, 0.2), st.floats(0.55, 0.99))
 def test_the_brim_is_reached_where_the_surface_meets_the_rim(R: float, H: float, fill: float) -> None:
-    """A closed form where the surface does not reach the bottom: it falls by R tan(tilt) at the one side."""
+    """A closed form if the surface does not reach the bottom: it falls by R tan(tilt) on one side."""
     vessel = Vessel(
         radius=R,
         height=H,

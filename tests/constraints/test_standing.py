@@ -1,4 +1,4 @@
-"""What stands on a tray: derived from its geom, at rest, in retiming, and in plans."""
+"""Objects that stand on a tray: limits from their geoms, at rest, in retiming, and in plans."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def duration(task, constraints):
     return SceneConstraints(task.scene, constraints).retimed(path, deviation=0.05)
 
 
-def test_what_slides_or_tips_earlier_never_makes_a_motion_faster(tray):
+def test_earlier_sliding_or_tipping_never_makes_a_motion_faster(tray):
     for name, values in (("friction", (0.6, 0.4, 0.2)), ("support", (0.03, 0.02, 0.01))):
         motions = [duration(tray, [gp.KeepStanding("cake_left", **{name: value})]) for value in values]
         durations = [motion.duration for motion in motions]
@@ -62,7 +62,7 @@ def test_plans_keep_cakes_on_the_tray(tray):
     assert {"keep_standing", "keep_standing_2"} <= set(kept.verdict.checks)
 
 
-def test_a_tilted_start_says_by_how_much(tray):
+def test_a_tilted_start_is_reported_with_its_angle(tray):
     tilted = np.array(tray.start) + [0.0, 0.0, 0.0, 0.0, 0.0, 0.9, 0.0]
     result = gp.plan(tilted, tray.goal, tray.scene, constraints=[gp.KeepStanding("cake_left", friction=0.3)])
     assert result.status is gp.PlanStatus.INVALID_START

@@ -1,4 +1,4 @@
-"""A ball on three slides among single shapes, where distances and their slopes are known."""
+"""A ball on three slides next to a single shape, with known distances and gradients."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ _SCENE = """
 
 
 def scene_of(geom: str, mesh: str = "") -> gp.Scene:
-    """Return it beside an obstacle, a geom with these attributes."""
+    """Return the ball beside one obstacle, a geom with these attributes."""
     return gp.Scene.from_mjcf(_SCENE.format(geom=geom, mesh=mesh), robot="robot/", tool="tool")

@@ -1,4 +1,4 @@
-"""A ball on three slides among single shapes, where distances and their slopes are known."""
+"""A ball on three slides next to single shapes: distances and gradients against known values and MuJoCo."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def places(n: int, seed: int, size: float = 1.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", SOLIDS)
-def test_inside_the_gradient_leads_out_the_shortest_way(shape: str) -> None:
+def test_inside_an_obstacle_the_gradient_points_to_the_nearest_face(shape: str) -> None:
     kernels = compile_scene(scene_of(SOLIDS[shape])).kernels
     q = places(4000, 0, 0.4)
     clearance, gradient = kernels.clearance_gradient(q)
-    within = clearance < -RADIUS - 0.01  # where the ball's centre is inside
+    within = clearance < -RADIUS - 0.01  # the ball's centre is inside the obstacle
     assert within.sum() > 100
     h = 5e-3
     gained = kernels.clearance(q[within] + h * gradient[within]) - clearance[within]
-    assert np.mean(np.abs(gained - h) < 1e-5) > 0.95  # but for where two sides are as near
+    assert np.mean(np.abs(gained - h) < 1e-5) > 0.95  # except where two faces are equally near
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_distances_to_blades_are_those_of_mujoco(seed: int) -> None:
-    """At edges that are so sharp that a point beside them sees one face of both."""
+def test_distances_to_blades_equal_those_of_mujoco(seed: int) -> None:
+    """Thin hulls: at a sharp edge, one nearby point projects onto both faces."""
     rng = np.random.default_rng(seed)
     corners = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.1, 0.3, 0.01], [0.2, 0.1, -0.02]])[rng.permutation(4)]
     vertices = " ".join(f"{x:.6g}" for x in corners.ravel())
@@ -52,7 +52,7 @@ def test_distances_to_blades_are_those_of_mujoco(seed: int) -> None:
 
 
 @pytest.mark.parametrize("shape", SOLIDS)
-def test_a_distance_that_is_kept_counts_like_a_margin(shape: str) -> None:
+def test_a_required_distance_counts_like_a_margin(shape: str) -> None:
     compiled = compile_scene(scene_of(SOLIDS[shape]))
     bounds = replace(BoundArrays.none(len(compiled.world.kind)), keep=np.full(len(compiled.world.kind), 0.07))
     kept = Kernels(compiled.robot, compiled.world, compiled.impact_tables, bounds=bounds)
@@ -66,7 +66,7 @@ def test_a_distance_that_is_kept_counts_like_a_margin(shape: str) -> None:
 
 
 def test_no_obstacle_fits_between_two_samples_of_an_edge() -> None:
-    """What the ball touches for longer than a step is met, wherever on the edge it is; so is what it ends in."""
+    """A contact longer than one step is found wherever it lies on the edge, and so is a contact at the end."""
     thin = 0.002
     kernels = compile_scene(scene_of(f'type="sphere" size="{thin}"')).kernels
     middle, reach = np.array([0.1, -0.05, 0.07]), RADIUS + thin

@@ -1,4 +1,4 @@
-"""The tree of cells that obstacles stand in passes over nothing that is near."""
+"""The cell tree over obstacles skips no obstacle that is near."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
 
 FEW = 4
-"""Obstacles that are in one cell in any case."""
+"""Number of obstacles that always fit into one cell."""
 
 
 @pytest.fixture(scope="module")
 def crowd() -> gp.Scene:
-    """A table with things of all kinds and sizes around, and a plane."""
+    """A table surrounded by shapes of all kinds and sizes, and a plane."""
     rng = np.random.default_rng(3)
     sizes = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
     solids = [
@@ -36,12 +36,12 @@ def crowd() -> gp.Scene:
 
 
 def _with(scene: gp.Scene, chosen: Bool[np.ndarray, " obstacle"], keep: float = 0.0) -> Kernels:
-    """Kernels that know some of the obstacles only; from every third one a distance is kept."""
+    """Kernels with only the chosen obstacles; every third obstacle has a required distance."""
     compiled = compile_scene(scene)
     world = compiled.world
     kept = keep * (np.arange(len(world.kind)) % 3 == 0)
     count = np.diff(world.hull_start)
-    assert not count[chosen].any()  # no hulls here, whose triangles would have to be chosen, too
+    assert not count[chosen].any()  # no hulls: their triangles would have to be selected, too
     some = replace(
         world,
         **{name: getattr(world, name)[chosen] for name in ("kind", "pose", "size", "bound", "ignores", "geom")},

@@ -1,4 +1,4 @@
-"""From a scene to tables: what is covered, what is ignored, what is refused."""
+"""Compile a scene to tables: covered geoms, ignored pairs, refused features."""
 
 import mujoco
 import numpy as np
@@ -16,7 +16,7 @@ def scene():
 
 
 def _surface(model, geom, rng, n=300):
-    """Points of a primitive, most of them on its surface, in its frame."""
+    """Points of a primitive in its frame, most of them on its surface."""
     kind, size = model.geom_type[geom], model.geom_size[geom]
     unit = rng.normal(size=(n, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
@@ -34,7 +34,7 @@ def _surface(model, geom, rng, n=300):
     return points * size
 
 
-def test_spheres_cover_what_collides_and_stick_out_by_less_than_a_centimetre(scene):
+def test_spheres_cover_colliding_geoms_and_exceed_them_by_less_than_a_centimetre(scene):
     compiled, model, rng = compile_scene(scene), scene.model, np.random.default_rng(0)
     robot = compiled.robot
     assert 0.0 < robot.protrusion < 0.01
@@ -61,7 +61,7 @@ def test_a_scene_is_compiled_once(scene):
 
 
 def test_allowed_contacts_are_ignored(scene):
-    """The gripper holds the object: in every configuration they overlap, and that is no collision."""
+    """The gripper overlaps the carried object in every configuration; this is not a collision."""
     free_somewhere = compile_scene(scene).kernels.free(
         np.random.default_rng(1).uniform(*scene.limits.position.T, (200, 7))
     )

@@ -1,4 +1,4 @@
-"""Covers contain what they cover, are made once, and are believed from disk only if they are whole."""
+"""Covers contain their geoms, are computed once, and are read from disk only if the file is intact."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _empty(tmp_path, monkeypatch) -> None:
 
 
 def _inside(model: mujoco.MjModel, X: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Points in hulls, many of them on corners, edges and faces."""
+    """Points inside hulls, many of them on corners, edges and faces."""
     points = []
     for geom in range(model.ngeom):
         corners = hull_triangles(model, int(model.geom_dataid[geom])).reshape(-1, 3)
@@ -101,7 +101,7 @@ def test_a_cover_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("made again")
 
     monkeypatch.setattr(sphere_cover, "hull_cover", refuse)
-    again = group_cover(model, geoms, X, base=False)  # from the folder
+    again = group_cover(model, geoms, X, base=False)  # from the cache folder
     np.testing.assert_array_equal(again.spheres, first.spheres)
 
 
@@ -136,7 +136,7 @@ def test_a_broken_file_is_made_again(damage: str) -> None:
     assert repaired is not None and repaired.shape == whole.shape
 
 
-def test_nothing_is_kept_where_nothing_can_be(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disabled_or_unwritable_cache_is_ignored(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GRACEFUL_PLAN_NO_CACHE", "1")
     model = _model(4, count=1)
     group_cover(model, (0,), _poses(model), base=False)

@@ -1,4 +1,4 @@
-"""The native descent of whole paths, and what roadmaps add to it."""
+"""The native descent of whole paths, and its use in roadmaps."""
 
 import itertools
 import threading
@@ -14,7 +14,7 @@ from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
 
 KEPT = 0.005
-"""Clearance of the ends of paths [m]."""
+"""Clearance at the ends of paths [m]."""
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def straight(problem):
 
 
 def free_pair(problem, free, seed=0):
-    """Two free configurations whose straight edge is free, or is not."""
+    """Two free configurations; the straight edge between them is free or blocked."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(problem.lower, problem.upper, (4000, len(problem.lower)))
     q = q[problem.kernels.free(q, KEPT)]
@@ -70,7 +70,7 @@ def test_energy_falls_ends_stay_and_limits_hold(task, problem, w):
     assert (run.path >= problem.lower).all() and (run.path <= problem.upper).all()
 
 
-def test_what_starts_beyond_the_limits_is_brought_inside(task, problem):
+def test_paths_beyond_the_limits_are_brought_inside(task, problem):
     beyond = np.insert(straight(problem), 1, problem.upper + 0.3, axis=0)
     path = descent(space_of(task, problem, 1.0), beyond).path
     assert (path >= problem.lower).all() and (path <= problem.upper).all()
@@ -92,7 +92,7 @@ def test_a_path_through_something_comes_free(task, problem):
     assert freed >= len(pairs) // 4
 
 
-def test_without_fear_a_free_straight_line_stays(task, problem):
+def test_without_impact_a_free_straight_line_stays(task, problem):
     space = space_of(task, problem, 0.0)
     for pair in free_pair(problem, free=True)[:5]:
         run = descent(space, pair)
@@ -130,7 +130,7 @@ def test_a_space_without_slopes_is_refused(task, problem):
         descent(space, straight(problem))
 
 
-def test_a_search_that_nobody_waits_for_leaves_no_threads(task, problem):
+def test_a_discarded_search_leaves_no_threads(task, problem):
     before = set(threading.enumerate())
     found = gp.Auto(workers=3).solve(problem, gp.Objective().bind(task.scene), Budget(), np.random.default_rng(0))
     next(found), next(found)

@@ -1,4 +1,4 @@
-"""Headers of the native core: each compiles alone, once, in the library's namespace; nanobind stays in the bindings."""
+"""Headers of the native core: each compiles alone and is in the library's namespace; only bindings use nanobind."""
 
 import os
 import re
@@ -29,7 +29,7 @@ def test_there_are_headers():
 def test_a_header_has_a_guard_and_a_namespace(name: str):
     text = (NATIVE / name).read_text(encoding="utf-8")
     assert text.count("#pragma once") == 1
-    if name != "target.hpp":  # macros alone
+    if name != "target.hpp":  # contains only macros
         assert re.search(r"^namespace gp\b", text, re.MULTILINE)
 
 
@@ -45,7 +45,7 @@ def test_nanobind_is_in_the_bindings_alone():
 @pytest.mark.parametrize("name", HEADERS)
 def test_a_header_compiles_alone(name: str):
     includes = (NATIVE, Path(nanobind.include_dir()), Path(sysconfig.get_path("include")))
-    # A header's functions have no caller here.
+    # Functions of a header are unused in this translation unit.
     flags = ["-std=c++20", "-fsyntax-only", "-fvisibility=hidden", *_warnings(), "-Werror", "-Wno-unused-function"]
     command = [str(_COMPILER), *flags, "-I", str(includes[0])]
     for folder in includes[1:]:

@@ -1,4 +1,4 @@
-"""Which instruction sets are there: apart from the kernels' tests, which mutants run with the baseline alone."""
+"""Available instruction sets. Separate from the kernel tests, which mutation testing runs at the baseline only."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ from graceful_plan.core.kernels import instruction_sets
 
 
 @pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="nothing says what the processor can do")
-def test_the_best_that_the_processor_can_do_is_there():
+def test_the_best_instruction_set_of_the_processor_is_available():
     flags = set(re.search(r"^flags\s*:(.*)$|\Z", Path("/proc/cpuinfo").read_text(), re.MULTILINE)[0].split())
     names = instruction_sets()
     assert names[-1] == "baseline" and len(set(names)) == len(names)

@@ -107,7 +107,7 @@ def test_clearance_of_a_ball_is_the_distance(shape):
     assert outside.any() and (~outside).any()
     np.testing.assert_allclose(
         got[outside], np.array(expected)[outside], atol=2e-4
-    )  # mj_geomDistance iterates for some
+    )  # mj_geomDistance iterates for some pairs
     assert np.all(got[outside] <= np.array(expected)[outside] + 2e-4)
     assert np.array_equal(kernels.free(q), got > 0.0)
 
@@ -118,13 +118,13 @@ def test_gradient_of_clearance_is_its_slope(shape):
     kernels = compile_scene(scene).kernels
     q = _random(scene, 300, seed=2)
     clearance, gradient = kernels.clearance_gradient(q)
-    h = 2e-3  # single precision: smaller steps drown in rounding
+    h = 2e-3  # single precision: rounding dominates at smaller steps
     slopes = np.stack(
         [(kernels.clearance(q + h * e) - kernels.clearance(q - h * e)) / (2 * h) for e in np.eye(3)], axis=1
     )
     smooth = (clearance > 0.02) & (
         np.abs(np.linalg.norm(slopes, axis=1) - 1.0) < 1e-3
-    )  # away from edges of Voronoi regions
+    )  # away from the borders of Voronoi regions
     assert smooth.sum() > 50
     error = np.abs(gradient - slopes)[smooth].max(axis=1)
     assert np.median(error) < 2e-4 and np.quantile(error, 0.9) < 1e-2
@@ -141,7 +141,7 @@ def test_gradient_of_an_arm_is_its_slope(table):
     )
     error = np.abs(gradient - slopes).max(axis=1)
     assert np.array_equal(clearance, kernels.clearance(q))
-    assert np.median(error) < 2e-4 and np.mean(error < 5e-3) > 0.9  # the nearest pair changes somewhere in the rest
+    assert np.median(error) < 2e-4 and np.mean(error < 5e-3) > 0.9  # at the others, the nearest pair changes
 
 
 @pytest.mark.parametrize("which", ["odd", "table"])
@@ -176,7 +176,7 @@ def test_an_edge_is_free_if_and_only_if_its_configurations_are(table):
     fine = np.linspace(0.0, 1.0, 400)[:, None]
     for a, b, free in zip(q0, q1, got, strict=True):
         clearance = kernels.clearance(a + fine * (b - a)).min()
-        assert free == (clearance > 0) or abs(clearance) < 0.01  # shallow touches fit between two steps
+        assert free == (clearance > 0) or abs(clearance) < 0.01  # a shallow contact fits between two steps
 
 
 def test_edges_without_length_and_reversed(table):
@@ -220,18 +220,18 @@ def test_edge_cost_is_length_and_integral(table):
         values = kernels.impact(a + s * (b - a), severity)
         exact = length * float(np.mean((values[1:] + values[:-1]) / 2))
         assert nearer == pytest.approx(exact, rel=5e-3, abs=5e-3)
-        # P jumps where one body rises above the other: the rule is off by at most half a step times the variation.
+        # P jumps where one body rises above the other: the error is at most half a step times the total variation.
         step = COST_STEP + length / (len(s) - 1)
         assert abs(impact - exact) <= 0.5 * step * np.abs(np.diff(values)).sum() + 1e-9
     assert np.all(kernels.edge_costs(q0, q0, severity) == 0.0)
-    # Along a short edge the impact hardly changes, so that it is charged for just the length.
+    # The impact is almost constant along a short edge, so the edge costs length times impact.
     q = q0[kernels.impact(q0, severity) > 0.1]
     short = kernels.edge_costs(q, q + 1e-9, severity)
     assert len(q) > 3
     np.testing.assert_allclose(short[:, 1] / short[:, 0], kernels.impact(q, severity), rtol=1e-6)
 
 
-# --- all of them ------------------------------------------------------------------------------------------------------
+# --- all kernels ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("isa", instruction_sets())
@@ -247,7 +247,7 @@ def test_instruction_sets_agree(table, isa):
     assert np.array_equal(other.free(q)[certain], best.free(q)[certain])
 
 
-def test_the_name_of_an_instruction_set_asks_for_it(table):
+def test_an_instruction_set_is_chosen_by_name(table):
     compiled = compile_scene(table)
     tables = compiled.robot, compiled.world, compiled.impact_tables
     assert compiled.kernels.isa == instruction_sets()[0]
@@ -255,7 +255,7 @@ def test_the_name_of_an_instruction_set_asks_for_it(table):
         assert Kernels(*tables, isa=Kernels(*tables, isa=name).isa).isa == name
 
 
-def test_the_documents_know_what_the_core_holds():
+def test_the_documents_state_the_capacities_of_the_core():
     text = (ROOT / "docs" / "limitations.md").read_text()
     stated = re.search(
         r"room for (\d+) joints, (\d+) links .*?, (\d+) covering spheres.*?, (\d+) geoms .*? and (\d+) entities",
@@ -315,7 +315,7 @@ def test_numbers_that_single_precision_cannot_hold_are_refused(table):
 
 
 def test_a_body_without_area_from_above_is_not_hit_from_above():
-    """An upright pane is a plane whose box has no area in xy: 0 / 0 once."""
+    """A vertical pane is a plane whose box has zero area in xy, which used to give 0 / 0."""
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     thin = task.scene.add_box("pane", [0.2, 1e-13, 0.1], [0.0, -0.35, 0.3], entity="glass")
     index = list(thin.entities).index("pane")

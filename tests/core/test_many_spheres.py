@@ -1,4 +1,4 @@
-"""Links of many spheres: clusters rule most of them out, in each configuration of a block others; against all pairs."""
+"""Links with many spheres, where clusters are pruned separately for each configuration, against all pairs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def compiled() -> CompiledScene:
 
 
 def _all_pairs(compiled: CompiledScene, q: np.ndarray) -> np.ndarray:
-    """Return the clearance by all spheres of all pairs of links, and to ground and ball."""
+    """Return the clearance over all sphere pairs of links, and to ground and ball."""
     robot = compiled.robot
     X = compiled.kernels.link_poses(q)[:, robot.sphere_link]
     p = np.einsum("nsij,sj->nsi", X[..., :3, :3], robot.sphere[:, :3]) + X[..., :3, 3]
@@ -63,7 +63,7 @@ def _frames(robot: RobotArrays) -> np.ndarray:
 
 @pytest.mark.parametrize("isa", instruction_sets())
 @pytest.mark.parametrize("spread", [3.0, 0.02])
-def test_clearance_and_free_are_those_of_all_pairs(compiled: CompiledScene, isa: str, spread: float) -> None:
+def test_clearance_and_free_equal_those_over_all_pairs(compiled: CompiledScene, isa: str, spread: float) -> None:
     robot = compiled.robot
     assert np.bincount(robot.sphere_link).max() > 24  # several clusters
     rng = np.random.default_rng(1)
@@ -77,7 +77,7 @@ def test_clearance_and_free_are_those_of_all_pairs(compiled: CompiledScene, isa:
         np.testing.assert_array_equal(kernels.free(q, margin)[sure], (expected >= margin)[sure])
 
 
-def test_the_gradient_is_that_of_the_nearest_pair(compiled: CompiledScene) -> None:
+def test_the_gradient_belongs_to_the_nearest_pair(compiled: CompiledScene) -> None:
     q = np.random.default_rng(2).uniform(-2.9, 2.9, (20, 4))
     clearance, gradient = compiled.kernels.clearance_gradient(q)
     np.testing.assert_allclose(clearance, _all_pairs(compiled, q), atol=_FLOAT32)

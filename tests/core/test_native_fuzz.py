@@ -1,4 +1,4 @@
-"""The core refuses broken arguments: a short run of the fuzzer, which `.ci/run` repeats with sanitizers."""
+"""The core refuses invalid arguments: a short run of the fuzzer that `.ci/run` repeats with sanitizers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FUZZER = Path(__file__).parents[2] / ".ci" / "fuzz_native.py"
 
 @pytest.mark.long
 def test_broken_arguments_are_refused_or_do_no_harm() -> None:
-    """In a process of its own, which a crash would end."""
+    """Run the fuzzer in a separate process, which would contain a crash."""
     command = [sys.executable, str(FUZZER), "--calls", "600"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
@@ -27,7 +27,7 @@ def test_broken_arguments_are_refused_or_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
-def test_what_is_no_number_is_never_free(value: float) -> None:
+def test_nan_is_never_free(value: float) -> None:
     core = compile_scene(gp.load_scene("tabletop")).kernels.core
     q = np.zeros((3, 7))
     bad = q.copy()
@@ -64,8 +64,8 @@ def test_ends_of_a_search_have_the_width_of_its_space() -> None:
             _native.Connect(space, start=start, goals=goals, **given)
 
 
-def test_a_search_is_for_one_thread_at_a_time() -> None:
-    """The second thread is refused while the first is inside, here in a question that it asks Python."""
+def test_a_search_refuses_a_second_thread() -> None:
+    """A second thread is refused while the first one is inside a Python callback of the search."""
     inside, over = threading.Event(), threading.Event()
 
     def edges_free(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:

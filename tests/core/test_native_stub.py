@@ -1,4 +1,4 @@
-"""The stubs of the native modules say what these have: the same names with the same parameters."""
+"""The stubs of the native modules match the modules: the same names with the same parameters."""
 
 import ast
 import re
@@ -13,7 +13,7 @@ from graceful_plan.judge import _pendulum
 
 STUBS = {_native: LIBRARY / "core" / "_native.pyi", _pendulum: LIBRARY / "judge" / "_pendulum.pyi"}
 Parameters = tuple[list[str], list[str]]
-"""Names of the parameters that may stand by position, and of those that may not."""
+"""Names of positional parameters, and of keyword-only parameters."""
 
 
 def stated(stub: Path) -> dict[str, Parameters | None]:
@@ -35,7 +35,7 @@ def of_node(node: ast.FunctionDef) -> Parameters:
 
 
 def native(module: ModuleType) -> dict[str, Parameters | None]:
-    """Return the same of a module."""
+    """Return the parameters of every function and method in a module, None for a property or a class."""
     found: dict[str, Parameters | None] = {}
     for name, thing in vars(module).items():
         if name.startswith("__"):
@@ -61,6 +61,6 @@ def of_signature(function: object) -> Parameters:
 
 
 @pytest.mark.parametrize(("module", "least"), [(_native, 50), (_pendulum, 0)])
-def test_the_stub_has_what_the_module_has(module: ModuleType, least: int):
+def test_the_stub_matches_the_module(module: ModuleType, least: int):
     assert len(native(module)) > least
     assert stated(STUBS[module]) == native(module)

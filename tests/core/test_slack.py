@@ -1,4 +1,4 @@
-"""Links whose spheres always overlap are free where exact geometry says so, and hardly anywhere else."""
+"""Links whose spheres always overlap count as free where exact geometry is free, and almost nowhere else."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _with(text: str) -> gp.Scene:
 
 
 def _drawn(scene: gp.Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Configurations, and which of them exact geometry calls free."""
+    """Draw configurations; return them and which of them are free by exact geometry."""
     q = np.random.default_rng(7).uniform(*scene.limits.position.T, (500, 2))
     judge = Judge(scene)
     touched = {touch.sample for touch in judge.touches(q) if judge.is_violation(touch, at_end=False)}
@@ -51,11 +51,11 @@ def test_links_that_never_touch_are_free() -> None:
     compiled = compile_scene(scene)
     assert compiled.robot.self_slack.min() < 0.0
     assert compiled.kernels.free(q).all()
-    assert not compiled.proof.free(q).any()  # what the judge rests on is a bound all the same
+    assert not compiled.proof.free(q).any()  # the judge's pre-check must remain conservative
 
 
 @pytest.mark.parametrize("gap", [0.012, 0.02])
-def test_links_that_sometimes_touch_are_free_where_they_do_not(gap: float) -> None:
+def test_links_that_sometimes_touch_are_free_elsewhere(gap: float) -> None:
     scene = _scene(gap, "-0.5 0.5")
     q, free = _drawn(scene)
     assert 0.1 < free.mean() < 0.9
@@ -95,8 +95,8 @@ def test_bundled_robots_need_none() -> None:
         assert not compile_scene(task.scene).robot.self_slack.any()
 
 
-def test_how_far_a_base_may_drive_makes_no_difference() -> None:
-    """What one robot needs is found once, whatever scenes it drives in; its own joints do make a difference."""
+def test_the_floor_extent_of_a_base_makes_no_difference() -> None:
+    """Slack is computed once per robot: the floor's extent does not matter, the arm's joint ranges do."""
     robot = compile_scene(gp.load_scene("hallway")).robot
     pair = next(pair for pair in robot.self_pair if slack._carriers(robot, int(pair[0])) > {0, 1, 2, 3})
     wider = np.where(np.arange(len(robot.upper)) < 3, 100.0, robot.upper)

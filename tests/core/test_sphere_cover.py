@@ -18,7 +18,7 @@ def _uncovered(points, cover):
 def _in_box(half, rng, n=600):
     points = rng.uniform(-1.0, 1.0, (n, 3))
     axis = rng.integers(3, size=n // 2)
-    points[np.arange(n // 2), axis] = np.sign(points[np.arange(n // 2), axis])  # half of them on the faces
+    points[np.arange(n // 2), axis] = np.sign(points[np.arange(n // 2), axis])  # half of the points on the faces
     corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3)
     return np.concatenate([points, corners]) * half
 
@@ -27,7 +27,7 @@ def _in_cylinder(radius, half, rng, n=600):
     angle, rho, z = rng.uniform(0, 2 * np.pi, n), radius * np.sqrt(rng.uniform(size=n)), rng.uniform(-half, half, n)
     rho[: n // 3] = radius
     z[n // 3 : 2 * n // 3] = half * np.sign(z[n // 3 : 2 * n // 3])
-    rho[::7], z[::7] = radius, half  # the rim
+    rho[::7], z[::7] = radius, half  # points on the rim
     return np.stack([rho * np.cos(angle), rho * np.sin(angle), z], axis=1)
 
 
@@ -83,7 +83,7 @@ def test_ellipsoid_is_covered_and_barely_exceeded(semi_axes):
 
 
 def _greatest_height(cover, lower_bound_of_distance):
-    """How far the surfaces of the spheres are from the body, by a lower bound of the distance to it."""
+    """Greatest distance between the surfaces of the spheres and the body, by a lower bound of the distance."""
     rng = np.random.default_rng(1)
     unit = rng.normal(size=(300, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
@@ -107,7 +107,7 @@ def test_hulls_of_many_faces_are_covered_by_few_of_them() -> None:
     planes = np.column_stack([hull.equations[:, :3], -hull.equations[:, 3]])
     few = sphere_cover.fewer_planes(points, planes)
     assert len(few) < len(planes) / 4
-    assert (points @ few[:, :3].T - few[:, 3]).max() < 1e-9  # everything is inside
+    assert (points @ few[:, :3].T - few[:, 3]).max() < 1e-9  # every point is inside
     centres, radii = sphere_cover.hull_cover([(points, planes)])
     mixed = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(4), 4000), points[rng.integers(len(points), size=(4000, 4))])
     inside = np.concatenate([points, mixed])
@@ -125,7 +125,7 @@ def _hull(seed: int, shift: float) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("shift", [0.0, 0.03, 0.3])
 def test_overlapping_hulls_are_covered_together(shift: float) -> None:
-    """Both are contained, no ball sticks out of both, and what they share is covered once."""
+    """The cover contains both hulls, no ball sticks out of both, and the shared part is covered once."""
     rng, hulls = np.random.default_rng(0), [_hull(0, 0.0), _hull(1, shift)]
     centres, radii = cover = sphere_cover.hull_cover(hulls)
     for points, _ in hulls:
@@ -139,7 +139,7 @@ def test_overlapping_hulls_are_covered_together(shift: float) -> None:
 
 
 def test_no_ball_of_a_cover_is_idle() -> None:
-    """Each has something that none of the others covers for certain."""
+    """Each ball contains a point that no other ball certainly covers."""
     points, planes = _hull(2, 0.0)
     pitch = 0.006
     near, height = sphere_cover.samples_of_convex(points, planes, pitch)
@@ -152,7 +152,7 @@ def test_no_ball_of_a_cover_is_idle() -> None:
 
 @pytest.mark.parametrize("pitch", [0.01, 0.02])
 def test_samples_are_near_everything_in_a_hull(pitch: float) -> None:
-    """As near as points of a body-centred cubic lattice."""
+    """The spacing is that of a body-centred cubic lattice."""
     points, planes = _hull(3, 0.0)
     near, height = sphere_cover.samples_of_convex(points, planes, pitch)
     assert height.max() < 1e-5
@@ -181,7 +181,7 @@ def test_enclosing_sphere_encloses(n, seed):
 
 
 @pytest.mark.parametrize("semi_axes", [(0.1, 0.2, 0.3), (0.1, 0.1, 0.1), (0.02, 0.5, 0.5), (0.1, 0.1, 0.4)])
-def test_depths_in_an_ellipsoid_are_those_of_the_nearest_of_many_points(semi_axes) -> None:
+def test_depths_in_an_ellipsoid_equal_the_nearest_of_many_points(semi_axes) -> None:
     rng, axes = np.random.default_rng(0), np.array(semi_axes)
     unit = rng.normal(size=(200_000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)

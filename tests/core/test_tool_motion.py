@@ -1,4 +1,4 @@
-"""Differential kinematics of the tool: against MuJoCo, finite differences, and the laws of rotations."""
+"""Differential kinematics of the tool: against MuJoCo and finite differences; laws of rotations."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_jacobian_is_mujocos(scene, kernels, q):
 
 @pytest.mark.parametrize("free_yaw", [False, True])
 def test_missing_twist_changes_by_the_jacobian(kernels, q, free_yaw):
-    """At the pose, by finite differences."""
+    """The Jacobian at the pose equals finite differences."""
     X_WT, jacobian = tool_jacobian(kernels, q)
     if free_yaw:
         jacobian = without_yaw(X_WT, jacobian)
@@ -62,7 +62,7 @@ def test_missing_twist_changes_by_the_jacobian(kernels, q, free_yaw):
 
 
 def _targets(kernels, q, seed=1):
-    """Return random poses of the tool that it can have, and which of them leave the yaw free."""
+    """Return random reachable tool poses, and which of them leave the yaw free."""
     rng = np.random.default_rng(seed)
     anywhere = rng.uniform(kernels.robot.lower, kernels.robot.upper, q.shape)
     return kernels.tool_pose(anywhere), np.arange(len(q)) % 2 == 1
@@ -75,7 +75,7 @@ def _twist(kernels, q, X_WG, free_yaw):
 
 
 def _numpy_step(kernels, q, X_WG, free_yaw):
-    """Take one damped step, then once more without the joints that would leave their limits."""
+    """Take one damped step, then repeat it without the joints that would leave their limits."""
     X_WT, jacobian = tool_jacobian(kernels, q)
     jacobian[free_yaw] = without_yaw(X_WT[free_yaw], jacobian[free_yaw])
     missing = _twist(kernels, q, X_WG, free_yaw)
@@ -112,7 +112,7 @@ def test_seeds_reach_near_poses_as_exactly_as_doubles_allow(scene, kernels, q, i
     assert np.abs(_twist(kernels, ended, X_WG, free_yaw)).max() < 1e-9
 
 
-def test_a_seed_ends_where_it_ends_alone(kernels, q):
+def test_a_seed_ends_the_same_alone_and_in_a_batch(kernels, q):
     X_WG, free_yaw = _targets(kernels, q)
     together = kernels.reach(q, X_WG, free_yaw, iterations=30, patience=5)
     for i in range(len(q)):
@@ -147,7 +147,7 @@ def test_held_joints_stay(kernels, q):
 
 def test_half_a_turn_is_missing(kernels, q):
     X_WG = kernels.tool_pose(q)
-    X_WG[:, :3, :3] = X_WG[:, :3, :3] @ np.diag([1.0, -1.0, -1.0])  # about x: also the z axis is turned over
+    X_WG[:, :3, :3] = X_WG[:, :3, :3] @ np.diag([1.0, -1.0, -1.0])  # a turn about x also flips the z axis
     for free_yaw in (False, True):
         _, missing = kernels.reach(q, X_WG, np.full(len(q), free_yaw), iterations=0, patience=1)
         np.testing.assert_allclose(np.linalg.norm(missing[:, 3:], axis=1), np.pi, atol=1e-6)

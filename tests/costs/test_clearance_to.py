@@ -1,4 +1,4 @@
-"""Clearances of states to one thing: against a NumPy twin, MuJoCo's distances, differences, and `ClearanceCost`."""
+"""Clearance of states to one target: NumPy twin, MuJoCo's distances, differences, and `ClearanceCost`."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from graceful_plan.testing import check_cost
 from support.costs.clearance_twin import ClearanceTwin
 
 _ROUNDING = 2e-6  # [m]; the kernels compute distances in single precision
-_FARTHEST = 10.0  # [m]; of pairs that MuJoCo measures
-_STICKS_OUT = 0.01  # [m]; spheres that cover the links reach less than this beyond them, see `gp.clearance`
+_FARTHEST = 10.0  # [m]; cutoff of MuJoCo's distances
+_STICKS_OUT = 0.01  # [m]; covering spheres exceed the links by less than this, see `gp.clearance`
 THINGS = ("surroundings", "self", "laptop")
 
 _CART = """<mujoco model="cart"><worldbody>
@@ -48,20 +48,20 @@ def q(scene: gp.Scene) -> np.ndarray:
 
 
 def _distances(scene: gp.Scene, to: str, q: np.ndarray) -> np.ndarray:
-    """Return the distance of every pair that counts [n, pair], by the twin."""
+    """Return the distance of every relevant pair [n, pair], by the twin."""
     compiled = compile_scene(scene)
     twin = ClearanceTwin(compiled.robot, compiled.world)
     found = twin.distances(q)
     if to == "self":
         return found[:, -twin.n_self :]
-    chosen = _moves(compiled.robot)[compiled.robot.sphere_link[twin.sphere]]  # the base is not counted
+    chosen = _moves(compiled.robot)[compiled.robot.sphere_link[twin.sphere]]  # the fixed base is ignored
     if to != "surroundings":
         chosen &= np.isin(compiled.world.geom[twin.obstacle], scene.entities[to].geoms)
     return found[:, : -twin.n_self][:, chosen]
 
 
 def _moves(robot: RobotArrays) -> np.ndarray:
-    """Tell which links a joint moves."""
+    """Return which links move with some joint."""
     moves = robot.joint >= 0
     for link, parent in enumerate(robot.parent):
         moves[link] |= parent >= 0 and moves[parent]
@@ -69,21 +69,21 @@ def _moves(robot: RobotArrays) -> np.ndarray:
 
 
 @pytest.mark.parametrize("to", THINGS)
-def test_it_is_that_of_the_nearest_pair_of_spheres_and_shapes(scene: gp.Scene, q: np.ndarray, to: str) -> None:
+def test_the_clearance_is_that_of_the_nearest_pair(scene: gp.Scene, q: np.ndarray, to: str) -> None:
     found = gp.StateBatch(scene, q).clearance_to(to)
     expected = _distances(scene, to, q).min(axis=1)
     assert (found <= expected + _ROUNDING).all()
-    assert np.mean(found >= expected - _ROUNDING) > 0.95  # of the others an ellipsoid is nearer, which it leaves out
+    assert np.mean(found >= expected - _ROUNDING) > 0.95  # elsewhere an ellipsoid is nearest, which the twin leaves out
 
 
 @pytest.mark.parametrize("to", THINGS)
-def test_its_gradient_is_that_of_differences(scene: gp.Scene, q: np.ndarray, to: str) -> None:
+def test_the_gradient_equals_differences(scene: gp.Scene, q: np.ndarray, to: str) -> None:
     found, h = gp.StateBatch(scene, q).clearance_gradient_to(to), 1e-6
     assert np.abs(found).max() > 0.1
     for j, e in enumerate(h * np.eye(q.shape[1])):
         up, down = (_distances(scene, to, q + side).min(axis=1) for side in (e, -e))
         error = np.abs(found[:, j] - (up - down) / (2.0 * h))
-        assert np.mean(error < 1e-3) > 0.95, np.sort(error)[-6:]  # of the others another pair is nearest
+        assert np.mean(error < 1e-3) > 0.95, np.sort(error)[-6:]  # elsewhere the nearest pair changes
 
 
 def test_all_is_the_least_of_surroundings_and_self(scene: gp.Scene, q: np.ndarray) -> None:
@@ -94,8 +94,8 @@ def test_all_is_the_least_of_surroundings_and_self(scene: gp.Scene, q: np.ndarra
     assert (batch.clearance_to("laptop") >= outside).all()
 
 
-def test_an_entity_is_not_nearer_than_mujoco_has_it(scene: gp.Scene, q: np.ndarray) -> None:
-    """And spheres that cover the arm are near it."""
+def test_clearance_to_an_entity_is_at_most_mujocos_and_close_to_it(scene: gp.Scene, q: np.ndarray) -> None:
+    """The spheres exceed the arm slightly, so the distance is never larger and almost as large."""
     found = gp.StateBatch(scene, q).clearance_to("laptop")
     theirs, moves = set(scene.entities["laptop"].geoms), scene.model.body_weldid[scene.model.geom_bodyid] > 0
     both_ways = np.vstack([scene.collision_pairs(), scene.collision_pairs()[:, ::-1]]).tolist()
@@ -108,7 +108,7 @@ def test_an_entity_is_not_nearer_than_mujoco_has_it(scene: gp.Scene, q: np.ndarr
             assert true - _STICKS_OUT < clearance <= true + _ROUNDING
 
 
-def test_it_is_computed_once(scene: gp.Scene, q: np.ndarray) -> None:
+def test_the_clearance_is_computed_once(scene: gp.Scene, q: np.ndarray) -> None:
     batch = gp.StateBatch(scene, q)
     assert batch.clearance_to("self") is batch.clearance_to("self")
     assert batch.clearance_gradient_to("self") is batch.at(np.zeros(len(q))).clearance_gradient_to("self")
@@ -130,7 +130,7 @@ def test_unknown_things_are_named(scene: gp.Scene, q: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class Near(gp.Cost):
-    """The example of docs/costs.md."""
+    """Run the example of docs/costs.md."""
 
     distance: float = 0.05
 
@@ -142,7 +142,7 @@ class Near(gp.Cost):
         return np.where(near[:, None], -batch.clearance_gradient_to("surroundings") / self.distance, 0.0)
 
 
-def test_a_cost_of_ones_own_charges_what_the_block_does(scene: gp.Scene, q: np.ndarray) -> None:
+def test_a_custom_cost_equals_the_block(scene: gp.Scene, q: np.ndarray) -> None:
     own, block, batch = Near(0.1), gp.ClearanceCost(0.1), gp.StateBatch(scene, q)
     check_cost(own, scene)
     assert 0.1 < np.mean(own.state(batch) > 0.0) < 0.9

@@ -1,4 +1,4 @@
-"""Damage by energy: the curve against its integral, energies against MuJoCo, and what the cost makes of them."""
+"""Damage by energy: the curve against its integral, energies against MuJoCo, and their use in the cost."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def states(task: gp.Task, n: int = 20, speed: float = 0.0, seed: int = 0) -> gp.
 @pytest.mark.parametrize("spread", [0.1, 0.7, 3.0])
 def test_curve_is_the_mean_over_shares(spread: float) -> None:
     row = Fragility(0.5, 1.0, spread)
-    share = ((np.arange(20_000) + 0.5) / 20_000) ** CARRIED_LOSS  # exp(-X): a uniform number to the power of b
+    share = ((np.arange(20_000) + 0.5) / 20_000) ** CARRIED_LOSS  # exp(-X) is a uniform number to the power of b
     for energy in (0.01, 0.3, 0.5, 2.0, 50.0):
         expected = np.mean([row.probability(energy * part) for part in share])
         assert damaged_by_carried(np.array([energy]), row)[0] == pytest.approx(expected, abs=5e-4)
@@ -74,7 +74,7 @@ def test_body_arrives_with_a_log_normal_energy() -> None:
 
 
 def lowest_and_tops(scene: gp.Scene, q: np.ndarray) -> tuple[float, np.ndarray]:
-    """Lowest point of the carried object, and the highest of each entity, by the corners of boxes around geoms."""
+    """Return the lowest point of the carried object and the highest of each entity, by corners of geom boxes."""
     data = scene.data_at(q)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 
@@ -104,7 +104,7 @@ def test_energy_at_rest_is_weight_times_height(task: gp.Task) -> None:
     for q, energies in zip(batch.q, found, strict=True):
         low, tops = lowest_and_tops(task.scene, q)
         height = np.maximum(low - tops, 0.0)
-        box = np.array([name not in ("plant",) for name in task.scene.entities])  # boxes around round tops are higher
+        box = np.array([name not in ("plant",) for name in task.scene.entities])  # boxes around round tops are too high
         np.testing.assert_allclose(energies[box], (mass * 9.81 * height)[box], rtol=1e-3, atol=0.02)
         compared += int((height > 0.0).sum())
     assert compared > 20
@@ -152,13 +152,13 @@ def test_damage_is_rarer_than_contact(task: gp.Task, model: str) -> None:
     assert damage.interaction.fault_shares() == contact.interaction.fault_shares()
 
 
-def test_what_never_breaks_costs_nothing_and_what_always_breaks_costs_its_contact(task: gp.Task) -> None:
+def test_unbreakable_entities_cost_nothing_and_fragile_ones_their_contact(task: gp.Task) -> None:
     batch = states(task, n=50)
     components = ("carried",)
     never = FragilityTable({}, Fragility(1e9, 0.0, 0.7))
     always = FragilityTable({}, Fragility(1e-30, 1.0, 0.7))
     assert (gp.ImpactCost("mixture", components, never).state(batch) < 1e-6).all()
-    # Below the height of a top an object at rest brings no energy.
+    # An object at rest below an entity's top arrives with no energy.
     row, above = list(task.scene.components).index("carried"), arrival_energy(batch) > 0.0
     P = gp.ImpactCost("mixture").interaction.probability(batch)[:, row][above]
     harm = gp.ImpactCost("mixture", components, always).interaction.probability(batch)[:, row][above]
@@ -170,7 +170,7 @@ def test_higher_is_worse(task: gp.Task) -> None:
     batch = states(task)
     energy = arrival_energy(batch)
     lifted = batch.q.copy()
-    lifted[:, 1] -= 0.15  # the shoulder leans back
+    lifted[:, 1] -= 0.15  # lean the shoulder back
     up = gp.StateBatch(task.scene, lifted)
     higher = up.object_poses[:, 2, 3] > batch.object_poses[:, 2, 3] + 0.02
     assert higher.any()
@@ -231,7 +231,7 @@ def test_other_models_have_neither_kernel_nor_gradient_of_damage(task: gp.Task) 
 
 
 @pytest.mark.long
-def test_plans_can_be_made_with_it(task: gp.Task) -> None:
+def test_planners_run_on_the_damage_cost(task: gp.Task) -> None:
     objective = gp.Objective(impact=ENERGY, w=1.0)
     result = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=60)
     assert result.status is gp.PlanStatus.SOLVED and result.path is not None

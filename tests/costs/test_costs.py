@@ -31,7 +31,7 @@ class Speed(gp.Cost):
 
 @dataclass(frozen=True)
 class Height(gp.Cost):
-    """The same as the kernel path would not take: forces the generic evaluation."""
+    """A custom cost, which forces the generic evaluation instead of kernels."""
 
     def state(self, batch):
         return np.abs(batch.object_poses[:, 2, 3])
@@ -39,7 +39,7 @@ class Height(gp.Cost):
 
 @dataclass(frozen=True)
 class Twin(gp.InteractionModel):
-    """Algorithm 1 once more, so that the objective cannot use the kernel's edge costs."""
+    """Algorithm 1 as a custom model, so the objective cannot use the kernel's edge costs."""
 
     def probability(self, batch):
         return batch.compiled.kernels.interaction(batch.q)
@@ -96,13 +96,13 @@ def test_breakdown_adds_up(task):
 
 @given(st.integers(0, 99))
 @settings(max_examples=10, deadline=None)
-def test_more_vertices_and_the_way_back_cost_the_same(seed):
+def test_more_vertices_and_the_reversed_path_cost_the_same(seed):
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     path, boxes = _path(task, seed=seed), gp.Objective(impact=gp.ImpactCost(model="box_overlap"))
     for objective in (gp.Objective(), boxes):
         cost = gp.evaluate(path, task.scene, objective)
         assert gp.evaluate(path.resampled(0.05), task.scene, objective).total == pytest.approx(cost.total, rel=5e-3)
-    # What falls on the way back flies the other way, which boxes do not know.
+    # Objects dropped on the reversed path fly the other way; the box model ignores velocity.
     assert gp.evaluate(path.reversed(), task.scene, boxes).total == pytest.approx(cost.total, rel=5e-3)
 
 
@@ -142,7 +142,7 @@ def test_weighted_length():
 
 def test_harmless_entities_and_absent_components_add_nothing(task):
     path = _path(task)
-    boxes = gp.Objective(impact=gp.ImpactCost(model="box_overlap"))  # to which what is in the way of a fall is nothing
+    boxes = gp.Objective(impact=gp.ImpactCost(model="box_overlap"))  # this model ignores obstacles below the object
     cost = gp.evaluate(path, task.scene, boxes)
     added = task.scene.add_box("ghost", [0.3, 0.3, 0.01], [0.0, -0.3, 0.1], entity="none")
     assert gp.evaluate(path, added, boxes).impact == pytest.approx(cost.impact, rel=1e-9)
@@ -180,7 +180,7 @@ def test_batch_offers_poses(task):
         (lambda n: np.full(n, np.inf), NonFiniteCostError, "inf"),
     ],
 )
-def test_broken_costs_are_told_what_is_wrong(task, value, error, message):
+def test_errors_of_broken_costs_name_the_problem(task, value, error, message):
     class Broken(gp.Cost):
         def state(self, batch):
             return value(len(batch))
@@ -251,7 +251,7 @@ def test_contracts_can_be_extended_in_several_steps():
     assert isinstance(Doubled(2.0), gp.Cost) and isinstance(Twin(), gp.InteractionModel)
 
 
-def test_what_is_kept_of_states_is_made_once_whatever_the_time(task):
+def test_cached_values_of_states_do_not_depend_on_time(task):
     batch = StateBatch(task.scene, task.start[None])
     made = []
 

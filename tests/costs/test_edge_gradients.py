@@ -39,7 +39,7 @@ def check(objective, q0, q1, step):
     ("scene", "task"), [("tabletop", "lift_to_goal"), ("desk", "bring_coffee"), ("dining_table", "serve_tea")]
 )
 @pytest.mark.parametrize("step", [0.015, 0.05])
-def test_gradients_are_those_of_the_costs(scene, task, step):
+def test_gradients_equal_those_of_the_costs(scene, task, step):
     scene = gp.load_scene(scene).tasks[task].scene
     check(gp.Objective(w=1.3).bind(scene), *random_edges(scene, 60), step)
 
@@ -61,7 +61,7 @@ def test_arms_that_fail_have_gradients_that_descend():
         assert np.quantile(cosine, 0.1) > 0.9 and np.median(cosine) > 0.98
 
 
-def test_those_who_move_have_their_part():
+def test_moving_entities_contribute():
     still = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
     scene = still.with_moving(walker())
     q0, q1 = random_edges(scene, 40)

@@ -62,7 +62,7 @@ def test_only_the_ratios_of_rates_matter(rates: dict[str, float], factor: float)
     assert scaled.rate == pytest.approx(factor * FaultPrior(rates).rate)
 
 
-def test_presets_are_what_they_say() -> None:
+def test_presets_have_the_documented_rates() -> None:
     assert presets() == ("drop_only", "arm", "service_robot")
     drop = FaultPrior.preset("drop_only")
     assert drop.weights()["drop"] == 1.0 and sum(drop.weights().values()) == 1.0
@@ -72,7 +72,7 @@ def test_presets_are_what_they_say() -> None:
     gripper = ("weak_grip", "gripper_failure", "stuck_gripper")
     assert sum(arm.rates[fault] for fault in gripper) < 0.3 * failing[0]
     assert sum(service.rates[fault] for fault in gripper) == pytest.approx(0.75 * failing[1], rel=0.01)
-    assert 1.0 / failing[1] == pytest.approx(5.0, rel=0.02)  # hours, as the file says
+    assert 1.0 / failing[1] == pytest.approx(5.0, rel=0.02)  # hours, as documented in the file
     assert 1.0 / failing[0] == pytest.approx(500.0, rel=0.05)
 
 
@@ -80,7 +80,7 @@ def test_a_stop_is_a_stop_at_any_degree() -> None:
     for degree in DEGREES:
         try:
             row = shipped_effects(degree)["protective_stop"]
-        except UnknownNameError:  # nothing was fitted at this degree
+        except UnknownNameError:  # no effects are fitted at this degree
             continue
         assert dict(row) == {"stop": 1.0}
     weights = FaultPrior({"protective_stop": 1.0}).weights()
@@ -93,7 +93,7 @@ def test_a_preset_has_its_name() -> None:
     assert service.name == "service_robot"
 
 
-def test_it_is_a_value() -> None:
+def test_instances_are_values() -> None:
     prior = FaultPrior.preset("service_robot")
     twin = pickle.loads(pickle.dumps(prior))
     assert twin == prior and hash(twin) == hash(prior) and twin is not prior
@@ -118,13 +118,13 @@ def test_unknown_names_list_the_valid_ones() -> None:
     "rates",
     [{}, {"slip": 0.0}, {"slip": -1.0}, {"slip": math.nan}, {"slip": math.inf}] + [{"slip": 1.7e308, "jam": 1.7e308}],
 )
-def test_rates_that_make_no_sense(rates: dict[str, float]) -> None:
+def test_invalid_rates_are_refused(rates: dict[str, float]) -> None:
     with pytest.raises(SettingError, match=r"\[1/h\]"):
         FaultPrior(rates, _EFFECTS)
 
 
 @pytest.mark.parametrize("row", [{"drop": -0.1}, {"drop": 1.1}, {"drop": math.nan}, {"joint": 0.7, "stuck": 0.4}])
-def test_effects_that_make_no_sense(row: dict[str, float]) -> None:
+def test_invalid_effects_are_refused(row: dict[str, float]) -> None:
     with pytest.raises(SettingError, match="effect"):
         FaultPrior({"slip": 1.0}, {"slip": row})
 

@@ -1,4 +1,4 @@
-"""The carried object as one of the entities: closed forms on a flat floor, what is hard and soft, who counts it."""
+"""The carried object as an entity: closed forms on a flat floor, hard and soft surfaces, severity."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def room(object_class: str = "glass", ground: str = "floor", **severity: float |
 def damage(
     scene: gp.Scene, x: float, height: float, speed: tuple[float, ...] = (0.0, 0.0, 0.0), **cost: object
 ) -> float:
-    """P that the cup is damaged when it is let go with its bottom at some height above the floor [m]."""
+    """Return P that the cup is damaged when released with its bottom at some height above the floor [m]."""
     q, qd = np.array([[x, 0.0, height + _HALF - 1.0]]), np.array([speed])
     norm_ = np.linalg.norm(qd, axis=1)
     batch = gp.StateBatch(scene, q, qd / np.where(norm_ > 0.0, norm_, 1.0)[:, None], norm_)
@@ -53,17 +53,17 @@ def damage(
 
 
 def expected(energy: float, median: float, spread: float = 0.7) -> float:
-    """P(Z spread + X <= ln(E / median)) for X exponential."""
+    """Return P(Z spread + X <= ln(E / median)) for X exponential."""
     x = np.linspace(0.0, 30.0 * LANDING_LOSS, 200_001)
     density = np.exp(-x / LANDING_LOSS) / LANDING_LOSS
     return float(np.trapezoid(density * norm.cdf((math.log(energy / median) - x) / spread), x))
 
 
-# --- how far, how fast, onto what -----------------------------------------------------------------------------------
+# --- height, speed, surface -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("height", [0.05, 0.2, 0.5, 1.0, 2.0])
-def test_on_a_floor_it_is_the_energy_of_the_fall(height: float) -> None:
+def test_on_a_floor_damage_follows_the_energy_of_the_fall(height: float) -> None:
     median = FragilityTable.shipped().carried["glass"].median
     assert damage(room(), 0.0, height) == pytest.approx(expected(0.3 * 9.81 * height, median), abs=0.03)
 
@@ -73,7 +73,7 @@ def test_only_vertical_speed_damages() -> None:
     still = damage(scene, 0.0, 0.2)
     assert damage(scene, 0.0, 0.2, (0.5, 0.0, 0.0)) == pytest.approx(still, abs=0.01)
     down, up = damage(scene, 0.0, 0.2, (0.0, 0.0, -1.5)), damage(scene, 0.0, 0.2, (0.0, 0.0, 1.5))
-    assert down == pytest.approx(up, abs=1e-6)  # it comes down as fast as it went up
+    assert down == pytest.approx(up, abs=1e-6)  # an object thrown upwards returns at the same speed
     assert down > 1.3 * still
 
 
@@ -84,7 +84,7 @@ def test_deeper_is_worse(height: float, more: float) -> None:
     assert damage(scene, 0.0, height) <= damage(scene, 0.0, height + more) + 1e-9
 
 
-def test_what_is_soft_spares_it() -> None:
+def test_soft_surfaces_spare_the_object() -> None:
     scene = room()
     floor, table, sofa = damage(scene, 0.0, 0.9), damage(scene, -3.0, 0.9), damage(scene, 3.0, 0.9)
     assert floor > table > 3.0 * sofa > 0.0
@@ -108,16 +108,16 @@ def test_sturdier_objects_are_damaged_less() -> None:
     assert damage(room("medium"), 0.0, 0.6) == damage(room("light"), 0.0, 0.6)
 
 
-def test_a_table_of_fragilities_of_ones_own() -> None:
+def test_a_custom_table_of_fragilities() -> None:
     never = FragilityTable({}, Fragility(1e9, 0.0, 0.7))
     always = FragilityTable({}, Fragility(1e9, 0.0, 0.7), {"glass": Fragility(1e-9, 0.0, 0.7)})
     assert damage(room(), 0.0, 1.0, consequence=never) < 1e-9
     assert damage(room(), 0.0, 1.0, consequence=always) == pytest.approx(1.0, abs=1e-3)
     energy = damage(room(), 0.0, 1.0, consequence="energy")
-    assert energy == damage(room(), 0.0, 1.0)  # it is about damage in any case
+    assert energy == damage(room(), 0.0, 1.0)  # loss of the object always uses the energy
 
 
-# --- severity, and who counts it ------------------------------------------------------------------------------------
+# --- severity, and objectives that use it ---------------------------------------------------------------------------
 
 
 def path(scene: gp.Scene) -> gp.Path:
@@ -125,7 +125,7 @@ def path(scene: gp.Scene) -> gp.Path:
     return gp.Path(np.array([[-1.0, 0.0, -0.5], [1.0, 0.3, -0.2]]))
 
 
-def test_it_stands_under_the_name_of_the_object() -> None:
+def test_the_loss_has_the_name_of_the_object() -> None:
     scene = room(floor=0.0)
     assert scene.own_severity == 10.0
     cost = gp.evaluate(path(scene), scene)
@@ -156,24 +156,24 @@ def test_its_severity_can_be_set() -> None:
         gp.ImpactCost(components=("contents",)),
     ],
 )
-def test_it_can_be_left_out_and_algorithm_1_does_not_know_it(impact: gp.ImpactCost) -> None:
+def test_the_loss_is_optional_and_absent_in_algorithm_1(impact: gp.ImpactCost) -> None:
     scene = room()
     cost = gp.evaluate(path(scene), scene, gp.Objective(impact=impact))
     assert "cup" not in cost.impact_by_entity
     assert impact.harmed_entities(scene) == scene.entity_names and not impact.counts_own_loss(scene)
 
 
-def test_without_it_the_rest_is_the_same() -> None:
+def test_without_the_loss_the_rest_is_the_same() -> None:
     scene = room()
     with_it, without = (
         gp.evaluate(path(scene), scene, gp.Objective(impact=gp.ImpactCost(own_loss=own))) for own in (True, False)
     )
     assert with_it.impact - with_it.impact_by_entity["cup"] == pytest.approx(without.impact)
-    assert not gp.ImpactCost().counts_own_loss(gp.load_scene("desk"))  # nothing is carried
+    assert not gp.ImpactCost().counts_own_loss(gp.load_scene("desk"))  # no carried object
 
 
 @pytest.mark.parametrize("faults", ["drop_only", "arm", "service_robot"])
-def test_it_weighs_as_much_as_drops_do(faults: str) -> None:
+def test_the_loss_is_weighed_like_drops(faults: str) -> None:
     scene, model = room(), gp.FailureMixture(faults=faults)
     batch = gp.StateBatch(scene, np.array([[0.0, 0.0, 0.0], [3.0, 0.0, -0.3]]))
     weight = model.prior.weights()["drop"]
@@ -183,7 +183,7 @@ def test_it_weighs_as_much_as_drops_do(faults: str) -> None:
     assert gp.ImpactCost(model=model).counts_own_loss(scene) == (weight > 0.0)
 
 
-def test_kernels_gradients_and_models_of_ones_own_agree() -> None:
+def test_kernels_gradients_and_custom_models_agree() -> None:
     scene = room(floor=0.0)
     check_cost(gp.ImpactCost(), scene)
     native, generic = (gp.Objective(impact=gp.ImpactCost(model=model)).bind(scene) for model in ("mixture", Wrapped()))
@@ -195,7 +195,7 @@ def test_kernels_gradients_and_models_of_ones_own_agree() -> None:
     assert wide is not None and not wide.own_loss
 
 
-def test_an_explanation_says_so() -> None:
+def test_an_explanation_names_the_loss_of_the_object() -> None:
     scene = room(floor=0.0, table=0.0, sofa=0.0)
     found = gp.explain(path(scene), scene)
     (row,) = found.contributions
@@ -203,8 +203,8 @@ def test_an_explanation_says_so() -> None:
     assert row.severity == 10.0 and found.entities[-1] == "cup"
 
 
-def test_planners_carry_low_over_what_is_soft() -> None:
-    """Nothing but the object can be harmed: over the floor it is carried low."""
+def test_planners_carry_low_over_the_hard_floor() -> None:
+    """Only the object can be harmed: over the hard floor it is carried low."""
     scene = room(floor=0.0, table=0.0, sofa=0.0)
     start, goal = np.array([-1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0])
     found = gp.plan(start, goal, scene, w=5.0, iterations=500).unwrap()

@@ -1,4 +1,4 @@
-"""Derivatives of anybody's costs against differences of the costs: at states, and along edges."""
+"""Derivatives of custom costs against differences, at states and along edges."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from support.costs.own_costs import Bowl, Crosswise, Haste, Height
 
 Array = np.ndarray
 STEP = 1e-6
-_TOLERANCE = 5e-3  # of forward differences with steps of 1e-3, in single precision at worst
+_TOLERANCE = 5e-3  # error of forward differences with steps of 1e-3, at worst in single precision
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def states(scene: gp.Scene, n: int, seed: int) -> tuple[Array, Array]:
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6), n=st.sampled_from([0, 1, 5]))
 @pytest.mark.parametrize("cost", [Bowl(), Bowl(told=False), Height(), Haste()], ids=repr)
-def test_slopes_of_states_are_those_of_differences(cost: gp.Cost, n: int, seed: int, scene: gp.Scene) -> None:
+def test_slopes_of_states_equal_differences(cost: gp.Cost, n: int, seed: int, scene: gp.Scene) -> None:
     slopes = CostSlopes(cost, scene)
     q, qd = states(scene, n, seed)
     value, d_q, d_qd = slopes(q, qd)
@@ -47,7 +47,7 @@ def test_slopes_of_states_are_those_of_differences(cost: gp.Cost, n: int, seed: 
         )
 
 
-def test_costs_are_asked_what_they_know(scene: gp.Scene) -> None:
+def test_slopes_know_whether_a_cost_has_gradients_and_uses_velocities(scene: gp.Scene) -> None:
     assert CostSlopes(Bowl(), scene).has_gradient and not CostSlopes(Bowl(told=False), scene).has_gradient
     assert CostSlopes(Haste(), scene).uses_velocity and not CostSlopes(Height(), scene).uses_velocity
 
@@ -87,7 +87,7 @@ def test_broken_gradients_are_named(answer, message: str, scene: gp.Scene) -> No
 
 
 def test_only_the_direction_of_a_tangent_counts(scene: gp.Scene) -> None:
-    """Across it, where the slowest joint stays as fast as it is, the slope is that of differences."""
+    """Perpendicular to the tangent, with the slowest joint's speed fixed, the gradient equals differences."""
     bound = Objective(motion=Haste(), w=0.7).bind(scene, search_paces())
     q, tangent = states(scene, 6, 5)
     value, _, d_tangent = bound.tangent_slopes(q, tangent)
@@ -107,9 +107,7 @@ def test_only_the_direction_of_a_tangent_counts(scene: gp.Scene) -> None:
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), gp.JointLength((1.0, 2.0, 1.0, 1.0, 1.0, 0.5, 1.0)), Crosswise()])
 @pytest.mark.parametrize("impact", [Bowl(), Bowl(told=False), Haste()], ids=repr)
-def test_slopes_of_edges_are_those_of_differences(
-    impact: gp.Cost, motion: gp.Cost, exposure: str, scene: gp.Scene
-) -> None:
+def test_slopes_of_edges_equal_differences(impact: gp.Cost, motion: gp.Cost, exposure: str, scene: gp.Scene) -> None:
     bound = Objective(motion=motion, impact=impact, w=0.7, exposure=exposure).bind(scene, search_paces())
     q0, direction = states(scene, 8, 3)
     q1 = q0 + 0.2 * direction / np.linalg.norm(direction, axis=1, keepdims=True)

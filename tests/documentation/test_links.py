@@ -1,4 +1,4 @@
-"""Links, anchors and names of files in all Markdown files lead somewhere, and code blocks fit a page."""
+"""Links, anchors and file names in Markdown files exist, and code blocks fit a page."""
 
 import re
 from collections import Counter
@@ -23,15 +23,15 @@ FILES = {
 }
 ENDINGS = "md|py|pyi|yaml|hpp|cpp|xml|toml|txt|jsonl"
 WIDEST = 110
-"""Most columns of a code block that fit a page of 1,300 px."""
+"""Most columns of a code block that fit a page 1,300 px wide."""
 
 FENCE = re.compile(r"^( *)(```+|~~~+)([\w-]*).*?^\1\2 *$\n?", flags=re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"!?\[(?:[^\[\]]|\[[^\]]*\])*\]\(\s*([^)\s]+)\s*\)")
 ROOTS = "src|sim|tests|docs|examples|requirements"
 NAMED = re.compile(rf"(?:\.?[\w-]+/)*[\w.-]+\.(?:{ENDINGS})|(?:\.?[\w-]+/)+|(?:{ROOTS})(?:/[\w-]+)*")
-"""A code span that is the name of a file or folder of the repository."""
+"""A code span with the name of a file or folder of the repository."""
 ROOTED = re.compile(rf"(?<![\w./<-])(?:{ROOTS})/[\w./-]+\.(?:{ENDINGS})\b")
-"""The name of a file from the root of the repository, anywhere in a text."""
+"""A file name relative to the root of the repository, anywhere in a text."""
 
 OTHERS = {
     *("build/", "dist/", "site/", "graceful_plan_demo/", "prevented/", "constrained_runs/", "policy_runs/"),
@@ -42,12 +42,12 @@ OTHERS = {
 
 
 def prose(text: str) -> str:
-    """Return a text without code blocks."""
+    """Return a text without its code blocks."""
     return re.sub(r"(?<=\n\n)(?: {4,}.*\n|\n)+", "", FENCE.sub("", text))
 
 
 def anchors(text: str) -> set[str]:
-    """Return the anchors of the headings of a page, as code hosts form them."""
+    """Return the anchors of a page's headings, as code hosts form them."""
     headings = re.findall(r"^#+ +(.+?) *$", FENCE.sub("", text), flags=re.MULTILINE)
     plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).strip().lower() for heading in headings]
     names = [re.sub(r"[^\w\- ]", "", heading).replace(" ", "-") for heading in plain]
@@ -88,7 +88,7 @@ def in_repository(name: str) -> bool:
 
 
 def wide_lines(text: str) -> list[str]:
-    """Return lines of code blocks that are too wide; blocks marked as text are output, which stays as it is."""
+    """Return lines of code blocks that are too wide, except blocks marked as text, which hold output."""
     fenced = [line for block in FENCE.finditer(text) if block[3] != "text" for line in block[0].splitlines()]
     indented = [line for line in FENCE.sub("", text).splitlines() if line.startswith("    ")]
     return [line for line in fenced + indented if len(line) > WIDEST]
@@ -105,7 +105,7 @@ def test_links_lead_to_files_and_headings(page):
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name != "mutants.md"], ids=name_of)
 def test_named_files_exist(page):
-    """The record of surviving mutants names files as they were."""
+    """The record of surviving mutants names files as they were at the time."""
     assert missing_files(page, page.read_text()) == []
 
 

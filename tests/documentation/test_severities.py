@@ -1,4 +1,4 @@
-"""The table of severities in docs/faults-prior.md has the shipped values."""
+"""The table of severities in docs/faults-prior.md equals the shipped values."""
 
 import re
 
@@ -28,14 +28,14 @@ def test_rows_are_the_entity_classes_with_their_values():
     assert list(shown) == list(ROBOT) == list(SeverityTable.shipped().classes)
 
 
-def test_notes_are_those_of_the_file():
+def test_notes_equal_those_of_the_file():
     notes = dict(re.findall(r"^  (\w+): +\[.*\] +# (.*)$", SHIPPED, flags=re.MULTILINE))
     assert {name: row[0] for name, row in CONTENTS.items()} == dict.fromkeys(CONTENTS, "") | {
         name: note.partition(";")[0] for name, note in notes.items()
     }
 
 
-def test_the_scale_is_that_of_the_file():
+def test_the_scale_equals_that_of_the_file():
     (scale,) = re.findall(r"Scale: (.*?)Values apply", SHIPPED, flags=re.DOTALL)
     shown = [row[0] for row in ROWS if len(row) == 3 and row[0][:1].isdigit()]
     assert shown == re.findall(r"\b\d[\d.]*\b(?! USD)", scale)

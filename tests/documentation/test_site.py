@@ -1,4 +1,4 @@
-"""The site has everything: each page its place, each public name its entry, each link of a file a page."""
+"""The site is complete: navigation lists every page, the reference every public name, and file links have pages."""
 
 import importlib.util
 import inspect

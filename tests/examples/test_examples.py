@@ -1,4 +1,4 @@
-"""The examples run, and do what they say."""
+"""The examples run and print what their texts promise."""
 
 import importlib.util
 
@@ -21,12 +21,12 @@ SHORT = ("own_robot", "perception_loop", "custom_cost", "compare_planners", "tun
 
 
 @pytest.mark.parametrize("name", SHORT)
-def test_they_are_short(name):
+def test_examples_are_short(name):
     assert len((_EXAMPLES / f"{name}.py").read_text().splitlines()) <= 40
 
 
 @pytest.mark.long
-def test_a_robot_of_ones_own_is_planned_for_and_fails(capsys):
+def test_a_custom_robot_is_planned_for_and_fails(capsys):
     results = _load("own_robot").main(iterations=200, n=12)
     assert all(result.status is gp.PlanStatus.SOLVED for result in results.values())
     assert results[1.0].cost.impact < results[0.0].cost.impact
@@ -34,16 +34,16 @@ def test_a_robot_of_ones_own_is_planned_for_and_fails(capsys):
 
 
 @pytest.mark.long
-def test_a_robot_that_sees_plans_among_what_has_moved(capsys):
+def test_a_sensing_robot_plans_among_moved_objects(capsys):
     results = _load("perception_loop").main(iterations=200, limit=60.0)
     assert [result.status for result in results] == 3 * [gp.PlanStatus.SOLVED]
     ways = [result.trajectory.q[0] for result in results]
-    assert abs(ways[1] - ways[0]).max() > 0.0  # each goes on from where the robot has got to
+    assert abs(ways[1] - ways[0]).max() > 0.0  # each continues from the robot's current state
     assert capsys.readouterr().out.count("cycle") == 3
 
 
 @pytest.mark.long
-def test_planners_are_compared_by_what_their_motions_cost():
+def test_planners_are_compared_by_cost():
     found = _load("compare_planners").main(("rrt_connect", "auto"), iterations=300)
     assert len(found) == 2 and all(0.0 < totals["auto"] <= 1.05 * totals["rrt_connect"] for totals in found.values())
 
@@ -62,7 +62,7 @@ def test_a_motion_with_regard_for_failures_does_less_harm_in_simulation():
 
 @pytest.mark.long
 def test_custom_cost_keeps_the_mug_away(capsys):
-    results = _load("custom_cost").main(iterations=2000)  # no clock: it has to hold on any machine
+    results = _load("custom_cost").main(iterations=2000)  # no time limit: it must pass on any machine
     assert results["away"].cost.impact < 0.8 * results["shortest"].cost.impact
     assert "away: SOLVED" in capsys.readouterr().out
 
@@ -92,7 +92,7 @@ def test_a_patient_robot_spares_the_walking_person(capsys):
 
 
 @pytest.mark.long
-def test_who_walks_on_a_map_is_not_driven_into(capsys, tmp_path):
+def test_a_pedestrian_on_a_map_is_avoided(capsys, tmp_path):
     results = _load("map_with_people").main(tmp_path / "floor.png", iterations=30_000)
     assert results["with regard for time"].verdict.checks["passing_by"].passed
     assert "drives into 'ben'" in capsys.readouterr().out and (tmp_path / "floor.png").exists()

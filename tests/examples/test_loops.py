@@ -1,4 +1,4 @@
-"""The loop of the guide that needs a robot runs against a stub of one."""
+"""The control loop of the guide runs against a stub of a robot."""
 
 import re
 import sys
@@ -15,7 +15,7 @@ import graceful_plan as gp
 
 @pytest.fixture
 def arm(monkeypatch, tmp_path):
-    """Stub an arm that stands at 0, and write a motion for it."""
+    """Return a stub of an arm at 0, and write a motion for it."""
     calls = []
     control = SimpleNamespace(
         initPeriod=lambda: len(calls),
@@ -38,7 +38,7 @@ def arm(monkeypatch, tmp_path):
     return arm
 
 
-def test_every_sample_is_sent_and_the_arm_is_told_to_stop(arm):
+def test_every_sample_is_sent_and_the_arm_stops(arm):
     exec(compile(LOOP, "robot-loops.md", "exec"), {})
     *sent, last = arm.calls
     assert (len(sent), last) == (101, "stop")

@@ -1,4 +1,4 @@
-"""The nodes for ROS 2, beside stubs of its messages: what they send, and what they refuse to send."""
+"""The ROS 2 nodes against stubs of its messages: sent messages, and refusals."""
 
 import importlib
 import sys
@@ -69,7 +69,7 @@ def test_the_controller_gets_the_trajectory(example, robot, trajectory, tmp_path
         ({"result": ros.FollowJointTrajectory.Result(error_code=-4, error_string="late")}, "code -4: late", 1),
     ],
 )
-def test_what_goes_wrong_is_said(example, robot, trajectory, tmp_path, capsys, change, said, sent):
+def test_errors_are_reported(example, robot, trajectory, tmp_path, capsys, change, said, sent):
     robot.state = state(0.0, 1.0)
     vars(robot).update(change)
     trajectory.to_json(tmp_path / "motion.json")
@@ -136,12 +136,12 @@ def test_meshes_become_solids_with_names_of_their_own(example):
         ),
     ],
 )
-def test_what_has_no_counterpart_is_refused(example, seen, said):
+def test_objects_without_counterpart_are_refused(example, seen, said):
     with pytest.raises(ValueError, match=said):
         list(example("moveit_scene").solids(seen))
 
 
-def test_a_motion_past_what_moveit_sees_is_shown_and_saved(example, robot, tmp_path, monkeypatch, capsys):
+def test_a_motion_in_a_moveit_scene_is_shown_and_saved(example, robot, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     plan = gp.plan
     monkeypatch.setattr(gp, "plan", lambda *args, **settings: plan(*args, iterations=300, **settings))

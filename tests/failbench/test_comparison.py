@@ -20,7 +20,7 @@ def scene() -> gp.Scene:
 
 @cache
 def motion(lift: float) -> gp.Trajectory:
-    """Return a motion to the same goal that goes up by so much [rad] on its way."""
+    """Return a motion to the same goal that lifts joint 2 by `lift` [rad] halfway."""
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     ends = np.stack([task.start, task.goal[0]])
     middle = ends.mean(axis=0) - lift * np.eye(7)[1]
@@ -64,7 +64,7 @@ def test_ratios_do_not_depend_on_the_rate() -> None:
     assert harm_ratio(*often).low == pytest.approx(ratio.low)
 
 
-def test_rollouts_that_diverged_are_in_no_pair() -> None:
+def test_diverged_rollouts_are_in_no_pair() -> None:
     impacts = report(0.0).impacts.copy()
     impacts[:10] = np.nan
     assert compare(replace(report(0.0), impacts=impacts), report(0.5)).n == 20

@@ -32,7 +32,7 @@ def run(capsys):
 
 @pytest.fixture(scope="module")
 def motion(tmp_path_factory):
-    """A trajectory in a file."""
+    """Write a trajectory to a file."""
     file = tmp_path_factory.mktemp("motion") / "trajectory.json"
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50, speed=0.5).unwrap().to_json(file)
@@ -96,7 +96,7 @@ def test_validate_prints_observed_and_predicted(run, motion):
 
 @pytest.fixture(scope="module")
 def pouring(tmp_path_factory):
-    """A trajectory that turns the mug of coffee over."""
+    """Return a trajectory that turns the mug of coffee over."""
     file = tmp_path_factory.mktemp("pouring") / "trajectory.json"
     task = gp.load_scene("desk").tasks["bring_coffee"]
     turn = 1.6 * np.eye(7)[5] * np.sign(task.scene.limits.position[5].mean() - task.start[5])
@@ -157,7 +157,7 @@ def test_replay_writes_frames(run, tmp_path):
 
 
 @pytest.mark.long
-def test_dry_run_prints_a_sweep_that_generate_takes(run, tmp_path):
+def test_dry_run_prints_a_valid_sweep(run, tmp_path):
     argv = ("generate", str(tmp_path / "data"), DROP, "-n", "2", *QUICK, "--dry-run")
     code, out, _ = run(*argv)
     assert code == cli.DONE
@@ -231,7 +231,7 @@ def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
 
 
 @pytest.mark.long
-def test_ctrl_c_says_how_to_go_on_and_leaves_nobody_behind(tmp_path):
+def test_ctrl_c_tells_how_to_resume_and_leaves_no_process(tmp_path):
     argv = [sys.executable, "-m", "failbench.cli", "generate", "data", DROP, "-n", "4000", *QUICK, "--workers", "2"]
     driver = subprocess.Popen(
         argv, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True

@@ -43,7 +43,7 @@ def test_documents_and_tables_hold_both(found):
     assert str(found).count("\n") == 3 + len(found.points)
 
 
-def test_motions_that_cannot_be_executed_are_told(task, front, monkeypatch):
+def test_motions_that_cannot_be_executed_are_reported(task, front, monkeypatch):
     def refuse(*arguments, **settings):
         raise ExecutionRefused("joint 4", 0.2, "stuck")
 
@@ -55,7 +55,7 @@ def test_motions_that_cannot_be_executed_are_told(task, front, monkeypatch):
     assert "refused" in str(found)
 
 
-def test_harm_without_failure_is_told_first(found, task, front, monkeypatch):
+def test_harm_without_failure_is_reported_first(found, task, front, monkeypatch):
     assert "HARM" not in str(found)
     assert all(entry["healthy"]["harm"] == 0.0 for entry in found.to_document()["points"])
     spilt = HealthyHarm(carried="green", contents="hot", spilled=1.0, by_entity={"red1": 8.0})
@@ -91,7 +91,7 @@ def test_rank_correlation_of_known_orders(found):
     assert np.isnan(of([(1.0, 2.0), (1.0, 3.0)]))
 
 
-def test_fronts_that_are_none(task, tmp_path):
+def test_invalid_fronts_are_refused(task, tmp_path):
     with pytest.raises(SettingError, match="TIMEOUT"):
         validate_front(gp.ParetoFront(status=gp.PlanStatus.TIMEOUT), task.scene)
     with pytest.raises(FormatError, match="cannot be read"):

@@ -1,4 +1,4 @@
-"""The materials of the bundled scenes bounce and roll as documented, and objects at rest stay at rest."""
+"""Materials of the bundled scenes bounce and roll as documented, and objects at rest stay at rest."""
 
 import re
 
@@ -16,7 +16,7 @@ EACH = [(scene, name) for scene in SCENES for name in materials.of(scene)]
 
 
 def documented():
-    """Rows of the table in docs/failbench.md: material, damping ratio, e asked and measured, lever arm [mm]."""
+    """Rows of the table in docs/failbench.md: material, damping ratio, e set and measured, lever arm [mm]."""
     lines = (ROOT / "docs" / "failbench.md").read_text().split("## Materials")[1].split("\n## ")[0].splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if re.match(r"\| [a-z]", line)]
     return {
@@ -27,14 +27,14 @@ def documented():
 
 
 @pytest.mark.parametrize(("scene", "name"), EACH)
-def test_a_material_bounces_and_rolls_as_asked(scene, name):
+def test_materials_bounce_and_roll_as_specified(scene, name):
     found, asked = materials.measure(scene, name), materials.MATERIALS[name]
     assert found.restitution[1] == pytest.approx(asked.restitution, abs=0.05)
     assert found.restitution[2] == pytest.approx(asked.restitution, abs=0.05)
     assert found.rolling == pytest.approx(asked.rolling, rel=0.05)
 
 
-def test_the_measurement_sees_what_mujoco_does_by_default():
+def test_the_measurement_is_right_for_mujocos_defaults():
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco><option timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="10"/><worldbody>
         <geom type="plane" size="0 0 1"/>
@@ -55,7 +55,7 @@ def test_soft_partners_take_the_bounce():
     assert materials.measure("kitchen_counter", "glass", on="stone").restitution[1] == pytest.approx(0.3, abs=0.05)
 
 
-def test_the_table_in_the_docs_says_what_the_scenes_say():
+def test_the_table_in_the_docs_equals_the_scenes():
     table = documented()
     assert set(table) == set(materials.MATERIALS)
     for scene, name in EACH:
@@ -67,7 +67,7 @@ def test_the_table_in_the_docs_says_what_the_scenes_say():
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_movable_things_have_a_material(scene):
-    """Whatever has a free joint and can be touched is of a material of the table."""
+    """Every body with a free joint and a collision geom has a material of the table."""
     world = failbench.build_world(suite.scene(scene))
     model, spec = world.model, suite.scene(scene).spec
     known = {tuple(spec.find_default(name).geom.solref) for name in materials.of(scene)}
@@ -90,7 +90,7 @@ def test_a_lying_bottle_comes_to_rest():
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_what_is_at_rest_stays_and_falls_asleep(scene):
+def test_objects_at_rest_stay_and_fall_asleep(scene):
     world = failbench.build_world(suite.scene(scene))
     model, data = world.model, mujoco.MjData(world.model)
     data.qpos[:] = world.scene.home_qpos
@@ -103,8 +103,8 @@ def test_what_is_at_rest_stays_and_falls_asleep(scene):
     assert np.all(data.tree_asleep[model.body_treeid[bodies]] >= 0)
 
 
-def test_pads_hold_as_they_did():
-    """The fingers' contact is the fingers' alone: no material makes it springy."""
+def test_materials_do_not_change_the_pads():
+    """Pads use their own contact parameters: no material makes the grasp springy."""
     world = failbench.build_world(suite.scene("dining_table"))
     model, pads = world.model, world.robot.pads
     others = np.setdiff1d(np.arange(model.ngeom), pads)

@@ -40,11 +40,11 @@ def test_categories_are_families(category: str) -> None:
     assert len(found) == len(_TASKS) * 4 * len({s.fault.NAME for s in found})
 
 
-def test_families_overlap_as_they_should() -> None:
+def test_families_are_disjoint() -> None:
     drop, collapse, stray = (
         {s.fault.NAME for s in scenarios(f"{family}/*")} for family in ("drop", "collapse", "stray")
     )
-    assert drop | collapse | stray == set(faults())  # whatever breaks does one of the three
+    assert drop | collapse | stray == set(faults())  # each fault is in exactly one family
     assert not drop & collapse and not drop & stray and not collapse & stray
 
 
@@ -96,7 +96,7 @@ _HEAD = "version: 1\nfamilies:\n  own:\n"
         (_HEAD + "    fault: [noise]\n", 4, "unknown key 'fault'"),
     ],
 )
-def test_broken_registries_say_where(tmp_path: Path, text: str, line: int, words: str) -> None:
+def test_errors_of_broken_registries_name_the_place(tmp_path: Path, text: str, line: int, words: str) -> None:
     file = tmp_path / "scenarios.yaml"
     file.write_text(text)
     with pytest.raises(SceneError, match=words) as caught:
@@ -123,7 +123,7 @@ def test_every_scenario_runs(scene_name: str, task_name: str) -> None:
 
 
 def _begin(task: gp.Task) -> gp.Trajectory:
-    """Return a short way from the start of a task towards its first goal, at half the speed."""
+    """Return a short motion from the start of a task towards its first goal, at half the speed."""
     way = task.goal[0] - task.start
     path = gp.Path(np.stack([task.start, task.start + 0.005 * way / np.linalg.norm(way)]))
     return gp.retime(path, task.scene.limits, task.scene.joints, speed=0.5)

@@ -24,7 +24,7 @@ from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import SettingError, UnknownNameError
 
 _EXACT = 1e-9
-"""Sums agree but for rounding."""
+"""Sums agree up to rounding."""
 
 
 @cache
@@ -123,7 +123,7 @@ def test_another_impact_cost_predicts_otherwise(simulated: Callable[..., None]) 
     assert exact > 0.0
 
 
-# --- statistics, on rollouts that are made up ------------------------------------------------------------------------
+# --- statistics, on invented rollouts ---------------------------------------------------------------------------------
 
 
 def event(entity: str, striker: str = "carried", secondary: bool = False) -> ContactEvent:
@@ -142,7 +142,7 @@ def event(entity: str, striker: str = "carried", secondary: bool = False) -> Con
 
 @pytest.fixture
 def simulated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Return a function that replaces the simulation: what is touched is a function of the job."""
+    """Return a function that replaces the simulation: hits are a function of the job."""
 
     def replace(touched: Callable[[Job], tuple[ContactEvent, ...]], diverged: Callable[[Job], bool] | None = None):
         def run(execution, jobs, **_):
@@ -168,7 +168,7 @@ def early(job: Job) -> bool:
 def test_severities_of_components_and_entities_add_up(simulated: Callable[..., None]) -> None:
     simulated(lambda job: (event("red1"), event("red1", "body"), event("table")) if early(job) else ())
     found = validate(motion(), scene(), GripperFailure(), n=400)
-    # 10 for each touch of the red box, 1 for the table, and 2 for the object, which hit with 1 kJ.
+    # 10 for each hit of the red box, 1 for the table, and 2 for the object, which arrives with 1 kJ.
     assert found.observed.mean == pytest.approx(0.25 * 23.0)
     assert found.by_entity["red1"].probability.mean == pytest.approx(0.25)
     assert found.by_entity["red1"].impact.mean == pytest.approx(5.0)
@@ -187,7 +187,7 @@ def test_the_objects_own_loss_counts_if_it_is_predicted(simulated: Callable[...,
     both = validate(motion(), scene(), GripperFailure(), n=20)
     assert both.observed.mean == pytest.approx(3.0)
     assert both.predicted == pytest.approx(without.predicted + both.by_entity["green"].predicted)
-    # Algorithm 1 does not know of it; what happens is observed all the same.
+    # Algorithm 1 has no loss of the object, but it is observed all the same.
     published = validate(motion(), scene(), GripperFailure(), n=20, prediction=ImpactCost(model="box_overlap"))
     assert published.observed == both.observed and published.by_entity["green"].predicted == 0.0
 
@@ -258,7 +258,7 @@ def test_harm_per_task_is_that_per_failure_times_the_failures(simulated: Callabl
 
 @cache
 def pouring() -> ValidationReport:
-    """Report on a motion that turns the mug of coffee over the laptop."""
+    """Return the report on a motion that turns the mug of coffee over the laptop."""
     task = gp.load_scene("desk").tasks["bring_coffee"]
     turn = 1.6 * np.eye(7)[5] * np.sign(task.scene.limits.position[5].mean() - task.start[5])
     path = gp.Path(np.stack([task.start, task.start + turn]))
@@ -266,7 +266,7 @@ def pouring() -> ValidationReport:
     return validate(over, task.scene, GripperFailure(), n=8, horizon=0.5, settings=SimSettings(grasp="weld"))
 
 
-def test_what_the_healthy_robot_spills_is_reported_first() -> None:
+def test_spills_of_the_healthy_robot_are_reported_first() -> None:
     found = pouring()
     assert found.healthy.spilled > 0.98 and found.healthy.by_entity["laptop"] == 20.0
     first, *others = str(found).split("\n\n")
@@ -292,7 +292,7 @@ def test_harm_without_failure_comes_with_probability_1() -> None:
     always = dataclasses.replace(found, rate=3600.0 / found.duration)
     assert always.certain_per_task == 0.0 and always.observed_per_task.mean == pytest.approx(found.whole.mean)
     later = [i for i, job in enumerate(found.jobs) if job.onset > max(found.healthy.poured.values())]
-    least, most = found.healthy.harm, found.impacts[later] + found.healthy.harm  # pairs that both hit count once
+    least, most = found.healthy.harm, found.impacts[later] + found.healthy.harm  # pairs hit by both count once
     assert later and (found.wholes[later] >= least - _EXACT).all() and (found.wholes[later] <= most + _EXACT).all()
 
 
@@ -322,7 +322,7 @@ def test_a_lost_object_is_refused_with_its_harm() -> None:
         validate(np.stack([bottle.start, bottle.goal[0]]), bottle.scene, n=3)
 
 
-# --- what fails ------------------------------------------------------------------------------------------------------
+# --- choice of faults -------------------------------------------------------------------------------------------------
 
 
 def test_faults_are_chosen_by_pattern_or_given() -> None:
@@ -357,10 +357,10 @@ def test_misuse_is_refused() -> None:
         validate(PlanResult(status=PlanStatus.TIMEOUT), scene())
 
 
-# --- reading it ------------------------------------------------------------------------------------------------------
+# --- text -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_table_says_what_was_hit() -> None:
+def test_the_table_lists_hit_entities() -> None:
     text = str(report())
     assert re.search(r"tabletop: 30 .*0\.5 s.*seed 0\n", text)
     assert re.search(r"^observed impact +\S+ +\[\S+, \S+\]$", text, flags=re.MULTILINE)

@@ -1,4 +1,4 @@
-"""Small files that say they hold a lot are refused before there is room made for it."""
+"""Small files that claim a huge content are refused before memory is allocated."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def _archive(file: Path, content: bytes) -> Path:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (_head((2**27,)), "bytes for float64"),  # a gigabyte that is not there
+        (_head((2**27,)), "bytes for float64"),  # claims a gigabyte that is missing
         (_head((-1,)), "bytes for float64"),
         (_head((10**40,)), "bytes for float64"),
         (_head((1,), "|O") + bytes(8), "no .npz file of arrays"),
         (_head((1,), version=b"\x07\x00") + bytes(8), "no .npz file of arrays"),
         (b"\x93NUMPY\x01\x00\x76\x00" + b"(" * 118, "no .npz file of arrays"),
-        (_head((1 << 20, 3)) + bytes(24 << 20), "holds 25165824 bytes"),  # of which nothing is left in the archive
+        (_head((1 << 20, 3)) + bytes(24 << 20), "holds 25165824 bytes"),  # compresses to almost nothing
         (b"", "no .npz file of arrays"),
     ],
     ids=["absent", "negative", "huge", "objects", "version", "brackets", "zeros", "empty"],
@@ -77,7 +77,7 @@ def test_a_table_of_equal_rows_is_refused_by_their_number(tmp_path: Path, monkey
         gp.Trajectory.from_parquet(content)
 
 
-def test_a_part_of_a_dataset_has_as_many_rows_as_its_manifest_says(tmp_path: Path) -> None:
+def test_part_files_must_have_the_row_count_of_the_manifest(tmp_path: Path) -> None:
     pa = pytest.importorskip("pyarrow")
     pq = pytest.importorskip("pyarrow.parquet")
     file = tmp_path / "rollouts" / "part-00000.parquet"

@@ -1,4 +1,4 @@
-"""Whatever numbers, arrays, texts and names public functions are given, the error is ours."""
+"""Public functions with random numbers, arrays, texts and names raise only errors of the library."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from places import ROOT
 
 
 @pytest.mark.long
-def test_public_functions_refuse_what_makes_no_sense(tmp_path: Path) -> None:
-    """In a process of its own, without the checks of types that tests add."""
+def test_public_functions_refuse_invalid_arguments(tmp_path: Path) -> None:
+    """Run it in a separate process, without the type checks that tests add."""
     command = [sys.executable, str(ROOT / ".ci" / "fuzz_calls.py")]
     run = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, cwd=tmp_path)
     assert run.returncode == 0 and run.stdout.endswith(" calls, 0 wrong\n"), run.stdout[-3000:] + run.stderr[-2000:]

@@ -1,4 +1,4 @@
-"""What leaves in one form comes back from it; what is no such form is refused, with where it came from."""
+"""Formats: writing and reading gives the same content; other files are refused with their name."""
 
 import json
 import sys
@@ -23,7 +23,7 @@ NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\x00\r"), min_s
 
 @st.composite
 def samples(draw):
-    """What trajectories are made of, with odd names and with times that are whole nanoseconds from 0 on."""
+    """Draw the data of trajectories, with odd names and times in whole nanoseconds from 0."""
     n, nq = draw(st.integers(1, 4)), draw(st.integers(1, 3))
     joints = tuple(draw(st.lists(NAMES, min_size=nq, max_size=nq, unique=True)))
     steps = draw(st.lists(st.integers(1, 10**10), min_size=n - 1, max_size=n - 1))
@@ -58,7 +58,7 @@ def trajectory():
 
 
 @pytest.mark.parametrize("form", ["json", "csv", "parquet", "ros_yaml"])
-def test_files_hold_what_the_text_says(trajectory, tmp_path, form):
+def test_files_equal_the_text(trajectory, tmp_path, form):
     file = tmp_path / "t"
     text = getattr(trajectory, f"to_{form}")(file)
     assert text is None or file.read_text() == text
@@ -92,7 +92,7 @@ def test_rounded_times_keep_the_motion_within_its_limits():
     assert gp.verify(found, task.scene).passed
 
 
-def test_a_motion_that_begins_later_begins_with_its_message(trajectory):
+def test_a_later_start_is_the_start_of_the_message(trajectory):
     later = gp.Trajectory(trajectory.t + 8.0, trajectory.q, trajectory.qd, trajectory.qdd, trajectory.joints)
     assert later.to_ros() == trajectory.to_ros()
 
@@ -108,7 +108,7 @@ def test_joints_have_other_names_over_there(trajectory, names):
     np.testing.assert_array_equal(turned.q, trajectory.q[:, ::-1])
 
 
-def test_a_mapping_says_which_joints(trajectory):
+def test_a_mapping_selects_joints(trajectory):
     names = {"arm/two": "b", "arm/one": "a"}
     assert gp.Trajectory.from_ros(trajectory.to_ros(names), names=names).joints == ("arm/two", "arm/one")
 
@@ -122,7 +122,7 @@ def test_an_object_with_the_attributes_of_a_message_is_one(trajectory):
     same(gp.Trajectory.from_ros(as_object(trajectory.to_ros())), trajectory)
 
 
-def test_missing_accelerations_are_those_of_the_cubics(trajectory):
+def test_missing_accelerations_are_taken_from_the_cubics(trajectory):
     message = trajectory.to_ros()
     for point in message["points"]:
         del point["accelerations"]
@@ -183,7 +183,7 @@ def broken(change):
         (lambda m: m["points"][1].update(positions=[np.nan]), NonFiniteError, "positions of message"),
     ],
 )
-def test_what_is_no_message_is_refused(change, error, said):
+def test_other_texts_are_refused(change, error, said):
     with pytest.raises(error, match=said):
         gp.Trajectory.from_ros(broken(change))
 

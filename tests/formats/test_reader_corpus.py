@@ -1,4 +1,4 @@
-"""Each value that once broke a reader, at each place of each document: it is read as a number, or refused by name."""
+"""Each value that once broke a reader, at each place of each document: read as a number, or refused by name."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ _VALUES = {
 
 
 def _places(document: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield every place of a document; of a list, its first item."""
+    """Yield every place of a document; only the first item of a list."""
     yield place
     if isinstance(document, dict):
         for key in document:
@@ -105,22 +105,22 @@ def _with(document: Any, place: tuple[Any, ...], value: Any) -> Any:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", _READERS)
-def test_what_once_broke_a_reader_does_not_break_any(name: str, tmp_path: Path) -> None:
+def test_values_that_broke_a_reader_break_none(name: str, tmp_path: Path) -> None:
     document, read = _READERS[name]
     file = tmp_path / ("motion.yaml" if name == "ROS" else "document.json")
     file.write_text(json.dumps(document))
-    read(file)  # as it is, it is read
+    read(file)  # unchanged, it can be read
     refused = 0
     for place in _places(document):
         for value in _VALUES.values():
             file.write_text(json.dumps(_with(document, place, value)))
             try:
                 found = read(file)
-            except (gp.GracefulPlanError, TypeCheckError) as error:  # the latter in tests alone
+            except (gp.GracefulPlanError, TypeCheckError) as error:  # type errors occur only in tests
                 assert str(error)
                 refused += 1
                 continue
-            if name != "run":  # of which what was not measured is NaN
+            if name != "run":  # NaN stands for missing measurements of a run
                 assert all(np.isfinite(numbers).all() for numbers in (found if name == "front" else [found]))
     assert refused > 30
 

@@ -1,4 +1,4 @@
-"""Readers refuse broken files with errors of ours: a short run of what `make fuzz` does at length."""
+"""Readers refuse broken files with the library's errors: a short run of `make fuzz`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FUZZER = ROOT / ".ci" / "fuzz_readers.py"
 @pytest.mark.long
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="needs pyarrow")
 def test_broken_files_are_refused_or_read() -> None:
-    """In a process of its own, which a crash would end."""
+    """Run it in a separate process, which would contain a crash."""
     command = [sys.executable, str(FUZZER), "--files", "700"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-2000:]

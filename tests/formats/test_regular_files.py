@@ -1,4 +1,4 @@
-"""What is no regular file is refused at once wherever a file is expected, and with its name."""
+"""Pipes, devices and folders are refused immediately and by name where a file is expected."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def impatient() -> Iterator[None]:
 @pytest.mark.parametrize("name", _READERS)
 def test_every_reader_refuses_it_by_name(name: str, kind: str, tmp_path: Path) -> None:
     if kind == "folder" and name in ("problems.json", "problems.yaml", "known.yaml"):
-        return  # which they read
+        return  # these readers accept folders
     file = _make(kind, tmp_path / name)
     with pytest.raises((FormatError, SceneError), match=_MADE.get(kind, "Is a directory")) as caught:
         _READERS[name](file)
@@ -115,7 +115,7 @@ def test_every_reader_refuses_it_by_name(name: str, kind: str, tmp_path: Path) -
         '<asset><hfield name="h" file="part" size="1 1 1 1"/></asset>',
     ],
 )
-def test_what_a_scene_names_is_as_well(tag: str, kind: str, tmp_path: Path) -> None:
+def test_files_named_by_a_scene_are_refused_too(tag: str, kind: str, tmp_path: Path) -> None:
     _make(kind, tmp_path / "part")
     (tmp_path / "scene.xml").write_text(f"<mujoco>{tag}</mujoco>")
     with pytest.raises(SceneError):
@@ -143,7 +143,7 @@ def test_the_picture_of_a_map_is_as_well(name: str, kind: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_what_stands_where_folders_have_their_files_is_as_well(kind: str, tmp_path: Path) -> None:
+def test_files_in_folders_are_refused_too(kind: str, tmp_path: Path) -> None:
     for name in ("manifest.json", "journal.sqlite", "journal.jsonl", "t.json", "scene0001.yaml", "request0001.yaml"):
         folder = tmp_path / name.replace(".", "_")
         folder.mkdir()
@@ -183,9 +183,9 @@ def test_the_cache_does_without(kind: str, tmp_path: Path, monkeypatch: pytest.M
         ("bench", "--known", "FILE.yaml"),
     ],
 )
-def test_the_command_line_says_so(argv: tuple[str, ...], kind: str, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_the_command_line_refuses_them(argv: tuple[str, ...], kind: str, tmp_path: Path, capsys, monkeypatch) -> None:
     if kind == "folder" and argv[0] in ("bench", "view"):
-        return  # which may be given one
+        return  # these commands accept folders
     monkeypatch.chdir(tmp_path)
     file = _make(kind, tmp_path / argv[-1])
     assert main(argv) == 2
@@ -194,7 +194,7 @@ def test_the_command_line_says_so(argv: tuple[str, ...], kind: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder"])
-def test_failbench_says_so(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failbench_refuses_them(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = _make(kind, tmp_path / "x.json")
     for argv in (
         ("run", "tabletop/lift_to_goal/gripper_failure/severe", "--trajectory", str(file)),
@@ -207,7 +207,7 @@ def test_failbench_says_so(kind: str, tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_a_file_is_read_as_it_is_and_no_further_than_allowed(tmp_path: Path) -> None:
     file = tmp_path / "a"
-    check_regular(file)  # it may still be made
+    check_regular(file)  # a missing file may still be written
     file.write_bytes(bytes(range(256)))
     check_regular(file)
     assert read_content(file) == read_content(str(file), 256) == bytes(range(256))

@@ -1,4 +1,4 @@
-"""Motions that are too long to be looked at cost bounded memory and time, each in a process of its own."""
+"""Motions that are too long to check cost bounded memory and time, each in a separate process."""
 
 from __future__ import annotations
 
@@ -42,5 +42,5 @@ def test_a_million_rows_and_ten_million_turns(rows: int, far: float) -> None:
     code = _BOUNDS.format(seconds=60) + _QUESTION.format(rows=rows, far=far, duration=1000.0)
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=False)
     assert run.returncode == 0 and run.stdout == "bounded\n", run.stderr[-2000:]
-    most = 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss  # of the largest so far
+    most = 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss  # of the largest child so far
     assert most < 3 * GIGABYTE

@@ -1,4 +1,4 @@
-"""What spheres prove free, exact geometry finds free: nothing is skipped that an all-exact judge would refuse."""
+"""Configurations that spheres prove free are free by exact geometry, so verdicts equal those of an exact judge."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SCENES = ("tabletop", "dining_table", "kitchen_counter", "desk", "mesh_arm")
 
 
 def _in_hand(name: str) -> Scene:
-    """A bundled scene with the object of its first task in the gripper; or an arm whose links are meshes."""
+    """A bundled scene with the object of its first task attached, or an arm whose links are meshes."""
     if name == "mesh_arm":
         return mesh_arm()
     return next(iter(load_scene(name).tasks.values())).scene
@@ -35,8 +35,8 @@ def _in_hand(name: str) -> Scene:
 def _skipped_wrongly(scene: Scene, count: int, seed: int) -> tuple[int, int]:
     """Count configurations that the spheres prove free, and those of them that exact geometry refuses.
 
-    Half of the configurations are anywhere; half lie on short motions around configurations that nearly touch, where a
-    cover with a hole would show.
+    Half of the configurations are random; half lie on short motions around near contacts, where a hole in a cover
+    would show.
     """
     rng = np.random.default_rng(seed)
     clearance = compile_scene(scene).proof.clearance
@@ -72,7 +72,7 @@ def _motions(scene: Scene, count: int) -> list[Trajectory]:
     return [retime(Path(ends), scene.limits, scene.joints) for ends in q]
 
 
-def test_verdicts_are_those_of_exact_geometry_everywhere(task) -> None:
+def test_verdicts_equal_those_of_exact_geometry(task) -> None:
     scene = task.scene
     clearance = compile_scene(scene).proof.clearance
     refused = 0
@@ -113,14 +113,14 @@ def test_a_bound_also_proves_the_neighbours_of_a_sample_and_nothing_that_touches
 
 
 def test_a_wrong_proof_is_found_out_and_no_longer_believed(task, caplog: pytest.LogCaptureFixture) -> None:
-    """Whoever claims that everything is free is caught by the samples that are looked at all the same."""
+    """A proof that claims everything is free fails at the samples that are checked anyway."""
     motion = next(m for m in _motions(task.scene, 25) if len(motion_violations(m, task.scene, 0.002)[0]) > 200)
     violations, samples = motion_violations(motion, task.scene, 0.002, lambda q: np.full(len(q), 1.0))
     assert violations == motion_violations(motion, task.scene, 0.002)[0]
     assert not samples.proved.any() and "wrong" in caplog.text
 
 
-def test_a_joint_that_turns_round_beyond_its_limit_between_two_samples_is_found(task) -> None:
+def test_a_limit_exceeded_between_two_samples_is_found(task) -> None:
     scene = task.scene
     q = np.repeat(task.start[None], 2, axis=0)
     upper = scene.limits.position[0, 1]
@@ -130,13 +130,13 @@ def test_a_joint_that_turns_round_beyond_its_limit_between_two_samples_is_found(
     trajectory = Trajectory(np.array([0.0, 0.4]), q, qd, np.zeros_like(q), scene.joints)
     found = verify(trajectory, scene).checks["position_limits"]
     assert not found.passed
-    # The cubic peaks in the middle: h v / 4 above its ends.
+    # The cubic's maximum is in the middle, h v / 4 above its ends.
     assert found.worst == pytest.approx(0.4 * 0.1 / 4.0 - 1e-4, rel=1e-6)
     inside = replace(trajectory, q=np.where(np.arange(q.shape[1]) == 0, upper - 0.0101, q))
     assert verify(inside, scene).checks["position_limits"].passed
 
 
-def test_plan_looks_as_closely_as_asked(task) -> None:
+def test_plan_verifies_with_the_given_resolution(task) -> None:
     def judged(verification: VerificationSettings | None) -> str:
         result = plan(task.start, task.goal, task.scene, w=0.0, iterations=50, verification=verification)
         assert result.status is PlanStatus.SOLVED and result.verdict is not None

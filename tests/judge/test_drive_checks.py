@@ -11,7 +11,7 @@ SCENE = hall()
 
 
 def motion(velocity, *, heading=0.0, turning=0.0, duration=2.0, start=(-4.0, 0.0)):
-    """A motion from rest to rest whose greatest speed is 1.5 times this mean velocity."""
+    """Return a motion from rest to rest whose greatest speed is 1.5 times this mean velocity."""
     t = np.linspace(0.0, duration, 101)
     s, ds, dds = 3 * (t / duration) ** 2 - 2 * (t / duration) ** 3, 6 * t * (duration - t) / duration**3, None
     dds = (6 * duration - 12 * t) / duration**3
@@ -69,6 +69,6 @@ def test_paths_roll_or_turn_in_place():
     assert "rolling" in gp.verify(gp.Path(west + np.array([[0, 0, 0], [1, 0, 1]])), SCENE).failures
 
 
-def test_what_moves_in_all_directions_is_not_asked():
+def test_holonomic_bases_are_not_checked():
     free = hall(None)
     assert "rolling" not in gp.verify(motion((0.0, 0.2), start=(-4.0, 0.5)), free).checks

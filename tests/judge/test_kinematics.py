@@ -1,4 +1,4 @@
-"""The judge's kinematics: poses of everything are those of MuJoCo, in every scene and for robots of other makes."""
+"""The judge's kinematics: all poses equal MuJoCo's, in every scene and for robots from other sources."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 
 _TOLERANCE = 1e-9
-"""Of poses [m or of a unit axis]: some hundred roundings, a few metres from the origin."""
+"""Error of poses [m or of a unit axis]: some hundred roundings, a few metres from the origin."""
 SCENES = (*scenes(), *mobile_scenes())
 
 _ODD = """
@@ -91,7 +91,7 @@ def _pose(p: np.ndarray, R: np.ndarray) -> np.ndarray:
 
 
 def _check(scene: Scene, n: int = 5) -> None:
-    """Compare every geom, the tool and the carried object, and the axes of the planned joints, with MuJoCo."""
+    """Compare every geom, the tool, the carried object and the axes of planned joints with MuJoCo."""
     q, known, placement = _random(scene, n), kinematics(scene), Placement(scene)
     geoms, held = (known.poses(q, frames) for frames in (known.geoms, known.held))
     axes = known.joint_axes(np.stack(list(known.links(q))))
@@ -108,12 +108,12 @@ def _check(scene: Scene, n: int = 5) -> None:
         np.testing.assert_allclose(held[:, k], wanted, atol=_TOLERANCE)
         point, axis = axes[:, k, :3, 0], axes[:, k, :3, 1]
         np.testing.assert_allclose(axis, data.xaxis[joints], atol=_TOLERANCE)
-        # Any point of the axis will do.
+        # Any point of the axis is valid.
         np.testing.assert_allclose(np.cross(point - data.xanchor[joints], axis), 0.0, atol=_TOLERANCE)
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_poses_are_those_of_mujoco_with_empty_hands_and_with_what_the_tasks_carry(name: str) -> None:
+def test_poses_equal_those_of_mujoco_with_and_without_objects(name: str) -> None:
     scene = gp.load_scene(name)
     held = {task.object_name: task.scene for task in scene.tasks.values() if task.object_name is not None}
     for one in [scene, *held.values()]:
@@ -144,7 +144,7 @@ def test_blocks_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_levers_are_distances_from_the_axes_to_the_far_side_of_bounding_spheres() -> None:
-    """By the definition, one geom after the other, with MuJoCo's own placement."""
+    """By the definition, geom by geom, with MuJoCo's own placement."""
     scene = _odd("box")
     q, model, placement = _random(scene, 6), scene.model, Placement(scene)
     levers, bound = _levers_near(q, scene), reach(scene)

@@ -1,4 +1,4 @@
-"""How a motion is cut into parts on each of which nothing moves far."""
+"""Division of a motion into parts, on each of which no point moves far."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The judge of poses on the way: motions of which it is known when they pass what, and by how much they miss it."""
+"""The judge of poses on the way: motions with known passing times and errors."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def gantry() -> Scene:
 
 
 def straight_on(end: tuple[float, float, float]) -> Trajectory:
-    """From zero to `end` at an even speed within 1 s."""
+    """Return a motion from zero to `end` at constant speed within 1 s."""
     q = np.array([np.zeros(3), end])
     return Trajectory(np.array([0.0, 1.0]), q, np.repeat(q[1:], 2, axis=0), np.zeros((2, 3)), ("x", "y", "turn"))
 
 
 def out_and_back(gantry: Scene) -> Trajectory:
-    """To x = 1 and back, as fast as the limits allow: 2 s each way, and symmetric in time."""
+    """Return a motion to x = 1 and back, at the limits: 2 s each way, symmetric in time."""
     return retime(Path(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])), gantry.limits, deviation=0.0)
 
 
 @pytest.mark.parametrize("share", [0.0371, 0.25, 0.5003, 0.9999])
 def test_a_configuration_is_passed_when_the_motion_is_nearest(gantry, share):
-    """Also between two samples; the least error is found to rounding and the time to its square root."""
+    """Also between two samples; the least error is exact to rounding, the time to its square root."""
     motion = straight_on((1.0, -0.4, 0.3))
     check, times = passing(motion, [share * motion.q[1]], gantry)
     assert check.passed and check.worst < 1e-3 and check.limit == 1.0
@@ -63,7 +63,7 @@ def test_a_configuration_may_be_off_by_so_much(gantry, off):
     assert check.worst == pytest.approx(off, rel=1e-6) and check.passed == (off < 1.0) and check.limit == 1.0
     assert times == (pytest.approx((0.4,), abs=1e-3) if off < 1.0 else ())
     if not check.passed:
-        # Where it is nearest is as wide as it is off: joints count by the largest error.
+        # The minimum is as wide as the error, since the largest joint error counts.
         assert check.first == pytest.approx(0.4, abs=1.01 * off * NEAR)
         assert "via 0 " in check.detail and f"{off:.3g} times" in check.detail
 
@@ -85,7 +85,7 @@ def test_orientation_counts_by_itself(gantry, off):
     via = gp.PoseGoal.from_tool(np.array([0.3, 0.0, off * 0.02]), gantry, orientation_tolerance=0.02)
     check, times = passing(motion, [via], gantry)
     assert check.worst == pytest.approx(off, rel=1e-6) and check.passed == (off < 1.0)
-    # Anywhere within a millimetre the angle is all that is left.
+    # Within a millimetre only the angle matters.
     assert times == (pytest.approx((0.3,), abs=2e-3) if off < 1.0 else ())
 
 
@@ -95,11 +95,11 @@ def test_order_counts(gantry):
     assert passing(motion, [near, far], gantry)[1] == pytest.approx((0.2, 0.7), abs=1e-6)
     check, times = passing(motion, [far, near], gantry)
     assert not check.passed and "via 1" in check.detail and times == pytest.approx((0.7,), abs=1e-6)
-    # From then on it is nearest where the last one was passed.
+    # After that, the nearest point is where the previous pose was passed.
     assert check.worst == pytest.approx(0.5 / NEAR, rel=1e-3) and check.first == pytest.approx(0.7, abs=1e-3)
 
 
-def test_what_is_passed_twice_is_passed_the_first_time_that_is_left(gantry):
+def test_a_pose_passed_twice_counts_at_its_first_remaining_time(gantry):
     motion, x = out_and_back(gantry), np.array([0.3, 0.0, 0.0])
     (first,) = passing(motion, [x], gantry)[1]
     assert first < 1.0 < motion.duration - first

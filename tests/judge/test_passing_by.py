@@ -1,4 +1,4 @@
-"""The judge of those who walk past, against distances in closed form."""
+"""The judge of moving entities, against distances in closed form."""
 
 import mujoco
 import numpy as np
@@ -33,41 +33,41 @@ def test_the_least_clearance_is_that_of_the_closed_form():
     assert check.worst == pytest.approx(0.8 - 0.25 - (0.1878 + 0.02), abs=2e-3)
 
 
-def test_who_is_driven_into_is_named_with_the_moment():
+def test_hit_entities_are_named_with_the_time():
     check = passing_check(straight(), at([[3.0, 0.0, 0.85]]))
     assert not check.passed and "'ann'" in check.detail
     assert check.first == pytest.approx(3.0 - 0.25 - (0.131 + 0.098), abs=0.05)
 
 
-def test_who_has_left_before_or_comes_later_is_not_met():
+def test_entities_that_left_or_arrive_later_are_not_hit():
     times = [0.0, 1.0, 2.0, 4.0]
     gone = [[2.0, 0.0, 0.85], [2.0, 0.0, 0.85], [2.0, 1.9, 0.85], [2.0, 1.9, 0.85]]
     assert passing_check(straight(), at(gone, times)).passed
     assert not passing_check(straight(), at(gone[::-1], times)).passed
 
 
-def test_a_base_that_stands_drives_into_nobody():
+def test_a_base_at_rest_hits_no_entity():
     still = gp.Trajectory(np.array([0.0, 5.0]), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)), SCENE.joints)
     assert passing_check(still, at([[0.0, -2.0, 0.85], [0.0, 2.0, 0.85]], [0.0, 5.0])).passed
 
 
-def test_who_is_beside_is_met_by_the_corners_of_a_base_that_turns_in_place():
+def test_corners_of_a_turning_base_hit_entities_beside_it():
     t = np.linspace(0.0, 2.0, 41)
     q = np.column_stack([np.zeros((41, 2)), t])
     turning = gp.Trajectory(t, q, np.tile([0.0, 0.0, 1.0], (41, 1)), np.zeros((41, 3)), SCENE.joints)
-    beside = at([[0.0, 0.49, 0.85]])  # 3 cm from the wheels of a base that stands as it begins
+    beside = at([[0.0, 0.49, 0.85]])  # 3 cm from the wheels of a base at rest
     assert not passing_check(turning, beside).passed
     assert passing_check(turning, at([[0.0, 0.7, 0.85]])).passed
 
 
-def test_verdicts_have_it_for_bases_among_those_who_move_alone():
+def test_only_verdicts_of_bases_among_moving_entities_have_the_check():
     trajectory = straight()
     assert "passing_by" not in gp.verify(trajectory, SCENE).checks
     assert "passing_by" in gp.verify(trajectory, at([[2.0, 0.8, 0.85]])).checks
 
 
 def dense_passing(motion, scene):
-    """Measure every geom at every moment: least clearance [m], at most 1, to whom; first time of an overlap [s]."""
+    """Measure every geom at every time: least clearance [m], at most 1, its entity, and first time of overlap [s]."""
     t = passing_by._times(motion, scene)
     state = motion.at(t)
     model = passing_by._with_walkers(scene)
@@ -90,7 +90,7 @@ def dense_passing(motion, scene):
 
 
 def random_drive(seed, length=4.0):
-    """An arm's base on a winding way, with all joints moving."""
+    """Return a motion of an arm's base along a winding path, with all joints moving."""
     scene = gp.load_scene("hallway").without_moving()
     rng, t, nq = np.random.default_rng(seed), np.linspace(0.0, 6.0, 121), len(scene.joints)
     middle, half = scene.limits.position.mean(axis=1), np.minimum(0.5 * np.ptp(scene.limits.position, axis=1), 1.0)
@@ -104,7 +104,7 @@ def random_drive(seed, length=4.0):
 @pytest.mark.parametrize("seed", first_quick(range(4)))
 @pytest.mark.parametrize("gap", [0.0, 0.35, 0.5, 0.7, 1.5])
 def test_bounds_change_nothing(seed, gap):
-    """As with every geom at every moment: through somebody, grazing, near, far."""
+    """Compared with every geom at every time: through a person, grazing, near, far."""
     scene, motion = random_drive(seed)
     rng = np.random.default_rng(seed)
     on_the_way = motion.q[60, :2] + gap * np.array([np.cos(seed), np.sin(seed)])
@@ -119,12 +119,12 @@ def test_bounds_change_nothing(seed, gap):
     worst, whom, first = dense_passing(motion, scene)
     assert check.worst == pytest.approx(worst, abs=1e-5)
     assert check.passed == (worst >= 0.0)
-    if 0.0 <= worst < 1.0:  # two that it is deep in may be as deep as each other
+    if 0.0 <= worst < 1.0:  # in deep overlaps two entities may be equally deep
         assert repr(whom) in check.detail
     assert check.first == (None if first == np.inf else pytest.approx(first))
 
 
 @pytest.mark.parametrize(("grazes", "passed"), [(-2e-4, False), (2e-4, True)])
-def test_who_is_grazed_is_told_from_who_is_not(grazes, passed):
+def test_grazing_and_near_misses_are_distinguished(grazes, passed):
     beside = 0.25 + 0.1878 + 0.02 + grazes
     assert passing_check(straight(), at([[2.0, beside, 0.85]])).passed == passed

@@ -1,4 +1,4 @@
-"""The judge's pendulum: a slow twin in Python, the closed form of small swings, order of convergence, refusals."""
+"""The judge's pendulum: a slow Python twin, the closed form of small swings, order of convergence, refusals."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ G = 9.81
 
 
 def _felt(n: int, dt: float) -> Array:
-    """Shaken in all directions, by up to as much as it weighs."""
+    """Random specific forces in all directions, with accelerations up to gravity."""
     t = dt * np.arange(n)
     turns = np.array([7.0, 11.0, 5.0])
     return np.sin(turns * t[:, None] + [0.0, 1.0, 2.0]) * [4.0, 9.0, 6.0] + [0.0, 0.0, G]
 
 
 def _twin(felt: Array, dt: float, length: float, drag: float) -> Array:
-    """A bob on a stiff rod by a general solver, between samples that are joined linearly."""
+    """Integrate a bob on a stiff rod by a general solver, between linearly interpolated samples."""
 
     def slope(t: float, state: Array) -> Array:
         at = np.array([np.interp(t, dt * np.arange(len(felt)), column) for column in felt.T])
@@ -30,14 +30,14 @@ def _twin(felt: Array, dt: float, length: float, drag: float) -> Array:
 
     begin = np.concatenate([-felt[0] / np.linalg.norm(felt[0]), np.zeros(3)])
     normals, state = [-begin[:3]], begin
-    for k in range(len(felt) - 1):  # no step across a kink of what is felt
+    for k in range(len(felt) - 1):  # no step across a kink of the specific force
         state = solve_ivp(slope, (k * dt, (k + 1) * dt), state, rtol=1e-10, atol=1e-12).y[:, -1]
         normals.append(-state[:3] / np.linalg.norm(state[:3]))
     return np.array(normals)
 
 
 @pytest.mark.parametrize(("length", "drag"), [(0.02, 0.4), (0.05, 0.0), (0.006, 2.0)])
-def test_it_swings_as_its_twin_in_python(length: float, drag: float) -> None:
+def test_the_pendulum_equals_its_python_twin(length: float, drag: float) -> None:
     felt = _felt(60, 0.004)
     found = _pendulum.swung(felt, dt=0.004, length=length, drag=drag)
     np.testing.assert_allclose(found, _twin(felt, 0.004, length, drag), atol=3e-5)
@@ -46,21 +46,21 @@ def test_it_swings_as_its_twin_in_python(length: float, drag: float) -> None:
 
 
 def test_small_swings_have_the_frequency_and_the_decay_of_a_damped_oscillator() -> None:
-    """Tilted by a push that ends: x = a e^(-c t / 2) (cos w t + c / (2 w) sin w t), w^2 = g / l - c^2 / 4."""
+    """A push tilts it and ends: x = a e^(-c t / 2) (cos w t + c / (2 w) sin w t), w^2 = g / l - c^2 / 4."""
     length, drag, dt, a, n = 0.03, 1.5, 0.002, 1e-3, 1500
     felt = np.tile([0.0, 0.0, G], (n, 1))
     felt[0] = [G * a, 0.0, G]
     t = dt * np.arange(n)
     w = np.sqrt(G / length - drag**2 / 4.0)
     found = _pendulum.swung(felt, dt=dt, length=length, drag=drag)
-    # The push fades linearly within the first interval: about as if it had ended in the middle of it.
+    # The push fades linearly within the first interval, about as if it ended in its middle.
     t = np.maximum(t - 0.5 * dt, 0.0)
     wanted = a * np.exp(-0.5 * drag * t) * (np.cos(w * t) + 0.5 * drag / w * np.sin(w * t))
     np.testing.assert_allclose(found[:, 0], wanted, atol=2e-3 * a)
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-12)
 
 
-def test_without_drag_a_great_swing_keeps_its_energy() -> None:
+def test_without_drag_a_large_swing_keeps_its_energy() -> None:
     felt = np.tile([0.0, 0.0, G], (4000, 1))
     felt[0] = [G, 0.0, 0.01]
     up = _pendulum.swung(felt, dt=0.002, length=0.02, drag=0.0)[:, 2]
@@ -69,7 +69,7 @@ def test_without_drag_a_great_swing_keeps_its_energy() -> None:
 
 
 def test_half_the_step_leaves_a_sixteenth_of_the_error() -> None:
-    """Felt at even times of 1/400 s is one step each; the same lines at 1/800 s and finer are more of them."""
+    """Samples every 1/400 s are one step each; the same lines sampled at 1/800 s and finer take more steps."""
     coarse = _felt(80, 0.0025)
 
     def at(parts: int) -> Array:

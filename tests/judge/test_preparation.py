@@ -1,4 +1,4 @@
-"""Masks of collision leave every pair to test that may not touch."""
+"""Collision masks keep every pair that must not touch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def _tested(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return filters.checked, meets | meets.T
 
 
-def test_masks_test_what_may_not_touch_and_little_else(scene: Scene) -> None:
+def test_masks_keep_forbidden_pairs_and_few_others(scene: Scene) -> None:
     checked, tested = _tested(scene)
     assert tested[checked].all()
     assert not tested[~checked].any()

@@ -1,4 +1,4 @@
-"""Checks of rules beside slow twins: distances of every pair of geoms, loads by cross products, what is no number."""
+"""Checks of rules against slow twins: distances of every pair of geoms, loads by cross products, NaN."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = np.ndarray
 
 
 def _motion(task: gp.Task, seed: int = 0) -> gp.Trajectory:
-    """From the start to somewhere near, and back."""
+    """Return a motion from the start to a nearby configuration, and back."""
     away = np.asarray(task.start) + np.random.default_rng(seed).uniform(-0.4, 0.4, len(task.scene.joints))
     path = Path(np.stack([task.start, away, task.start]))
     return retime(path, task.scene.limits, joints=task.scene.joints)
@@ -60,7 +60,7 @@ def test_samples_are_two_a_piece_within_bounds(task: gp.Task) -> None:
 
 
 def _felt(motion: gp.Trajectory, scene: Scene, frames: FrameMotion, point: Array) -> Array:
-    """What is felt at a point of the carried object, in its frame: second differences of MuJoCo's placement."""
+    """Return the specific force at a point of the carried object, in its frame, by differences of placements."""
     assert scene.carried is not None
     placement, body, p, R = Placement(scene), scene.model.body(scene.carried.body).id, [], []
     for q in motion.at(frames.at).q:
@@ -73,7 +73,7 @@ def _felt(motion: gp.Trajectory, scene: Scene, frames: FrameMotion, point: Array
 
 
 @pytest.mark.parametrize("half", [[0.03, 0.01, 0.02], [0.03, 0.05, 0.001], [0.03, 1e-4, 1e-4]])
-def test_loads_on_pads_are_those_of_a_slow_twin(half: list[float]) -> None:
+def test_loads_on_pads_equal_those_of_a_slow_twin(half: list[float]) -> None:
     task = gp.load_scene("desk").tasks["bring_coffee"]
     motion = _motion(task)
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
@@ -104,7 +104,7 @@ def test_loads_on_pads_are_those_of_a_slow_twin(half: list[float]) -> None:
     assert check.worst == pytest.approx(max(loads), rel=1e-5)
 
 
-def test_what_stands_on_a_tray_feels_what_a_slow_twin_says() -> None:
+def test_specific_forces_on_a_tray_equal_those_of_a_slow_twin() -> None:
     task = gp.load_scene("desk").tasks["bring_coffee"]
     motion, point = _motion(task, 1), (0.02, -0.01, 0.06)
     frames = FrameMotion.along(motion, task.scene)
@@ -114,7 +114,7 @@ def test_what_stands_on_a_tray_feels_what_a_slow_twin_says() -> None:
     assert check.worst == pytest.approx((np.hypot(felt[:, 0], felt[:, 1]) / felt[:, 2]).max(), rel=1e-5)
 
 
-def test_what_is_no_number_is_a_violation(task: gp.Task) -> None:
+def test_nan_is_a_violation(task: gp.Task) -> None:
     def residual(q: Array) -> Array:
         return np.where(np.arange(len(q)) == 3, np.nan, -1.0)
 

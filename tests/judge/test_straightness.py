@@ -1,4 +1,4 @@
-"""The judge of straight motions: exact on motions whose deviation is known, silent on none."""
+"""The judge of straight motions: exact on motions with known deviation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The judge: finds what is wrong and where, accepts what is right, agrees with python-fcl and with itself."""
+"""The judge: finds violations and their places, accepts valid motions, agrees with python-fcl and with itself."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_good_trajectory_passes(scene: Scene) -> None:
 
 
 def test_sampled_evenly_cubics_blur_jumps_of_the_acceleration(scene: Scene) -> None:
-    """Through full acceleration and then full braking, the cubic of one piece brakes with up to 5/3 of it."""
+    """From full acceleration to full braking, the cubic of one piece brakes with up to 5/3 of it."""
     verdict = verify(_timed(_path((0.5, 0.0), (0.8, -0.3), (1.0, 0.0)), scene).sample(0.01), scene)
     assert verdict.failures == ("acceleration_limits",)
     assert 1.0 < verdict.checks["acceleration_limits"].worst <= 5.0 / 3.0 + 1e-6
@@ -110,7 +110,7 @@ def test_sampled_evenly_cubics_blur_jumps_of_the_acceleration(scene: Scene) -> N
 
 @pytest.mark.parametrize("share", [0.95, 1.49])
 def test_cubics_are_judged_by_their_own_extremes(scene: Scene, share: float) -> None:
-    """Rest to rest in one cubic: neither its samples nor its means say how fast it is, or how it accelerates."""
+    """One cubic from rest to rest: neither its samples nor means show its greatest speed and acceleration."""
     limit = float(scene.limits.acceleration[0])
     duration, far = 0.2, 0.2**2 * share * limit / 6.0
     q = np.array([[0.5, 0.0], [0.5 + far, 0.0]])
@@ -122,7 +122,7 @@ def test_cubics_are_judged_by_their_own_extremes(scene: Scene, share: float) -> 
 
 
 def test_a_motion_too_long_to_be_looked_at_does_not_pass(scene: Scene) -> None:
-    """Neither one that goes far beyond all limits, nor one of a year at rest, nor one of a million rows."""
+    """Far beyond all limits, a year at rest, or a million rows."""
     q = np.zeros((2, 2)) + [0.5, 0.0]
     far = verify(Path(q + [[0.0, 0.0], [1e7, 0.0]]), scene)
     assert far.failures == ("collision", "position_limits") and "not checked" in far.checks["collision"].detail
@@ -142,7 +142,7 @@ def test_a_collision_is_found_where_it_is(scene: Scene) -> None:
         assert found.contact.second == "vase" and "vase" in check.detail
         assert state_contacts(found.q, scene)[0].second == "vase"
         assert -0.2 < check.worst < 0.0
-        # The carried box is the first to come near, at 90 degrees less the angle of its corner and the sphere.
+        # The carried box comes near first, at 90 degrees minus the angle of its corner and the sphere.
         assert 1.2 < found.q[0] < 1.57
 
 
@@ -155,8 +155,8 @@ def test_collision_distance_is_that_of_mujoco(scene: Scene) -> None:
     assert state_contacts(q, scene)[0].depth == pytest.approx(depth, rel=1e-9)
 
 
-def test_the_judge_sees_what_mujoco_sees() -> None:
-    """With its masks changed it finds the same contacts as the scene's own model, in a scene with many geoms."""
+def test_the_judge_finds_the_contacts_of_mujoco() -> None:
+    """With changed masks it finds the same contacts as the scene's own model, in a scene with many geoms."""
     scene = load_scene("tabletop").tasks["lift_to_goal"].scene
     pairs = {tuple(sorted(pair)) for pair in scene.collision_pairs().tolist()}
     rng = np.random.default_rng(0)
@@ -246,7 +246,7 @@ def test_reach_of_a_known_arm(empty_handed: Scene, scene: Scene) -> None:
     assert reach(scene)[1] == pytest.approx(0.36 + 0.04 * np.sqrt(3.0))
 
 
-def test_placement_is_where_the_scene_says(scene: Scene) -> None:
+def test_placement_equals_the_scene(scene: Scene) -> None:
     placement = Placement(scene)
     for q in np.random.default_rng(0).uniform(*scene.limits.position.T, size=(5, 2)):
         data, expected = placement.place(q), scene.data_at(q)
@@ -337,7 +337,7 @@ def test_a_wrong_cost_is_found(scene: Scene, change: dict) -> None:
 
 
 def test_no_verdict_speaks_of_a_cost_that_was_not_recomputed() -> None:
-    """The judge has a second implementation of Algorithm 1 only, so only that cost may pass for verified."""
+    """The judge has an independent implementation of Algorithm 1 only, so only that cost is verified."""
     task = load_scene("tabletop_l1").tasks["green_to_blue"]
     quick: dict = {"iterations": 30, "seed": 1}
     checks = plan(task.start, task.goal, task.scene, w=1.0, **quick).verdict.checks
@@ -394,7 +394,7 @@ def test_exposures(scene: Scene) -> None:
     path = _path((0.0, -0.7), (0.0, -0.6))
     length = reference_cost(path, scene, exposure="length")
     time = reference_cost(path, scene, exposure="time")
-    # One joint at its limit of 2 rad/s: half a second a radian.
+    # One joint at its limit of 2 rad/s: half a second per radian.
     assert length.impact > 0.0
     assert time.impact == pytest.approx(0.5 * length.impact)
     ends = [reference_cost(Path(path.q[i : i + 1]), scene, exposure="waypoints").impact for i in (0, 1)]
@@ -430,8 +430,8 @@ def test_torque_limits_are_kept(scene: Scene) -> None:
     assert (np.abs(torques) / scene.limits.torque).max() <= 1.0 + 1e-6
 
 
-def test_short_pieces_are_not_blamed_for_what_rounding_makes_of_their_positions(scene: Scene) -> None:
-    """In steps of a tenth of a microsecond, the last digit of a position is a quarter of an acceleration limit."""
+def test_short_pieces_are_not_refused_for_rounded_positions(scene: Scene) -> None:
+    """In steps of 0.1 us, the last digit of a position is a quarter of the acceleration limit."""
     limit = 0.999 * scene.limits.acceleration
     t = 1e-7 * np.arange(50)
     q = 0.9 + 0.5 * limit * t[:, None] ** 2
@@ -441,8 +441,8 @@ def test_short_pieces_are_not_blamed_for_what_rounding_makes_of_their_positions(
     assert verify(motion, scene).checks["acceleration_limits"].passed
 
 
-def test_what_may_touch_at_the_ends_may_graze_on_the_way(scene: Scene) -> None:
-    """By less than a micrometre, which is what rounding makes of an object that slides along its support."""
+def test_contacts_allowed_at_the_ends_may_graze_on_the_way(scene: Scene) -> None:
+    """By less than a micrometre, the rounding error of an object that slides along its support."""
     judge = Judge(scene)
     first, second = (int(geom) for geom in np.argwhere(judge._ends)[0])
     for depth, at_end, wrong in ((5e-7, False, False), (5e-6, False, True), (5e-6, True, False), (0.1, True, True)):

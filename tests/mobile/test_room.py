@@ -41,7 +41,7 @@ failbench.validate(results[0], task.scene, "power/*/severe", n=4, horizon=0.1)
 
 
 def run(code: str) -> None:
-    """Run a program in a fresh process."""
+    """Run a program in a new process."""
     code = f"import graceful_plan as gp\n{code}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

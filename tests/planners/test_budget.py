@@ -1,4 +1,4 @@
-"""The laws of a budget and of its parts."""
+"""Laws of a budget and of its parts."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ def test_all_is_granted_by_default() -> None:
         (Budget(), False),
     ],
 )
-def test_time_says_when_there_was_enough_only_without_iterations(budget: Budget, timed: bool) -> None:
+def test_enough_time_is_decided_by_time_only_without_iterations(budget: Budget, timed: bool) -> None:
     assert budget.timed is timed
     with budget.share(seconds=0.5) as part:
         assert part.timed is (budget.iterations is None)
 
 
-def test_what_was_spent_counts_after_an_exception() -> None:
+def test_iterations_count_after_an_exception() -> None:
     budget = Budget(time_limit=1e6, iterations=10)
     with pytest.raises(ValueError, match="midway"), budget.share(seconds=1.0, iterations=5) as part:
         assert part.spend(3)
@@ -80,7 +80,7 @@ def test_parts_of_parts_add_up() -> None:
     assert (part.spent, budget.spent) == (4, 4)
 
 
-def test_whoever_cancels_the_whole_cancels_its_parts() -> None:
+def test_cancelling_a_budget_cancels_its_parts() -> None:
     cancelled = False
     budget = Budget(cancelled=lambda: cancelled)
     with budget.share(iterations=5) as part:

@@ -1,4 +1,4 @@
-"""Descents of whole motions: splines, speed profiles and gradients against independent ones, and what they gain."""
+"""Descents of whole motions: splines, speed profiles and gradients against references, and improvements."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def bound(task: gp.Task, w: float = 1.0, impact: gp.ImpactCost = MODELS["mixture
 
 
 def bent(task: gp.Task, size: float = 0.3, seed: int = 0) -> Path:
-    """A path that is not straight, from the task's start to its goal."""
+    """A curved path from the task's start to its goal."""
     rng = np.random.default_rng(seed)
     start, goal = np.asarray(task.start), np.atleast_2d(task.goal)[0]
     s = np.linspace(0.0, 1.0, 9)[:, None]
@@ -66,7 +66,7 @@ def descent(objective: SceneObjective, path: Path, **settings: float) -> _native
     )
 
 
-def test_splines_are_those_of_scipy() -> None:
+def test_splines_equal_those_of_scipy() -> None:
     from scipy.interpolate import BSpline
 
     rng = np.random.default_rng(3)
@@ -89,8 +89,8 @@ def test_a_spline_begins_and_ends_at_its_control_points() -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("w", [0.0, 1.0])
-def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float) -> None:
-    """All of it: length, impact, times through the speed profile, clearance. Kinks are rare enough to be left out."""
+def test_gradients_equal_differences(task: gp.Task, model: str, w: float) -> None:
+    """All terms: length, impact, times by the speed profile, clearance. Kinks are too rare to matter."""
     if model == "box_overlap" and w > 0.0:
         pytest.skip("Algorithm 1 has jumps")
     objective = bound(task, w, MODELS[model])
@@ -108,13 +108,13 @@ def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float)
     assert cosine > 0.999
 
 
-def test_what_a_descent_knows_is_what_the_trajectory_costs(task: gp.Task) -> None:
+def test_the_cost_in_a_descent_is_that_of_the_trajectory(task: gp.Task) -> None:
     objective = bound(task)
     one = descent(objective, bent(task, 0.0), controls=16)
     one.run(100, np.inf)
     trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints)
     cost = gp.evaluate(trajectory, task.scene, Objective(w=1.0))
-    if objective.kernels.free(trajectory.sample(0.01).q).all():  # nothing is charged for being too close
+    if objective.kernels.free(trajectory.sample(0.01).q).all():  # no penalty for low clearance
         assert one.value == pytest.approx(cost.total + TIME_PRICE * trajectory.duration, rel=0.03)
     assert one.duration == pytest.approx(trajectory.duration, rel=0.03)
 
@@ -139,7 +139,7 @@ def test_without_weight_a_bent_path_becomes_straight() -> None:
 
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), speed=st.floats(0.1, 1.0))
-def test_edges_that_count_by_time_count_as_in_numpy(seed: int, speed: float) -> None:
+def test_edges_weighted_by_time_equal_numpy(seed: int, speed: float) -> None:
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     objective = Objective().bind(task.scene, search_paces(speed))
     rng = np.random.default_rng(seed)
@@ -150,7 +150,7 @@ def test_edges_that_count_by_time_count_as_in_numpy(seed: int, speed: float) -> 
     np.testing.assert_allclose(objective.edges(q0, q1), generic.edges(q0, q1), rtol=0.02, atol=1e-6)
 
 
-def test_gradients_of_edges_that_count_by_time() -> None:
+def test_gradients_of_edges_weighted_by_time() -> None:
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     objective = bound(task)
     rng = np.random.default_rng(5)
@@ -167,7 +167,7 @@ def test_gradients_of_edges_that_count_by_time() -> None:
 
 
 @pytest.mark.long
-def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(task: gp.Task) -> None:
+def test_rounds_of_descents_yield_free_curves_of_the_requested_stage(task: gp.Task) -> None:
     objective = bound(task)
     result = gp.plan(task.start, task.goal, task.scene, iterations=300)
     assert result.path is not None
@@ -177,7 +177,7 @@ def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(ta
 
     def is_free(curve: Spline, start: Start) -> bool:
         asked.append(curve)
-        return len(asked) % 2 == 0  # the first answer makes the descent press harder
+        return len(asked) % 2 == 0  # after a refusal the descent raises its clearance penalty
 
     limits = task.scene.limits
     descents = MotionDescents(native_space(problem, objective), limits.velocity, limits.acceleration, is_free)
@@ -205,8 +205,8 @@ def test_rounds_of_descents_yield_free_curves_of_the_stage_that_was_asked_for(ta
     assert not list(descend_from([Start(path)], descents, Budget(time_limit=0.0), rng))
 
 
-def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> None:
-    """One joint from rest to rest over a length: 2 sqrt(length / a), or with a plateau at the velocity limit."""
+def test_unrestrained_speed_profiles_are_bang_bang() -> None:
+    """One joint over a length, from rest to rest: 2 sqrt(length / a), or a plateau at the velocity limit."""
     n, length = 400, 2.0
     step = np.full(n, length / n)
     slope, bend = np.ones((n, 2, 1)), np.zeros((n, 2, 1))
@@ -225,7 +225,7 @@ def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> No
 def test_speed_profiles_keep_their_limits_at_both_ends_of_every_interval(
     roughness: float, slopes: tuple[float, float]
 ) -> None:
-    """On curves so rough that a step of them overturns the speed, by which none goes below rest."""
+    """On curves so rough that one step would overshoot the speed, no squared speed is negative."""
     n, dim, velocity = 40, 2, np.full(2, 3.0)
     stop = np.zeros(n + 1, dtype=bool)
     stop[[0, -1]] = True
@@ -235,7 +235,7 @@ def test_speed_profiles_keep_their_limits_at_both_ends_of_every_interval(
         slope = np.sign(rng.normal(size=dim)) * rng.uniform(*slopes, (n, 2, dim))
         bend, acceleration = roughness * rng.normal(size=(n, 2, dim)), rng.uniform(1.0, 5.0, dim)
         limits = {"velocity": velocity, "acceleration": acceleration}
-        q = np.zeros((n + 1, dim))  # says nothing of speeds
+        q = np.zeros((n + 1, dim))  # speeds do not depend on q
         x = _native.fastest(step=step, q=q, slope=slope, bend=bend, stop=stop, **limits).speeds ** 2
         assert (x >= 0.0).all() and x.max() > 0.0
         u = np.diff(x) / (2.0 * step)

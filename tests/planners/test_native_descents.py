@@ -1,4 +1,4 @@
-"""Descents of single paths: what they return is free and cheaper, and they say when there are none."""
+"""Descents of single paths return free and cheaper paths, and report when there are none."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def task(request: pytest.FixtureRequest) -> gp.Task:
 
 @pytest.fixture(scope="module")
 def path(task: gp.Task) -> Path:
-    """A free path between configurations that are clear of what the object stands on."""
+    """A free path between configurations that are clear of the surface below the object."""
     found = gp.plan(task.start, task.goal, task.scene, w=0.0, planner="rrt_connect", iterations=500).unwrap().path
     q = found.resampled(0.05).q
     clear = np.flatnonzero(compile_scene(task.scene).kernels.free(q, 0.005))
@@ -49,7 +49,7 @@ def test_paths_become_cheaper_and_stay_free(task: gp.Task, path: Path, exposure:
     assert questions.path_cost(lower) < path_total(questions.objective, path)
 
 
-def test_a_path_that_will_not_win_is_given_up(task: gp.Task, path: Path) -> None:
+def test_a_hopeless_path_is_discarded(task: gp.Task, path: Path) -> None:
     descents = NativeDescents.of(_questions(task, path, Objective(w=1.0)))
     assert descents is not None
     assert descents.lowered(path, 1e-3) is None

@@ -1,4 +1,4 @@
-"""Costs of one's own in searches and descents: as the core sees them, when it asks, and what motions gain."""
+"""Custom costs in searches and descents: agreement with the core, batched calls, and better motions."""
 
 from __future__ import annotations
 
@@ -60,9 +60,7 @@ def descent(task: gp.Task, objective: SceneObjective, **settings: float) -> _nat
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), Crosswise()], ids=repr)
 @pytest.mark.parametrize("impact", [Bowl(), Bowl(told=False), Haste()], ids=repr)
-def test_gradients_of_motions_are_those_of_differences(
-    task: gp.Task, impact: gp.Cost, motion: gp.Cost, exposure: str
-) -> None:
+def test_gradients_of_motions_equal_differences(task: gp.Task, impact: gp.Cost, motion: gp.Cost, exposure: str) -> None:
     one = descent(task, bound(task, Objective(motion=motion, impact=impact, w=W[exposure], exposure=exposure)))
     x = one.controls[1:-1].ravel()
     gradient = one.energy(x)[1].ravel()
@@ -75,7 +73,7 @@ def test_gradients_of_motions_are_those_of_differences(
 
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), Crosswise()], ids=repr)
-def test_what_a_descent_knows_is_what_evaluate_says(task: gp.Task, motion: gp.Cost, exposure: str) -> None:
+def test_the_cost_in_a_descent_equals_evaluate(task: gp.Task, motion: gp.Cost, exposure: str) -> None:
     objective = Objective(motion=motion, impact=Height(), w=4.0 * W[exposure], exposure=exposure)
     one = descent(task, bound(task, objective), controls=16, density=8)
     one.run(60, np.inf)
@@ -87,7 +85,7 @@ def test_what_a_descent_knows_is_what_evaluate_says(task: gp.Task, motion: gp.Co
 
 @dataclass(frozen=True, eq=False)
 class Asked(gp.Cost):
-    """Counts how often it is asked, and for how many states."""
+    """Records the batch size of each evaluation."""
 
     sizes: list[int] = field(default_factory=list)
 
@@ -106,7 +104,7 @@ def test_collisions_are_found_without_asking_the_cost() -> None:
     assert paths and not cost.sizes
 
 
-def test_without_weight_no_planner_of_the_core_asks_the_cost(task: gp.Task) -> None:
+def test_without_weight_no_planner_of_the_core_evaluates_the_cost(task: gp.Task) -> None:
     cost = Asked()
     objective = bound(task, Objective(impact=cost, w=0.0))
     problem = problem_of(task, objective)
@@ -115,7 +113,7 @@ def test_without_weight_no_planner_of_the_core_asks_the_cost(task: gp.Task) -> N
     assert not cost.sizes
 
 
-def test_whole_paths_are_asked_for_at_once(task: gp.Task) -> None:
+def test_whole_paths_are_evaluated_in_one_batch(task: gp.Task) -> None:
     cost = Asked()
     objective = bound(task, Objective(impact=cost, w=1.0))
     q = np.linspace(np.asarray(task.start), np.atleast_2d(task.goal)[0], 30)
@@ -133,7 +131,7 @@ def test_plans_descend_along_own_costs(task: gp.Task, exposure: str) -> None:
     plain = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=100)
     own = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=100)
     assert own.status is gp.PlanStatus.SOLVED
-    assert "estimated_total" in own.stats or exposure == "waypoints"  # polylines may have fewer
+    assert "estimated_total" in own.stats or exposure == "waypoints"  # polylines lack this estimate
     assert own.cost.total < 0.97 * gp.evaluate(plain.trajectory, task.scene, objective).total
     again = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=100)
     np.testing.assert_array_equal(own.trajectory.q, again.trajectory.q)
@@ -142,7 +140,7 @@ def test_plans_descend_along_own_costs(task: gp.Task, exposure: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Leaning(gp.Cost):
-    """Counts how often its gradient is asked for, and of how many states."""
+    """Records the batch size of each gradient evaluation."""
 
     sizes: list[int] = field(default_factory=list)
 
@@ -155,7 +153,7 @@ class Leaning(gp.Cost):
 
 
 @pytest.mark.parametrize("planner", ["chomp", "casadi", "auto"])
-def test_planners_ask_for_gradients_in_batches(task: gp.Task, planner: str) -> None:
+def test_planners_evaluate_gradients_in_batches(task: gp.Task, planner: str) -> None:
     pytest.importorskip("casadi") if planner == "casadi" else None
     cost = Leaning()
     objective = bound(task, Objective(impact=cost, w=1.0))
@@ -164,7 +162,7 @@ def test_planners_ask_for_gradients_in_batches(task: gp.Task, planner: str) -> N
     assert len(cost.sizes) > 5 and np.median(cost.sizes) > 10
 
 
-def test_transcription_asks_for_gradients(task: gp.Task) -> None:
+def test_transcription_uses_custom_gradients(task: gp.Task) -> None:
     told, untold = (ImpactCharge(cost, task.scene, 2.0) for cost in (Bowl(), Bowl(told=False)))
     q = np.random.default_rng(0).normal(size=(5, 7))
     np.testing.assert_allclose(told.slope(q, q), 2.0 * np.concatenate([q - 0.3, 0.0 * q], axis=1))

@@ -1,4 +1,4 @@
-"""Every planner of the registry: the contract, known optima, and the laws of what they share."""
+"""Every planner of the registry: the contract, known optima, and shared laws."""
 
 from __future__ import annotations
 
@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import (
-    DensityObjective,
-    FunctionProblem,
-    analytic_problems,
-    disc,
-    free_space,
-    two_media,
-)
+from graceful_plan.compare.problems.analytic import analytic_problems, disc, free_space, two_media
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners import PLANNERS, PRM, RRT, BITStar, InformedRRTStar, PRMStar, RRTConnect, RRTStar
@@ -33,13 +27,13 @@ _ITERATIONS = {
     "auto": 150, "anytime": 150, "chomp": 200, "stomp": 150, "casadi": 40, "prm": 120, "prm_star": 150, "rrt_star": 150,
     "informed_rrt_star": 150,
 }  # fmt: skip
-"""Iterations that are ample in the plane; what one is differs from planner to planner."""
+"""Iterations that are ample in the plane; an iteration differs from planner to planner."""
 
 _HASTY = {"bit_star": {"samples_per_batch": 40}}
-"""Settings that make do with few iterations."""
+"""Settings for few iterations."""
 
 _TOLERANCE = 1.05
-"""J / J* allowed at the moderate budgets of these tests; the benchmark grants more time and asks for 1.02."""
+"""J / J* allowed at the moderate budgets of these tests; the benchmark has more time and requires 1.02."""
 
 
 def _last(planner: Planner, problem: Problem, objective, iterations: int, seed: int = 0) -> float:
@@ -54,7 +48,7 @@ def test_registry_holds_every_planner_under_its_name() -> None:
 
 @pytest.mark.parametrize("name", _NAMES)
 def test_contract(name: str) -> None:
-    """A wide overrun: the machine that runs the tests may be busy, and type checks slow every call."""
+    """The overrun is large because the test machine may be busy, and type checks slow every call."""
     planner = PLANNERS[name](**_HASTY.get(name, {}))
     check_planner(planner, PlannerTrial(iterations=_ITERATIONS.get(name, 500), time_limit=0.02, overrun=10.0))
 
@@ -72,7 +66,7 @@ def test_optimal_planners_come_close_to_the_optimum(planner: Planner, iterations
 
 
 @pytest.mark.parametrize("name", ["prm", "trrt", "bitrrt", "rrt"])
-def test_feasible_planners_shortcut_what_they_find(name: str) -> None:
+def test_feasible_planners_shortcut_their_paths(name: str) -> None:
     instance = disc()
     assert _last(PLANNERS[name](), instance.problem, instance.objective, 800) <= _TOLERANCE * instance.optimum
     raw = PLANNERS[name](shortcut=False)  # pyright: ignore[reportCallIssue]
@@ -84,7 +78,7 @@ def test_feasible_planners_shortcut_what_they_find(name: str) -> None:
     "planner", [PRMStar(), BITStar(), RRTStar(), InformedRRTStar()], ids=lambda planner: planner.name
 )
 def test_a_free_straight_line_is_recognised_as_optimal(planner: Planner) -> None:
-    """With w = 0 nothing can be better, so the planner stops long before its budget ends."""
+    """With w = 0 the straight line is optimal, so the planner stops long before its budget ends."""
     instance = free_space()
     budget = Budget(iterations=50_000)
     *_, path = planner.solve(
@@ -96,7 +90,7 @@ def test_a_free_straight_line_is_recognised_as_optimal(planner: Planner) -> None
 
 @pytest.mark.parametrize("backwards", [False, True])
 def test_trees_leave_a_narrow_slot(backwards: bool) -> None:
-    """Either end may sit in a slot a fiftieth as wide as it is deep; both trees get their turns."""
+    """Either end may sit in a slot that is 50 times deeper than wide; the search extends both trees."""
     ends = np.array([[0.0, 0.0], [2.0, 1.5]])
     start, goal = ends[::-1] if backwards else ends
     problem = FunctionProblem(
@@ -115,7 +109,7 @@ def test_trees_leave_a_narrow_slot(backwards: bool) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_near_trees_keep_limits_and_seeds(seed: int) -> None:
-    """Both ends sit in corners, so that much of what is drawn around them would lie outside."""
+    """Both ends sit in corners, so many samples around them would be outside the limits."""
     problem = FunctionProblem(
         start=np.array([-1.0, -2.0]),
         goals=np.array([[3.0, 2.0]]),
@@ -177,7 +171,7 @@ def test_lazy_query_equals_a_search_of_the_checked_graph(seed: int, symmetric: b
             a, b = roadmap.q[i : i + 1], roadmap.q[j : j + 1]
             if problem.edges_free(a, b)[0]:
                 distance[i, j] = distance[j, i] = roadmap.questions.edge_costs(a, b)[0]
-    for k in range(n):  # Floyd and Warshall
+    for k in range(n):  # Floyd and Warshall's algorithm
         distance = np.minimum(distance, distance[:, k : k + 1] + distance[k : k + 1, :])
     expected = distance[0, 1 : 1 + roadmap.goal_count].min()
     assert (np.inf if found is None else found[0]) == pytest.approx(expected)
@@ -193,7 +187,7 @@ def test_nodes_are_joined_to_their_nearest_among_the_earlier() -> None:
 
 
 class _Motion:
-    """V = weighted length, with a cost for going up."""
+    """V = weighted length, plus a cost of going up."""
 
     w = 1.0
 
@@ -218,7 +212,7 @@ class _Motion:
         (_Motion((0.0, 0.0)), 0.0, True),
     ],
 )
-def test_what_is_learned_about_an_objective(objective: _Motion, bound: float, symmetric: bool) -> None:
+def test_bounds_on_an_objective_are_learned(objective: _Motion, bound: float, symmetric: bool) -> None:
     facts = probe_objective(objective, disc().problem)
     assert facts.length_bound == pytest.approx(bound, rel=1e-6)
     assert facts.length_bound <= bound
@@ -243,7 +237,7 @@ def test_informed_samples_can_be_on_a_better_path(seed: int, dimension: int, sla
 
 
 def test_informed_samples_are_uniform() -> None:
-    """Compared with rejection from the box: same share in the half nearer to the start and near the long axis."""
+    """Compared with rejection sampling: equal shares in the half nearer to the start, and near the long axis."""
     rng = np.random.default_rng(0)
     problem = FunctionProblem(
         start=np.array([-1.0, 0.0, 0.0]),
@@ -284,7 +278,7 @@ def test_questions_are_interrupted(budget: Budget) -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
 @pytest.mark.parametrize("name", ["prm", "prm_star", "rrt_star", "bit_star", "trrt"])
-def test_an_objective_that_breaks_its_contract_is_named(name: str, value: float) -> None:
+def test_a_broken_objective_is_named(name: str, value: float) -> None:
     objective = DensityObjective(density=lambda q: np.full(len(q), value))
     with pytest.raises(CostError, match=r"DensityObjective: (edge|state)"):
         _last(PLANNERS[name](), disc().problem, objective, 500)
@@ -299,7 +293,7 @@ def test_ompl_console_output_is_silenced_only_while_planning() -> None:
 
 
 @pytest.mark.parametrize("name", _NAMES)
-def test_who_starts_at_a_goal_stays_there_at_no_cost(name: str) -> None:
+def test_a_start_at_a_goal_gives_a_path_without_length(name: str) -> None:
     inner = free_space().problem
     goals = np.stack([inner.goals[0], inner.start])
     problem = FunctionProblem(start=inner.start, goals=goals, lower=inner.lower, upper=inner.upper)

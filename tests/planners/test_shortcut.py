@@ -1,4 +1,4 @@
-"""Shortcutting: only ever cheaper, only over free ground, and never back across a hazard."""
+"""Shortcuts: always cheaper, always free, and never back across a hazard."""
 
 from __future__ import annotations
 
@@ -7,13 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import (
-    AnalyticProblem,
-    DensityObjective,
-    FunctionProblem,
-    analytic_problems,
-    disc,
-)
+from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems, disc
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import InterruptibleProblem
@@ -50,7 +45,7 @@ def test_every_path_is_cheaper_free_inside_and_keeps_its_ends(seed: int) -> None
 
 
 def test_does_not_cut_back_across_a_hazard() -> None:
-    """The straight line is the shortest path, but it crosses what is costly."""
+    """The straight line is the shortest path, but it crosses an expensive region."""
     problem = FunctionProblem(
         start=np.array([-2.0, 0.0]), goals=np.array([[2.0, 0.0]]), lower=np.full(2, -3.0), upper=np.full(2, 3.0)
     )
@@ -79,7 +74,7 @@ def test_same_seed_same_paths() -> None:
 
 
 @pytest.mark.parametrize("path", [Path(np.zeros((1, 2))), Path(np.zeros((3, 2)))])
-def test_nothing_to_do_for_a_path_that_stays(path: Path) -> None:
+def test_a_path_without_length_stays(path: Path) -> None:
     assert _improve(path, analytic_problems()["free_space"]) == []
 
 

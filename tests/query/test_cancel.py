@@ -1,4 +1,4 @@
-"""Cancelling and interrupting `plan`: at any moment a verified path or an honest status, and nothing is broken."""
+"""Cancelling and interrupting `plan`: a verified path or the right status at any moment, and no damage."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graceful_plan.query.arguments import checked_cancelled
 from graceful_plan.scene.pose_goal import PoseGoal
 
 _ENDLESS: dict[str, Any] = {"time_limit": 60.0, "seed": 3}
-"""Far more time than any test waits: what comes back before was cancelled."""
+"""Much more time than any test waits; an earlier result was cancelled."""
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def pose(task: gp.Task) -> PoseGoal:
 
 
 class After:
-    """Says no so many times, then yes."""
+    """Returns False a number of times, then True."""
 
     def __init__(self, questions: int) -> None:
         self.left = questions
@@ -55,7 +55,7 @@ def test_cancelled_at_any_question_it_is_honest(task: gp.Task, pose: PoseGoal, p
         cancelled = After(questions)
         result = gp.plan(task.start, pose, task.scene, planner=planner, cancelled=cancelled, **_ENDLESS)
         _check(result, task, pose)
-        # Yes is yes: nobody is asked twice.
+        # After True it is called at most once more.
         assert cancelled.asked <= questions + 1
         statuses.append(result.status)
     assert statuses[0] is gp.PlanStatus.CANCELLED
@@ -77,13 +77,13 @@ def test_cancelled_at_random_moments(task: gp.Task, pose: PoseGoal):
     assert gp.PlanStatus.SOLVED in statuses
 
 
-def test_who_cancels_gets_a_smooth_motion(task: gp.Task):
-    """A coarse descent is always worth its millisecond: polylines cost half as much again."""
+def test_a_cancelled_plan_is_smooth(task: gp.Task):
+    """A coarse descent is always worth its millisecond, since polylines cost half as much again."""
     cancelled = After(40)
     result = gp.plan(task.start, task.goal, task.scene, w=0.3, cancelled=cancelled, **_ENDLESS)
     assert cancelled.asked == 41
     _check(result, task, task.goal)
-    assert "estimated_total" in result.stats  # of the descent that it ended with
+    assert "estimated_total" in result.stats  # from the final descent
 
 
 @pytest.mark.parametrize("settings", [{"risk": "cvar"}, {"w": 0.0}])
@@ -98,13 +98,13 @@ def test_every_stage_listens(task: gp.Task, settings: dict):
         _check(result, task, goal)
 
 
-def test_before_anything_is_found_the_status_says_so(task: gp.Task):
+def test_cancelling_before_a_solution_has_its_status(task: gp.Task):
     result = gp.plan(task.start, task.goal[0], task.scene, cancelled=lambda: True)
     assert result.status is gp.PlanStatus.CANCELLED and "plan again" in result.status.value
     assert result.detail == "before the search"
 
 
-def test_not_cancelled_is_as_if_nobody_could(task: gp.Task):
+def test_an_uncancelled_plan_equals_one_without_a_callback(task: gp.Task):
     first = gp.plan(task.start, task.goal, task.scene, iterations=500, seed=5)
     second = gp.plan(task.start, task.goal, task.scene, iterations=500, seed=5, cancelled=lambda: False)
     assert first.unwrap().q.tobytes() == second.unwrap().q.tobytes()
@@ -134,9 +134,9 @@ def test_a_flickering_answer_counts_once():
 
 @contextmanager
 def _interrupt_after(seconds: float) -> Iterator[None]:
-    """Raise KeyboardInterrupt in this thread after a while, as Ctrl-C does.
+    """Raise KeyboardInterrupt in this thread after a delay, as Ctrl-C does.
 
-    And again soon after: Python drops one that comes while a weak reference is cleared.
+    It is raised twice: Python drops an interrupt that arrives while a weak reference is cleared.
     """
 
     def interrupt(*_: object) -> None:

@@ -1,4 +1,4 @@
-"""Straight motions: the tool stays on its line at every time, or the result says where it cannot."""
+"""Straight motions: the tool stays on its line at all times, or the result gives the place where it cannot."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Array = np.ndarray
 
 _SCENES = ("desk", "dining_table", "kitchen_counter", "tabletop")
 _SAMPLES = 400
-"""Times at which a motion is looked at here."""
+"""Times at which motions are checked here."""
 _ROUNDING = 1e-9
-"""Of errors that are measured in another way than the judge does [m, rad]."""
+"""Difference between this test's errors and the judge's [m, rad]."""
 
 
 @cache
@@ -30,7 +30,7 @@ def _scene(name: str) -> gp.Scene:
 
 
 def _tool_poses(scene: gp.Scene, q: Array) -> tuple[Array, Array]:
-    """Position and rotation matrix of the tool in W, by MuJoCo."""
+    """Return position and rotation matrix of the tool in W, by MuJoCo."""
     data = mujoco.MjData(scene.model)
     p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
     for i, configuration in enumerate(q):
@@ -41,12 +41,12 @@ def _tool_poses(scene: gp.Scene, q: Array) -> tuple[Array, Array]:
 
 
 def _angle(R: Array) -> Array:
-    """Angle of rotation matrices [rad], exact for small ones (the distance from the identity is 2 sqrt(2) sin)."""
+    """Return the angle of rotation matrices [rad], accurate for small ones (|R - I| is 2 sqrt(2) sin of half of it)."""
     return 2.0 * np.arcsin(np.clip(np.linalg.norm(R - np.eye(3), axis=(-2, -1)) / np.sqrt(8.0), 0.0, 1.0))
 
 
 def _worst(result: gp.PlanResult, scene: gp.Scene, goal: gp.PoseGoal) -> tuple[float, float]:
-    """Worst distance from the line [m], and from the orientation at the nearest place on it [rad]."""
+    """Return the greatest distance from the line [m], and from the orientation at the nearest point on it [rad]."""
     trajectory = result.unwrap()
     t = np.linspace(trajectory.t[0], trajectory.t[-1], _SAMPLES)
     p, R = _tool_poses(scene, trajectory.at(t).q)
@@ -78,7 +78,7 @@ _vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
     length=st.floats(0.02, 0.3),
     turn=_vectors.map(lambda v: 0.7 * v),
 )
-def test_the_tool_stays_on_its_line_or_the_result_says_where_not(name, seed, direction, length, turn):
+def test_the_tool_stays_on_its_line_or_the_result_names_the_place(name, seed, direction, length, turn):
     scene = _scene(name)
     q = scene.keyframes["ready"] + np.random.default_rng(seed).normal(size=7) * 0.3
     q = np.clip(q, *scene.limits.position.T)
@@ -94,14 +94,14 @@ def test_the_tool_stays_on_its_line_or_the_result_says_where_not(name, seed, dir
     off, angle = _worst(result, scene, goal)
     assert off < 1e-3 and angle < np.deg2rad(0.5)
     assert {"deviation", "orientation", "collision", "goal", "rest", "velocity_limits"} <= set(result.verdict.checks)
-    # The nearest place is found otherwise, to a tenth of a millimetre, on which the tool turns.
+    # The nearest point is found differently, to 0.1 mm, over which the tool turns.
     turned = 1e-4 * np.linalg.norm(turn) / length
     for key, measured, away in (("deviation", off, 0.0), ("orientation", angle, turned)):
         check = result.verdict.checks[key]
         assert check.passed and abs(check.worst - measured) < 0.1 * check.limit + away
     assert result.cost == gp.evaluate(result.unwrap(), scene)
     np.testing.assert_allclose(result.unwrap().q[0], q, atol=1e-12)
-    # No stop on the way: the tool goes on at every time but the first and the last.
+    # No stop on the way: the tool moves at every time except the first and the last.
     inner = result.unwrap().qd[1:-1]
     assert (np.abs(inner).max(axis=1) > 0.0).all()
 
@@ -159,7 +159,7 @@ def test_an_obstacle_on_the_line_is_named_with_its_place(scene):
 
 
 @pytest.mark.parametrize("far", [3.0, 1e6])
-def test_a_line_that_leaves_the_reach_says_where(scene, far):
+def test_a_line_out_of_reach_is_reported_with_its_place(scene, far):
     goal = gp.PoseGoal.from_tool(scene.keyframes["ready"], scene, translation=[far, 0.0, 0.0])
     result = gp.plan_cartesian("ready", goal, scene)
     assert result.status is PlanStatus.INVALID_GOAL
@@ -186,7 +186,7 @@ def test_nothing_to_travel(scene):
     assert result.status is PlanStatus.SOLVED and result.unwrap().duration == 0.0
 
 
-def test_a_colliding_start_is_told(scene):
+def test_a_colliding_start_is_reported(scene):
     q = np.array([0.0, 1.7, 0.0, -0.1, 0.0, 1.6, 0.0])
     result = gp.plan_cartesian(q, gp.PoseGoal.from_tool(q, scene, translation=[0.0, 0.0, 0.1]), scene)
     assert result.status is PlanStatus.INVALID_START and "start" in result.detail
@@ -204,7 +204,7 @@ def test_same_seed_same_motion(scene):
     np.testing.assert_array_equal(first, again)
 
 
-def test_what_is_carried_comes_along(task):
+def test_the_carried_object_comes_along(task):
     goal = gp.PoseGoal.from_tool(task.start, task.scene, translation=[0.0, 0.0, 0.15])
     result = gp.plan_cartesian(task.start, goal, task.scene, w=1.0)
     assert result.status is PlanStatus.SOLVED, result.detail

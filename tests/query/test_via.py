@@ -1,4 +1,4 @@
-"""Poses on the way: passed in their order, at speed where there is room, or the result says which cannot be."""
+"""Via poses: passed in order, without a stop where possible, or the result names the one that is not."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graceful_plan.timing.retiming import retime
 Array = np.ndarray
 
 _NEAR = 1e-4
-"""Joint error with which a configuration is passed [rad]."""
+"""Joint error at which a configuration counts as passed [rad]."""
 
 
 def _plan(scene, start, goal, via, **settings):
@@ -25,7 +25,7 @@ def _plan(scene, start, goal, via, **settings):
 
 
 def _nearest(trajectory: gp.Trajectory, q: Array) -> tuple[float, float]:
-    """Least joint error [rad] on the way, and when."""
+    """Return the least joint error on the way [rad], and its time."""
     t = np.linspace(trajectory.t[0], trajectory.t[-1], 20_001)
     error = np.abs(trajectory.at(t).q - q).max(axis=1)
     return float(error.min()), float(t[error.argmin()])
@@ -95,7 +95,7 @@ def test_iterations_make_it_reproducible(scene):
     np.testing.assert_array_equal(first, again)
 
 
-def test_what_is_carried_comes_along(task):
+def test_the_carried_object_comes_along(task):
     above = gp.PoseGoal.from_tool(task.start, task.scene, translation=[0.0, 0.0, 0.1])
     result = _plan(task.scene, task.start, task.goal, [above], w=1.0)
     assert result.status is PlanStatus.SOLVED, result.detail
@@ -107,7 +107,7 @@ def test_cancelled_at_once(scene):
     assert result.status is PlanStatus.CANCELLED
 
 
-def test_callback_is_told_of_the_motion(scene):
+def test_the_callback_gets_the_motion(scene):
     seen = []
     result = _plan(scene, "right", "left", ["above_blue"], callback=seen.append)
     assert [point.total for point in seen] == [result.cost.total]
@@ -124,7 +124,7 @@ def test_legs_in_a_row_stop_in_between(scene):
     assert check.passed and times[0] == pytest.approx(legs[0].duration, abs=1e-2)
 
 
-def test_passing_finds_what_is_missed_and_what_comes_in_the_wrong_order(scene):
+def test_missed_and_misordered_poses_are_found(scene):
     right, blue, left = (scene.keyframes[name] for name in ("right", "above_blue", "left"))
     motion = retime(gp.Path(np.array([right, blue, left])), scene.limits, scene.joints, deviation=0.0)
     assert passing(motion, [right, blue, left], scene)[0].passed

@@ -1,4 +1,4 @@
-"""Roadmaps: what is stored is true, and questions are answered as if everything were computed anew."""
+"""Roadmaps: stored values are correct, and queries equal a full computation."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def answer(task, roadmap):
     return roadmap.query(task.start, task.goal)
 
 
-# --- what is stored ---------------------------------------------------------------------------------------------------
+# --- stored values ----------------------------------------------------------------------------------------------------
 
 
 def test_nodes_and_edges_are_free(task, roadmap):
@@ -94,7 +94,7 @@ def test_every_edge_is_there_in_both_directions_and_once(roadmap):
     assert sorted(there) == sorted((b, a) for a, b in there)
 
 
-def test_prices_are_those_of_the_objective(task, roadmap):
+def test_stored_costs_equal_the_objective(task, roadmap):
     edges = slice(None, None, 7)
     q0, q1 = roadmap.q[roadmap.edges.tail[edges]], roadmap.q[roadmap.edges.head[edges]]
     exact = roadmap.objective.bind(task.scene, search_paces()).edges(q0, q1)
@@ -134,7 +134,7 @@ def test_builds_depend_on_the_seed_alone(task, roadmap, monkeypatch):
     assert not np.array_equal(other.q, roadmap.q)
 
 
-def test_a_build_without_time_can_still_be_asked(task):
+def test_a_build_without_time_can_still_be_queried(task):
     roadmap = gp.Roadmap.build(task.scene, time_limit=0.0)
     assert len(roadmap.edges) == 0
     result = roadmap.query(task.start, task.goal)
@@ -159,7 +159,7 @@ def test_an_answer_is_a_free_path_at_its_price(task, roadmap, answer):
     assert roadmap.query(task.start, task.goal).cost == answer.cost
 
 
-def test_other_severities_are_as_if_priced_anew(task, roadmap):
+def test_other_severities_equal_a_new_roadmap(task, roadmap):
     entity = next(iter(task.scene.entities))
     severity = {entity: {"carried": 37.0}}
     other = task.scene.with_severity(severity)
@@ -190,7 +190,7 @@ def test_no_path_of_the_front_is_cheaper_than_the_answer(task, roadmap, w, facto
         return prices.motion.sum() + w * prices.impact(roadmap.severity(severity=severity)).sum()
 
     assert stored(answer.path.q) <= min(stored(point.q) for point in front) * (1.0 + 1e-6) + 1e-9
-    # What is reported is charged otherwise, and nothing is left out of the front that is not dominated by that.
+    # Reported costs are computed differently; no point outside of the front dominates by them.
     assert min(point.motion + w * point.impact for point in front) <= answer.cost.total * (1.0 + 1e-6) + 1e-9
 
 
@@ -198,11 +198,11 @@ def test_more_weight_means_less_impact_and_more_motion(task, roadmap):
     found = [roadmap.query(task.start, task.goal, w=w).cost for w in (0.0, 0.1, 0.5, 1.0, 3.0, 10.0, 100.0)]
     for less, more in pairwise(found):
         assert more.motion >= less.motion * (1.0 - 1e-3)
-        assert more.impact <= less.impact * 1.1  # of what a query minimises 1.02; this is charged at the limits
+        assert more.impact <= less.impact * 1.1  # 1.02 by a query's own cost; here joint limits set the pace
     assert found[-1].impact < 0.9 * found[0].impact
 
 
-def test_severities_of_nobody_change_nothing(task):
+def test_empty_severities_change_nothing(task):
     pose = np.eye(4)
     pose[:3, 3] = (5.0, 5.0, 0.2)
     ghost = task.scene.add_box("ghost", [0.1, 0.1, 0.1], pose, entity="glass").with_severity({"ghost": 0.0})
@@ -246,7 +246,7 @@ def test_motions_that_cannot_be_used_are_skipped(task, motions):
     assert roadmap.query(task.start, task.goal).status is QueryStatus.FOUND
 
 
-def test_any_two_configurations_can_be_asked_for(roadmap):
+def test_any_two_configurations_can_be_queried(roadmap):
     rng = np.random.default_rng(5)
     pairs = roadmap.q[rng.integers(len(roadmap), size=(12, 2))]
     found = [roadmap.query(*pair).status for pair in pairs if np.any(pair[0] != pair[1])]
@@ -267,12 +267,12 @@ def test_ends_that_cannot_be_used(task, roadmap):
 
 @dataclass(frozen=True)
 class Low(gp.Constraint):
-    """The tool stays below a height: a user's own."""
+    """The tool stays below a height: a custom constraint."""
 
     height: float
 
     def residual(self, batch: gp.StateBatch) -> np.ndarray:
-        """Height above that [m]."""
+        """Return the height above the limit [m]."""
         return batch.tool_poses[:, 2, 3] - self.height
 
 
@@ -292,7 +292,7 @@ def test_nodes_edges_and_answers_keep_constraints(task, asked):
     assert refused.status is QueryStatus.INVALID_START and asked.name in refused.detail
 
 
-def test_what_a_plan_keeps_a_roadmap_keeps():
+def test_roadmaps_keep_the_constraints_of_plans():
     coffee = gp.load_scene("desk").tasks["lift_coffee"]
     ends = [(coffee.start, coffee.goal)]
     kept, free = (gp.Roadmap.build(coffee.scene, motions=ends, nodes=60, constraints=asked) for asked in (None, []))
@@ -300,7 +300,7 @@ def test_what_a_plan_keeps_a_roadmap_keeps():
 
 
 def _tilts(roadmap: gp.Roadmap) -> np.ndarray:
-    """How far what is carried is tilted in each node [rad]."""
+    """Return the tilt of the carried object in each node [rad]."""
     scene = roadmap.scene
     poses = gp.StateBatch(scene, roadmap.q).tool_poses @ scene.carried.X_TO
     return np.arccos(np.clip(poses[:, 2, 2], -1.0, 1.0))
@@ -320,7 +320,7 @@ def test_a_wall_with_a_way_around_and_a_vase_beside_it():
     ends = [-0.8, 0.4], [0.8, 0.4]
     roadmap = gp.Roadmap.build(gantry(vase=5.0), nodes=400, motions=[ends])
     short = roadmap.query(*ends, w=0.0)
-    taut = 2.0 * (np.hypot(0.8 - 0.1, 0.15) + 0.1)  # around the wall's upper end, by the size of what moves
+    taut = 2.0 * (np.hypot(0.8 - 0.1, 0.15) + 0.1)  # around the wall's upper end, at the distance of the moving box
     assert 0.95 * taut < short.cost.motion < 1.15 * taut
     safe = roadmap.query(*ends, w=20.0)
     assert 0.0 <= safe.cost.impact < 0.5 * short.cost.impact
@@ -384,7 +384,7 @@ def test_a_front_of_few_points_keeps_its_ends(task, roadmap):
     assert [p.motion for p in few] == sorted(p.motion for p in few)
 
 
-# --- costs of one's own, and entities that move -----------------------------------------------------------------------
+# --- custom costs, and moving entities --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -397,7 +397,7 @@ class Height(gp.Cost):
         return self.scale * np.abs(batch.q[:, 0])
 
 
-def test_a_cost_of_ones_own():
+def test_a_custom_cost():
     scene, objective = gantry(), gp.Objective(impact=Height(2.0))
     roadmap = gp.Roadmap.build(scene, objective=objective, nodes=60, motions=[([-0.8, 0.0], [0.8, 0.0])])
     result = roadmap.query([-0.8, 0.0], [0.8, 0.0])
@@ -426,7 +426,7 @@ def test_entities_that_move_count(task, exposure):
         roadmap.query(task.start, task.goal, other)
 
 
-def test_without_those_who_move_they_do_not_count(task):
+def test_removed_moving_entities_do_not_count(task):
     place = task.scene.data_at(0.5 * (task.start + task.goal[0])).site(task.scene.tool).xpos
     walker = gp.MovingEntity("walker", "adult", size=[0.3, 0.3], t=[0.0], position=[place - [0.0, 0.0, 0.4]])
     scene = task.scene.with_moving(walker)

@@ -18,7 +18,7 @@ _MASK = st.sampled_from([0, 1, 2, 3])
 
 @st.composite
 def heaps(draw: st.DrawFn) -> mujoco.MjModel:
-    """Draw spheres that all overlap, on a random tree of bodies, with every kind of contact filter."""
+    """Draw overlapping spheres on a random tree of bodies, with every kind of contact filter."""
     count = draw(st.integers(2, 9))
     spec = mujoco.MjSpec()
     bodies = [spec.worldbody]
@@ -57,7 +57,7 @@ def _contacts(model: mujoco.MjModel) -> set[tuple[int, int]]:
 
 @settings(max_examples=100, deadline=None)
 @given(heaps(), st.data())
-def test_pairs_are_those_that_mujoco_tests(model: mujoco.MjModel, data: st.DataObject) -> None:
+def test_pairs_equal_those_tested_by_mujoco(model: mujoco.MjModel, data: st.DataObject) -> None:
     moving = data.draw(st.sets(st.integers(1, model.nbody - 1), min_size=1))
     pairs = contacts.tested_pairs(model, moving)
     found = {(min(a, b), max(a, b)) for a, b in pairs.tolist()}
@@ -88,7 +88,7 @@ def _ids(model: mujoco.MjModel, *names: str) -> tuple[int, ...]:
     return tuple(model.geom(name).id for name in names)
 
 
-def test_a_body_stands_for_what_hangs_rigidly_on_it() -> None:
+def test_a_body_includes_its_rigid_descendants() -> None:
     model = mujoco.MjModel.from_xml_string(_ARM)
     assert geoms_named(model, "hand") == _ids(model, "palm", "tip")
     assert geoms_named(model, "finger") == _ids(model, "finger")
@@ -98,7 +98,7 @@ def test_a_body_stands_for_what_hangs_rigidly_on_it() -> None:
         geoms_named(model, "paw")
 
 
-def test_a_body_without_geoms_stands_back_behind_a_geom_of_its_name() -> None:
+def test_a_geom_takes_precedence_over_a_body_without_geoms() -> None:
     model = mujoco.MjModel.from_xml_string(
         """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/><body name="floor"/><body name="void"/>
         <body name="ball"><geom name="ball" size=".1"/><geom name="other" size=".1"/></body></worldbody></mujoco>"""
@@ -124,7 +124,7 @@ def test_when_is_one_of_two_words() -> None:
         AllowedContact("hand", "cup", "often")
 
 
-def test_a_gripper_whose_bodies_nobody_named_can_hold():
+def test_a_gripper_with_unnamed_bodies_can_hold():
     scene = gp.Scene.from_mjcf(
         """<mujoco><worldbody>
           <body name="arm"><joint name="j"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
@@ -157,7 +157,7 @@ def _chain(*allowed: AllowedContact) -> gp.Scene:
     )
 
 
-def test_links_that_may_touch_are_told_with_the_reason() -> None:
+def test_links_that_may_touch_are_listed_with_the_reason() -> None:
     scene = _chain(AllowedContact("r/foot", "r/c", reason="SRDF"))
     count, unchecked = contacts.unchecked_links(
         scene.model, scene.robot_bodies, scene.collision_pairs(), scene.allowed_contacts
@@ -167,7 +167,7 @@ def test_links_that_may_touch_are_told_with_the_reason() -> None:
         "adjacent": [("r/a", "r/b"), ("r/b", "r/c")],
         "filters of the model": [("r/a", "r/c")],
     }
-    # The parent of r/a does not move: MuJoCo tests it.
+    # The parent of r/a does not move, so MuJoCo tests the pair.
     assert count == 2
     assert "links that may not touch: 2 pairs; that may:\n  SRDF: r/foot - r/c\n  adjacent: " in scene.describe()
 
@@ -183,8 +183,8 @@ def test_more_contacts_may_be_allowed_later() -> None:
 
 
 @pytest.mark.parametrize(("gap", "touching"), [(0.02, False), (0.001, False), (-0.001, True)])
-def test_what_is_within_a_margin_does_not_touch(gap: float, touching: bool) -> None:
-    """MuJoCo counts it among the contacts, with the distance that there still is."""
+def test_bodies_within_a_margin_do_not_touch(gap: float, touching: bool) -> None:
+    """MuJoCo lists it among the contacts, with its positive distance."""
     scene = gp.Scene.from_mjcf(
         f"""<mujoco><worldbody>
           <geom name="wall" type="box" size=".1 1 1" pos="{1.3 + gap} 0 0" margin=".05"/>

@@ -1,4 +1,4 @@
-"""Edits in one go are what edits one by one are, and a scene with something moved is what one made anew is."""
+"""Batched edits equal single edits, and a moved body gives the same scene as a new one."""
 
 from __future__ import annotations
 
@@ -55,21 +55,21 @@ def test_all_in_one_go_is_one_by_one(scene: Scene) -> None:
     _same_tables(back, scene)
 
 
-def test_what_is_moved_stands_where_a_new_one_would(scene: Scene) -> None:
+def test_a_moved_body_equals_a_new_one(scene: Scene) -> None:
     first = scene.edit(add=_solids())
     poses = {solid.name: np.array([0.7, 0.1 * k, 1.2]) for k, solid in enumerate(_solids())}
     turned = np.eye(4)
     turned[:3, :3], turned[:3, 3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]], poses["tube"]
     quarter = np.eye(4)
     quarter[:3, :3], quarter[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], poses["crate"]
-    moved = first.edit(move={**poses, "tube": turned})  # a position alone keeps how it is turned
+    moved = first.edit(move={**poses, "tube": turned})  # a position alone keeps the orientation
     anew = [
         StaticBody(name=s.name, kind=s.kind, size=s.size, entity=s.entity,
               pose={"tube": turned, "crate": quarter}.get(s.name, poses[s.name]))
         for s in _solids()
     ]  # fmt: skip
     _same_tables(moved, scene.edit(add=anew))
-    _same_tables(first, scene.edit(add=_solids()))  # which is as it was
+    _same_tables(first, scene.edit(add=_solids()))  # the original is unchanged
     model = moved.spec.copy().compile()
     np.testing.assert_allclose(model.body_pos, moved.model.body_pos, atol=1e-12)
     np.testing.assert_allclose(model.body_quat, moved.model.body_quat, atol=1e-12)
@@ -89,8 +89,8 @@ _first = _desk.add_box("crate", _CRATE, [0.3, -0.5, 0.9], entity="robust")
     st.tuples(st.floats(-0.2, 0.8), st.floats(-0.8, 0.8), st.floats(0.4, 1.2)),
     st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda quat: np.linalg.norm(quat) > 0.1),
 )
-def test_wherever_something_is_moved_all_is_as_if_it_had_been_put_there(place, quat) -> None:
-    """Tables of kernels, drops and spills, and the motion that comes of them: nothing old is left in them.
+def test_moved_bodies_leave_no_outdated_tables(place, quat) -> None:
+    """Tables of kernels, drops and spills, and the resulting motion contain nothing outdated.
 
     The crate stands on things, over them, in them, beneath them and in the base of the robot.
     """
@@ -110,7 +110,7 @@ def test_wherever_something_is_moved_all_is_as_if_it_had_been_put_there(place, q
 
 
 def test_scenes_that_differ_by_poses_are_judged_in_turns() -> None:
-    """They share MuJoCo's data: who asks about one is not told of the other."""
+    """They share MuJoCo's data, which must not mix up their poses."""
     name = "block"
     first = _desk.add_box(name, [0.03] * 3, [0.0, 3.0, 1.0])
     q = _desk.keyframes["ready"]
@@ -131,7 +131,7 @@ def test_moving_makes_nothing_of_the_robot_again(scene: Scene) -> None:
 
 
 def test_something_that_stands_freely_is_moved_too(scene: Scene) -> None:
-    """It begins where it is put, and can be taken up from there."""
+    """It starts at its new place, and can be grasped there."""
     name = next(
         scene.model.body(int(scene.model.jnt_bodyid[j])).name
         for j in range(scene.model.njnt)
@@ -174,7 +174,7 @@ def test_edits_that_cannot_be_are_refused(scene: Scene, task) -> None:
 
 
 def test_a_hull_may_have_the_name_of_one_that_goes() -> None:
-    """Again and again, as perception does; and the name of a mesh that the robot has."""
+    """Repeatedly, as perception does; also with the name of one of the robot's meshes."""
     tetrahedron = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     scene = gp.load_scene("tabletop").add_mesh("rock", tetrahedron, [1.0, 1.0, 1.0])
     for k in range(1, 4):

@@ -1,4 +1,4 @@
-"""Sizes and places far out: covered coarsely, or refused by name before anything is built."""
+"""Extreme sizes and positions: covered coarsely, or refused by name before anything is built."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def test_a_place_farther_than_single_precision_can_tell_is_refused(place: float)
         gp.MovingEntity("star", "adult", size=[0.1, 0.1], t=[0.0], position=[[place, 1.0, 1.0]])
 
 
-def test_a_kilometre_of_a_beam_is_covered_by_what_kernels_hold() -> None:
-    """Once 2.2 million spheres were built before it was refused."""
+def test_a_kilometre_of_a_beam_fits_into_the_kernels() -> None:
+    """It used to be refused only after 2.2 million spheres had been built."""
     assert len(compile_scene(_robot(link="500 .05 .05")).robot.sphere) <= CAPACITY["spheres"]
 
 

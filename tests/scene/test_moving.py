@@ -1,4 +1,4 @@
-"""Entities that move: where they are when, how scenes hold them, and what is refused."""
+"""Moving entities: positions over time, storage in scenes, refused arguments."""
 
 import numpy as np
 import pytest
@@ -19,16 +19,16 @@ def person(**changes) -> gp.MovingEntity:
     return gp.MovingEntity("person", "adult", **{**PERSON, **changes})
 
 
-# --- where it is ------------------------------------------------------------------------------------------------------
+# --- positions --------------------------------------------------------------------------------------------------------
 
 
-def test_it_moves_evenly_and_stands_still_before_and_after():
+def test_entities_move_evenly_and_rest_before_and_after():
     position = person().at([-1.0, 0.0, 0.5, 2.0, 9.0]).position
     np.testing.assert_allclose(position[:, 1], [-1.0, -1.0, -0.5, 1.0, 1.0])
     np.testing.assert_allclose(position[:, [0, 2]], [[1.0, 0.85]] * 5)
 
 
-def test_it_turns_the_shorter_way():
+def test_entities_turn_the_shorter_way():
     turned = person(size=[0.3, 0.2, 0.85], yaw=[3.0, -3.0]).at(1.0)
     assert turned.yaw == pytest.approx(np.pi)
 
@@ -54,7 +54,7 @@ def test_at_takes_any_batch(shape):
     assert (found.position.shape, found.yaw.shape, found.spread.shape) == ((*shape, 3), shape, shape)
 
 
-def test_it_cannot_be_changed():
+def test_moving_entities_are_immutable():
     with pytest.raises(ValueError, match="read-only"):
         person().position[0, 0] = 5.0
 
@@ -83,7 +83,7 @@ def test_a_new_prediction_replaces_the_old_one(scene):
     assert twice.moving["person"].t[0] == 5.0
 
 
-def test_the_summary_names_it(scene):
+def test_the_summary_names_moving_entities(scene):
     assert "person" in scene.with_moving(person()).describe()
 
 
@@ -96,7 +96,7 @@ def test_neither_obstacle_nor_entity(scene):
     assert gp.clearance(q, in_the_way) == gp.clearance(q, held)
 
 
-# --- what is refused --------------------------------------------------------------------------------------------------
+# --- refused arguments ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What is kept per scene: made once for each key, and freed with the scene."""
+"""Values cached per scene: computed once for each key, and freed with the scene."""
 
 import copy
 import gc
@@ -21,11 +21,11 @@ from graceful_plan.scene.rules.grip import find_grip
 
 
 class Kept:
-    """Something that can be watched."""
+    """An object with a weak reference."""
 
 
 def fresh(name: str) -> gp.Scene:
-    """Read a bundled scene again: `load_scene` returns the same one in all tests."""
+    """Load a bundled scene from its file: `load_scene` returns the same scene in all tests."""
     return read_scene(LIBRARY / "scene" / "scenes" / f"{name}.yaml")
 
 
@@ -34,7 +34,7 @@ def test_a_value_is_made_once_for_each_scene_and_key():
 
     @per_scene
     def kept(scene, number=0, *, word=""):
-        """Keep it."""
+        """Return the cached value."""
         calls.append((scene, number, word))
         return Kept()
 
@@ -75,12 +75,12 @@ def test_the_oldest_goes_where_there_are_too_many():
     scene, other = fresh("tabletop"), fresh("tabletop")
     assert [kept(scene, number) for number in (1, 2, 1, 3, 2, 1)] == [1, 2, 1, 3, 2, 1]
     assert calls == [1, 2, 3, 1]
-    assert kept(other, 1) == 1  # each scene has its own
+    assert kept(other, 1) == 1  # each scene has its own value
     assert kept(scene, 1) == 1
     assert calls == [1, 2, 3, 1, 1]
 
 
-def test_what_says_nothing_of_obstacles_outlives_their_moves():
+def test_values_independent_of_obstacles_survive_their_moves():
     calls = []
 
     @per_layout(most=2)
@@ -134,7 +134,7 @@ def test_nothing_that_the_library_keeps_holds_a_scene():
     assert [ref() for ref in watched] == [None, None]
 
 
-def test_a_scene_is_its_own_copy_and_says_why_it_is_no_pickle():
+def test_a_copied_scene_is_the_scene_and_pickling_gives_the_reason():
     scene = fresh("tabletop")
     assert copy.deepcopy(scene) is scene and copy.deepcopy({"a": [scene]})["a"][0] is scene
     with pytest.raises(TypeError, match=r"'tabletop'.*pickled"):
@@ -146,7 +146,7 @@ def test_a_scene_is_its_own_copy_and_says_why_it_is_no_pickle():
             again.rows["glass"]["medium"] = 0.0
 
 
-def test_threads_that_plan_at_once_in_one_scene_get_what_one_alone_gets():
+def test_concurrent_plans_in_one_scene_equal_sequential_ones():
     task = fresh("tabletop").tasks["right_to_left"]
 
     def planned(seed):

@@ -1,4 +1,4 @@
-"""Regions of goals: boxes around a pose, and axes that are free."""
+"""Goal regions: boxes around a pose, and free axes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_regions_are_checked() -> None:
 
 
 @pytest.mark.long
-def test_a_plan_ends_in_the_region_where_its_middle_is_blocked() -> None:
+def test_a_plan_ends_in_a_region_with_blocked_middle() -> None:
     task = gp.load_scene("tabletop").tasks["right_to_left"]
     scene = task.scene.detach()
     ready = scene.keyframes["ready"]

@@ -269,7 +269,7 @@ def test_entities_have_the_geoms_of_their_subtree_less_other_entities() -> None:
     assert _labels(merged, merged.entities["bench"].geoms) == {"top", "screen"}
 
 
-def test_the_body_component_is_what_moves() -> None:
+def test_the_body_component_consists_of_moving_links() -> None:
     scene = _workshop()
     assert _labels(scene, scene.components["body"].geoms) == {f"six/{x}" for x in "abcdef"} | {"six/jaw"}
     assert scene.components["body"].component_class == "arm_collapse"
@@ -301,7 +301,7 @@ def test_severities_can_be_replaced_at_every_level() -> None:
     assert changed.with_severity(table).entities["monitor"].severity == {"body": 1.0, "carried": 0.5}
 
 
-def test_severities_by_component_class_hold_whatever_is_carried() -> None:
+def test_severities_by_component_class_hold_for_any_object() -> None:
     row = {"arm_collapse": 7.0, "light": 1.5, "medium": 2.5, "hot": 6.0}
     scene = _workshop(entities={"bench": "table", "cup": "glass"}, severity={"bench": row})
     assert scene.entities["bench"].severity == {"body": 7.0}
@@ -343,7 +343,7 @@ def _tool(data: mujoco.MjData, site: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("body", ["cup", "jar"])
-def test_what_is_carried_rides_on_the_tool(body: str) -> None:
+def test_the_carried_object_moves_with_the_tool(body: str) -> None:
     X_TO = np.array([[0, -1, 0, 0.01], [1, 0, 0, 0.02], [0, 0, 1, 0.03], [0, 0, 0, 1]], dtype=float)
     scene = _workshop(carried=body, X_TO=X_TO)
     rng = np.random.default_rng(0)
@@ -454,7 +454,7 @@ def test_fingers_open_as_far_as_the_object_needs() -> None:
 # --- contacts ---------------------------------------------------------------------------------------------------------
 
 
-def test_gripper_and_supports_may_touch_what_is_carried() -> None:
+def test_gripper_and_supports_may_touch_the_object() -> None:
     scene = _workshop(carried="cup", allowed_contacts=[AllowedContact("jar", "six/f")])
     holding = scene.detach().attach("cup", support=["bench"])
     assert holding.allowed_contacts == (
@@ -606,7 +606,7 @@ def test_a_summary_names_everything() -> None:
 def test_scenes_are_freed() -> None:
     import weakref
 
-    scene = read_scene(LIBRARY / "scene" / "scenes" / "tabletop.yaml")  # fresh: load_scene keeps its own for all tests
+    scene = read_scene(LIBRARY / "scene" / "scenes" / "tabletop.yaml")  # fresh: load_scene caches its own
     watched = [weakref.ref(scene), weakref.ref(scene.tasks["lift_to_goal"].scene)]
     del scene
     gc.collect()

@@ -266,7 +266,7 @@ def test_mujocos_own_complaints_keep_their_line(tmp_path: Path) -> None:
     assert (error.file, error.line) == (str(file), 3)
 
 
-def test_what_cannot_be_compiled_is_a_scene_error() -> None:
+def test_uncompilable_models_raise_a_scene_error() -> None:
     spec = load_spec('<mujoco><worldbody><body><freejoint/><geom size="-1"/></body></worldbody></mujoco>')
     with pytest.raises(SceneError, match="size"):
         compile_spec(spec)
@@ -293,7 +293,7 @@ def test_there_is_memory_for_thousands_of_bodies() -> None:
     assert _contacts(compile_spec(_pile(2000))) == 13
 
 
-def test_what_takes_more_memory_than_there_is_says_so() -> None:
+def test_models_beyond_the_memory_are_refused() -> None:
     model = _pile(2000).compile()  # with MuJoCo's default
     with pytest.raises(TooLargeError, match=r"a pile.*memory"):
         with within_memory("a pile"):
@@ -308,7 +308,7 @@ def _png(width: int, height: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + b"\x08\x02"
 
 
-_TOO_MUCH = {  # what there is too much of, by many that are allowed: words of the message, content, how many
+_TOO_MUCH = {  # excess by kind: words of the message, content, count; many elements are allowed singly
     "height fields": (
         "cells of height fields",
         '<asset><hfield name="h{}" nrow="4096" ncol="4096" size="1 1 1 1"/></asset>',
@@ -332,7 +332,7 @@ def test_budgets_are_for_all_elements_together(tmp_path: Path, attack: str) -> N
 
 
 def test_files_are_weighed_by_their_headers(tmp_path: Path) -> None:
-    """20,000 x 20,000 pixels in a file of 26 bytes, and a mesh of a million vertices, before anything decodes them."""
+    """An image of 20,000 x 20,000 pixels in 26 bytes, and a mesh of a million vertices, before they are decoded."""
     (tmp_path / "huge.png").write_bytes(_png(20_000, 20_000))
     textured = _write(
         tmp_path, "t.xml", '<mujoco><asset><texture name="t" type="2d" file="huge.png"/></asset></mujoco>'
@@ -361,7 +361,7 @@ def test_meshes_are_weighed_together(tmp_path: Path) -> None:
 
 
 def test_corners_of_an_stl_that_are_at_one_place_count_once() -> None:
-    """A closed surface has half as many corners as faces; one of loose triangles three times as many."""
+    """A closed surface has half as many corners as faces; loose triangles have three times as many."""
     corners = np.random.default_rng(0).normal(size=(302, 3)).astype("<f4")
     triangles = np.zeros(600, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     triangles["corners"] = corners[np.arange(1800).reshape(600, 3) % 302]
@@ -385,12 +385,12 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def _picture(pixels: bytes, before: bytes = b"") -> bytes:
-    """A PNG of 4 x 4 pixels, with these as its data."""
+    """Return a PNG of 4 x 4 pixels with these data."""
     header = _chunk(b"IHDR", b"\0\0\0\4\0\0\0\4\x08\2\0\0\0")
     return b"\x89PNG\r\n\x1a\n" + header + before + _chunk(b"IDAT", zlib.compress(pixels)) + _chunk(b"IEND", b"")
 
 
-def test_a_picture_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) -> None:
+def test_an_image_larger_than_its_header_is_refused(tmp_path: Path) -> None:
     """3 MB of zeros would become 3 GB; MuJoCo would notice afterwards."""
     world = _write(tmp_path, "w.xml", '<mujoco><asset><texture name="t" type="2d" file="a.png"/></asset></mujoco>')
     (tmp_path / "a.png").write_bytes(_picture(bytes(4 * 13)))
@@ -399,7 +399,7 @@ def test_a_picture_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) 
     assert "4 x 4" in str(_refusal(world))
     (tmp_path / "a.png").write_bytes(_picture(bytes(4 * 13), 9 * _chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(9)))))
     assert "a.png holds 9 " in str(_refusal(world))
-    # Of another name: MuJoCo remembers what it read of a file that was written within the same moment.
+    # With another name: MuJoCo caches files that were written at the same moment.
     short = _write(tmp_path, "v.xml", world.read_text().replace("a.png", "b.png"))
     (tmp_path / "b.png").write_bytes(_picture(b"")[:-20])
     with pytest.raises(SceneError, match="PNG"):
@@ -420,7 +420,7 @@ def test_addresses_are_refused(tmp_path: Path, tag: str) -> None:
     assert "no addresses" in str(_refusal(_write(tmp_path, "world.xml", f"<mujoco>{tag}</mujoco>")))
 
 
-def test_what_is_kilometres_away_is_refused() -> None:
+def test_bodies_kilometres_away_are_refused() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body name='cup'>{_BOX}</body></worldbody></mujoco>")
     model.geom_size[0, 0] = 1e5
     with pytest.raises(SceneError, match=r"geom_size.*'#0'.*100000 m"):
@@ -443,7 +443,7 @@ _FIELD = '<asset><hfield name="hills" nrow="3" ncol="3" size="1 1 1 1"/></asset>
 _CONTACT_OFF = '<option><flag contact="disable"/></option>'
 
 
-def test_geoms_that_nobody_can_represent_are_named() -> None:
+def test_unsupported_geoms_are_named() -> None:
     hills = '<worldbody><geom name="hills" type="hfield" hfield="hills"/></worldbody>'
     with pytest.raises(SceneError, match=r"'hills'.*hfield.*plane, sphere, .*mesh"):
         check_supported(compile_spec(load_spec(f"<mujoco>{_FIELD}{hills}</mujoco>")))

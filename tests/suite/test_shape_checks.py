@@ -1,4 +1,4 @@
-"""Shapes and types are enforced while tests run: the first calls of a function in a test, and then one in many."""
+"""Shapes and types are checked in tests: the first calls of a function per test, then one in many."""
 
 import gc
 import weakref
@@ -26,7 +26,7 @@ def test_the_first_calls_of_each_test_are_checked_and_one_in_many_later(test):
     checked = []
     for _ in range(3 * shape_checks.EVERY):
         try:
-            product(np.zeros((0, 1)), np.zeros(1))  # what comes back has the wrong shape
+            product(np.zeros((0, 1)), np.zeros(1))  # the result has the wrong shape
             checked.append(False)
         except WRONG:
             checked.append(True)
@@ -64,7 +64,7 @@ def test_methods_properties_and_dataclasses_are_checked():
 
 
 def test_closures_generators_and_unknown_names_are_checked():
-    """Each of which the plain checker would keep, look into too late, or miss at a call."""
+    """The plain checker would keep closures alive, check generators too late, or miss unknown names."""
     kept = np.zeros(2)
 
     @shape_checks.jaxtyped(typechecker=beartype)
@@ -74,7 +74,7 @@ def test_closures_generators_and_unknown_names_are_checked():
     @shape_checks.jaxtyped(typechecker=beartype)
     def numbers(x: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " n"]]:
         yield x
-        yield kept  # nobody looks at what is yielded
+        yield kept  # yielded values are not checked
 
     @shape_checks.jaxtyped(typechecker=beartype)
     def unknown(x: Float[np.ndarray, " n"]) -> "Nobody":  # noqa: F821
@@ -88,7 +88,7 @@ def test_closures_generators_and_unknown_names_are_checked():
     assert len(list(numbers(np.zeros(1)))) == 2
 
 
-def test_nothing_of_a_closure_is_kept_by_its_checks():
+def test_checks_keep_no_closures_alive():
     class Held:
         pass
 

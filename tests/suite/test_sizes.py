@@ -26,6 +26,6 @@ def test_a_part_is_read() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "3", "0/3", "4/3", "1/0", "-1/3", "a/b", "1/3/5"])
-def test_what_is_no_part_is_refused(text: str) -> None:
+def test_invalid_parts_are_refused(text: str) -> None:
     with pytest.raises(ArgumentTypeError, match="K/N"):
         portion(text)

@@ -1,4 +1,4 @@
-"""Comparisons made up or made quickly, for the tests of the comparison tool."""
+"""Invented or quick comparisons, for tests of the comparison tool."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class Straight(Planner):
 
 
 def own_planner(folder: Path, act: str = "pass", name: str = "straight") -> str:
-    """Write a module with a planner that does something before it goes straight; return what it is asked for by.
+    """Write a module with a planner that first runs some code, then returns the straight line; return its name.
 
-    The folder has to be the current directory, or on the path of modules.
+    The folder must be the current directory, or on the module path.
     """
     (folder / f"{name}.py").write_text(PLANNER_FILE.replace("ACT", act).replace('"straight"', f'"{name}"'))
     return f"{name}:Straight"
@@ -63,7 +63,7 @@ def suite_file(folder: Path, problems: str = "free_space, uniform_density") -> P
 
 
 def solved(problem: str, planner: str, seed: int, total: float, first: float = 0.01) -> Run:
-    """Make up a run that found a path twice as dear at first."""
+    """Return an invented run whose first path cost twice as much."""
     trace = tuple(
         TracePoint(time=time, total=cost, motion=0.75 * cost, impact=0.25 * cost)
         for time, cost in ((first, 2.0 * total), (10.0 * first, total))
@@ -94,7 +94,7 @@ def solved(problem: str, planner: str, seed: int, total: float, first: float = 0
 
 
 def comparison(runs: Iterable[Run], planners: Sequence[str], problems: Sequence[str], seeds: int = 1) -> Comparison:
-    """Make up a comparison of runs."""
+    """Return a comparison of runs."""
     return Comparison(
         suite="made up",
         problems=tuple(problems),
@@ -116,7 +116,7 @@ PROBLEMS = tuple(f"room/{i}" for i in range(7))
 
 
 def rich(planners: Sequence[str] = ("first", "second <&>", "third")) -> Comparison:
-    """Make up a comparison in which the second planner is 10 % dearer and the third one often fails."""
+    """Return a comparison in which the second planner's paths cost 10 % more and the third one often fails."""
     runs = []
     for i, problem in enumerate(PROBLEMS):
         for seed in range(2):
@@ -133,7 +133,7 @@ def rich(planners: Sequence[str] = ("first", "second <&>", "third")) -> Comparis
 
 
 def all_failed() -> Comparison:
-    """Make up a comparison in which nothing was solved."""
+    """Return a comparison in which nothing was solved."""
     runs = [
         Run(problem=problem, planner=planner, seed=0, status=status, detail="no luck", seconds=math.nan)
         for problem in ("a", "b")

@@ -1,7 +1,7 @@
-"""The body model once more, slowly, in plain NumPy: what the native kernel is tested against.
+"""The body model in plain NumPy: a slow reference for the native kernel.
 
-One state at a time. Dynamics by Jacobians of every frame's centre of mass instead of composite inertias; all spheres
-against all obstacles instead of lists of what is near. Scalars that the core keeps in single precision are so here.
+It handles one state at a time. Dynamics use the Jacobians of every frame's centre of mass instead of composite
+inertias, and all spheres are tested against all obstacles. Scalars are in single precision where the core's are.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class BodyTwin:
     # --- kinematics and dynamics ---------------------------------------------------------------------------------
 
     def poses(self, x: Array) -> Array:
-        """X_W of all links."""
+        """Return X_W of all links."""
         robot, X = self.robot, []
         for link, parent in enumerate(robot.parent):
             here = (X[parent] if parent >= 0 else np.eye(4)) @ robot.X_PL[link]
@@ -47,7 +47,7 @@ class BodyTwin:
         return np.array(X)
 
     def dynamics(self, x: Array) -> tuple[Array, Array]:
-        """M with armature, and the torques that hold the arm."""
+        """Return M with armature, and the torques that hold the arm."""
         X, t, robot = self.poses(x), self.tables, self.robot
         M, G = np.diag(t.armature), np.zeros(self.nq)
         for frame, mass in enumerate(t.mass):
@@ -67,7 +67,7 @@ class BodyTwin:
     # --- failed configurations -----------------------------------------------------------------------------------
 
     def paths(self, q: Array, qd: Array, ahead: Array | None) -> list[Array]:
-        """Configurations of each way to fail, the state itself first."""
+        """Return the configurations of each failure mode, the state itself first."""
         k, t, n = self.settings, self.tables, self.nq
         known = ahead is not None
         if ahead is None:
@@ -111,7 +111,7 @@ class BodyTwin:
         return path
 
     def depth(self, x: Array) -> float:
-        """How deep the arm is in obstacles."""
+        """Return how deep the arm is in obstacles."""
         return max(0.0, -float(self.separations(x).min()))
 
     def _moved(self, x: Array, v: Array, after: Array, h: float) -> tuple[Array, Array]:
@@ -122,7 +122,7 @@ class BodyTwin:
     # --- distances -----------------------------------------------------------------------------------------------
 
     def separations(self, x: Array) -> Array:
-        """Signed distance of each row to each obstacle, infinite for pairs that do not count."""
+        """Return the signed distance of each row to each obstacle, infinite for ignored pairs."""
         robot, X = self.robot, self.poses(x)
         found = np.full((self.tables.n_row, len(self.world.kind)), np.inf)
         sphere = robot.sphere.astype(_f).astype(float)
@@ -135,7 +135,7 @@ class BodyTwin:
         return found
 
     def distance_to(self, o: int, point: Array) -> float:
-        """Signed distance of a point from an obstacle."""
+        """Return the signed distance of a point from an obstacle."""
         world = self.world
         kind, R = world.kind[o], world.pose[o, :9].astype(_f).reshape(3, 3).astype(float)
         p = (point - world.pose[o, 9:].astype(_f)) @ R

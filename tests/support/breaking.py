@@ -1,4 +1,4 @@
-"""Breaking a robot in a plain loop, with everything recorded that the signatures of faults are read from."""
+"""Failures simulated in a plain loop that records everything from which signatures of faults are read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WELD = SimSettings(grasp="weld")
 
 @dataclass(frozen=True, kw_only=True)
 class Nothing(Fault):
-    """Nothing breaks."""
+    """A fault without effect."""
 
     NAME = "nothing"
     CATEGORY = "actuator"
@@ -32,7 +32,7 @@ def healthy_run(settings=SETTINGS):
 
 
 class Record:
-    """What happened in one rollout, a row a step: states after it, forces and commands during it."""
+    """Records of one rollout, a row per step: states after it, forces and commands during it."""
 
     def __init__(self, fault, *, when=0.5, horizon=0.4, seed=0, done=None):
         done = healthy_run() if done is None else done
@@ -63,17 +63,17 @@ class Record:
 
     @property
     def struck(self):
-        """The joints that were struck."""
+        """Joints with the fault."""
         fault = self.job.fault
         return self.robot.struck(fault.targets or fault.TARGETS, np.random.default_rng(self.job.seed))[0]
 
     @property
     def slip(self):
-        """How far the object is from where it was beside the tool."""
+        """Distance of the object from its first position in the tool's frame."""
         beside = self.object - self.tool
         return np.linalg.norm(beside - beside[0], axis=1)
 
 
 def joint(number):
-    """Name a joint of the arm, from 1."""
+    """Return the name of a joint of the arm, counted from 1."""
     return (healthy_run().world.robot.joints[number - 1],)

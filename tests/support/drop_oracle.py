@@ -1,4 +1,4 @@
-"""The drop model once more: one state at a time, scalar loops, straight from MuJoCo; the oracle of `costs.models.drop`.
+"""The oracle of `costs.models.drop`: one state at a time, scalar loops, straight from MuJoCo.
 
 It reads the specification in `graceful_plan.costs.models.drop` and shares no code with it, neither tables,
 kinematics nor velocities; only the constants.
@@ -40,7 +40,7 @@ def pos(x):
 
 
 def constants(settings, scene):
-    """The constants for what a scene's arm carries."""
+    """Return the constants for the carried object of a scene."""
     model = scene.model
     geoms = [g for g in scene.components["carried"].geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
     main = max(geoms, key=lambda g: np.prod(model.geom_aabb[g, 3:]))
@@ -54,7 +54,7 @@ def constants(settings, scene):
 
 
 def targets(scene, data):
-    """All that can be hit: dicts, by top, highest first."""
+    """Return all targets as dicts, by top, highest first."""
     model, found = scene.model, []
     held = model.body(scene.carried.body).id
     for g in range(model.ngeom):
@@ -98,7 +98,7 @@ def targets(scene, data):
 
 
 def into(t, x, y):
-    """Turn a vector of W into a target's axes."""
+    """Turn a vector from W into a target's axes."""
     return t["c"] * x + t["s"] * y, t["c"] * y - t["s"] * x
 
 
@@ -112,7 +112,7 @@ def reach(part, u):
 
 
 def release(scene, q, qd):
-    """Centre of mass, its velocity and angular velocity by MuJoCo's Jacobians; the data."""
+    """Return centre of mass, its velocity and angular velocity by MuJoCo's Jacobians, and the data."""
     model, data = scene.model, scene.data_at(q)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
@@ -131,7 +131,7 @@ def slow_drop(scene, settings, q, qd):
 
 
 def side_stop(T, parts, k, c, v, low, high):
-    """What the first side in the way does: ts, p, E, target."""
+    """Return the effect of the first side in the way: ts, p, E, target."""
     best = (0.0, 0.0, np.zeros(2), 0.0, None)  # effect first
     end = fall(v[2], low - min((t["Z"] for t in T), default=0.0)) + k.delay + 0.15
     for t in T:
@@ -166,7 +166,7 @@ def side_stop(T, parts, k, c, v, low, high):
 
 
 def slow_details(scene, settings, q, qd):
-    """The same, and what else a spill depends on."""
+    """Return the same, and the other inputs of a spill."""
     k = constants(settings, scene)
     c, v, w, data = release(scene, q, qd)
     model, held = scene.model, scene.model.body(scene.carried.body).id

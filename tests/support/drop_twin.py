@@ -1,6 +1,6 @@
 """The drop model as a whole in NumPy: an oracle of the native kernel that is fast enough for many states.
 
-It goes on from where `landing` ends: who is touched, hit by what falls off, and swept from the side. `drop_oracle`
+It starts from the result of `landing`: entities touched, hit by a part that falls off, and swept from the side.
 shares no code with either.
 """
 
@@ -23,7 +23,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dropped:
-    """What becomes of a dropped object.
+    """Results of a drop.
 
     | field   | meaning                                                                  | shape    |
     |---------|--------------------------------------------------------------------------|----------|
@@ -40,7 +40,7 @@ class Dropped:
 
 
 def dropped(batch: gp.StateBatch, settings: DropSettings | None = None) -> Dropped:
-    """Return what becomes of the object that a scene's robot carries, with shipped constants by default."""
+    """Return the results for the carried object of a scene, with shipped constants by default."""
     tables = drop_tables(batch.scene)
     constants = (settings or DropSettings.shipped()).of(tables.shape_class)
     entity = np.zeros((len(batch), len(batch.scene.entities)))
@@ -59,14 +59,14 @@ def dropped(batch: gp.StateBatch, settings: DropSettings | None = None) -> Dropp
 
 
 def _contact(flight: Flight) -> Float[Array, "n target"]:
-    """C: P that a target is touched in the first contact."""
+    """Return C: P that a target is touched in the first contact."""
     missed = flight.targets.product(1.0 - flight.D)
     arrives = np.cumprod(np.concatenate([np.ones((len(missed), 1)), missed[:, :-1]], axis=1), axis=1)
     return flight.targets.spread(arrives) * flight.D
 
 
 def _falls(flight: Flight, constants: DropConstants, landing: Landing) -> Float[Array, "n target"]:
-    """G: P that a target is hit by what has left something higher."""
+    """Return G: P that a target is hit by an object that has left a higher one."""
     targets, tables = flight.targets, flight.targets.tables
     a, b = tables.target_half.T
     B, N = loose(tables, constants, landing)
@@ -79,7 +79,7 @@ def _falls(flight: Flight, constants: DropConstants, landing: Landing) -> Float[
 def _sides(
     flight: Flight, constants: DropConstants, landing: Landing, state: Release, C: Float[Array, "n target"]
 ) -> Float[Array, "n target"]:
-    """H: P that a target is swept from the side, if the object comes down beside it."""
+    """Return H: P that a target is swept from the side, if the object lands beside it."""
     targets, tables = flight.targets, flight.targets.tables
     k, size, place = constants, tables.size, flight.place
     below = np.maximum(targets.spread(np.cumsum(landing.mass[:, ::-1], axis=1)[:, ::-1]) - C, 0.0)

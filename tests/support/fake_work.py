@@ -1,4 +1,4 @@
-"""Work without a simulator, for tests of those who hand it out and write it down. Workers import it."""
+"""Work without a simulator, for tests of executors and journals. Workers import it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def rows(chunk: Chunk) -> Rows:
 
 @dataclass(frozen=True)
 class Fake:
-    """Rows after some seconds of work, except for the chunks that are said to go wrong."""
+    """Rows after some seconds of work, except for chunks that are set to fail."""
 
     seconds: float = 0.0
     raising: int = -1
@@ -51,7 +51,7 @@ class Fake:
 
 
 class Stillborn:
-    """Work that no worker can even receive."""
+    """Work that cannot be sent to a worker."""
 
     def __reduce__(self):
         return os._exit, (9,)
@@ -61,7 +61,7 @@ class Stillborn:
 
 
 def rollout_row(number: int) -> dict:
-    """A row with every column of the table of rollouts."""
+    """Return a row with every column of the table of rollouts."""
     return {
         "rollout": number,
         "motion": "tabletop/lift_to_goal",
@@ -95,7 +95,7 @@ def rollout_row(number: int) -> dict:
 
 
 def contact_row(number: int) -> dict:
-    """A row with every column of the table of contacts."""
+    """Return a row with every column of the table of contacts."""
     numbers = dict.fromkeys(("time", "x", "y", "z", "peak_force", "impulse", "speed", "energy"), 0.5 * number)
     return {"rollout": number, "striker": "carried", "entity": "vase", "secondary": False, **numbers}
 

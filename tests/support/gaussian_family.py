@@ -1,4 +1,4 @@
-"""The simplest model of drops: where ballistics takes the object, give or take, and how large things are."""
+"""The simplest drop model: a Gaussian around the ballistic landing point, and the sizes of objects."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GRAVITY = 9.81
 
 
 class Prepared(NamedTuple):
-    """Where the object lands at the height of each entity, and how large both are [m]."""
+    """Landing point at the height of each entity, and half sizes of both [m]."""
 
     offset: Array
     """n entity 2"""
@@ -39,14 +39,14 @@ class GaussianFamily(Family):
     )
 
     def shape(self, scene: Scene) -> str:
-        """Return "round" for what has a cylinder in it."""
+        """Return "round" for an object with a cylinder."""
         assert scene.carried is not None
         geoms = scene.model.geom_bodyid == scene.model.body(scene.carried.body).id
         round_ = (scene.model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_CYLINDER).any()
         return "round" if round_ else "box"
 
     def prepare(self, scene: Scene, q: Array, qd: Array) -> Prepared:
-        """Return where ballistics takes the object."""
+        """Return the ballistic landing point."""
         model, placement = scene.model, Placement(scene)
         own = list(scene.components["carried"].geoms)
         aabb = [_boxes(model, placement.place(x), own) for x in q]

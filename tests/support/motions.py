@@ -1,4 +1,4 @@
-"""Short motions and simple faults that the tests of FailBench share."""
+"""Short motions and simple faults for tests of FailBench."""
 
 from __future__ import annotations
 

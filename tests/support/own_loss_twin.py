@@ -1,6 +1,6 @@
 """Step 5 of the drop model in NumPy: whether a fall damages the carried object; an oracle of the native kernel.
 
-It goes on from where `landing` ends. Energies are computed from heights, those of the kernel from times.
+It starts from the result of `landing`. Energies are computed from heights; the kernel computes them from times.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = np.ndarray
 def own_loss(
     batch: gp.StateBatch, settings: DropSettings | None = None, fragility: FragilityTable | None = None
 ) -> Float[Array, " n"]:
-    """Return P that the object is damaged, given that it is let go, with shipped constants by default."""
+    """Return P that the object is damaged, given its release, with shipped constants by default."""
     scene, tables = batch.scene, drop_tables(batch.scene)
     k, size = (settings or DropSettings.shipped()).of(tables.shape_class), tables.size
     if not len(tables.target_height):
@@ -66,7 +66,7 @@ def own_loss(
 
 
 def _bearable(scene: gp.Scene, fragility: FragilityTable) -> tuple[Float[Array, " target"], float]:
-    """Energy per mass at which half are damaged, by target, and the spread of its logarithm."""
+    """Return the energy per mass at which half are damaged, by target, and the spread of its logarithm."""
     assert scene.carried is not None
     own = fragility.carried[scene.carried.object_class]
     mass = float(scene.model.body_subtreemass[scene.model.body(scene.carried.body).id])

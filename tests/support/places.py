@@ -1,4 +1,4 @@
-"""Where things are, whatever the depth of the test that asks."""
+"""Paths of the repository."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Which processes are there, for tests that end some."""
+"""Running processes, for tests that end some."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def children_of(pid: int) -> list[int]:
 
 
 def all_end(pids: Iterable[int], seconds: float = 20.0) -> bool:
-    """Wait until all of them have ended, as they should at once; zombies have."""
+    """Wait until all of them have ended; zombies count as ended."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         if not any(_alive(pid) for pid in pids):

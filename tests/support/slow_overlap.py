@@ -1,4 +1,4 @@
-"""Algorithm 1 of the paper, word by word: loops over geoms and their eight corners."""
+"""Algorithm 1 of the paper, literally: loops over geoms and their eight corners."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def corners(scene: gp.Scene, data: mujoco.MjData, geom: int) -> list[Array]:
 
 
 def probability(scene: gp.Scene, q: Array, component: str, entity: str) -> float:
-    """Return P in one configuration."""
+    """Return P for one configuration."""
     data = scene.data_at(q)
     robot = [corners(scene, data, geom) for geom in scene.components[component].geoms]
     hit = [corners(scene, data, geom) for geom in scene.entities[entity].geoms]
@@ -33,7 +33,7 @@ def probability(scene: gp.Scene, q: Array, component: str, entity: str) -> float
     P = max(area_overlap / area_r, area_overlap / area_e)
     body_r, body_e = list(itertools.chain(*robot)), list(itertools.chain(*hit))
     if min(p[2] for p in body_r) > max(p[2] for p in body_e) or axis_overlap(body_r, body_e, 2) > 0.0:
-        return min(P, 1.0)  # the clipping is ours
+        return min(P, 1.0)  # clipping is not in the paper
     return 0.0
 
 
@@ -43,7 +43,7 @@ def ground_area(points: list[Array]) -> float:
 
 
 def axis_overlap(first: list[Array], second: list[Array], axis: int) -> float:
-    """Return how far the extents along an axis overlap."""
+    """Return the overlap of the extents along an axis."""
     end = min(max(p[axis] for p in first), max(p[axis] for p in second))
     begin = max(min(p[axis] for p in first), min(p[axis] for p in second))
     return max(float(end - begin), 0.0)

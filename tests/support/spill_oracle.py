@@ -1,4 +1,4 @@
-"""The spill model once more: one state at a time, scalar loops, straight from MuJoCo; an oracle of `models.spill`.
+"""The oracle of `models.spill`: one state at a time, scalar loops, straight from MuJoCo.
 
 It reads the specification in `graceful_plan.costs.models.spill` and shares no code with it; only the constants.
 """
@@ -15,7 +15,7 @@ import graceful_plan as gp
 
 
 def container(scene, data):
-    """Middle of the contents' top, axis, radius and depth, in W."""
+    """Return the middle of the contents' top, axis, radius and depth, in W."""
     model = scene.model
     (g,) = scene.components["contents"].geoms
     R, half = data.geom_xmat[g].reshape(3, 3), model.geom_aabb[g, 3:]
@@ -39,7 +39,7 @@ def container(scene, data):
 
 
 def visible(T, t):
-    """Share of a target's points that no target with a much higher top covers."""
+    """Return the share of a target's points that no much higher target covers."""
     if "visible" not in t:
         t["visible"] = _visible(T, t)
     return t["visible"]

@@ -1,6 +1,6 @@
 """The spill model in NumPy: an oracle of the native kernel that is fast enough for many states.
 
-It starts from where `landing` says that the container comes down. `spill_oracle` shares no code with it.
+It starts from the landing of the container by `landing`. `spill_oracle` shares no code with it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = np.ndarray
 
 
 class Poured(NamedTuple):
-    """What a spill depends on besides the constants of its use.
+    """Inputs of a spill, apart from the constants of its use.
 
     | field    | meaning                                                     | unit | shape       |
     |----------|-------------------------------------------------------------|------|-------------|
@@ -46,7 +46,7 @@ class Poured(NamedTuple):
 
 
 def pour(batch: StateBatch, tables: DropTables, spill: SpillTables, constants: DropConstants) -> Poured:
-    """Return what spills depend on, for a scene with something to land on."""
+    """Return the inputs of spills, for a scene with something to land on."""
     state = release(batch, tables)
     flight, landing = fly(tables, constants, state)
     low = flight.shape.low
@@ -70,7 +70,7 @@ def spread_out(
     poured: Poured,
     lost: Float[Array, " n"] | None = None,
 ) -> Float[Array, "n target"]:
-    """Return P that contents reach each target: what is in the container, or a share of it that a stop spills."""
+    """Return P that contents reach each target: all contents, or the share that a stop spills."""
     k, place = constants, _Places(tables, poured.mouth)
     speed2 = (poured.velocity[:, :2] ** 2).sum(axis=1, keepdims=True)
     rho = _radius(spill, k, poured.up, speed2)
@@ -103,7 +103,7 @@ def spread_out(
 
 
 def _radius(spill: SpillTables, k: SpillConstants, up: Array, speed2: Array) -> Float[Array, "n 1"]:
-    """Rho: the radius of a puddle of what is in the container."""
+    """Return rho: the radius of a puddle of the contents."""
     up = 0.5 * (up + np.sqrt(up * up + 0.01))  # above 0, and below the root of 1.0051
     lean = np.maximum(np.sqrt(1.0051 - up * up) / up - spill.repose, 0.0) + k.slosh * np.sqrt(speed2 + 1e-4)
     x = spill.rim * lean / spill.depth
@@ -125,7 +125,7 @@ def _arrivals(tables: DropTables, k: SpillConstants, poured: Poured) -> tuple[Ar
 def _standing(
     tables: DropTables, spill: SpillTables, place: _Places, U: Array, W: Array, reach: Array, s: Array
 ) -> Float[Array, "n target"]:
-    """D: P that contents reach what stands where they are."""
+    """Return D: P that contents hit targets at their landing place."""
     sums = np.cumsum(np.concatenate([np.zeros((len(U), 1)), U], axis=1), axis=1)
     weighed = np.cumsum(np.concatenate([np.zeros((len(W), 1, 2)), W], axis=1), axis=1)
     first, end = spill.stands.T
@@ -136,7 +136,7 @@ def _standing(
 
 
 class _Places:
-    """Puts points [n target 2] or [n 1 2], seen from m in W, into the axes of some targets, seen from above."""
+    """Transform points [n target 2] or [n 1 2], relative to m in W, to the axes of targets, seen from above."""
 
     def __init__(self, tables: DropTables, mouth: Float[Array, "n 3"]) -> None:
         self._mouth, self._centre, self._axis = mouth[:, None, :2], tables.target_centre, tables.target_axis

@@ -1,4 +1,4 @@
-"""An interaction model that holds another one: the same answers, and nobody can know that the core has it."""
+"""An interaction model that wraps another one and hides that the core supports it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""check_planner and check_cost: they pass what is right and name what is wrong."""
+"""check_planner and check_cost accept correct implementations and name the defect of broken ones."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from graceful_plan.testing import ContractError, PlannerTrial, check_cost, check
 Array = np.ndarray
 
 _TRIAL = PlannerTrial(iterations=40, time_limit=0.02, overrun=5.0)
-"""A wide overrun, for the machine that runs the tests may be busy."""
+"""The overrun is large because the test machine may be busy."""
 
 
 def _corners(problem: Problem) -> list[Array]:
-    """Via points that lead around the block of the check, both ways."""
+    """Via points around the block of the check, on both sides."""
     return [np.array([[-1.0, s], [1.0, s]]) if len(problem.start) == 2 else np.zeros((0, 1)) for s in (1.0, -1.0)]
 
 
 @dataclass(frozen=True)
 class Corners(Planner):
-    """Knows the ways around; breaks the contract in the manner that it is told."""
+    """A planner that knows the paths; it breaks the contract in a given way."""
 
     name: ClassVar[str] = "corners"
     anytime: ClassVar[bool] = False
@@ -135,7 +135,7 @@ def test_lateness_is_named_and_forgiven_by_a_wider_margin() -> None:
     assert "time limit" in findings and "cancelled" in findings
 
 
-def test_a_planner_that_finds_nothing_is_told_so() -> None:
+def test_a_planner_without_solution_is_reported() -> None:
     @dataclass(frozen=True)
     class Nothing(Planner):
         name: ClassVar[str] = "nothing"
@@ -230,7 +230,7 @@ def test_every_fault_of_a_cost_is_named(fault: str, finding: str, scene: Scene) 
     assert finding in str(caught.value)
 
 
-def test_what_is_not_a_cost_is_refused(scene: Scene) -> None:
+def test_other_objects_are_refused(scene: Scene) -> None:
     with pytest.raises(ContractError, match=r"graceful_plan\.Cost"):
         check_cost(lambda batch: batch, scene)  # pyright: ignore[reportArgumentType]
 

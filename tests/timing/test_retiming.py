@@ -25,9 +25,9 @@ from graceful_plan.timing.topp import fastest, fastest_with_toppra, travelled
 from graceful_plan.timing.trajectory import Trajectory
 
 _TOLERANCE = 1e-6
-"""Relative, what the library promises of limits."""
+"""Relative excess over limits that the library allows."""
 _SHORTEST_PIECE = 1e-5
-"""Of a motion [s]."""
+"""Minimum duration of a piece of a motion [s]."""
 
 
 def _limits(velocity: ArrayLike, acceleration: ArrayLike, torque: float = np.inf) -> Limits:
@@ -62,7 +62,7 @@ def _assert_within_limits(trajectory: Trajectory, limits: Limits) -> None:
 def test_straight_line_takes_the_closed_form_time(length: float, v: float, a: float) -> None:
     trajectory = retime(_path([[0.0], [length]]), _limits([v], [a]))
     exact = length / v + v / a if length > v * v / a else 2.0 * np.sqrt(length / a)
-    # Switching happens at grid points, of which there are about a hundred.
+    # The profile switches at grid points; there are about a hundred.
     assert exact * (1 - 1e-7) <= trajectory.duration <= exact * 1.005
     _assert_within_limits(trajectory, _limits([v], [a]))
 
@@ -93,7 +93,7 @@ def test_the_motion_stays_within_the_deviation(seed: int, n: int, deviation: flo
 @settings(max_examples=25, deadline=None)
 def test_backwards_takes_as_long(seed: int, n: int) -> None:
     path = _zigzag(seed, n, 0.4)
-    # Grids differ by direction, and are refined until no more than this is left to slow down.
+    # The grid depends on the direction; it is refined until the remaining slowdown is below this.
     tolerance = ACCEPTED_SLOWDOWN - 1.0
     assert retime(path.reversed(), _PANDA).duration == pytest.approx(retime(path, _PANDA).duration, rel=tolerance)
 
@@ -131,7 +131,7 @@ def test_toppra_is_no_faster_and_hardly_slower(seed: int, deviation: float) -> N
 
     own = duration(fastest(grid, _PANDA.velocity, _PANDA.acceleration).speeds)
     theirs = duration(fastest_with_toppra(grid, _PANDA.velocity, _PANDA.acceleration))
-    # toppra sees one second derivative a grid point, so where it jumps it brakes a little earlier.
+    # toppra uses one second derivative per grid point, so it brakes slightly early where the derivative jumps.
     assert own * 0.999 <= theirs <= own * (1.001 if deviation == 0.0 else 1.15)
 
 
@@ -168,7 +168,7 @@ def test_duplicate_vertices_do_not_matter() -> None:
     assert retime(doubled, _PANDA).duration == retime(path, _PANDA).duration
 
 
-def test_going_back_the_way_it_came() -> None:
+def test_a_path_back_along_itself() -> None:
     path = _path([[0.0, 0.0], [1.0, 0.5], [0.0, 0.0]])
     limits = _limits([1.0, 1.0], [4.0, 4.0])
     _assert_within_limits(retime(path, limits), limits)
@@ -212,7 +212,7 @@ def test_a_deviation_of_each_corner_or_one_of_all(vertices: int) -> None:
             retime(path, _PANDA, deviation=np.full(wrong, 0.03))
 
 
-def test_full_speed_unless_told_otherwise() -> None:
+def test_full_speed_by_default() -> None:
     path = _zigzag(1, 4, 0.4)
     curve = Polyline(rounded(path, 0.05), path.q[-1])
     joints = tuple("abcdefg"[: path.q.shape[1]])
@@ -241,8 +241,8 @@ def test_a_spline_goes_through_its_points_and_is_exact_for_cubics(n):
 
 @pytest.mark.parametrize("gap", [1e-4, 2e-5])
 @pytest.mark.parametrize("deviation", [0.0, 0.05])
-def test_pieces_that_are_too_short_for_anybody_are_merged(gap: float, deviation: float) -> None:
-    """Where vertices lie a hair's breadth apart on a straight line, a piece was a microsecond and less."""
+def test_very_short_pieces_are_merged(gap: float, deviation: float) -> None:
+    """Nearly coincident vertices on a straight line used to give pieces of a microsecond or less."""
     unit = np.array([0.6, 0.8])
     path = Path(np.outer([0.0, 1.0, 1.0 + gap, 1.0 + 2.0 * gap, 2.0], unit))
     limits = _limits([10.0] * 2, [50.0] * 2)
@@ -271,13 +271,13 @@ def test_merging_keeps_both_ends_and_rests() -> None:
     assert len(motion(1e-4 * np.arange(8)).t) == 8
 
 
-def test_a_restraint_holds_at_the_speed_that_a_motion_has_in_the_end() -> None:
-    """Slowed to a half, an acceleration is a quarter: so much more was allowed before, and no more."""
+def test_a_restraint_holds_at_the_final_speed() -> None:
+    """At half the speed, accelerations are a quarter; the restraint must use the final speed."""
     line = Spline.through(np.linspace([0.0], [2.0], 9))
     limits = _limits([10.0], [100.0])
 
     def gentle(grid: CurveGrid) -> np.ndarray:
-        push = grid.slope[:, 0, 0]  # the line is straight: no bend
+        push = grid.slope[:, 0, 0]  # straight line: zero curvature
         return np.stack([np.stack([way * push, 0.0 * push, 0.0 * push + 1.5], axis=1) for way in (1.0, -1.0)], axis=1)
 
     for speed in (1.0, 0.5):
@@ -286,7 +286,7 @@ def test_a_restraint_holds_at_the_speed_that_a_motion_has_in_the_end() -> None:
         assert motion.duration == pytest.approx(2.0 * np.sqrt(2.0 / 1.5), rel=0.01)
 
 
-def test_accelerations_that_are_said_of_samples_count_as_well() -> None:
+def test_given_accelerations_of_samples_are_used() -> None:
     t = np.linspace(0.0, 1.0, 5)
     said = np.array([[0.0], [0.0], [8.0], [0.0], [0.0]])
     motion = Trajectory(t, np.zeros((5, 1)), np.zeros((5, 1)), said, ("a",))
@@ -294,7 +294,7 @@ def test_accelerations_that_are_said_of_samples_count_as_well() -> None:
 
 
 def test_the_last_acceleration_is_that_of_the_last_piece() -> None:
-    """Also where the curve ends in a bend: there the motion rests, and the bend adds nothing."""
+    """Also at an end with curvature: the motion rests there, so curvature adds no acceleration."""
     u = np.linspace(0.0, 1.0, 9)
     points = np.stack([np.cos(3.0 * u), np.sin(3.0 * u)], axis=1)
     motion = timed(Spline.through(points), _limits([2.0] * 2, [5.0] * 2), ("a", "b"))

@@ -1,4 +1,4 @@
-"""The speed profile of the core: limits hold, and a curve that hardly changes is hardly travelled otherwise."""
+"""The native speed profile: limits hold, and a small change of the curve changes the profile little."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ VELOCITY, ACCELERATION = np.full(JOINTS, 2.0), np.full(JOINTS, 5.0)
 
 
 def curve(rng):
-    """A smooth curve at both ends of each interval: steps, first and second derivatives."""
+    """Return a smooth curve at both ends of each interval: steps, first and second derivatives."""
     s = np.linspace(0.0, 1.0, POINTS + 1)
     size, rate, phase = rng.uniform(0.3, 1.5, JOINTS), rng.uniform(2.0, 9.0, JOINTS), rng.uniform(0.0, 6.0, JOINTS)
     slope = size * rate * np.cos(np.outer(s, rate) + phase) + rng.uniform(0.5, 2.0, JOINTS)
@@ -25,7 +25,7 @@ def ends(values):
 
 
 def limits(rng):
-    """One-sided limits a u + b x <= c on each interval, as what is felt in a cup has them."""
+    """Return one-sided limits a u + b x <= c on each interval, the form of contents constraints."""
     a = np.repeat(rng.uniform(0.05, 0.4, (1, 3)) * rng.choice([-1.0, 1.0], (1, 3)), POINTS, axis=0)
     b = rng.uniform(0.1, 1.0, (1, 3)) * np.ones((POINTS, 3))
     return np.stack([a, b, rng.uniform(0.3, 1.0, (POINTS, 3))], axis=2)
@@ -37,7 +37,7 @@ def speeds(found, limit):
     stop[[0, -1]] = True
     found = _native.fastest(
         step=step,
-        q=np.zeros((POINTS + 1, JOINTS)),  # says nothing of speeds
+        q=np.zeros((POINTS + 1, JOINTS)),  # speeds do not depend on q
         slope=slope,
         bend=bend,
         stop=stop,
@@ -49,7 +49,7 @@ def speeds(found, limit):
 
 
 @given(seed=st.integers(0, 10_000), at=st.integers(5, POINTS - 6))
-def test_continuous_where_a_limit_says_next_to_nothing_of_the_acceleration(seed, at):
+def test_profiles_are_continuous_at_nearly_vanishing_coefficients(seed, at):
     rng = np.random.default_rng(seed)
     found, limit = curve(rng), limits(rng)
     either = []
@@ -74,7 +74,7 @@ def test_limits_hold(seed):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_never_slower_than_as_fast_as_can_be_at_each_point(seed):
+def test_profiles_are_at_least_as_fast_as_reachability_analysis(seed):
     rng = np.random.default_rng(seed)
     found, limit = curve(rng), limits(rng)
     limit[rng.integers(5, POINTS - 5, 4), 0, 0] = 1e-3
@@ -84,7 +84,7 @@ def test_never_slower_than_as_fast_as_can_be_at_each_point(seed):
 
 
 def greedily(found, limit):
-    """Squared speeds by reachability analysis, each as large as can be: by bisection, in Python."""
+    """Return greatest squared speeds by reachability analysis, with bisection in Python."""
     step, slope, bend = found
     rows = []
     for i in range(POINTS):
@@ -97,7 +97,7 @@ def greedily(found, limit):
     top[[0, -1]] = 0.0
 
     def range_of(i, x):
-        """Least and greatest acceleration at a squared speed, none if the first is more."""
+        """Return least and greatest acceleration at a squared speed; infeasible if the first exceeds the second."""
         a, b, c = rows[i]
         with np.errstate(divide="ignore", invalid="ignore"):
             at = (c - b * x) / a

@@ -15,7 +15,7 @@ from graceful_plan.exceptions import FormatError, NonFiniteError, SettingError, 
 from graceful_plan.timing.trajectory import Trajectory
 
 _TOLERANCE = 1e-9
-"""The cubics are evaluated in closed form; only rounding is left."""
+"""The cubics are evaluated in closed form, so only rounding differs."""
 
 
 def _random(seed: int, n: int = 6, nq: int = 2) -> Trajectory:
@@ -41,7 +41,7 @@ def test_a_cubic_motion_is_reproduced_exactly(seed: int) -> None:
 
 
 @given(st.integers(0, 10**6))
-def test_positions_are_those_of_the_states(seed: int) -> None:
+def test_positions_equal_those_of_the_states(seed: int) -> None:
     trajectory = _random(seed)
     times = np.append(np.random.default_rng(seed).uniform(-1.0, 4.0, 50), trajectory.t)
     np.testing.assert_allclose(trajectory.positions(times), trajectory.at(times).q, atol=_TOLERANCE)
@@ -65,14 +65,14 @@ def test_places_are_times_by_piece() -> None:
     np.testing.assert_allclose(q, trajectory.positions(t), atol=_TOLERANCE)
 
 
-def test_who_stands_is_where_it_stands_at_every_place() -> None:
+def test_a_single_sample_has_its_position_at_every_place() -> None:
     standing = Trajectory(np.array([0.5]), np.array([[1.0, 2.0]]), np.zeros((1, 2)), np.zeros((1, 2)), ("a", "b"))
     t, q = standing.at_places(np.zeros(3))
     np.testing.assert_array_equal(t, 0.5)
     np.testing.assert_array_equal(q, [[1.0, 2.0]] * 3)
 
 
-def test_who_moves_cannot_wait() -> None:
+def test_a_moving_end_cannot_be_delayed() -> None:
     moving = _random(3)
     with pytest.raises(SettingError, match=r"qd\[0\]"):
         moving.delayed(1.0)
@@ -102,7 +102,7 @@ def test_at_keeps_the_shape_of_the_times(shape: tuple[int, ...]) -> None:
     assert trajectory.at(np.full(shape, trajectory.t[1])).q.shape == (*shape, 2)
 
 
-def test_outside_of_its_time_it_stands_still() -> None:
+def test_a_trajectory_rests_outside_its_time() -> None:
     trajectory = _random(2)
     before, after = trajectory.t[0] - 1.0, trajectory.t[-1] + 1.0
     state = trajectory.at([before, after])
@@ -186,7 +186,7 @@ def test_from_json_refuses_broken_text(text: str) -> None:
         Trajectory.from_json(text)
 
 
-def test_from_json_refuses_numbers_that_are_not() -> None:
+def test_from_json_refuses_non_finite_numbers() -> None:
     document = json.loads(_random(4).to_json())
     document["q"][0][0] = float("nan")
     with pytest.raises(NonFiniteError, match=r"q .*finite"):

@@ -20,7 +20,7 @@ def asked(server, file, *more):
     return ("annotate", "--scene", "tabletop_l1", *words, *more)
 
 
-def test_annotations_are_written_and_told(run, server, tmp_path):
+def test_annotations_are_written_and_reported(run, server, tmp_path):
     code, out, err = run(*asked(server, tmp_path / "s.yaml"))
     assert (code, err) == (cli.DONE, "")
     assert "table: table. " in out and "rank correlation" in out
@@ -59,7 +59,7 @@ def test_a_useless_answer_is_a_failure_and_leaves_no_file(run, server, tmp_path)
         (("--endpoint", "file:///etc", "--model", "m", "--output", "s.yaml"), "a base URL such as"),
     ],
 )
-def test_misuse_is_said_before_anything_is_sent(run, tmp_path, monkeypatch, words, message):
+def test_misuse_is_reported_before_any_request(run, tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     code, _, err = run("annotate", "--scene", "tabletop_l1", *words)
     assert (code, message in err) == (cli.MISUSE, True)

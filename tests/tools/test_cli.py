@@ -103,7 +103,7 @@ def test_misuse_is_one_line_without_a_traceback(run, argv, message):
 
 
 @pytest.mark.parametrize("argv", [("levitate",), (), ("plan", "--hope"), ("plan", "--w", "much")])
-def test_what_is_no_command_line_is_misuse(run, argv):
+def test_invalid_command_lines_are_misuse(run, argv):
     code, out, err = run(*argv)
     assert (code, out) == (cli.MISUSE, "")
     assert err.startswith("usage: graceful-plan")
@@ -247,7 +247,7 @@ def test_evaluate_judges_a_trajectory(run, motion):
     assert document["cost"]["total"] == pytest.approx(document["cost"]["motion"] + 2 * document["cost"]["impact"])
 
 
-def test_evaluate_warns_of_whom_a_base_meets(run, tmp_path):
+def test_evaluate_warns_of_entities_that_a_base_hits(run, tmp_path):
     task = gp.load_scene("warehouse_aisle").tasks["bring_tools"]
     motion = gp.retime(
         gp.Path(np.array([[0.0, 0.0, 0.0], [7.0, 0.0, 0.0]])), task.scene.limits, joints=task.scene.joints
@@ -271,7 +271,7 @@ def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
     assert "FAILED" in out
 
 
-def test_explain_says_where_the_impact_comes_from(run, motion, tmp_path):
+def test_explain_lists_sources_of_impact(run, motion, tmp_path):
     picture = tmp_path / "explanation.png"
     code, out, _ = run("explain", str(motion), "--model", "mixture", "--exposure", "length", "--output", str(picture))
     assert code == cli.DONE
@@ -285,7 +285,7 @@ def test_explain_says_where_the_impact_comes_from(run, motion, tmp_path):
     assert sum(row["share"] for row in document["contributions"]) == pytest.approx(1.0)
 
 
-def test_map_says_where_a_drop_is_worst(run, tmp_path):
+def test_map_names_the_worst_place_for_a_drop(run, tmp_path):
     picture = tmp_path / "map.svg"
     code, out, _ = run("map", "--height", "0.2", "--speed", "0.5", "--resolution", "0.05", "--output", str(picture))
     assert code == cli.DONE
@@ -370,7 +370,7 @@ def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
     assert run("plan", "--iterations", "50", "--json")[2] == ""
 
 
-def test_a_terminal_is_told_what_takes_long(run, monkeypatch):
+def test_a_terminal_shows_progress(run, monkeypatch):
     monkeypatch.setattr(progress, "_TICK", 0.01)
     monkeypatch.setattr(sys.stderr.__class__, "isatty", lambda self: True)
     told = threading.Event()
@@ -395,8 +395,8 @@ def test_reader_that_goes_away_is_no_error():
     assert (done.returncode, done.stderr) == (cli.DONE, "")
 
 
-def test_demo_says_what_the_graceful_motion_costs_and_buys():
-    """All figures of the sentence are those of the results, whichever way they changed."""
+def test_demo_compares_cost_and_impact():
+    """All numbers of the sentence come from the results, for increases and decreases."""
 
     def result(motion, impact, seconds, w):
         trajectory = gp.Trajectory(np.array([0.0, seconds]), *np.zeros((3, 2, 1)), ("joint",))
@@ -412,7 +412,7 @@ def test_demo_says_what_the_graceful_motion_costs_and_buys():
     assert re.search(r"50 % .*1 rad .*2 rad.*0\.4 .* 0\)", other.comparison())
 
 
-def test_demo_labels_say_the_weight():
+def test_demo_labels_show_the_weight():
     assert {f"w = {w:g}" for w in demo.WEIGHTS.values()} == {label.split(" (")[0] for label in demo.WEIGHTS}
 
 
@@ -440,7 +440,7 @@ def test_plan_on_a_map_with_people_and_a_picture(run, tmp_path):
         (("--start", "1,1,0", "--goal", "2,2", "--picture", "map.txt"), ".png"),
     ],
 )
-def test_what_is_wrong_with_a_map_is_named(run, tmp_path, words, said):
+def test_errors_of_maps_name_the_problem(run, tmp_path, words, said):
     gp.OccupancyGrid(occupancy=np.zeros((60, 100), dtype=bool), resolution=0.05).save(tmp_path / "hall.yaml")
     code, _, err = run("plan", "--map", str(tmp_path / "hall.yaml"), *words)
     assert code == cli.MISUSE and said in err

@@ -1,4 +1,4 @@
-"""What shells offer: asked of the shells themselves, where they are installed."""
+"""Completions of shells, from the shells themselves, where installed."""
 
 import re
 import shutil
@@ -23,7 +23,7 @@ def script(run):
 
 @pytest.fixture
 def offered(script, tmp_path):
-    """Ask bash what it offers for the last of some words."""
+    """Return bash's completions of the last word."""
 
     def offered(*words: str) -> list[str]:
         line = " ".join(f"'{word}'" for word in ("graceful-plan", *words))
@@ -86,7 +86,7 @@ def test_zsh_understands_its_script(script, tmp_path):
     [("plan --scene des", "desk "), ("plan --scene mi", "mine.yaml "), ("evaluate mi", "mine.yaml "), ("pla", "plan")],
 )
 def test_zsh_completes_as_one_types(script, tmp_path, typed, completed):
-    """A zsh in a terminal of its own; it waits until the words are there, for ever if they never come."""
+    """A zsh in its own terminal; the test waits for the words."""
     (tmp_path / "script").write_text(script("zsh"))
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "mine.yaml").touch()

@@ -1,4 +1,4 @@
-"""`graceful-plan tune`: what it prints and writes, and how it asks FailBench."""
+"""`graceful-plan tune`: its output, its files, and its use of FailBench."""
 
 import json
 import re
@@ -28,7 +28,7 @@ def front(task):
 
 
 @pytest.mark.long
-def test_tune_prints_the_front_and_writes_what_to_look_at(run, tmp_path):
+def test_tune_prints_the_front_and_writes_its_files(run, tmp_path):
     code, out, err = run(*QUICK, "--out", str(tmp_path / "made"))
     assert (code, err) == (cli.DONE, "")
     assert out.startswith("SOLVED: ")
@@ -101,7 +101,7 @@ def test_validation_needs_failbench(run, monkeypatch, tmp_path):
     assert "FailBench" in err
 
 
-def test_validation_says_what_failbench_says(tmp_path):
+def test_validation_reports_the_results_of_failbench(tmp_path):
     (tmp_path / "front.json").write_text("{}")
     with pytest.raises(validation.ValidationError, match=r"validate-front: .*front\.json"):
         validation.validate_front(tmp_path / "front.json", "tabletop_l1", "green_to_blue", 2)
@@ -127,7 +127,7 @@ def page_data(file) -> dict:
 
 
 @pytest.mark.long
-def test_page_holds_the_front_and_asks_nobody(task, front, tmp_path):
+def test_the_page_holds_the_front_and_is_self_contained(task, front, tmp_path):
     file = tmp_path / "front.html"
     write_front_page(front, task.scene, file, front.choose(), title="</script><b>")
     text = file.read_text()
@@ -146,7 +146,7 @@ def test_page_holds_the_front_and_asks_nobody(task, front, tmp_path):
         assert all(len(corners) > 2 for corners in data["points"][0]["objects"][view])
 
 
-def test_page_marks_what_could_not_be_executed(task, front, tmp_path):
+def test_the_page_marks_motions_that_could_not_be_executed(task, front, tmp_path):
     seen = [None, *[{"predicted": 1.0, "observed": 2.0, "low": 1.5, "high": np.inf}] * (len(front) - 1)]
     write_front_page(front, task.scene, tmp_path / "front.html", observed=seen)
     assert page_data(tmp_path / "front.html")["observed"][:2] == [None, {**seen[1], "high": None}]

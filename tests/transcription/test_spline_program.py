@@ -1,4 +1,4 @@
-"""The program of a motion: cubics as they are, and exact derivatives of every term."""
+"""The nonlinear program of a motion: exact cubics, and exact derivatives of every term."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_slopes_of_torque_and_clearance(scene: Scene) -> None:
     _check_slopes(_program(layout, sampled=[torque]), _point(layout, scene, 3))
     program = _program(layout, sampled=[clearance_rows(near, kernels, np.zeros(len(near)))])
     x = _point(layout, scene, 4)
-    # Single precision inside: a wider step, and the nearest pair stays the same along it.
+    # Positions are in single precision, so the step is large; the nearest pair stays the same along it.
     jacobian, step = _jacobian(program, x), 1e-3
     for k in range(0, len(x), 3):
         move = step * np.eye(len(x))[k]
@@ -156,7 +156,7 @@ def test_slopes_of_torque_and_clearance(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("name", ["impact", "effort", "acceleration", "length"])
-def test_slopes_of_what_is_charged(scene: Scene, name: str) -> None:
+def test_gradients_of_costs_in_the_program(scene: Scene, name: str) -> None:
     layout, limits = SplineLayout(2, 7, 0.08), scene.limits
     charge = {
         "impact": ImpactCharge(gp.ImpactCost(), scene, 2.0),
@@ -173,7 +173,7 @@ def test_slopes_of_what_is_charged(scene: Scene, name: str) -> None:
 
 
 def test_impact_without_derivatives_is_differenced(scene: Scene) -> None:
-    """A model that holds another one hides its gradient; what is left are differences."""
+    """A wrapper hides the gradient of its model, so differences are used."""
     layout = SplineLayout(2, 7, 0.08)
     states = samples_at(layout, np.array([0.0, 0.5])).states(_point(layout, scene, 6))
     exact, differenced = (

@@ -100,7 +100,7 @@ def test_inverse_dynamics_without_load_is_mj_inverse(name: str) -> None:
         model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
 
-def test_tool_and_its_jacobian_are_those_of_mujoco(scene: Scene) -> None:
+def test_tool_and_jacobian_equal_those_of_mujoco(scene: Scene) -> None:
     robot, model = symbolic_robot(scene), scene.model
     dofs = model.jnt_dofadr[[model.joint(joint).id for joint in scene.joints]]
     for q in _states(scene, 5)[0]:
@@ -114,14 +114,14 @@ def test_tool_and_its_jacobian_are_those_of_mujoco(scene: Scene) -> None:
         np.testing.assert_allclose(np.asarray(robot.tool_jacobian(q)), J[:, dofs], atol=_TOLERANCE)
 
 
-def test_link_poses_are_those_of_the_kernels(scene: Scene) -> None:
+def test_link_poses_equal_those_of_the_kernels(scene: Scene) -> None:
     robot, kernels = symbolic_robot(scene), gp.Objective().bind(scene).kernels
     q = _states(scene, 1)[0][0]
     found = np.asarray(robot.link_poses(q)).reshape(4, -1, 4).transpose(1, 0, 2)
     np.testing.assert_allclose(found, kernels.link_poses(q), atol=_TOLERANCE)
 
 
-def test_slopes_are_those_of_differences(scene: Scene) -> None:
+def test_slopes_equal_differences(scene: Scene) -> None:
     robot, states = symbolic_robot(scene), _states(scene, 4)
     torque, slopes = robot.torques_with_slopes(*states)
     np.testing.assert_allclose(torque, robot.torques(*states), atol=1e-10)
@@ -134,7 +134,7 @@ def test_slopes_are_those_of_differences(scene: Scene) -> None:
         np.testing.assert_allclose(slopes[:, :, k], (moved[0] - moved[1]) / (2.0 * step), rtol=1e-5, atol=1e-5)
 
 
-def test_it_is_made_once_per_scene(scene: Scene) -> None:
+def test_the_symbolic_robot_is_built_once_per_scene(scene: Scene) -> None:
     assert symbolic_robot(scene) is symbolic_robot(scene)
 
 
@@ -150,7 +150,7 @@ def test_it_is_made_once_per_scene(scene: Scene) -> None:
         ),
     ],
 )
-def test_what_cannot_be_told_in_symbols_is_refused(old: str, new: str, named: str) -> None:
+def test_unsupported_forces_are_refused(old: str, new: str, named: str) -> None:
     scene = gp.Scene.from_mjcf(
         CRANE.replace(old, new, 1), robot="crane", tool="hook", velocity=[1.0] * 4, acceleration=[2.0] * 4
     )

@@ -1,4 +1,4 @@
-"""Trajectories as a whole: better than what they begin with, within every limit, or an honest status."""
+"""Whole trajectories: better than the initial one, within every limit, or with the right status."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _with_limits(scene: Scene, **changes: np.ndarray) -> Scene:
 
 
 def _torques(motion: Trajectory, scene: Scene) -> np.ndarray:
-    """Torques by MuJoCo, at both ends and the middle of every piece."""
+    """Return torques by MuJoCo, at both ends and the middle of every piece."""
     dynamics, (a0, a1), h = RobotDynamics(scene), motion.piece_accelerations, np.diff(motion.t)
     found = []
     for k in range(len(h)):
@@ -84,7 +84,7 @@ def test_effort_falls_within_the_time_allowed(scene: Scene, first: Trajectory, o
         assert result.trajectory is not None
         assert result.trajectory.duration <= share * first.duration * (1.0 + 1e-6)
         assert result.cost < result.initial_cost
-    if objective == "acceleration":  # holding the arm up takes torque for as long as it lasts
+    if objective == "acceleration":  # holding the arm up takes torque all the time
         assert long.cost < 0.7 * short.cost
 
 
@@ -128,7 +128,7 @@ def test_torque_that_cannot_hold_the_arm_is_named(scene: Scene, first: Trajector
 
 @pytest.mark.parametrize(("share", "limit"), [(0.3, "velocity"), (0.8, "acceleration")])
 def test_too_little_time_is_named(scene: Scene, first: Trajectory, share: float, limit: str) -> None:
-    """Below the time that one joint alone needs, whatever the path."""
+    """Less time than a single joint needs on any path."""
     way = np.abs(first.q[-1] - first.q[0])
     cruise = (way / scene.limits.velocity).max()
     triangle = 2.0 * np.sqrt(way / scene.limits.acceleration).max()
@@ -150,7 +150,7 @@ def test_a_goal_outside_of_the_limits_is_named(scene: Scene, first: Trajectory) 
 
 
 def test_a_collision_that_cannot_be_left_is_named(scene: Scene, first: Trajectory) -> None:
-    """A post through the gripper where the motion ends: no path in between is of any help."""
+    """A post through the gripper at the end of the motion, which no path avoids."""
     hand = scene.data_at(first.q[-1]).site(scene.tool).xpos
     blocked = scene.add_sphere("post", 0.05, [float(x) for x in hand])
     result = optimise_trajectory(first, blocked, intervals=6, iterations=10, time_limit=np.inf)
@@ -160,7 +160,7 @@ def test_a_collision_that_cannot_be_left_is_named(scene: Scene, first: Trajector
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.3, 0.8])
-def test_an_interrupted_solve_returns_what_it_has(scene: Scene, first: Trajectory, moment: float) -> None:
+def test_an_interrupted_solve_returns_the_best_iterate(scene: Scene, first: Trajectory, moment: float) -> None:
     end = time.perf_counter() + moment
     result = optimise_trajectory(first, scene, w=3.0, intervals=_PIECES, cancelled=lambda: time.perf_counter() >= end)
     assert result.status is not OptimisationStatus.INFEASIBLE

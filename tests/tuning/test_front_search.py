@@ -1,4 +1,4 @@
-"""Fronts of problems whose fronts are known, and the parts of the search."""
+"""Fronts of problems with known fronts, and the parts of the search."""
 
 from dataclasses import replace
 
@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, catenary, disc, two_media
+from graceful_plan.compare.problems.analytic import catenary, disc, two_media
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.costs.objective import MAX_WEIGHT
 from graceful_plan.exceptions import CostError
 from graceful_plan.path import Path
@@ -27,7 +28,7 @@ clouds = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=9).map(np.ar
 
 
 class Smooth(DensityObjective):
-    """An objective with derivatives, by central differences."""
+    """An objective with derivatives by central differences."""
 
     def edge_gradients(self, q0, q1, step=1e-5):
         derivatives = []
@@ -58,7 +59,7 @@ def searched(problem, objective, iterations, planner=None, seed=0, seeds=None) -
     return archive
 
 
-# --- fronts that are known --------------------------------------------------------------------------------------------
+# --- known fronts -----------------------------------------------------------------------------------------------------
 
 
 def snell_front(x):
@@ -76,8 +77,8 @@ def catenary_front(a):
 
 
 KNOWN = {
-    # From the straight line to where all weight is on S; of hanging chains those that keep well above y = 1, beyond
-    # which there are paths that the formula does not know.
+    # From the straight line to the weight on S alone. Only catenaries well above y = 1: beyond them there are paths
+    # that the formula does not cover.
     "two_media": (two_media(), snell_front(np.linspace(1.0, 2.0, 400))),
     "catenary": (catenary(), catenary_front(np.geomspace(1.4, 1e3, 800))),
 }
@@ -85,7 +86,7 @@ KNOWN = {
 
 @pytest.fixture(scope="module")
 def found():
-    """What the search makes of them: by random moves, and down the gradients."""
+    """Search both problems: one by random moves, the other by gradient descent."""
     (snell, _), (chain, _) = KNOWN["two_media"], KNOWN["catenary"]
     smooth = Smooth(density=chain.objective.density, step=0.02)
     return {
@@ -96,13 +97,13 @@ def found():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", KNOWN)
-def test_fronts_that_are_known_are_found(name, found):
+def test_known_fronts_are_found(name, found):
     exact, costs = KNOWN[name][1], found[name].costs
     costs = costs[costs[:, 0] <= exact[:, 0].max()]
     assert len(costs) >= 12
     order = np.argsort(exact[:, 0])
     there = np.column_stack([costs[:, 0], np.interp(costs[:, 0], *exact[order].T)])
-    # Nothing is better than the best there is, but for the trapezoid rule, which rounds a jump of the density off.
+    # Nothing beats the optimum, except by the error of the trapezoid rule at a jump of the density.
     assert np.all(costs[:, 1] > there[:, 1] - 0.01 * exact[:, 1].max())
     reference = exact.max(axis=0) * [1.0, 1.1]
     assert dominated_area(costs, reference) > 0.985 * dominated_area(there, reference)
@@ -113,15 +114,15 @@ def test_fronts_that_are_known_are_found(name, found):
 @pytest.mark.parametrize("name", KNOWN)
 @pytest.mark.parametrize("w", [0.1, 0.4, 1.0])
 def test_weights_lead_to_points_of_the_front(w, name, found):
-    """Whatever a weighted sum finds lies on the front or above it, and its total on the line of that weight."""
+    """The best point for a weight costs as much as the best point of the known front."""
     best = (KNOWN[name][1] @ np.array([1.0, w])).min()
     assert found[name].best_for(w).cost @ np.array([1.0, w]) == pytest.approx(best, rel=0.01)
 
 
 @pytest.mark.long
 def test_dents_are_reached():
-    """Two ways of crossing, and a third in a dent of the front, which no weight prefers, but a bound on impact does."""
-    gates = {-1.5: 0.0, 0.0: 4.0, 0.9: 3.0}  # y of the gate: impact of passing it; the wall elsewhere is solid
+    """Two gates, and a third in a dent of the front, which no weighted sum prefers but a bound on impact does."""
+    gates = {-1.5: 0.0, 0.0: 4.0, 0.9: 3.0}  # y of the gate: impact of passing it; the wall is solid elsewhere
 
     def density(q):
         near = np.abs(q[:, 0]) < 0.1
@@ -146,7 +147,7 @@ def test_dents_are_reached():
 
 
 @pytest.mark.long
-def test_nothing_to_weigh_is_one_point():
+def test_without_impact_the_front_is_one_point():
     instance = disc()
     archive = searched(instance.problem, instance.objective, 1500)
     assert len(archive) == 1
@@ -162,7 +163,7 @@ def test_searches_repeat_themselves_by_iterations():
     assert not np.array_equal(first.costs, other.costs)
 
 
-def test_budgets_that_are_spent_find_nothing():
+def test_spent_budgets_find_nothing():
     instance, _ = KNOWN["catenary"]
     for budget in (Budget(0.0), Budget(iterations=0), Budget(cancelled=lambda: True)):
         archive, rng = Archive(), np.random.default_rng(0)
@@ -203,7 +204,7 @@ def candidate(motion: float, impact: float) -> Candidate:
 
 @settings(max_examples=50, deadline=None)
 @given(clouds, st.randoms())
-def test_archives_hold_the_front_of_what_they_were_offered(costs, random):
+def test_archives_hold_the_front_of_all_offers(costs, random):
     archive, order = Archive(), costs.tolist()
     random.shuffle(order)
     for cost in order:
@@ -214,7 +215,7 @@ def test_archives_hold_the_front_of_what_they_were_offered(costs, random):
 @settings(max_examples=30, deadline=None)
 @given(clouds, st.integers(2, 5))
 def test_subsets_are_the_best_there_are(costs, count):
-    """Oracle: all of them."""
+    """Oracle: enumerate all subsets."""
     from itertools import combinations
 
     front = costs[non_dominated(costs)]
@@ -244,7 +245,7 @@ def test_boxes_reach_to_the_neighbours():
     assert members[1].corner.tolist() == [4.0, 9.0]
     assert members[0].corner.tolist() == [2.0, pytest.approx(9.9)]
     assert members[2].corner.tolist() == [pytest.approx(4.4), 4.0]
-    assert len(members) == 5  # one gap, from both sides
+    assert len(members) == 5  # the same gap, once for each of its ends
     for member in members:
         assert member.merit(member.candidate.cost[None])[0] > 0.0
         assert member.merit(member.corner[None])[0] == 0.0
@@ -271,7 +272,7 @@ def test_descents_lead_down_and_stay_free():
     assert reached == pytest.approx(best, rel=0.01)
 
 
-def test_weights_straddle_the_one_that_counts_both_alike():
+def test_weights_straddle_the_balanced_one():
     weights = sweep_weights(np.array([2.0, 4.0]), 7)
     assert weights[0] < 0.5 < weights[-1]
     assert np.all(np.diff(weights) > 0.0)
@@ -281,7 +282,7 @@ def test_weights_straddle_the_one_that_counts_both_alike():
     assert sweep_weights(np.array([2.0, 1e-12]), 7).max() == MAX_WEIGHT
 
 
-def test_planners_with_a_beginning_get_one():
+def test_planners_with_initial_paths_get_them():
     path = Path(np.zeros((1, 2)))
 
     class Begun(Optimiser):

@@ -1,4 +1,4 @@
-"""gp.pareto on scenes: what it returns is verified, and whoever asks for the impossible hears so."""
+"""gp.pareto on scenes: its motions are verified, and impossible requests end with their exact status."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_a_front_is_found_and_every_point_is_verified(task, front):
 
 
 def test_a_front_is_worth_more_than_its_planner_alone(task, front):
-    """Two weighted sums that had half as many iterations each as the whole front."""
+    """Compare with two weighted sums, each with half as many iterations as the whole front."""
     costs = [gp.plan(task.start, task.goal, task.scene, w=w, iterations=_ITERATIONS // 2).cost for w in (0.0, 1.0)]
     alone = np.array([(cost.motion, cost.impact) for cost in costs])
     reference = 1.1 * np.vstack([front.costs, alone]).max(axis=0)
@@ -62,7 +62,7 @@ def test_choice_of_a_front(front):
 
 
 @pytest.mark.long
-def test_time_is_kept_and_told(task):
+def test_times_are_recorded_and_reported(task):
     told: list[FrontProgress] = []
     front = gp.pareto(task.start, task.goal, task.scene, points=4, iterations=_ITERATIONS, callback=told.append)
     assert front.status is gp.PlanStatus.SOLVED
@@ -116,7 +116,7 @@ def test_several_goals_and_other_exposures(task):
 
 
 @pytest.mark.long
-def test_planners_that_find_one_path_only_will_do(task):
+def test_planners_with_a_single_path_work(task):
     front = gp.pareto(task.start, task.goal, task.scene, iterations=400, points=4, planner=gp.RRTConnect())
     assert front.status is gp.PlanStatus.SOLVED
     assert len(front) > 1, "the roadmap and the refinement do the rest"
@@ -147,7 +147,7 @@ def test_misuse(task, settings, error, message):
 
 
 @pytest.mark.long
-def test_every_point_keeps_what_is_asked_for(task):
+def test_every_point_keeps_the_constraints(task):
     upright = gp.Upright(np.deg2rad(20.0))
     front = gp.pareto(task.start, task.goal, task.scene, points=3, iterations=400, constraints=[upright])
     assert front.points and all(point.verdict.checks["upright"].passed for point in front.points)

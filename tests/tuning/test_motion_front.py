@@ -1,4 +1,4 @@
-"""From paths to a front of smooth motions: the weights they descend by, and what fills the archive."""
+"""From paths to a front of smooth motions: the weights of the descents, and the entries of the archive."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def task():
 
 @pytest.fixture(scope="module")
 def asked(task):
-    """What a front is asked for, what is searched in, and a few paths."""
+    """The request for a front, the search problem, and a few paths."""
     rng = np.random.default_rng(0)
     held = SceneConstraints(task.scene, ())
     ends = find_endpoints(task.start, task.goal, held, rng)
@@ -116,7 +116,7 @@ def candidate(motion: float, impact: float) -> Candidate:
     return Candidate(q=np.zeros((2, 1)), edges=np.array([[motion, impact]]), made_by="weight", made_with=1.0)
 
 
-def test_others_take_the_place_of_what_the_judge_refuses(asked):
+def test_refused_motions_are_replaced(asked):
     archive: Archive[Candidate] = Archive()
     for motion, impact in ((1.0, 5.0), (2.0, 3.0), (3.0, 2.0), (4.0, 1.0)):
         archive.offer(candidate(motion, impact))
@@ -129,7 +129,7 @@ def test_others_take_the_place_of_what_the_judge_refuses(asked):
 
 
 def test_costs_without_descents_have_fronts_of_paths(task, monkeypatch):
-    monkeypatch.setattr(SceneObjective, "descended", lambda objective: None)  # as where somebody moves
+    monkeypatch.setattr(SceneObjective, "descended", lambda objective: None)  # as with moving entities
     paper = gp.Objective(exposure="length", impact=gp.ImpactCost(model="box_overlap"))
     front = gp.pareto(task.start, task.goal, task.scene, iterations=60, points=2, objective=paper)
     assert front.status is gp.PlanStatus.SOLVED

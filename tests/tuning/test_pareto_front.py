@@ -85,7 +85,7 @@ def test_hypervolume_is_the_area_of_cells_that_are_dominated(costs):
 
 @settings(max_examples=40, deadline=None)
 @given(clouds, st.floats(0.0, 100.0))
-def test_weights_say_which_point_is_best(costs, w):
+def test_points_are_best_for_their_weights(costs, w):
     found = front(costs)
     totals = found.costs @ np.array([1.0, w])
     for p, total in zip(found.points, totals, strict=True):
@@ -114,7 +114,7 @@ def test_known_hypervolume():
 
 
 def test_knee_of_a_known_front():
-    assert front(CONVEX).knee.motion == 2.0  # (0.2, 0.2) on axes from 0 to 1, the others sum to 0.567 or more
+    assert front(CONVEX).knee.motion == 2.0  # (0.2, 0.2) on axes scaled to [0, 1]; the other sums are >= 0.567
     assert front([(1.0, 2.0)]).knee.motion == 1.0
     assert front([(1.0, 2.0), (2.0, 1.0)]).knee.motion == 1.0
     assert ParetoFront(status=PlanStatus.TIMEOUT).knee is None
@@ -142,7 +142,7 @@ def test_choice_by_a_detour_is_the_least_impact_within():
     assert front(CONVEX).choose(max_detour=0.0).point.motion == 1.0
 
 
-def test_choice_in_a_dent_names_the_weight_that_leads_beyond():
+def test_a_choice_in_a_dent_names_the_weight_beyond():
     choice = front(DENTED).choose(target_impact=3.7)
     assert choice.point.motion == 1.9
     assert choice.w == pytest.approx(2.0 / 3.0)
@@ -157,7 +157,7 @@ def test_choice_without_demands_is_the_knee():
     assert found.choose().point is found.knee
 
 
-def test_targets_out_of_reach_say_so():
+def test_unreachable_targets_are_refused():
     choice = front(CONVEX).choose(target_impact=0.1)
     assert (choice.status, choice.w, choice.point.impact) == (ChoiceStatus.UNREACHABLE, None, 0.5)
     both = front(CONVEX).choose(target_impact=1.5, max_detour=1.0)
@@ -169,12 +169,12 @@ def test_targets_out_of_reach_say_so():
 
 
 @pytest.mark.parametrize("demand", [{"target_impact": -1.0}, {"target_impact": np.nan}, {"max_detour": np.inf}])
-def test_demands_that_are_none(demand):
+def test_invalid_demands_are_refused(demand):
     with pytest.raises(SettingError, match=next(iter(demand))):
         front(CONVEX).choose(**demand)
 
 
-def test_references_that_are_none():
+def test_invalid_references_are_refused():
     with pytest.raises(SettingError, match="reference"):
         front(CONVEX).hypervolume([0.0, 1.0])
 
@@ -230,7 +230,7 @@ def test_damaged_files_are_refused(change, message):
         ParetoFront.load(damaged(change))
 
 
-def test_files_that_are_none(tmp_path):
+def test_invalid_files_are_refused(tmp_path):
     with pytest.raises(FormatError, match="cannot be read"):
         ParetoFront.load(tmp_path / "nowhere.json")
     (tmp_path / "cut.json").write_text(front(CONVEX).to_json()[:-40])

@@ -1,4 +1,4 @@
-"""What `view` and the command take, before there is any page."""
+"""Arguments of `view` and of its command, before a page exists."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_names_from_scenes_are_no_markup(task):
     assert "<script>" not in text and "&lt;script&gt;" in text
 
 
-def test_words_say_why_there_is_no_plan(task):
+def test_the_text_gives_the_reason_for_no_plan(task):
     question, _ = asked(task)
     X_WT = question.goal_pose()
     X_WT[0, 3] += 9.0
@@ -94,7 +94,7 @@ def test_words_say_why_there_is_no_plan(task):
     assert "planning" in words.plan_words(None, busy=True) and "no plan yet" in words.plan_words(None, busy=False)
 
 
-def test_words_say_what_both_motions_cost_and_what_colours_mean(result, task):
+def test_the_text_explains_costs_and_colours(result, task):
     question, answer = asked(result, task, w=0.5)
     both = answered(question, answer, lambda: False)
     text = words.plan_words(both, busy=False)
@@ -108,7 +108,7 @@ def test_the_defaults_are_seen_by_this_machine_alone():
     assert opening.HOST == "127.0.0.1"
 
 
-def test_what_could_not_be_planned_is_refused_before_there_is_a_page(task):
+def test_unplannable_queries_are_refused_before_the_page_opens(task):
     for wrong in ({"time_limit": float("nan")}, {"time_limit": -1.0}, {"w": float("nan")}):
         with pytest.raises(gp.GracefulPlanError, match=next(iter(wrong))):
             asked(task, **wrong)

@@ -1,4 +1,4 @@
-"""Datasets in the viewer: which rollouts there are, and that one happens again as it was written down."""
+"""Datasets in the viewer: the list of rollouts, and replays that equal the recording."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from graceful_plan.viewer.state import ViewerState
 
 pytest.importorskip("pyarrow")
 _LONG = 60.0
-"""Seconds after which a test gives up."""
+"""Seconds after which a test fails."""
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def rollouts(folder):
     return RecordedRollouts(folder, time_limit=0.2)
 
 
-@pytest.mark.long  # a sweep is done for it
+@pytest.mark.long  # needs a sweep
 def test_rollouts_are_found_by_harm_motion_and_fault(rollouts):
     assert len(rollouts) == 4 and rollouts.faults == ("gripper_failure", "noise") and len(rollouts.motions) == 1
     order = rollouts.worst_first()
@@ -53,13 +53,13 @@ def test_rollouts_are_found_by_harm_motion_and_fault(rollouts):
         rollouts[4]
 
 
-@pytest.mark.long  # a sweep is done for it
-def test_those_that_blew_up_are_last(rollouts, monkeypatch):
+@pytest.mark.long  # needs a sweep
+def test_diverged_rollouts_are_last(rollouts, monkeypatch):
     monkeypatch.setattr(rollouts, "_impact", np.array([np.nan, 0.0, 2.0, 1.0]))
     assert rollouts.worst_first().tolist() == [2, 3, 1, 0]
 
 
-@pytest.mark.long  # a sweep is done for it
+@pytest.mark.long  # needs a sweep
 def test_a_rollout_happens_again_as_it_was_written_down(rollouts):
     for number in (0, 2):
         row, replay = rollouts[number], recorded_replay(rollouts, number)
@@ -69,14 +69,14 @@ def test_a_rollout_happens_again_as_it_was_written_down(rollouts):
         assert len(replay.hits) == row.contacts and not any("dataset has" in note for note in replay.notes)
 
 
-@pytest.mark.long  # a sweep is done for it
-def test_it_is_said_when_something_else_happens(rollouts, monkeypatch):
+@pytest.mark.long  # needs a sweep
+def test_differing_replays_are_reported(rollouts, monkeypatch):
     row = rollouts[0]
     monkeypatch.setattr(RecordedRollouts, "__getitem__", lambda self, number: row._replace(impact=row.impact + 1.0))
     assert any(f"The dataset has {row.impact + 1.0:.2f}" in note for note in recorded_replay(rollouts, 0).notes)
 
 
-@pytest.mark.long  # a sweep is done for it
+@pytest.mark.long  # needs a sweep
 def test_faults_from_files_of_others_are_not_run(rollouts, tmp_path, monkeypatch):
     file = tmp_path / "theirs.py"
     file.write_text("raise RuntimeError('this ran')\n")
@@ -86,7 +86,7 @@ def test_faults_from_files_of_others_are_not_run(rollouts, tmp_path, monkeypatch
         recorded_replay(rollouts, 0)
 
 
-@pytest.mark.long  # a sweep is done for it
+@pytest.mark.long  # needs a sweep
 def test_the_viewer_keeps_a_replay_while_the_ordinary_motion_is_planned(rollouts):
     question, answer = rollouts.shown(0)
     errors: list[Exception] = []
@@ -106,7 +106,7 @@ ROW = Recorded(
 )
 
 
-def test_words_are_those_of_the_dataset():
+def test_the_text_has_the_values_of_the_dataset():
     said = words.recorded_words(ROW, 4)
     assert "noise, severe" in said and "0, of 4" in said and "25%" in said and "<b>x</b>" not in said
     assert "blew up" in words.recorded_words(ROW._replace(diverged=True, impact=None), 4)
@@ -119,7 +119,7 @@ def test_damaged_datasets_are_refused_by_name(tmp_path):
         RecordedRollouts(tmp_path, time_limit=1.0)
 
 
-@pytest.mark.long  # a sweep is done for it
+@pytest.mark.long  # needs a sweep
 def test_the_scene_of_a_dataset_may_be_missing(rollouts, monkeypatch):
     motion = replace(rollouts.sweep.motions[0], scene="elsewhere")
     fresh = object.__new__(RecordedRollouts)

@@ -1,4 +1,4 @@
-"""The 3-D view of reports: one document that needs nothing else, or why there is none."""
+"""The 3-D view of reports: one self-contained document, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def motion():
 
 
 @needs_viser
-def test_it_is_one_document_with_both_motions(motion):
+def test_the_view_is_one_document_with_both_motions(motion):
     task, trajectory = motion
     alone, why = report_view(trajectory, task.scene)
     assert why == "" and "__VISER_EMBED_DATA__" in alone and alone.count("{darkMode:false}") == 1

@@ -1,4 +1,4 @@
-"""What bodies look like: the triangles of their geoms."""
+"""Shapes of bodies: the triangles of their geoms."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from graceful_plan.viewer.poses import pose_of, poses_along, quaternion_of
 from graceful_plan.viewer.shapes import geom_triangles, parts
 
 _FACETS = 0.06
-"""Share of a volume that round shapes lose to their facets."""
+"""Share of a volume that round shapes lose by their facets."""
 
 _GEOMS = """
 <mujoco>
@@ -39,7 +39,7 @@ def model():
 
 
 def volume(vertices, faces):
-    """Signed volume inside of triangles; positive if they look outwards."""
+    """Return the signed volume enclosed by triangles; positive if they face outwards."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.sum(np.einsum("ij,ij->i", a, np.cross(b, c))) / 6.0)
 

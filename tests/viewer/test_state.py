@@ -1,4 +1,4 @@
-"""What is shown at a time, what is asked when something is changed, and what comes of failures. Without a browser."""
+"""State of the viewer without a browser: the shown motion, requests after changes, and failures."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.state import MOST_KEPT, ViewerState
 
 _LONG = 60.0
-"""Seconds after which a test gives up."""
+"""Seconds after which a test fails."""
 
 
 def asked(question):
-    """A state with the answer to a question."""
+    """Return a state with the answer to a question."""
     errors = []
     state = ViewerState(question, failed=errors.append)
     state.ask(question)
@@ -34,7 +34,7 @@ def asked(question):
 @pytest.fixture(scope="module")
 def question():
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
-    # Twice the time by default: tests run beside others, and both motions must be there.
+    # Twice the default time: tests share the machine, and both motions are needed.
     return Question(scene=task.scene, start=task.start, goal=task.goal, w=1.0, time_limit=2.0)
 
 
@@ -47,7 +47,7 @@ def state(question):
 
 @pytest.fixture
 def fresh(question, state):
-    """A state of its own that knows the answer already."""
+    """A separate state that already has the answer."""
     own = ViewerState(question, answer=state.answer)
     yield own
     own.close()
@@ -55,7 +55,7 @@ def fresh(question, state):
 
 @pytest.fixture(scope="module")
 def driving():
-    """A motion of a base, straight on past somebody."""
+    """A motion of a base straight past a person."""
     scene = gp.load_scene("apartment").tasks["bring_parcel"].scene
     t = np.linspace(0.0, 2.0, 5)
     q = np.column_stack([6.3 - 0.8 * t, np.full(5, 1.4), np.full(5, np.pi)])
@@ -63,7 +63,7 @@ def driving():
     return scene, gp.Trajectory(t, q, qd, np.zeros_like(q), scene.joints)
 
 
-# --- what is shown ----------------------------------------------------------------------------------------------------
+# --- the shown motion -------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_shown_before_the_first_answer(question):
@@ -183,7 +183,7 @@ def of_motion(question, trajectory):
     return PlanAnswer(question=question, chosen=motion, ordinary=None, said=("", ""))
 
 
-# --- what is asked ----------------------------------------------------------------------------------------------------
+# --- requests ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_ordinary_motion_is_planned_once_for_all_weights(state):
@@ -206,7 +206,7 @@ def test_the_latest_weight_wins(fresh):
 
 
 def test_an_answer_that_was_overtaken_at_the_last_moment_is_dropped(fresh):
-    """The worker may have looked whether it is still wanted just before something else was asked."""
+    """The worker may have checked that its answer is wanted just before the next request."""
     late, known = dataclasses.replace(fresh.answer, question=fresh.question.weighted(0.7)), fresh.answer
     fresh._done(late)
     assert fresh.answer is known
@@ -277,7 +277,7 @@ def test_an_entity_is_moved_and_its_severity_changed(question):
             change()
 
 
-def test_other_severities_change_what_both_motions_risk(fresh):
+def test_other_severities_change_the_impact_of_both_motions(fresh):
     before = fresh.answer.ordinary
     worst = before.worst(1)[0]
     fresh.ask(fresh.question.with_severity(worst, 0.0))
@@ -286,7 +286,7 @@ def test_other_severities_change_what_both_motions_risk(fresh):
     assert after.trajectory is before.trajectory and after.cost.impact < before.cost.impact
 
 
-def test_a_goal_out_of_reach_is_said_and_nothing_is_shown(question):
+def test_an_unreachable_goal_is_reported_and_no_motion_shown(question):
     X_WT = question.goal_pose()
     X_WT[0, 3] += 9.0
     state = asked(question.going_to(X_WT))
@@ -299,14 +299,14 @@ def test_a_goal_out_of_reach_is_said_and_nothing_is_shown(question):
 
 @pytest.fixture
 def careless(question, state):
-    """A state of its own that shows the ordinary motion, under which there is somebody to be hit."""
+    """A separate state that shows the ordinary motion, with entities below it."""
     ordinary = question.weighted(0.0)
     own = ViewerState(ordinary, answer=answered(ordinary, state.answer, lambda: False))
     yield own
     own.close()
 
 
-def test_a_gripper_failure_is_replayed_beside_what_was_predicted(careless):
+def test_a_gripper_failure_is_replayed_next_to_the_prediction(careless):
     fresh = careless
     replay = fresh.fail(Failure(fault="gripper_failure", moment=0.5))
     assert replay.onset == pytest.approx(0.5 * fresh.motion.duration, abs=0.011)

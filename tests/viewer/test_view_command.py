@@ -1,4 +1,4 @@
-"""`graceful-plan view` from the shell: it says where the page is, serves it, and ends when it is interrupted."""
+"""`graceful-plan view` from the shell: it prints the address, serves the page, and ends on interrupts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from graceful_plan.documents import result_document, to_json
 from graceful_plan.tools.cli import INTERRUPTED, MISUSE, main
 
 _LONG = 60.0
-"""Seconds after which a test gives up."""
+"""Seconds after which a test fails."""
 
 needs_viser = pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="viser is not installed")
 
@@ -48,7 +48,7 @@ def test_a_scene_is_served_until_interrupted():
 
 @pytest.mark.long
 @needs_viser
-def test_what_plan_printed_is_served(tmp_path):
+def test_the_output_of_plan_is_served(tmp_path):
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     result = gp.plan(task.start, task.goal, task.scene, iterations=50)
     file = tmp_path / "result.json"
@@ -66,7 +66,7 @@ def test_what_plan_printed_is_served(tmp_path):
         (["missing.json"], "missing.json"),
     ],
 )
-def test_misuse_is_told_by_the_exit_code(arguments, said, capsys):
+def test_misuse_has_its_exit_code(arguments, said, capsys):
     assert main(["view", *arguments]) == MISUSE
     assert said in capsys.readouterr().err
 

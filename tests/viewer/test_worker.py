@@ -1,4 +1,4 @@
-"""One thread that answers the latest question only."""
+"""The worker thread answers only the latest request."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 from graceful_plan.viewer.worker import LatestRequestWorker
 
 _LONG = 20.0
-"""Seconds after which a test gives up."""
+"""Seconds after which a test fails."""
 
 
 class Work:
-    """Answers when it is let go, and notes what was cancelled."""
+    """Answers when allowed, and records cancelled requests."""
 
     def __init__(self):
         self.began, self.go = threading.Semaphore(0), threading.Event()
@@ -50,7 +50,7 @@ def test_the_latest_question_is_answered_and_older_ones_are_cancelled(desk):
     assert set(work.cancelled) <= {"first", "second", "third"}
 
 
-def test_errors_are_told_and_the_worker_goes_on(desk):
+def test_errors_are_reported_and_the_worker_continues(desk):
     worker, work, answers, errors = desk
     work.go.set()
     worker.ask("broken")

@@ -17,7 +17,7 @@ from graceful_plan.viz import figures, render
 from graceful_plan.viz.drop import drop_impact
 from graceful_plan.viz.footprints import entity_outlines, object_positions, outline, surface_points
 
-_TOLERANCE = 1e-9  # the same kernel in double precision, with the poses of two different robots
+_TOLERANCE = 1e-9  # both in double precision, with poses from two robot models
 
 ARM = """
 <mujoco><worldbody>

@@ -66,13 +66,13 @@ def fit_distances(
 def touches(
     settings: BodySettings, failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene]
 ) -> dict[tuple[str, str], MarginEvents]:
-    """Pair distances with observed hits, by generator and row.
+    """Return the model's distances to entities with the observed hits, by generator and component.
 
-    Objects dropped during a collapse are left out of "carried"; other models predict where they fall.
+    Objects dropped during a collapse are left out of "carried": the drop model predicts where they land.
 
     Args:
         settings: Constants of the motion and of its stopping; the step must be that of `AHEAD`.
-        failures: Failures of any faults; faults without a generator are ignored. Each entry is one motion.
+        failures: Failures along each motion, of any faults; faults without a generator are ignored.
         scenes: Scenes with the object attached, by name of the scene and the task.
 
     Raises:

@@ -136,7 +136,7 @@ class BaseLoop:
         self.follower = CourseFollower(plan.controller, plan.course, plan.scene, plan.dt, TICK * plan.dt)
 
     def arrived(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> bool:
-        """Whether the base has reached the end of a path that is not followed in time."""
+        """Whether the base has reached the end of its path, for controllers without a time law."""
         return self.follower.arrived(DriveState(*self.plan.rolling.drives(qpos, qvel)))
 
     def commands(

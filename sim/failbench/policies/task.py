@@ -11,7 +11,9 @@ import mujoco
 import numpy as np
 
 import graceful_plan as gp
-from failbench.rollouts.execution import LONGEST, settled, standing
+from failbench.rollouts.execution import LONGEST
+from failbench.rollouts.healthy_commands import standing
+from failbench.rollouts.healthy_run import settled
 from failbench.simulated.states import STATE
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan.array_types import Float

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
@@ -13,23 +11,20 @@ from numpy.typing import ArrayLike
 from failbench.basics.errors import ExecutionRefused
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
 from failbench.rollouts.driven import TICK, WheelPlan, wheel_plan
-from failbench.simulated.moving_entities import EntityPoses, set_entity_poses
-from failbench.simulated.rolling import PLANAR, lifted
-from failbench.simulated.states import CHECKPOINT, STATE, control_spec, put, warnings_counted_only
+from failbench.rollouts.healthy_commands import joint_commands, motion_commands
+from failbench.rollouts.healthy_run import HealthyRun, drive, join, settled, simulate
+from failbench.simulated.moving_entities import EntityPoses
+from failbench.simulated.rolling import PLANAR
+from failbench.simulated.states import CHECKPOINT, put, warnings_counted_only
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.timing.dynamics import RobotDynamics
 
 Array = np.ndarray
 
 LONGEST = 200.0
 """Longest motion and horizon [s]; states and commands of all steps are kept in memory."""
-_SETTLE = 0.4
-"""Time for the fingers to close and the scene to come to rest before the motion begins [s]."""
-_REST = 0.2
-"""Last part of `_SETTLE` during which the fingers hold the object without the weld [s]."""
 _TRACKING = 0.05
 """Tracking error above which a joint counts as not following [rad or m]."""
 _STRAYING = (0.2, 0.2, 0.35)
@@ -109,7 +104,7 @@ class Execution:
         """
         trajectory, rate = self.trajectory, pace[:, None]
         q, qd, qdd = trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration))
-        return _joint_commands(self.world, q, qd * rate, qdd * rate**2 + qd * change[:, None])
+        return joint_commands(self.world, q, qd * rate, qdd * rate**2 + qd * change[:, None])
 
     def planned(self, time: Float[Array, " n"]) -> Float[Array, "n nq"]:
         """Return the planned joint positions at times after the start of the trajectory [s]."""
@@ -206,16 +201,16 @@ def execute(
     steps = max(1, int(np.ceil(whole / dt - 1e-9)))
     wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
     _check_range(wanted, tolerance, world, dt)
-    command = _commands(trajectory, world, steps)
+    command = motion_commands(trajectory, world, steps)
     loop = None
     with warnings_counted_only():
         start = settled(trajectory.q[0], world, command[0], time=float(trajectory.t[0]))
         batch = Batch(world.model, 1, nthread=1, persistent=True)
         put(batch, np.array([0]), start[None])
         if base is None:
-            run = _simulated(world, batch, command[:steps], start[None])
+            run = simulate(world, batch, command[:steps], start[None])
         else:
-            run, loop = _driven(world, batch, command, start[None], base)
+            run, loop = drive(world, batch, command, start[None], base)
         steps = len(run.qpos)
         command = command[: steps + 1]
         error = np.abs(run.qpos[:, _planned(world)] - wanted[:steps])
@@ -228,7 +223,7 @@ def execute(
         lost = None if stays.all() else int(stays.argmin())
         if lost is not None:
             fall = np.repeat(command[-1:], round(_FALL / dt), axis=0)
-            run = _joined(run, _simulated(world, batch, fall, run.states[-1:]))
+            run = join(run, simulate(world, batch, fall, run.states[-1:]))
     healthy = _healthy(world, run, lost)
     if lost is not None:
         problem = f"it has slipped by {slip[lost]:.3g} m; slow the motion down, or use SimSettings(grasp='weld')"
@@ -256,60 +251,7 @@ def _planned(world: World) -> Array:
     return world.robot.qpos if world.rolling is None else world.rolling.planned
 
 
-class _Run(NamedTuple):
-    """A simulation, step by step."""
-
-    qpos: Float[Array, "step qpos"]
-    sensordata: Float[Array, "step sensordata"]
-    xpos: Float[Array, "step body xyz"]
-    xquat: Float[Array, "step body wxyz"]
-    states: Float[Array, "state_and_step state"]
-    """States at the beginning and after each step."""
-
-
-def _simulated(
-    world: World, batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]
-) -> _Run:
-    """Continue the only simulation of a batch with commands."""
-    record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
-    if world.model.nmocap:
-        time = start[0, 0] + world.settings.timestep * np.arange(len(command))
-        command = np.hstack([command, EntityPoses(world.model, world.walkers).rows(time)])
-    out = batch.rollout(len(command), command[None], control_spec(world.model), record=record)
-    qpos, sensordata, xpos, xquat, states = (out[name][0] for name in record)
-    return _Run(qpos, sensordata, xpos, xquat, np.vstack([start, states]))
-
-
-def _driven(
-    world: World,
-    batch: Batch,
-    command: Float[Array, "step actuator"],
-    start: Float[Array, "1 state"],
-    base: WheelPlan,
-) -> tuple[_Run, Float[Array, "tick wheel_and_1"]]:
-    """Drive a base: its loop is closed at each tick, and the loop's commands are written into `command`."""
-    qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
-    loop, runs, told = base.loop(qpos[0, base.wheel]), [], []
-    steps = len(command) - 1
-    for step in range(0, steps, TICK):
-        if loop.arrived(qpos[0], qvel[0]):
-            break
-        told.append([*loop.angles, loop.summed])
-        rows = loop.commands(step, qpos[0], qvel[0])
-        until = min(step + TICK, steps)
-        command[step:, base.motor] = rows[-1]  # held unless the next tick overwrites it
-        command[step:until, base.motor] = rows[: until - step]
-        runs.append(_simulated(world, batch, command[step:until], start if not runs else runs[-1].states[-1:]))
-    else:
-        if not base.in_time:
-            raise ExecutionRefused(
-                "the base", steps * base.dt, "its controller did not bring it to the end of the path"
-            )
-    parts = [part if i == 0 else part._replace(states=part.states[1:]) for i, part in enumerate(runs)]
-    return _Run._make(map(np.concatenate, zip(*parts, strict=True))), np.array(told)
-
-
-def _as_driven(world: World, planned: Trajectory, run: _Run, dt: float) -> Trajectory:
+def _as_driven(world: World, planned: Trajectory, run: HealthyRun, dt: float) -> Trajectory:
     """Return the driven motion of a base whose controller followed the path at its own pace."""
     rows = np.unique([*range(0, len(run.qpos), TICK), len(run.qpos) - 1])
     q = run.qpos[rows][:, _planned(world)]
@@ -325,18 +267,13 @@ def _measured(world: World, states: Float[Array, "n state"]) -> Float[Array, "n 
     return np.stack([states[:, 1 + robot.qpos], states[:, 1 + nq + robot.dofs]], axis=1)
 
 
-def _joined(first: _Run, second: _Run) -> _Run:
-    """Return two consecutive simulations as one."""
-    return _Run._make(map(np.concatenate, zip(first, second._replace(states=second.states[1:]), strict=True)))
-
-
 def _touched(world: World, sensordata: Float[Array, "step sensordata"]) -> frozenset[tuple[str, str]]:
     """Return the pairs of component and entity that touch at any step."""
     felt = np.any(sensordata[:, world.sensor_adr] > 0.0, axis=0)
     return frozenset(pair for pair, touches in zip(world.pairs, felt, strict=True) if touches)
 
 
-def _healthy(world: World, run: _Run, lost: int | None) -> HealthyHarm:
+def _healthy(world: World, run: HealthyRun, lost: int | None) -> HealthyHarm:
     """Compute the harm of a run in which the object is lost at step `lost`, or not at all (None).
 
     Touches at the beginning are left out, and so are touches that the scene allows while the object is held.
@@ -353,85 +290,6 @@ def _is_allowed(world: World, component: str, entity: str) -> bool:
     pairs = scene.allowed_pairs("always") | scene.allowed_pairs("ends")
     own, other = scene.components[component].geoms, scene.entities[entity].geoms
     return any((min(a, b), max(a, b)) in pairs for a in own for b in other)
-
-
-def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:
-    """Return the healthy commands: positions, plus feed-forward torques as offsets of the servo targets."""
-    times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep
-    q, qd, qdd = trajectory.at(np.minimum(times, trajectory.t[-1]))
-    qd[-1] = qdd[-1] = 0.0  # the last row is held after the end
-    command = np.tile(standing(world), (steps + 1, 1))
-    command[:, world.robot.actuators] = _joint_commands(world, q, qd, qdd)
-    command[:, world.robot.gripper_actuators] = world.robot.grip_closed
-    return command
-
-
-def _joint_commands(
-    world: World, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], qdd: Float[Array, "n nq"]
-) -> Float[Array, "n driven"]:
-    """Return the servo commands of the joints for a motion."""
-    robot, dynamics = world.robot, RobotDynamics(world.scene)
-    if world.settings.control == "servo":
-        qdd = np.zeros_like(qdd)  # servo feed-forward covers speed and gravity, not the arm's inertia
-    at_rest = np.zeros_like(q[0])
-    torque = np.array(
-        [
-            dynamics(a, at_rest if world.settings.control == "servo" else b, c)
-            for a, b, c in zip(q, qd, qdd, strict=True)
-        ]
-    )
-    if world.rolling is None:
-        return (robot.kp * q + robot.kd * qd + torque) / robot.gain
-    # The base's loop writes the wheels' commands; here they stay zero.
-    n = len(world.rolling.base.wheels)
-    arm = slice(n, None)
-    told = np.zeros((len(q), len(robot.joints)))
-    joints = robot.kp[arm] * q[:, PLANAR:] + robot.kd[arm] * qd[:, PLANAR:] + torque[:, PLANAR:]
-    told[:, arm] = joints / robot.gain[arm]
-    return told
-
-
-def standing(world: World) -> Float[Array, " actuator"]:
-    """Return commands with which every position servo holds its joint at the scene's home position."""
-    model = world.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = lifted(world.scene, model, world.scene.home_qpos)
-    mujoco.mj_fwdPosition(model, data)
-    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
-    servo = (bias[:, 1] < 0.0) & (gain != 0.0)
-    command = np.zeros(model.nu)
-    command[servo] = -(bias[servo, 0] + bias[servo, 1] * data.actuator_length[servo]) / gain[servo]
-    return command
-
-
-def settled(
-    q: Float[Array, " nq"], world: World, command: Float[Array, " actuator"], *, time: float = 0.0
-) -> Float[Array, " state"]:
-    """Return the state at the start of a motion from `q`: the object in the fingers, everything at rest.
-
-    Args:
-        q: Configuration of the robot.
-        world: The simulated world.
-        command: Commands of all actuators; those of the arm's joints are ignored.
-        time: Start time, on the clock of the moving entities [s].
-    """
-    model, scene = world.model, world.scene
-    data = mujoco.MjData(model)
-    data.qpos[:] = lifted(scene, model, scene.data_at(q).qpos)
-    hold, still = command.copy(), np.zeros((1, len(scene.joints)))
-    hold[world.robot.actuators] = _joint_commands(world, q[None], still, still)[0]
-    if model.nmocap:
-        set_entity_poses(model, data, EntityPoses(model, world.walkers).rows(np.array([time]))[0])
-    steps = round(_SETTLE / model.opt.timestep)
-    for step in range(steps):
-        if world.hold >= 0 and world.robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:
-            data.eq_active[world.hold] = 0
-        data.ctrl[:] = hold
-        mujoco.mj_step(model, data)
-    data.time = time  # the clock of the moving entities
-    state = np.zeros(mujoco.mj_stateSize(model, STATE))
-    mujoco.mj_getState(model, data, state, STATE)
-    return state
 
 
 def _check_range(wanted: Float[Array, "step nq"], tolerance: float, world: World, dt: float) -> None:

@@ -16,8 +16,9 @@ import numpy as np
 
 from graceful_plan import documents
 from graceful_plan.array_types import Float
+from graceful_plan.costs.cost_samples import CostSamples
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import CostSamples, Objective
+from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path, is_real
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult

@@ -39,8 +39,9 @@ from graceful_plan.analysis.harm_law import HarmLaw
 from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.cost_samples import trajectory_batch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import Objective, trajectory_batch
+from graceful_plan.costs.objective import Objective
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import Path, finite_array, is_real

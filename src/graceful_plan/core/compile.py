@@ -11,7 +11,6 @@ geoms never touch. Pairs that overlap are tested, so that no configuration is fr
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,14 +18,16 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.arrays import OBSTACLE_TYPES, ImpactArrays, RobotArrays, WorldArrays
-from graceful_plan.core.covers import GEOM_KINDS, GroupCover, geom_name, group_cover, hull_triangles
+from graceful_plan.core.arrays import ImpactArrays, RobotArrays, WorldArrays
+from graceful_plan.core.covers import GroupCover, geom_name, group_cover
+from graceful_plan.core.frames import MovingFrames, moving_frames, pose_matrix, reference_data
 from graceful_plan.core.kernels import CAPACITY, Kernels
+from graceful_plan.core.link_groups import LinkGroup, link_groups, overlapping_geoms, overlaps, touchable_geoms
+from graceful_plan.core.obstacles import Obstacles, find_obstacles, world_arrays
 from graceful_plan.core.slack import self_slack
 from graceful_plan.core.sphere_cover import MAX_PROTRUSION
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.per_scene import per_layout, per_scene
-from graceful_plan.scene.placement import PlacementPool
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.screening import within_memory
 
@@ -78,7 +79,7 @@ def _compiled(scene: Scene) -> CompiledScene:
         self_pair=np.concatenate([parts.arrays.self_pair, blocked]),
         self_slack=np.concatenate([parts.arrays.self_slack, np.zeros(len(blocked))]),
     )
-    world = _world_arrays(scene, data, parts.obstacles)
+    world = world_arrays(scene, data, parts.obstacles)
     return CompiledScene(
         robot=robot, world=world, impact_tables=impact_tables, kernels=Kernels(robot, world, impact_tables)
     )
@@ -88,38 +89,38 @@ def _compiled(scene: Scene) -> CompiledScene:
 class _RobotParts:
     """Tables of a scene that do not depend on where the objects around the robot are."""
 
-    groups: list[_Group]
+    groups: list[LinkGroup]
     arrays: RobotArrays
     """Without the links of the base that touch surroundings."""
     impact_tables: ImpactArrays
     """Without the boxes of entities."""
     targets: list[int]
     """The geoms of the entities."""
-    obstacles: _Obstacles
+    obstacles: Obstacles
 
 
 @per_layout
 def _robot_parts(scene: Scene) -> _RobotParts:
     data = reference_data(scene)
-    frames = _frames(scene, data)
-    groups = _groups(scene, frames)
+    frames = moving_frames(scene, data)
+    groups = link_groups(scene, frames)
     impact_tables = _impact_arrays(scene, data, frames)
     arrays = _robot_arrays(scene, data, frames, groups)
-    pairs = _self_pairs(groups, len(frames.parent), _overlapping(scene.model, data))
+    pairs = _self_pairs(groups, len(frames.parent), overlapping_geoms(scene.model, data))
     arrays = replace(arrays, self_pair=pairs, self_slack=np.zeros(len(pairs)))
     _check_capacity(scene.model, groups, arrays, impact_tables)
-    touchable = [_touchable(groups, pair - len(frames.parent)) for pair in pairs]
+    touchable = [touchable_geoms(groups, pair - len(frames.parent)) for pair in pairs]
     return _RobotParts(
         groups=groups,
         arrays=replace(arrays, self_slack=self_slack(scene, arrays, touchable, impact_tables)),
         impact_tables=impact_tables,
         targets=[geom for entity in scene.entities.values() for geom in entity.geoms],
-        obstacles=_obstacles(scene, groups),
+        obstacles=find_obstacles(scene, groups),
     )
 
 
 def _check_capacity(
-    model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, impact_tables: ImpactArrays
+    model: mujoco.MjModel, groups: list[LinkGroup], robot: RobotArrays, impact_tables: ImpactArrays
 ) -> None:
     counts = {
         "joints": len(robot.lower),
@@ -138,137 +139,11 @@ def _check_capacity(
         raise UnsupportedError(f"the scene has {count} {what}, the kernels hold {CAPACITY[what]}{hint}")
 
 
-# --- kinematics -----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Frames:
-    """Moving frames: 0 is the base, k + 1 belongs to planned joint k."""
-
-    parent: list[int]
-    X_W: Float[Array, "frame 4 4"]  # at the reference configuration
-    reference: Float[Array, " nq"]
-    of_body: list[int]
-
-
-def reference_data(scene: Scene) -> mujoco.MjData:
-    """Return the scene with all planned joints at their reference position, where joint rotations are the identity.
-
-    The returned data is shared: the next call in this thread for a scene of the same layout overwrites it.
-    """
-    return _placements(scene).of(scene).place(scene.model.qpos0[scene.qpos_adr])
-
-
-@per_layout
-def _placements(scene: Scene) -> PlacementPool:
-    del scene
-    return PlacementPool()
-
-
-def _pose(rotation: Array, position: Array) -> Float[Array, "4 4"]:
-    X = np.eye(4)
-    X[:3, :3] = np.reshape(rotation, (3, 3))
-    X[:3, 3] = position
-    return X
-
-
-def _frames(scene: Scene, data: mujoco.MjData) -> _Frames:
-    model = scene.model
-    joint_ids = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in scene.qpos_adr]
-    frame_of_joint = {joint: k + 1 for k, joint in enumerate(joint_ids)}
-    of_body, parent, X_W = [0] * model.nbody, [-1] + [0] * len(joint_ids), [np.eye(4)] * (len(joint_ids) + 1)
-    for body in range(1, model.nbody):
-        frame = of_body[model.body_parentid[body]]
-        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            if joint not in frame_of_joint:
-                continue
-            parent[frame_of_joint[joint]], frame = frame, frame_of_joint[joint]
-            X_W[frame] = _pose(_rotation_with_z(data.xaxis[joint]), data.xanchor[joint])
-        of_body[body] = frame
-    if scene.carried is not None:
-        tool_body = model.site_bodyid[model.site(scene.tool).id]
-        root = model.body(scene.carried.body).id
-        for body in range(model.nbody):
-            if _is_below(model, body, root):
-                of_body[body] = of_body[tool_body]
-    return _Frames(parent=parent, X_W=np.stack(X_W), reference=model.qpos0[scene.qpos_adr].copy(), of_body=of_body)
-
-
-def _is_below(model: mujoco.MjModel, body: int, root: int) -> bool:
-    while body > 0 and body != root:
-        body = int(model.body_parentid[body])
-    return body == root
-
-
-def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:
-    R, z = np.empty((3, 3)), axis / np.linalg.norm(axis)
-    a, b, c = z.tolist()
-    # The unit vector farthest from z, crossed with z.
-    x = ((0.0, -c, b), (c, 0.0, -a), (-b, a, 0.0))[int(np.argmin(np.abs(z)))]
-    d, e, f = (np.array(x) / np.linalg.norm(x)).tolist()
-    R[:, 0], R[:, 1], R[:, 2] = (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d), z
-    return R
-
-
-def body_frames(scene: Scene) -> tuple[int, ...]:
-    """Return the frame of each body: 0 if it does not move, k + 1 on planned joint k."""
-    return tuple(_frames(scene, reference_data(scene)).of_body)
-
-
-def link_geoms(scene: Scene) -> tuple[tuple[int, ...], ...]:
-    """Return the geoms that the spheres of each link cover; frames have none."""
-    frames = _frames(scene, reference_data(scene))
-    return (*((),) * len(frames.parent), *(group.geoms for group in _groups(scene, frames)))
-
-
-# --- geoms of the robot ---------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Group:
-    """Geoms on one frame that may touch the same geoms."""
-
-    frame: int
-    geoms: tuple[int, ...]
-    partners: frozenset[int]
-
-
-def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
-    moving = {geom for name in ("body", "carried") if name in scene.components for geom in scene.components[name].geoms}
-    bodies = np.asarray(scene.model.geom_bodyid)
-    moving |= set(np.flatnonzero(np.isin(bodies, list(scene.robot_bodies))).tolist())
-    first, second = scene.collision_pairs().T
-    back = np.isin(second, list(moving))
-    geoms, row = np.unique(np.concatenate([first, second[back]]), return_inverse=True)
-    partners = np.zeros((len(geoms), scene.model.ngeom), dtype=bool)
-    partners[row, np.concatenate([second, first[back]])] = True
-    held = set(scene.components["carried"].geoms) if "carried" in scene.components else set()
-    by_key: dict[tuple[int, bytes, bool], list[int]] = {}
-    for k, geom in enumerate(geoms.tolist()):
-        key = (frames.of_body[bodies[geom]], partners[k].tobytes(), geom in held)
-        by_key.setdefault(key, []).append(k)
-    return [
-        _Group(
-            frame=frame,
-            geoms=tuple(geoms[rows].tolist()),
-            partners=frozenset(np.flatnonzero(partners[rows[0]]).tolist()),
-        )
-        for (frame, _, _), rows in sorted(by_key.items(), key=lambda one: (one[0][0], one[1]))
-    ]
-
-
-def _overlapping(model: mujoco.MjModel, data: mujoco.MjData) -> frozenset[tuple[int, int]]:
-    """Return the pairs of geoms, in both orders, that overlap at the reference configuration by exact geometry."""
-    mujoco.mj_collision(model, data)
-    pairs = data.contact.geom[data.contact.dist < 0.0].tolist()
-    return frozenset((a, b) for pair in pairs for a, b in (pair, pair[::-1]))
-
-
 def _robot_arrays(
     scene: Scene,
     data: mujoco.MjData,
-    frames: _Frames,
-    groups: list[_Group],
+    frames: MovingFrames,
+    groups: list[LinkGroup],
 ) -> RobotArrays:
     n_frame = len(frames.parent)
     parent, joint, slide, X_PL = list(frames.parent), [-1, *range(n_frame - 1)], [0] * n_frame, []
@@ -302,7 +177,7 @@ def _robot_arrays(
         lower=scene.limits.position[:, 0].copy(),
         upper=scene.limits.position[:, 1].copy(),
         tool_link=tool_frame,
-        X_LT=np.linalg.inv(frames.X_W[tool_frame]) @ _pose(tool.xmat, tool.xpos),
+        X_LT=np.linalg.inv(frames.X_W[tool_frame]) @ pose_matrix(tool.xmat, tool.xpos),
         sphere_link=np.array(links, dtype=int),
         sphere=np.concatenate(spheres) if spheres else np.zeros((0, 4)),
         bound=np.stack([bound.get(link, np.array([0.0, 0.0, 0.0, -1.0])) for link in range(len(parent))]),
@@ -313,12 +188,14 @@ def _robot_arrays(
     return arrays
 
 
-def _covers(model: mujoco.MjModel, data: mujoco.MjData, frames: _Frames, groups: list[_Group]) -> list[GroupCover]:
+def _covers(
+    model: mujoco.MjModel, data: mujoco.MjData, frames: MovingFrames, groups: list[LinkGroup]
+) -> list[GroupCover]:
     """Cover all links by spheres, with the smallest protrusion at which the kernels can hold them."""
     X_LG = [
         np.stack(
             [
-                np.linalg.inv(frames.X_W[group.frame]) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
+                np.linalg.inv(frames.X_W[group.frame]) @ pose_matrix(data.geom_xmat[geom], data.geom_xpos[geom])
                 for geom in group.geoms
             ]
         )
@@ -344,13 +221,13 @@ def _joint_motion(amount: float, slide: bool) -> Float[Array, "4 4"]:
     return X
 
 
-def _self_pairs(groups: list[_Group], n_frame: int, overlapping: frozenset[tuple[int, int]]) -> Int[Array, "pair 2"]:
+def _self_pairs(groups: list[LinkGroup], n_frame: int, overlapping: frozenset[tuple[int, int]]) -> Int[Array, "pair 2"]:
     pairs = [
         (n_frame + a, n_frame + b)
         for a in range(len(groups))
         for b in range(a + 1, len(groups))
         if groups[a].partners & set(groups[b].geoms)
-        and (groups[a].frame != groups[b].frame or _overlap(groups[a], groups[b].geoms, overlapping))
+        and (groups[a].frame != groups[b].frame or overlaps(groups[a], groups[b].geoms, overlapping))
     ]
     return np.array(pairs, dtype=int).reshape(-1, 2)
 
@@ -361,116 +238,22 @@ def _blocked(scene: Scene, data: mujoco.MjData, parts: _RobotParts) -> Int[Array
     Kernels do not test the base against obstacles.
     """
     near = parts.obstacles.near_base(scene.model, data)
-    overlapping = _overlapping(scene.model, data) if near else frozenset()
+    overlapping = overlapping_geoms(scene.model, data) if near else frozenset()
     links = [
         len(scene.joints) + 1 + a
         for a, group in enumerate(parts.groups)
-        if group.frame == 0 and _overlap(group, parts.obstacles.geom.tolist(), overlapping)
+        if group.frame == 0 and overlaps(group, parts.obstacles.geom.tolist(), overlapping)
     ]
     return np.repeat(np.array(links, dtype=int)[:, None], 2, axis=1)
 
 
-def _touchable(groups: list[_Group], pair: Int[Array, " 2"]) -> list[tuple[int, int]]:
-    """Return the pairs of geoms of two groups that may touch."""
-    first, second = (groups[k] for k in pair.tolist())
-    return [(a, b) for a in first.geoms for b in second.geoms if b in first.partners]
-
-
-def _overlap(group: _Group, others: Iterable[int], overlapping: frozenset[tuple[int, int]]) -> bool:
-    return any((a, b) in overlapping for a in group.geoms for b in group.partners.intersection(others))
-
-
-# --- obstacles ------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Obstacles:
-    """Geoms around the robot, with the tables that do not depend on where they are.
-
-    | field   | meaning                                                        | unit | shape        |
-    |---------|----------------------------------------------------------------|------|--------------|
-    | geom    | ids, ascending                                                 |      | obstacle     |
-    | kind    | as in `WorldArrays`                                            |      | obstacle     |
-    | ignores | as in `WorldArrays`                                            |      | obstacle     |
-    | hulls   | corners of triangles of meshes' hulls, in the geom's frame     | m    |              |
-    | base    | geoms of the base                                              |      | geom         |
-    """
-
-    geom: Int[Array, " obstacle"]
-    kind: Int[Array, " obstacle"]
-    ignores: Int[Array, " obstacle"]
-    hulls: tuple[Float[Array, "_ 3 3"], ...]
-    base: Int[Array, " geom"]
-
-    def near_base(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
-        """Return whether the bounding sphere of an obstacle meets that of a geom of the base; planes count as near."""
-        radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)
-        away = np.linalg.norm(data.geom_xpos[self.geom][:, None] - data.geom_xpos[self.base], axis=2)
-        return bool(np.any(away <= radius[self.geom][:, None] + radius[self.base]))
-
-
-def _obstacles(scene: Scene, groups: list[_Group]) -> _Obstacles:
-    model = scene.model
-    moving = {geom for group in groups for geom in group.geoms}
-    geoms = sorted({g for group in groups for g in group.partners} - moving)
-    n_frame = len(scene.joints) + 1
-    kind, ignores, hulls = [], [], []
-    for geom in geoms:
-        name = GEOM_KINDS.get(_GEOM(int(model.geom_type[geom])))
-        if name is None:
-            raise UnsupportedError(f"geom {geom_name(model, geom)!r} is a {_GEOM(int(model.geom_type[geom])).name}; "
-                                   f"supported: {', '.join(OBSTACLE_TYPES)}")  # fmt: skip
-        kind.append(OBSTACLE_TYPES.index(name))
-        ignores.append(
-            sum(1 << (n_frame + k) for k, group in enumerate(groups[: 62 - n_frame]) if geom not in group.partners)
-        )
-        mesh = name == "mesh"
-        hulls.append(hull_triangles(model, int(model.geom_dataid[geom])) if mesh else np.zeros((0, 3, 3)))
-    return _Obstacles(
-        geom=np.array(geoms, dtype=int),
-        kind=np.array(kind, dtype=int),
-        ignores=np.array(ignores, dtype=int),
-        hulls=tuple(hulls),
-        base=np.array([geom for group in groups if group.frame == 0 for geom in group.geoms], dtype=int),
-    )
-
-
-def _world_arrays(scene: Scene, data: mujoco.MjData, obstacles: _Obstacles) -> WorldArrays:
-    model = scene.model
-    # Nearest to the base first, since these obstacles collide most often.
-    away = np.linalg.norm(data.geom_xpos[obstacles.geom] - data.xpos[min(scene.robot_bodies)], axis=1)
-    order = np.argsort(away - model.geom_rbound[obstacles.geom], kind="stable")
-    geoms = obstacles.geom[order]
-    hulls = [
-        obstacles.hulls[k] @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        for k, geom in zip(order.tolist(), geoms.tolist(), strict=True)
-        if len(obstacles.hulls[k])
-    ]
-    size = [len(obstacles.hulls[k]) for k in order.tolist()]
-    pose = np.concatenate([data.geom_xmat[geoms], data.geom_xpos[geoms]], axis=1)
-    radius = np.where(model.geom_type[geoms] == int(_GEOM.mjGEOM_PLANE), -1.0, model.geom_rbound[geoms] + 1e-6)
-    return WorldArrays(
-        kind=obstacles.kind[order],
-        pose=pose,
-        size=model.geom_size[geoms].reshape(-1, 3),
-        bound=np.column_stack([pose[:, 9:], radius]),
-        ignores=obstacles.ignores[order],
-        hull_start=np.concatenate([[0], np.cumsum(size, dtype=int)]),
-        triangles=np.concatenate([np.zeros((0, 3, 3)), *hulls]),
-        geom=geoms,
-    )
-
-
-# --- impact --------------------------------------------------------------------------------------------------------
-
-
-def _impact_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> ImpactArrays:
+def _impact_arrays(scene: Scene, data: mujoco.MjData, frames: MovingFrames) -> ImpactArrays:
     model = scene.model
     parts = [(r, geom) for r, component in enumerate(scene.components.values()) for geom in component.geoms]
     boxes = []
     for _, geom in parts:
         frame = frames.of_body[model.geom_bodyid[geom]]
-        X = np.linalg.inv(frames.X_W[frame]) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
+        X = np.linalg.inv(frames.X_W[frame]) @ pose_matrix(data.geom_xmat[geom], data.geom_xpos[geom])
         centre = X[:3, :3] @ model.geom_aabb[geom, :3] + X[:3, 3]
         boxes.append(np.concatenate([X[:3, :3].ravel(), centre, model.geom_aabb[geom, 3:]]))
     targets = [e for e, entity in enumerate(scene.entities.values()) for _ in entity.geoms]

@@ -21,7 +21,9 @@ _SINE = 1e-9
 
 
 def tool_jacobian(kernels: Kernels, q: Float[Array, "n nq"]) -> tuple[Float[Array, "n 4 4"], Float[Array, "n 6 nq"]]:
-    """Return the pose of the tool in W and the Jacobian of its twist [m and rad by rad or m].
+    """Return the pose of the tool in W and the Jacobian of its twist, velocity before angular velocity.
+
+    Columns are per rad for hinges and per metre for slides.
 
     Args:
         kernels: Kernels of the scene.

@@ -22,7 +22,8 @@ from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, ImpactKernel
 from graceful_plan.costs.blocks.native_cost import native_kernel
-from graceful_plan.costs.cost import AHEAD, Cost, StateBatch, checked_state, moving_batch
+from graceful_plan.costs.cost import Cost, StateBatch, checked_state, moving_batch
+from graceful_plan.costs.cost_samples import CostSamples, timed_samples
 from graceful_plan.costs.edge_samples import EdgeSamples
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.motion import JointLength
@@ -48,8 +49,6 @@ AT_LIMITS = (1.0, 1.0)
 """Paces of a path without times: the slowest joint of each edge at its limit."""
 EXPOSURES = ("time", "length", "waypoints")
 """Names of the integration variables of the impact."""
-FARTHEST = 1000.0
-"""Largest position and velocity of a joint that the core accepts. Cubics between odd samples may overshoot it."""
 MOST_STATES = 150_000
 """Largest number of states at which one path is evaluated."""
 _AT_A_TIME = 20_000
@@ -107,18 +106,6 @@ class Objective:
             paces: Alternating paces of an edge's samples: fractions of the speed at which one joint is at its limit.
         """
         return SceneObjective(self, scene, paces)
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class CostSamples:
-    """States at which a motion is evaluated; the integral of the impact is the sum of weight times density."""
-
-    batch: StateBatch
-    weight: Float[Array, " n"]
-    """Integration weight of each state: [rad], [s], or 1 if the exposure is waypoints."""
-    place: Float[Array, " n"]
-    """Position of each state as an index of vertices or samples of the motion; fractional in between."""
 
 
 @final
@@ -317,7 +304,7 @@ class SceneObjective:
             times = start_time + path.t if isinstance(path, Trajectory) else None
             return CostSamples(StateBatch(self.scene, points.q, time=times), np.ones(len(points)), place=vertices)
         if isinstance(path, Trajectory):
-            return _timed_states(self.scene, path, start_time, by_length=self.objective.exposure == "length")
+            return timed_samples(self.scene, path, start_time, by_length=self.objective.exposure == "length")
         samples = self.samples(points.q[:-1], points.q[1:])
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
@@ -362,52 +349,6 @@ class SceneObjective:
             impact_by_entity=dict(zip(impact.harmed_entities(self.scene), parts.sum(axis=0).tolist(), strict=True)),
             impact_by_component=dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)),
         )
-
-
-def trajectory_batch(
-    scene: Scene, trajectory: Trajectory, t: Float[Array, " n"], times: Float[Array, " n"] | None = None
-) -> StateBatch:
-    """Return the states of a trajectory at some of its times [s], with the motion ahead.
-
-    Args:
-        scene: The scene.
-        trajectory: The trajectory.
-        t: Times on the clock of the trajectory.
-        times: The same times on the clock of the scene's predictions, if known.
-    """
-    state = trajectory.at(t)
-    found = moving_batch(scene, state.q, state.qd, times)
-
-    def ahead() -> Float[Array, "n step nq"]:
-        later = trajectory.positions((t[:, None] + AHEAD).ravel()).reshape(len(t), len(AHEAD), -1)
-        _check_size(later)
-        return later
-
-    return StateBatch(scene, found.q, found.direction, found.speed, times, ahead)
-
-
-def _check_size(*parts: Float[Array, "..."]) -> None:
-    farthest = max(float(np.abs(part).max()) for part in parts)
-    if farthest > FARTHEST:
-        expected = f"positions and velocities of at most {FARTHEST:g}, between samples too"
-        raise SettingError("trajectory", farthest, expected)
-
-
-def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by_length: bool) -> CostSamples:
-    """Return states at most `COST_STEP` apart at their own velocities, with trapezoid weights [s, or rad]."""
-    pieces = np.maximum(1, np.ceil(trajectory.path.segment_lengths / COST_STEP)).astype(int)
-    piece = np.repeat(np.arange(len(pieces)), pieces)
-    first = np.cumsum(pieces) - pieces
-    place = np.append(piece + (np.arange(len(piece)) - first[piece]) / pieces[piece], len(pieces))
-    t = np.interp(place, np.arange(len(trajectory)), trajectory.t)
-    done = np.append(0.0, np.cumsum(trajectory.path.segment_lengths))
-    gaps = np.diff(np.interp(place, np.arange(len(trajectory)), done) if by_length else t)
-    weight = np.zeros(len(t))
-    weight[:-1] += 0.5 * gaps
-    weight[1:] += 0.5 * gaps
-    batch = trajectory_batch(scene, trajectory, t, start_time + t)
-    _check_size(batch.q, batch.qd)
-    return CostSamples(batch, weight, place)
 
 
 def evaluate(

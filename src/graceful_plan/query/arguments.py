@@ -95,7 +95,7 @@ def checked_objective(objective: object, w: object) -> Objective:
 
 
 def checked_stop(stop: object, *, limited: bool) -> Stop:
-    """Return when to end; by default at the limits if any is given, else at convergence."""
+    """Return the condition that ends a call; by default the limits, if any is given, else convergence."""
     if stop is None:
         return "time_limit" if limited else "converged"
     if stop not in STOPS:

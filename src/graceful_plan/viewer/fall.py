@@ -8,12 +8,12 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.costs.cost_samples import trajectory_batch
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.functions import GRAVITY
 from graceful_plan.costs.models.drop.landing import land
 from graceful_plan.costs.models.drop.release import release
 from graceful_plan.costs.models.drop.tables import drop_tables
-from graceful_plan.costs.objective import trajectory_batch
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory

@@ -9,8 +9,8 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.costs.cost_samples import trajectory_batch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import trajectory_batch
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory

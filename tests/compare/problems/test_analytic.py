@@ -1,4 +1,4 @@
-"""Problems with known optima: the optima are right, the integrals are additive, improper values are refused."""
+"""Problems with known optima: correct optima, additive integrals, refused arguments."""
 
 from __future__ import annotations
 
@@ -8,22 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graceful_plan.compare.problems.analytic import (
-    DensityObjective,
-    FunctionProblem,
     analytic_problems,
     disc,
     free_space,
-    mechanical_work,
     saddle,
     saddle_density,
     two_media,
 )
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem, mechanical_work
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import path_total
 
 _QUADRATURE = 0.005
-"""Relative error that the trapezoid rule may make; a jump of the density costs half a step."""
+"""Relative error of the trapezoid rule; a jump of the density costs half a step."""
 
 
 def _arc(centre: tuple[float, float], radius: float, begin: float, end: float) -> np.ndarray:
@@ -32,7 +30,7 @@ def _arc(centre: tuple[float, float], radius: float, begin: float, end: float) -
 
 
 def _geodesic(name: str) -> np.ndarray:
-    """Curves that calculus of variations says are shortest."""
+    """Return the shortest curve by calculus of variations."""
     if name in ("free_space", "uniform_density"):
         return np.array([[-1.0, -1.0], [0.5, 0.5]])
     if name == "disc":

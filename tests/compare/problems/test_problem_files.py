@@ -1,4 +1,4 @@
-"""Problem files: three formats, the same problems; what is broken is refused with file and key."""
+"""Problem files: three formats with the same problems; broken files are refused with file and key."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = np.ndarray
 _READY = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
 _OTHER = [0.6, -0.5, 0.2, -2.0, 0.1, 1.7, 0.4]
 _TURN = [0.8, 0.0, 0.0, 0.6]
-"""wxyz."""
+"""Quaternion, wxyz."""
 _JOINTS = [f"panda_joint{k}" for k in range(1, 8)]
 
 
@@ -100,7 +100,7 @@ def _written(folder: Path, form: str) -> Path:
     return folder
 
 
-# --- what is read -----------------------------------------------------------------------------------------------------
+# --- valid files ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", ["robometrics", "vamp", "moveit"])
@@ -118,7 +118,7 @@ def test_every_format_gives_the_same_problem(tmp_path: Path, form: str):
     }
     assert by_name["shelf"].size == (0.1, 0.5, 0.02)
     assert by_name["can"].size == (0.03, 0.07) and by_name["ball"].size == (0.05,)
-    c, s = 0.28, 0.96  # of twice the angle of the quaternion
+    c, s = 0.28, 0.96  # cosine and sine of the whole angle; the quaternion holds the half angle
     shelf = [[c, -s, 0, 0.7], [s, c, 0, 0.1], [0, 0, 1, 0.3], [0, 0, 0, 1]]
     np.testing.assert_allclose(by_name["shelf"].X_WO, shelf, atol=1e-12)
     np.testing.assert_allclose(by_name["ball"].X_WO[:3, 3], [0.2, 0.6, 0.8])
@@ -131,7 +131,7 @@ def test_scenes_have_the_obstacles_where_they_are(tmp_path: Path, form: str):
     np.testing.assert_allclose(scene.model.body("can").pos, [0.7, 0.0, 0.4])
     np.testing.assert_allclose(scene.model.body("can").quat, _TURN, atol=1e-12)
     assert scene.joints == tuple(f"panda/joint{k}" for k in range(1, 8))
-    # A point of the shelf's far corner, by hand, is on its surface: a probe there touches.
+    # The shelf's far corner, computed by hand, is on its surface: a probe there is in contact.
     corner = np.array([0.7, 0.1, 0.3]) + np.array([0.28 * 0.1 - 0.96 * 0.5, 0.96 * 0.1 + 0.28 * 0.5, 0.02])
     shelf = scene.model.body("shelf")
     R = np.array([[0.28, -0.96, 0.0], [0.96, 0.28, 0.0], [0.0, 0.0, 1.0]])
@@ -157,13 +157,13 @@ def test_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
 
 @pytest.mark.parametrize(("frame", "turn"), [("panda_hand", 0.0), ("panda_link8", -np.pi / 4.0), (None, 0.0)])
 def test_poses_of_the_hand_become_poses_of_the_tool(tmp_path: Path, frame: str | None, turn: float):
-    """A hand or flange where forward kinematics puts it asks for the tool where it then is."""
+    """A pose of the hand or flange, taken from forward kinematics, becomes the tool's pose at that configuration."""
     document = _robometrics()
     problem = document["shelf"][0]
     scene = load_problems(_write(tmp_path / "a.yaml", document))[0].scene
     data = scene.data_at(_OTHER)
     hand = data.body("panda/hand")
-    half = 0.5 * -turn  # the flange is turned back from the hand
+    half = 0.5 * -turn  # the flange is turned back relative to the hand
     w, x, y, z = hand.xquat
     c, s = np.cos(half), np.sin(half)
     quaternion = [w * c - z * s, x * c + y * s, y * c - x * s, z * c + w * s]
@@ -220,7 +220,7 @@ def test_parts_of_one_object_are_placed_in_its_pose(tmp_path: Path):
     assert by_name["ball_1"].kind == "sphere" and by_name["ball_1"].size == (0.01,)
 
 
-def test_fingers_are_as_asked(tmp_path: Path):
+def test_fingers_have_the_requested_width(tmp_path: Path):
     file = _written(tmp_path, "robometrics")
     for opening in (0.0, 0.04):
         scene = load_problems(file, fingers=opening)[0].scene
@@ -231,19 +231,19 @@ def test_fingers_are_as_asked(tmp_path: Path):
 
 
 def test_numbers_in_scientific_notation_are_numbers(tmp_path: Path):
-    text = yaml.safe_dump(_robometrics()).replace("0.05", "5e-2")  # text, to YAML 1.1
+    text = yaml.safe_dump(_robometrics()).replace("0.05", "5e-2")  # text in YAML 1.1
     (tmp_path / "a.yaml").write_text(text)
     (problem,) = load_problems(tmp_path / "a.yaml")
     assert {o.size for o in problem.obstacles if o.kind == "sphere"} == {(0.05,)}
 
 
-# --- what is refused --------------------------------------------------------------------------------------------------
+# --- refused files ----------------------------------------------------------------------------------------------------
 
 
 def _broken(change: str) -> dict[str, Any]:
     document = _robometrics()
     problem = document["shelf"][0]
-    exec(change, {"p": problem, "d": document})  # the changes are written below
+    exec(change, {"p": problem, "d": document})  # the changes are in the parameters below
     return document
 
 
@@ -273,7 +273,7 @@ def _broken(change: str) -> dict[str, Any]:
         ("d.clear()", r"holds no problem"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, change: str, message: str):
+def test_errors_name_the_culprit(tmp_path: Path, change: str, message: str):
     file = tmp_path / "a.yaml"
     file.write_text(yaml.dump(_broken(change), Dumper=_NoAliases))
     with pytest.raises(FormatError, match=message) as caught:

@@ -35,7 +35,7 @@ def test_the_default_suite_takes_a_minute_or_so():
     assert len(suite.problems) * len(gp.PLANNERS) * len(suite.seeds) * suite.seconds <= 90.0
 
 
-def test_a_suite_file_may_say_everything(tmp_path):
+def test_a_suite_file_may_set_every_option(tmp_path):
     scene = gp.load_scene("tabletop")
     home = ", ".join(repr(float(x)) for x in scene.keyframes["ready"])
     suite = bench.load_suite(
@@ -117,7 +117,7 @@ def test_a_scene_file_stands_beside_the_suite_and_its_change_is_seen(tmp_path):
         ("version: 1\nproblems: [&a {analytic: [disc]}]\n", "anchors"),
     ],
 )
-def test_broken_suites_say_where(tmp_path, text, message):
+def test_errors_of_broken_suites_name_the_place(tmp_path, text, message):
     with pytest.raises(SceneError, match=message):
         bench.load_suite(written(tmp_path, text))
 

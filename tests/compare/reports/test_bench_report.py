@@ -18,7 +18,7 @@ VOID = {"meta", "br", "link", "img", "hr", "input"}
 
 
 class Balanced(HTMLParser):
-    """Reads a page and complains about elements that are not closed, or closed twice."""
+    """Parses a page and records elements that are not closed, or closed twice."""
 
     def __init__(self):
         super().__init__(convert_charrefs=True)
@@ -95,7 +95,7 @@ def test_a_page_is_the_same_every_time():
 
 
 @pytest.mark.long
-def test_what_the_page_says():
+def test_the_page_has_the_expected_numbers():
     _, text = read("rich")
     assert "7 problems, 3 planners, 2 seeds" in text
     assert "28 runs" not in text
@@ -132,12 +132,12 @@ def test_gaps_and_medians_by_hand():
     summary = bench.summarise(rich())
     first, second, third = summary.planners
     assert list(summary.best.values()) == pytest.approx([1.0 + i for i in range(7)])
-    assert (first.gap, second.gap) == pytest.approx((0.001, 0.1011))  # of 7 times 0 and 7 times 0.001: the worse
+    assert (first.gap, second.gap) == pytest.approx((0.001, 0.1011))  # of 7 times 0 and 7 times 0.001: the worse one
     assert third.gap == math.inf  # half of its runs failed
     assert (first.solved, third.solved, third.runs) == (14, 7, 14)
     assert dict(third.outcomes) == {"SOLVED": 7, "TIMEOUT": 3, "RAISED": 4}
     assert (first.first, second.first, third.first) == (0.001, 0.002, math.inf)
-    # Twice as dear until ten times the time to the first path.
+    # Twice the cost until ten times the time to the first path.
     assert first.gap_at["0.01"] == pytest.approx(0.001)
     assert second.gap_at["0.01"] == pytest.approx(2 * 1.1 * 1.001 - 1.0)
     assert (first.motion, first.impact) == pytest.approx((0.75, 0.25), rel=2e-3)
@@ -160,7 +160,7 @@ def test_curves():
     assert (grid[0], grid[-1]) == pytest.approx((0.001, 0.5))
 
 
-def test_what_is_known_from_elsewhere_counts():
+def test_best_costs_from_other_files_count():
     compared = rich()
     known = type(compared)(**{**vars(compared), "known": {PROBLEMS[0]: 0.5}})
     assert bench.summarise(known).best[PROBLEMS[0]] == 0.5

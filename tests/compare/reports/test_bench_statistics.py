@@ -32,13 +32,13 @@ def test_by_hand():
 def test_signed_rank_by_hand():
     # All six differences have one sign: 2 of the 2^6 assignments of signs are as extreme.
     assert signed_rank([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) == pytest.approx(2 / 64)
-    # Of five, even that is above 0.05.
+    # With five, even that is above 0.05.
     assert signed_rank([1.0, 2.0, 3.0, 4.0, 5.0]) == pytest.approx(2 / 32)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 30))
-def test_signed_rank_is_that_of_scipy(seed, n):
+def test_signed_rank_equals_that_of_scipy(seed, n):
     difference = np.random.default_rng(seed).normal(0.3, 1.0, n)
     assert signed_rank(difference) == pytest.approx(stats.wilcoxon(difference, method="exact").pvalue)
 
@@ -63,7 +63,7 @@ def test_many_differences_are_normal():
     difference = np.random.default_rng(2).normal(0.1, 1.0, 201)
     expected = stats.wilcoxon(difference, method="asymptotic", correction=True).pvalue
     assert signed_rank(difference) == pytest.approx(expected)
-    # The two ways meet where they change over.
+    # The exact and the asymptotic p-value agree where the method changes.
     exact = signed_rank(difference[:200])
     assert exact == pytest.approx(stats.wilcoxon(difference[:200], method="asymptotic").pvalue, rel=0.05)
 
@@ -73,7 +73,7 @@ def test_no_difference_is_no_evidence():
     assert (found.p, found.ratio, found.low, found.high, found.ties) == (1.0, 1.0, 1.0, 1.0, 3)
 
 
-def test_what_one_does_not_solve_is_lost_and_what_both_do_not_is_left_out():
+def test_a_run_that_one_planner_fails_is_lost_and_one_that_both_fail_is_ignored():
     found = pair([1.0, math.inf, math.inf, 1.0], [math.inf, 1.0, math.inf, 1.0])
     assert (found.wins, found.ties, found.losses, found.n) == (1, 2, 1, 3)
     assert found.ratio == 1.0
@@ -93,7 +93,7 @@ def test_paths_that_cost_nothing():
 
 @settings(max_examples=30, deadline=None)
 @given(costs)
-def test_the_other_way_round_is_the_inverse(values):
+def test_swapped_arguments_give_the_inverse(values):
     a, b = ([pair[i] for pair in values] for i in range(2))
     there, back = pair(a, b), pair(b, a)
     assert (there.wins, there.ties, there.losses) == (back.losses, back.ties, back.wins)
@@ -105,7 +105,7 @@ def test_the_other_way_round_is_the_inverse(values):
             assert there.ratio * back.ratio == pytest.approx(1.0)
 
 
-def test_the_interval_covers_the_truth_about_as_often_as_it_says():
+def test_intervals_have_the_stated_coverage():
     rng = np.random.default_rng(1)
     covered = 0
     for i in range(100):

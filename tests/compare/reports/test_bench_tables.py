@@ -35,7 +35,7 @@ def test_csv_has_a_row_for_every_run(tmp_path):
     assert len(points) == sum(len(run.trace) for run in compared.runs)
 
 
-def test_parquet_says_the_same(tmp_path):
+def test_parquet_has_the_same_rows(tmp_path):
     compared = rich()
     runs, trace = (pq.read_table(file) for file in write_parquet(compared, tmp_path))
     assert tuple(runs.column_names) == RUN_COLUMNS
@@ -47,7 +47,7 @@ def test_parquet_says_the_same(tmp_path):
 
 
 @pytest.mark.parametrize("compared", [all_failed(), comparison([], ("a",), ("p",))], ids=["all failed", "no runs"])
-def test_nothing_to_tell_is_told(tmp_path, compared):
+def test_an_empty_comparison_can_be_written(tmp_path, compared):
     for file in (*write_csv(compared, tmp_path), *write_parquet(compared, tmp_path), write_arena(compared, tmp_path)):
         assert file.exists()
     assert pq.read_table(tmp_path / "trace.parquet").num_rows == 0
@@ -90,7 +90,7 @@ def columns(database, table):
 def test_arena_has_the_tables_of_ompl(arena):
     tables = {name for (name,) in arena.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
     assert tables - {"sqlite_sequence"} == {"experiments", "plannerConfigs", "enums", "runs", "progress"}
-    # In the order in which Planner Arena takes them for granted.
+    # Planner Arena expects the columns in this order.
     assert columns(arena, "experiments") == (
         "id name totaltime timelimit memorylimit runcount version hostname cpuinfo date seed setup".split()
     )
@@ -110,7 +110,7 @@ def test_arena_has_every_run(arena):
 
     assert (count("experiments"), count("plannerConfigs"), count("runs")) == (7, 3, 42)
     solved = [run for run in compared.runs if run.solved]
-    # Every 5 ms of half a second, and everybody had a path by then.
+    # A row per 5 ms of half a second; every planner has a path by then.
     assert count("progress") == 100 * len(solved)
     assert count("enums") == len(STATUSES)
     joined = arena.execute(
@@ -126,8 +126,8 @@ def test_arena_has_every_run(arena):
     assert joined == expected
 
 
-def test_no_column_of_progress_is_one_of_runs_too(arena):
-    # Planner Arena joins both, and renames these two itself.
+def test_progress_and_runs_share_only_two_columns(arena):
+    # Planner Arena joins both tables, and renames these two columns itself.
     assert set(columns(arena, "runs")) & set(columns(arena, "progress")) == {"time", "best_cost"}
 
 
@@ -164,7 +164,7 @@ def test_an_older_database_is_replaced(tmp_path):
 # --- best known ------------------------------------------------------------------------------------------------------
 
 
-def test_what_is_known_can_be_read_again(tmp_path):
+def test_best_known_costs_survive_writing_and_reading(tmp_path):
     names = {'room "a": #1': 1.25, "b/c": 0.0, "never": math.inf}
     file = write_known(names, 0.5, tmp_path)
     assert read_known(file) == read_known(file, 0.5) == {'room "a": #1': 1.25, "b/c": 0.0}

@@ -10,7 +10,7 @@ from graceful_plan.compare.reports.report import page
 
 
 def made_up():
-    """Two kinds of two problems each; the last start is refused."""
+    """Two kinds of problem, two problems each; the last start is refused."""
     kinds = {"a1": "a", "a2": "a", "b1": "b", "b2": "b", "disc": "analytic"}
     walls, over = (0.01, 0.02, 0.03), (-0.1, 0.001, 0.2)
     runs = [
@@ -33,7 +33,7 @@ def test_calls_by_hand():
     assert (a.runs, a.solved, a.refused) == (2, 2, 0)
     assert (b.runs, b.solved, b.refused) == (2, 1, 1)
     assert (a.search, a.motion_wall, a.motion_cpu) == pytest.approx((0.002, 0.02, 0.04))
-    # Between two the worse, and what was not solved is infinite.
+    # The median of two is the worse one, and unsolved runs count as infinite.
     assert b.search == math.inf
     assert a.early == (math.inf, 1.0)
     assert every.motion_wall == pytest.approx(0.02)

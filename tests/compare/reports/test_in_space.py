@@ -1,4 +1,4 @@
-"""What the page of a comparison shows in 3-D: the right motions, or why there is none."""
+"""The 3-D view on the page of a comparison: the right motions, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TASK = "tabletop/lift_to_goal"
 
 
 def moving(planner, total, pieces=3, problem=TASK):
-    """Make up a run with a short motion."""
+    """Return an invented run with a short motion."""
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     q = np.linspace(task.start, task.start + 0.1, pieces)
     motion = gp.retime(gp.Path(q), task.scene.limits, task.scene.joints)
@@ -40,13 +40,13 @@ def summary(runs, source="tabletop", digest=""):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What the view is asked to show, which is tested elsewhere."""
+    """Record the arguments of the view, which has its own tests."""
     asked = []
     monkeypatch.setattr(module, "report_view", lambda *all: asked.append(all) or ("<p>a view</p></script>", ""))
     return asked
 
 
-def test_it_is_the_problem_on_which_planners_differ_most(asked):
+def test_the_view_shows_the_problem_on_which_planners_differ_most(asked):
     others = [moving(name, total, problem="tabletop/other") for name, total in (("a", 5.0), ("b", 6.0), ("c", 5.5))]
     runs = [*others, moving("a", 3.0, 4), moving("b", 2.0, 5), moving("c", 2.5, 6)]
     found = bench.in_space(summary(runs))
@@ -57,19 +57,19 @@ def test_it_is_the_problem_on_which_planners_differ_most(asked):
     assert [len(motion.q), len(other.q)] == [len(runs[4].path), len(runs[3].path)]
 
 
-def test_one_planner_has_no_ghost(asked):
+def test_a_single_planner_is_shown_without_ghost(asked):
     found = bench.in_space(summary([moving("a", 2.0)]))
     assert "ghost" not in found["of"] and asked[0][2] is None
 
 
-def test_what_was_not_timed_or_not_solved_is_not_shown(asked):
+def test_untimed_and_unsolved_runs_are_not_shown(asked):
     untimed = replace(moving("a", 2.0), times=(), velocities=())
     assert bench.in_space(summary([untimed])) is None
     failed = replace(moving("a", 2.0), status="TIMEOUT")
     assert bench.in_space(summary([failed])) is None and asked == []
 
 
-def test_scenes_that_are_not_here_are_named(asked):
+def test_missing_scenes_are_named(asked):
     assert "without --report-only" in bench.in_space(summary([moving("a", 2.0)], digest="12"))["why"]
     elsewhere = moving("a", 2.0)
     assert "cannot be shown" in bench.in_space(summary([elsewhere], source="desk"))["why"]

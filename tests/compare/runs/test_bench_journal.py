@@ -21,7 +21,7 @@ def opened(folder, settings=SETTINGS):
 
 
 @pytest.mark.parametrize("run", rich().runs[:6], ids=lambda run: f"{run.planner} {run.status}")
-def test_a_run_is_read_as_it_was_written(run):
+def test_a_run_survives_writing_and_reading(run):
     back = Run.from_document(json.loads(run.to_json()), "here")
     assert repr(back) == repr(run)  # NaN is not equal to itself
 
@@ -84,7 +84,7 @@ def test_other_files_are_refused(tmp_path, head, message):
     assert (tmp_path / NAME).read_bytes() == head
 
 
-LATER = {  # what the journal of each version did not have yet
+LATER = {  # fields that the journal of each version lacked
     1: {"self_clearance", "certified", "times", "velocities", "motion_wall", "motion_cpu", "early"},
     2: {"motion_wall", "motion_cpu", "early"},
 }
@@ -124,7 +124,7 @@ def test_other_settings_are_refused_and_named(tmp_path):
         assert len(again.runs) == 1
 
 
-def test_differences_name_what_is_missing():
+def test_differences_name_missing_parts():
     assert list(differences({"a": 1}, {"a": 1})) == []
     assert list(differences({"a": 1}, {"b": 2})) == ["a was 1 and is null", "b was null and is 2"]
     longer = list(differences({"p": [{"label": "a"}]}, {"p": [{"label": "a"}, {"label": "b"}]}))
@@ -164,9 +164,9 @@ def test_a_folder_without_a_journal_has_no_report(tmp_path):
 
 
 @pytest.mark.long
-def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path):
+def test_a_killed_and_interrupted_command_resumes(tmp_path):
     out = tmp_path / "out"
-    # There are far more slow runs to do than it takes to notice some; what is left in the end is quick.
+    # Many more slow runs than finish before the kill; the remaining ones are quick after `slow` is deleted.
     slow = own_planner(tmp_path, act="import pathlib, time; time.sleep(0.2 * pathlib.Path('slow').exists())")
     (tmp_path / "slow").touch()
     command = [sys.executable, "-m", "graceful_plan.tools.cli", "bench", "--suite", str(suite_file(tmp_path)), "--json"]

@@ -1,4 +1,4 @@
-"""The best motions known: kept, judged again, and replaced by better ones alone."""
+"""The best motions known: stored, verified again, and replaced only by better ones."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def stored(found, motions) -> BestMotion:
 
 
 @pytest.mark.long
-def test_a_run_can_do_without_what_takes_long_to_measure(found):
+def test_slow_measurements_can_be_skipped(found):
     assert found.solved and found.first <= found.trace[0].time < found.seconds
     assert np.isnan([found.jerk_peak, found.jerk_rms, found.clearance, found.self_clearance, found.certified]).all()
     assert found.total_at(found.seconds) == pytest.approx(found.total)
@@ -88,7 +88,7 @@ def test_a_motion_for_another_weight_is_refused(stored, motions):
         read_known(motions.folder, 2.0)
 
 
-def test_files_say_for_which_weight_they_are(stored, motions):
+def test_files_name_their_weight(stored, motions):
     other = BestMotions(motions.folder, 0.5)
     total = stored.motion + 0.5 * stored.impact
     other.write(dataclasses.replace(stored, total=total))
@@ -100,7 +100,7 @@ def test_files_say_for_which_weight_they_are(stored, motions):
 
 def test_a_colliding_motion_is_refused(stored, motions):
     inside = task().start.copy()
-    inside[1:4] = [1.5, 0.0, -0.5]  # arm stretched out into the table
+    inside[1:4] = [1.5, 0.0, -0.5]  # the arm stretched into the table
     scene, ends = task().scene, stored.trajectory(task().scene.joints).q[[0, -1]]
     through = gp.retime(gp.Path(np.insert(ends, 1, inside, axis=0)), scene.limits, scene.joints)
     rows = np.column_stack([through.t, through.q, through.qd])
@@ -118,7 +118,7 @@ def test_a_motion_that_is_too_fast_is_refused(stored, motions):
     assert motions.renewed(TASK, task()) is None
 
 
-def test_a_motion_that_would_lose_what_is_held_is_refused(stored, motions):
+def test_a_motion_that_would_lose_the_object_is_refused(stored, motions):
     bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
     scene = bottle.scene
     jerked = gp.retime(gp.Path(np.stack([bottle.start, bottle.goal[0]])), scene.limits, scene.joints)
@@ -165,7 +165,7 @@ def test_only_a_better_motion_replaces_the_best(stored, found, motions):
     assert better.runs == stored.runs
 
 
-def test_what_is_stored_is_the_motion_that_was_planned():
+def test_the_planned_motion_is_stored():
     result = gp.plan(task().start, task().goal, task().scene, w=1.0, iterations=100)
     planned = result.unwrap()
     back = cubics(planned.t.tolist(), planned.q.tolist(), planned.qd.tolist(), task().scene.joints)
@@ -176,7 +176,7 @@ def test_what_is_stored_is_the_motion_that_was_planned():
     assert gp.evaluate(back, task().scene, gp.Objective(w=1.0)).total == pytest.approx(result.cost.total, rel=1e-12)
 
 
-def test_what_is_no_solution_is_not_taken(found, motions):
+def test_unsolved_runs_are_not_stored(found, motions):
     cut = {name: getattr(found, name)[:-1] for name in ("path", "times", "velocities")}
     assert motions.offer(task(), None, dataclasses.replace(found, **cut), 1.0) is None
     assert motions.offer(task(), None, dataclasses.replace(found, status="TIMEOUT"), 1.0) is None

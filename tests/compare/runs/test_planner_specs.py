@@ -40,7 +40,7 @@ def test_settings_are_given_by_name():
         ("rrt_star:range=1,range=2", SettingError, "every setting once"),
     ],
 )
-def test_what_is_wrong_with_a_planner_is_said_early(word, error, message):
+def test_broken_planners_are_refused_early(word, error, message):
     with pytest.raises(error, match=message):
         read_planners([word])
 
@@ -98,14 +98,14 @@ DEMANDING = (
         ("import no_such_module\n", r"importing mine raised ModuleNotFoundError: .*no_such_module.* \(mine.py:1\)"),
     ],
 )
-def test_what_is_wrong_with_a_class_is_said(here, text, message):
+def test_errors_name_the_fault_of_a_class(here, text, message):
     (here / "mine.py").write_text(text)
     with pytest.raises(PlannerImportError, match=message) as caught:
         read_planners(["mine:Mine"])
     assert caught.value.planner == "mine:Mine"
 
 
-def test_a_module_that_is_not_there_and_a_class_that_is_not_in_it(here):
+def test_missing_modules_and_classes_are_named(here):
     with pytest.raises(PlannerImportError, match="'no_such_place'"):
         read_planners(["no_such_place.planners:Mine"])
     own_planner(here)
@@ -134,7 +134,7 @@ def test_a_module_must_not_change_meanwhile(here):
         note.make()
 
 
-def test_what_a_module_prints_is_not_what_the_command_prints(here, capsys):
+def test_output_of_an_imported_module_stays_out_of_the_command(here, capsys):
     word = own_planner(here)
     file = here / "straight.py"
     file.write_text(f"print('hello')\n{file.read_text()}")

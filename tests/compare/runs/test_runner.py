@@ -23,7 +23,7 @@ from sizes import first_quick
 
 
 def cubic(duration: float, jerk: float, nq: int = 2) -> gp.Trajectory:
-    """A motion of the first joint with one jerk all along, from rest."""
+    """Return a motion of the first joint from rest with constant jerk."""
     t = np.linspace(0.0, duration, 2)
     q, qd, qdd = (np.zeros((2, nq)) for _ in range(3))
     q[:, 0], qd[:, 0], qdd[:, 0] = jerk * t**3 / 6.0, jerk * t**2 / 2.0, jerk * t
@@ -37,7 +37,7 @@ def test_jerk_by_hand():
     q = np.concatenate([q, np.full(3, q[-1])])
     expected = np.abs(np.diff(q, n=3)) / JERK_STEP**3
     assert jerk(trajectory) == pytest.approx((expected.max(), math.sqrt(np.mean(expected**2))), rel=1e-6)
-    # Stopping dead at the end is what jerks.
+    # The abrupt stop at the end causes the jerk.
     assert expected.max() > 100.0 * value
 
 
@@ -64,7 +64,7 @@ def test_clearance_of_a_ball_beside_the_tool():
     assert 0.0 < near < without <= FARTHEST
     assert near - nearer == pytest.approx(0.01, abs=1e-4)
     assert own == exact_clearance(path, scene)[1]
-    # The fast checker's spheres cover the robot by less than 1 cm.
+    # The covering spheres exceed the robot by less than 1 cm.
     assert -1e-6 <= min(near, own) - gp.clearance(q, with_ball) <= 0.011
 
 
@@ -108,7 +108,7 @@ def jobs(tmp_path, *planners, suite="free_space", **kwargs):
 
 
 def test_a_task_is_planned_and_measured(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "plan", partial(gp.plan, iterations=300))  # they end it, the time never
+    monkeypatch.setattr(runner, "plan", partial(gp.plan, iterations=300))  # iterations end the search, never the time
     job = jobs(tmp_path, "rrt_connect", suite="tabletop", seconds=60.0)[0]
     found = run(job)
     assert found.status == "SOLVED"
@@ -124,7 +124,7 @@ def test_a_task_is_planned_and_measured(tmp_path, monkeypatch):
     assert found.certified <= min(found.clearance, found.self_clearance) + 1e-6
     assert found.duration > 0.0 and found.iterations > 0
     assert found.motion_wall > 0.0 and found.motion_cpu > 0.0
-    # Nothing is there sooner than the first path.
+    # No path exists before the first path.
     assert [early < math.inf for early in found.early] == [found.first <= at for at in EARLY]
 
 
@@ -136,7 +136,7 @@ def test_the_straight_line_is_optimal_where_nothing_is_in_the_way(here):
     assert found[0].trajectory(("x", "y")) is None
 
 
-def test_paths_that_lead_nowhere_do_not_count(here):
+def test_paths_that_miss_the_goal_do_not_count(here):
     act = "yield Path(np.array([problem.start, problem.start])); return"
     (found,) = [run(job) for job in jobs(here, own_planner(here, act, "liar"))]
     assert (found.status, found.detail, found.total, found.path) == ("INFEASIBLE", "", math.inf, ())
@@ -182,8 +182,8 @@ def test_a_function_is_a_planner(here, act, status, detail):
     assert all(detail in one.detail for one in found)
 
 
-def test_what_a_function_finds_is_judged(here):
-    """A straight line through the boxes that lie between start and goal."""
+def test_paths_of_functions_are_judged(here):
+    """A straight line through the boxes between start and goal."""
     (here / "library.py").write_text(ADAPTER.replace("ACT", "pass"))
     (job,) = jobs(here, "library:asks", suite="free_space")
     task = gp.load_scene("tabletop_l3").tasks["green_to_blue"]
@@ -194,7 +194,7 @@ def test_what_a_function_finds_is_judged(here):
     assert found.status != "SOLVED" and not math.isfinite(found.total)
 
 
-def test_messages_can_be_written_whatever_is_in_them(here):
+def test_any_message_can_be_written(here):
     word = own_planner(here, "raise ValueError('\\udcff' + 'x' * 10_000)", "babbles")
     (found,) = [run(job) for job in jobs(here, word)]
     assert found.detail.encode().startswith(b"ValueError: ?xxx")
@@ -208,7 +208,7 @@ def test_planners_take_turns_at_being_first(tmp_path):
 
 
 def test_importing_is_not_in_the_time_of_a_run(here):
-    # Whatever the first call does, it is not the one that is recorded.
+    # The first call fails; it must not be the recorded one.
     mark = here / "called"
     act = (
         f"import pathlib; mark = pathlib.Path({str(mark)!r}); first = not mark.exists(); mark.touch(); assert not first"
@@ -221,7 +221,7 @@ def test_importing_is_not_in_the_time_of_a_run(here):
 
 
 @pytest.mark.long
-def test_workers_survive_what_planners_do(here):
+def test_workers_survive_crashing_planners(here):
     died = own_planner(here, "import os; os._exit(3)", "exits")
     crashed = own_planner(here, f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "crashes")
     good = own_planner(here, name="good")
@@ -231,7 +231,7 @@ def test_workers_survive_what_planners_do(here):
     assert found[1].detail == "the process ended with SIGSEGV"
 
 
-def test_what_planners_print_does_not_mix_with_results(here, capfd):
+def test_output_of_planners_does_not_mix_with_results(here, capfd):
     word = own_planner(here, "print('chatter', flush=True)", "chats")
     (found,) = workers.done(jobs(here, word), 1)
     assert found.status == "SOLVED"
@@ -259,7 +259,7 @@ def slowly(seconds):
 
 
 @pytest.mark.long
-def test_what_prepares_has_no_deadline_and_what_does_has_one():
+def test_preparation_has_no_deadline_and_planning_has_one():
     work = workers.Work(do=str, prepare=slowly, allowed=lambda job: 1.0, lost=lambda job, status, detail: status)
     assert list(workers.spread(work, [1.3], 1)) == ["1.3"]
     assert list(workers.spread(dataclasses.replace(work, do=slowly, prepare=abs), [30.0], 1)) == ["HUNG"]

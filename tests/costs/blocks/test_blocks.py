@@ -1,4 +1,4 @@
-"""Costs to compose: against oracles, their gradients, their sums, and that planners never leave the core for them."""
+"""Cost blocks: against oracles, gradients, sums, and evaluation in the core."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.costs.own_costs import Bowl
 
 Array = np.ndarray
 STEP = 1e-3
-_TOLERANCE = 5e-3  # of central differences of clearances in single precision, and of another nearest pair within a step
+_TOLERANCE = 5e-3  # central differences of single-precision clearances; the nearest pair may change within a step
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def values(cost: gp.Cost, scene: gp.Scene, q: Array) -> Array:
 
 
 @each
-def test_they_keep_the_contract_of_costs_with_gradients(scene: gp.Scene, block: str) -> None:
+def test_blocks_keep_the_contract_of_costs_with_gradients(scene: gp.Scene, block: str) -> None:
     cost = BLOCKS[block](scene)
     assert cost.gradient(gp.StateBatch(scene, states(scene, 3))) is not None
     check_cost(cost, scene)
@@ -78,12 +78,12 @@ def test_the_core_charges_edges_as_python_does(scene: gp.Scene, block: str, expo
     assert native.kernel is not None and asked.kernel is None
     q0 = states(scene, 20)
     q1 = q0 + 0.1 * np.random.default_rng(1).normal(size=q0.shape)
-    rough = 2e-3 if block == "with the impact" else 1e-6  # the kernel of drops alone differs by as much
+    rough = 2e-3 if block == "with the impact" else 1e-6  # the error of the drop kernel alone
     np.testing.assert_allclose(native.edges(q0, q1), asked.edges(q0, q1), rtol=rough, atol=1e-6)
 
 
 @pytest.mark.parametrize("block", [name for name in BLOCKS if name != "with the impact"])
-def test_slopes_of_edges_are_those_of_differences(scene: gp.Scene, block: str) -> None:
+def test_slopes_of_edges_equal_differences(scene: gp.Scene, block: str) -> None:
     bound = gp.Objective(impact=BLOCKS[block](scene), w=1.0, exposure="length").bind(scene)
     q0 = states(scene, 40)
     q1 = q0 + 0.05 * np.random.default_rng(1).normal(size=q0.shape)
@@ -98,7 +98,7 @@ def test_slopes_of_edges_are_those_of_differences(scene: gp.Scene, block: str) -
             assert np.mean(error < _TOLERANCE) > 0.9, np.sort(error)[-6:]
 
 
-def test_clearance_is_charged_below_the_distance_alone(scene: gp.Scene) -> None:
+def test_clearance_costs_only_below_the_distance(scene: gp.Scene) -> None:
     q = states(scene, 200)
     nearest = 9.0 * (
         1.0 - np.maximum(values(gp.ClearanceCost(9.0), scene, q), values(gp.ClearanceCost(9.0, "self"), scene, q))
@@ -110,7 +110,7 @@ def test_clearance_is_charged_below_the_distance_alone(scene: gp.Scene) -> None:
     assert (near == 0.0).any() and (near > 0.0).any()
 
 
-def test_manipulability_is_that_of_the_jacobian_of_mujoco(scene: gp.Scene) -> None:
+def test_manipulability_equals_that_of_mujocos_jacobian(scene: gp.Scene) -> None:
     q, cost = states(scene, 30), gp.costs.ManipulabilityCost(least=10.0)
     site = scene.model.site(scene.tool).id
     dofs = [int(scene.model.jnt_dofadr[scene.model.joint(name).id]) for name in scene.joints]
@@ -122,7 +122,7 @@ def test_manipulability_is_that_of_the_jacobian_of_mujoco(scene: gp.Scene) -> No
         assert (1.0 - np.sqrt(value)) * 10.0 == pytest.approx(np.sqrt(max(0.0, np.linalg.det(J @ J.T))), abs=1e-6)
 
 
-def test_energy_is_that_of_torques_by_mujoco(scene: gp.Scene) -> None:
+def test_energy_equals_that_of_torques_by_mujoco(scene: gp.Scene) -> None:
     q, at_rest, limit = states(scene, 20), np.zeros(7), np.arange(10.0, 80.0, 10.0)
     dynamics = RobotDynamics(scene)
     expected = [np.mean((dynamics(row, at_rest, at_rest) / limit) ** 2) for row in q]
@@ -130,7 +130,7 @@ def test_energy_is_that_of_torques_by_mujoco(scene: gp.Scene) -> None:
 
 
 @pytest.mark.parametrize("free_yaw", [False, True])
-def test_a_pose_is_charged_by_distance_and_angle(scene: gp.Scene, free_yaw: bool) -> None:
+def test_a_pose_costs_distance_and_angle(scene: gp.Scene, free_yaw: bool) -> None:
     q, wanted = states(scene, 30), goal(scene, free_yaw=free_yaw)
     away = [pose_error(wanted, X) for X in gp.StateBatch(scene, q).tool_poses]
     charged = [(d / 0.2) ** 2 + 2.0 * (1.0 - np.cos(a)) / 0.7**2 for d, a in away]
@@ -156,27 +156,27 @@ def test_sums_are_sums(scene: gp.Scene) -> None:
         _ = a + 1.0  # pyright: ignore[reportOperatorIssue]
 
 
-def test_a_term_that_breaks_its_contract_is_named(scene: gp.Scene) -> None:
+def test_a_broken_term_is_named(scene: gp.Scene) -> None:
     with pytest.raises(CostError, match="Broken"):
         values(gp.costs.JointCost() + Broken(), scene, states(scene, 3))
 
 
 class Broken(gp.Cost):
-    """Returns too many numbers."""
+    """Returns an array of the wrong length."""
 
     def state(self, batch: gp.StateBatch) -> Array:
-        """Return one too many."""
+        """Return one value too many."""
         return np.ones(len(batch) + 1)
 
 
 class Told(gp.Cost):
-    """Hides from planners what another cost is."""
+    """Hides the type of the wrapped cost, so planners call it through Python."""
 
     def __init__(self, held: gp.Cost) -> None:
         self.held = held
 
     def state(self, batch: gp.StateBatch) -> Array:
-        """Return what the other does."""
+        """Return the cost of the wrapped cost."""
         return self.held.state(batch)
 
 
@@ -224,7 +224,7 @@ def test_settings_are_checked(make: Callable[[], gp.Cost], message: str) -> None
         make()
 
 
-def test_what_does_not_fit_a_scene_is_named(scene: gp.Scene) -> None:
+def test_settings_that_do_not_fit_a_scene_are_named(scene: gp.Scene) -> None:
     with pytest.raises(UnknownNameError, match=r"'lamp'.*laptop.*self, stapler, surround"):
         values(gp.ClearanceCost(to="lamp"), scene, states(scene, 1))
     with pytest.raises(ShapeError, match=r"EnergyCost\.torque.*\(2,\)"):
@@ -233,7 +233,7 @@ def test_what_does_not_fit_a_scene_is_named(scene: gp.Scene) -> None:
         values(gp.costs.JointCost(centre=(0.0, 1.0)), scene, states(scene, 1))
 
 
-def test_kernels_of_impacts_that_words_stand_for_are_kept_by_scene_and_pace(scene: gp.Scene) -> None:
+def test_kernels_of_named_impacts_are_cached_by_scene_and_pace(scene: gp.Scene) -> None:
     def kernel(of: gp.Scene, cost: gp.ImpactCost, paces: tuple[float, float] = search_paces()) -> object:
         return gp.Objective(impact=cost, exposure="length").bind(of, paces).kernel
 

@@ -1,4 +1,4 @@
-"""What failures do to entities that move, in NumPy: the twin of the native models.
+"""Probabilities that failures hit moving entities, in NumPy: the twin of the native models.
 
 Symbols as in `costs.models.moving.drops`, which specifies it.
 """
@@ -26,22 +26,22 @@ from graceful_plan.scene.moving import MovingEntity
 Array = np.ndarray
 
 BODY_REACH, BODY_SPREAD = 0.15, 0.1
-"""How far from the links a collapsing arm reaches somebody, and how uncertain that is [m]."""
+"""Reach of a collapsing arm beyond its links, and its standard deviation [m]."""
 ROAM_TIME = 0.3
-"""How long the object takes from where it comes down to where it comes to rest, or to fall on [s]."""
+"""Time from landing until the object comes to rest or falls on [s]."""
 _SHARP = 0.01
-"""Standard deviations below this need no more than one place [m]."""
+"""Entities with a smaller standard deviation are evaluated at one place [m]."""
 _AT_ONCE = 200_000
-"""Pairs times spheres that are looked at at once, to bound memory."""
-_LEVEL_SOFT = 0.01  # how sharply a level counts as no higher than the entity [m]
-_SIDE_SOFT = 0.02  # how sharply the object passes above or below it [m]
-_STANDS_ON = 0.1  # what is less than this above an entity's bottom is what it stands on [m]
-_NOTHING = 1e-9  # probability that does not count
+"""Pairs times spheres per chunk, to bound memory."""
+_LEVEL_SOFT = 0.01  # width of the step that compares a level with the entity's height [m]
+_SIDE_SOFT = 0.02  # width of the step that lets the object pass above or below the entity [m]
+_STANDS_ON = 0.1  # tops less than this above the entity's bottom are what it stands on [m]
+_NOTHING = 1e-9  # negligible probability
 _FAR = 8.0  # standard deviations beyond which nothing is hit
-_STATES = 20_000  # states times targets that are worked on at once
-_CHUNK = 50_000  # pairs of states and times that are worked on at once
+_STATES = 20_000  # states times targets per block
+_CHUNK = 50_000  # pairs of states and times per chunk
 _FOUR = np.pi * np.array([0.0, 0.5, 0.25, 0.75])
-_LEAST_MOVE = 1e-9  # [m]; who moves less has no direction
+_LEAST_MOVE = 1e-9  # entities that move less have no direction [m]
 
 
 def moving_probability(
@@ -53,10 +53,10 @@ def moving_probability(
     """Return P(component hits moving entity) given that the gripper lets go, or for the body that the arm collapses.
 
     Args:
-        batch: States; their times, if they have any, are on the clock of the predictions.
+        batch: States; if they have times, these use the clock of the predictions.
         settings: Constants of the drop model.
         components: Which to compute; the others are 0.
-        places: How many stand for where somebody may be who is expected somewhere.
+        places: Number of places per time that sample an uncertain entity.
     """
     scene = batch.scene
     P = np.zeros((len(batch), len(scene.components), len(scene.moving)))
@@ -80,7 +80,7 @@ def mean_over_times(
     entity: MovingEntity,
     times: Float[Array, "n k"],
 ) -> Float[Array, " n"]:
-    """Return the mean over each state's times of a probability that is asked for pairs of states and times."""
+    """Average a probability of pairs (state, time) over the times of each state."""
     state, flat = np.repeat(np.arange(len(times)), times.shape[1]), times.ravel()
     chunks = [slice(i, i + _CHUNK) for i in range(0, len(flat), _CHUNK)]
     return np.concatenate([probability(entity, state[c], flat[c]) for c in chunks]).reshape(times.shape).mean(axis=1)
@@ -89,7 +89,7 @@ def mean_over_times(
 def _mean_hit(
     batch: StateBatch, drops: _Drops, entity: MovingEntity, times: Float[Array, "n k"], places: int
 ) -> Float[Array, " n"]:
-    """Return P that an entity is hit, the mean over each state's times and over where it may be then."""
+    """Return P that an entity is hit, averaged over each state's times and the entity's possible places."""
     P = np.zeros(len(batch))
     certain = entity.at(times.max(axis=1, initial=entity.t[0])).spread < _SHARP
     for alike in (certain, ~certain):
@@ -118,7 +118,7 @@ def _mean_hit_alike(
     met = np.flatnonzero(np.repeat(P.max(axis=1) > _NOTHING, shape[1]))
     for c in (met[i : i + _CHUNK] for i in range(0, len(met), _CHUNK)):
         free.ravel()[c] = ~touched(batch, who.only(c), state[c], time[c])
-    free[~free.any(axis=1)] = 1.0  # then the prediction is wrong, and nothing better is known
+    free[~free.any(axis=1)] = 1.0  # the prediction contradicts the state: use all places
     return (P * free).sum(axis=1) / free.sum(axis=1)
 
 
@@ -131,9 +131,9 @@ def _drops(batch: StateBatch, settings: DropSettings) -> _Drops:
 
 @final
 class _Drops:
-    """Drops from the states of a batch; what does not depend on who moves is computed once, where it is needed.
+    """Drops from the states of a batch. What does not depend on the entity is computed once, on first use.
 
-    Searches ask for the same states at many times: what is equal is computed once.
+    Searches evaluate the same states at many times, so equal states are computed once.
     """
 
     def __init__(self, batch: StateBatch, settings: DropSettings) -> None:
@@ -147,7 +147,7 @@ class _Drops:
         self.fallen: dict[int, _Fallen] = {}
 
     def hit(self, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Float[Array, " pair"]:
-        """P that an entity is hit, for pairs of a state and the time of the drop."""
+        """Return P that an entity is hit, for pairs of a state and the time of the drop."""
         found, state = np.zeros(len(state)), self.equal[state]
         near = np.flatnonzero(self._near(who, state, time))
         block = state[near] // self.size
@@ -160,7 +160,7 @@ class _Drops:
         return found
 
     def _near(self, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Array:
-        """Tell for which pairs P may be more than some 1e-6."""
+        """Return for which pairs P may exceed about 1e-6."""
         k, release, size, entity = self.constants, self.state, self.tables.size, who.entity
         lowest = min(self.tables.target_height[:, 1].min(initial=np.inf), entity.lowest)
         height = np.maximum(release.c[:, 2] - lowest, 0.0)
@@ -170,14 +170,14 @@ class _Drops:
         blur = blur + (k.carry_spread * speed) ** 2 + (k.size_spread**2 + k.side_spread**2) * size**2
         blur = blur[state] + who.spread(time + duration[state]) ** 2
         reach = np.linalg.norm(entity.half_size[:2]) + 4.0 * size + _FAR * np.sqrt(blur)
-        grown = np.linalg.norm(who.off, axis=1) * entity.growth  # off ever farther
+        grown = np.linalg.norm(who.off, axis=1) * entity.growth  # growth of the offset from the prediction
         reach = reach + (entity.top_speed + grown + speed[state]) * duration[state]
         return np.linalg.norm(release.c[state, :2] - who.at(time), axis=1) < reach
 
 
 @final
 class _Fallen:
-    """What becomes of drops among what is static, and of those who walk into them."""
+    """Landings of drops on the static scene, and the entities that they hit there."""
 
     def __init__(self, tables: DropTables, constants: DropConstants, state: Release) -> None:
         self.tables, self.constants, self.state = tables, constants, state
@@ -187,7 +187,7 @@ class _Fallen:
         self.low, self.high = self.bottom.min(axis=1), self.top.max(axis=1)
 
     def hit(self, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Float[Array, " pair"]:
-        """P that an entity is hit, for pairs of a state and the time of the drop."""
+        """Return P that an entity is hit, for pairs of a state and the time of the drop."""
         entity, there = who.entity, who.entity.at(time)
         outline, Z = Outline(entity, there.yaw), there.position[:, 2] + entity.half_size[2]
         lower = self.landing.mass[state] * step((Z[:, None] - self.level) / _LEVEL_SOFT + 2.0)
@@ -259,7 +259,7 @@ class _Fallen:
         spread: Float[Array, " pair"],
         higher: Int[Array, " pair"],
     ) -> Float[Array, " pair"]:
-        """P that what falls off comes down on the entity, and not on what is above it: beyond each wide top's edge."""
+        """Return P that an object falling off, beyond each wide top's edge, lands on the entity and no higher top."""
         tables, margin = self.tables, self.constants.catch_margin * self.tables.size
         centre, move = point - 0.5 * (ends[0] + ends[1]), np.abs(ends[1] - ends[0])
         beyond = np.ones(len(point))
@@ -305,7 +305,7 @@ class _Fallen:
 def _landing(
     tables: DropTables, constants: DropConstants, state: Release
 ) -> tuple[Landing, Float[Array, "n levels"], Float[Array, "n levels 2"]]:
-    """Return where the object comes down, with B and N of the drop model; also where there is nothing to land on."""
+    """Return the landing, with B and N of the drop model; also where there is no surface to land on."""
     if len(tables.target_height):
         landing = land(tables, constants, state)
         return landing, *loose(tables, constants, landing)
@@ -328,18 +328,18 @@ def _landing(
     return landing, none, np.zeros((n, 1, 2))
 
 
-# --- where it may be
+# --- possible places --------------------------------------------------------------------------------------------------
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class OffPrediction:
-    """Somebody who keeps off the prediction by so many standard deviations, at each pair of a state and a time.
+    """An entity at a fixed offset from its prediction, in standard deviations, at each pair of a state and a time.
 
     Args:
-        entity: Who is expected where.
-        off: By how many.
-        cell: Standard deviation of what is not known beyond that, over that of the prediction.
+        entity: The moving entity.
+        off: Offset in standard deviations.
+        cell: Remaining standard deviation around the offset, as a share of the prediction's.
     """
 
     entity: MovingEntity
@@ -347,29 +347,29 @@ class OffPrediction:
     cell: float
 
     def at(self, time: Float[Array, " pair"]) -> Float[Array, "pair 2"]:
-        """Return where the entity is, seen from above [m]."""
+        """Return the entity's position seen from above [m]."""
         there = self.entity.at(time)
         return there.position[:, :2] + self.off * there.spread[:, None]
 
     def spread(self, time: Float[Array, " pair"]) -> Float[Array, " pair"]:
-        """Return the standard deviation of that [m]."""
+        """Return the standard deviation of that position [m]."""
         return self.cell * self.entity.at(time).spread
 
     def only(self, rows: Int[Array, " m"]) -> OffPrediction:
-        """Return some of the pairs."""
+        """Return a subset of the pairs."""
         return OffPrediction(self.entity, self.off[rows], self.cell)
 
 
 def off_predictions(
     entity: MovingEntity, times: Float[Array, "n k"], each: bool, places: int = PLACES
 ) -> tuple[OffPrediction, Float[Array, "n place"]]:
-    """Return where somebody may be at times of states, and the time of each of these places [s].
+    """Return possible places of an entity at the times of states, and the time of each place [s].
 
     Args:
-        entity: Who.
+        entity: The moving entity.
         times: Times of each state [s].
-        each: Whether each time has all places; else they take turns over a state's times, as often as need be.
-        places: How many there are.
+        each: Whether each time has all places; else a state's times take turns, repeated if needed.
+        places: Number of places.
     """
     if entity.at(times.max(initial=entity.t[0])).spread < _SHARP:
         return OffPrediction(entity, np.zeros((times.size, 2)), 1.0), times
@@ -382,7 +382,7 @@ def off_predictions(
 def touched(
     batch: StateBatch, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]
 ) -> Bool[Array, " pair"]:
-    """Tell for which pairs the entity would be touched by moving links or what they carry before anything fails."""
+    """Return for which pairs moving links or the carried object touch the entity before the failure."""
     robot, half = batch.compiled.robot, who.entity.half_size
     here, there = who.at(time), who.entity.at(time)
     shape, height = outlines(who.entity, here, there.yaw), there.position[:, 2]
@@ -398,16 +398,16 @@ def touched(
     return found
 
 
-# --- outlines
+# --- outlines ---------------------------------------------------------------------------------------------------------
 
 
 @final
 class Outline:
-    """How far a moving entity reaches, seen from above, for pairs of a state and a time.
+    """The outline of a moving entity seen from above, for pairs of a state and a time.
 
     Args:
-        entity: Who.
-        yaw: How far turned at each pair [rad].
+        entity: The moving entity.
+        yaw: Heading at each pair [rad].
     """
 
     def __init__(self, entity: MovingEntity, yaw: Float[Array, " pair"]) -> None:
@@ -417,10 +417,10 @@ class Outline:
         self.y = np.stack([-np.sin(self.yaw), np.cos(self.yaw)], axis=-1)[:, None]
 
     def directions(self, move: Float[Array, "pair 2"]) -> Float[Array, "pair direction 2"]:
-        """Return unit vectors across which things pass each other that move so, one relative to the other [m].
+        """Return unit vectors along which to test the separation of two things with this relative displacement [m].
 
-        A disc has those along and across the move and halfway between; a box has those of its own axes, and the one
-        across the move, without which what passes it in a slant would be taken to meet it.
+        A disc uses the directions along and across the displacement, and halfway between. A box uses its own axes and
+        the direction across the displacement; without it, an object that passes diagonally would count as a hit.
         """
         along = np.where(np.linalg.norm(move, axis=1) > _LEAST_MOVE, np.arctan2(move[:, 1], move[:, 0]), self.yaw)
         angle = (along if self.is_round else self.yaw)[:, None] + _FOUR
@@ -429,7 +429,7 @@ class Outline:
         return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
     def reach(self, u: Float[Array, "pair direction 2"], margin: Array | float = 0.0) -> Float[Array, "pair direction"]:
-        """Return how far the entity with a margin around it reaches in directions [m], at least a little."""
+        """Return the extent of the entity, enlarged by a margin, in directions [m]; at least 0.1 mm."""
         margin = np.asarray(margin)[..., None]
         if self.is_round:
             return np.maximum(self.a + margin, 1e-4) + 0.0 * u[..., 0]
@@ -443,18 +443,18 @@ def sweep(
     reach: Float[Array, "pair direction"],
     spread: Float[Array, " pair"],
 ) -> Float[Array, " pair"]:
-    """P that something is within reach at some time while its place relative to the entity goes from end to end."""
+    """Return P that an object is within reach at some time while its relative position goes from end to end."""
     x0, x1 = ((u * end[:, None]).sum(axis=-1) for end in ends)
     each = box(0.5 * (x0 + x1), reach + 0.5 * np.abs(x1 - x0), spread[:, None])
-    # A fifth direction is not as independent of the others as they are of each other, but no less a bound.
+    # The fifth direction is correlated with the other four, but still gives an upper bound.
     return np.minimum(each[:, :4].prod(axis=1), each[:, 4:].min(axis=1, initial=1.0))
 
 
-# --- arms
+# --- arms -------------------------------------------------------------------------------------------------------------
 
 
 def moving_spheres(batch: StateBatch) -> tuple[Float[Array, "n sphere 3"], Float[Array, " sphere"]]:
-    """Return centres and radii of the covering spheres of links that move, and of what they carry [m]."""
+    """Return centres and radii of the covering spheres of moving links and of the carried object [m]."""
     robot = batch.compiled.robot
     moves = np.flatnonzero(robot.sphere_link != 0)
     poses, sphere = batch.link_poses[:, robot.sphere_link[moves]], robot.sphere[moves]
@@ -465,13 +465,13 @@ def moving_spheres(batch: StateBatch) -> tuple[Float[Array, "n sphere 3"], Float
 def near_links(
     batch: StateBatch, entity: MovingEntity, state: Int[Array, " pair"], time: Float[Array, " pair"]
 ) -> Float[Array, " pair"]:
-    """P that a collapsing arm reaches an entity: a rule of thumb, from the nearest sphere of a link that moves."""
+    """Return P that a collapsing arm reaches an entity: a heuristic by the nearest sphere of a moving link."""
     centre, radii = moving_spheres(batch)
     P = np.zeros(len(state))
     there = entity.at(time)
     turn = np.stack([np.cos(there.yaw), np.sin(there.yaw)], axis=-1)[:, None]
     spread = np.hypot(BODY_SPREAD, there.spread)
-    for s in range(0, len(radii), 16):  # a few spheres at a time, to bound memory
+    for s in range(0, len(radii), 16):  # 16 spheres at a time, to bound memory
         here = centre[:, s : s + 16][state]
         away = here - there.position[:, None]
         x = (away[..., :2] * turn).sum(axis=-1)

@@ -1,4 +1,4 @@
-"""The body model: laws, and the core against a slow twin and against MuJoCo."""
+"""The body model: laws, and the core against a slow twin and MuJoCo."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,9 +30,9 @@ from graceful_plan.costs.models.body.tables import BodyTables, body_tables
 from graceful_plan.exceptions import NonFiniteError, SceneError, SettingError, ShapeError
 from graceful_plan.timing.dynamics import RobotDynamics
 
-_SAME = 1e-9  # metres; the core and the twin differ by rounding, and by Newton's method stopped a step apart
-_TORQUE = 1e-8  # N m and rad/s^2, MuJoCo's own rounding
-_TINY = 1e-6  # of a severity of 1: what single precision makes of probabilities near 0
+_SAME = 1e-9  # metres; core and twin differ by rounding, and Newton's method may stop one step apart
+_TORQUE = 1e-8  # N m and rad/s^2; MuJoCo's own rounding
+_TINY = 1e-6  # share of a severity of 1; single precision of probabilities near 0
 SETTINGS = BodySettings.shipped()
 _COARSE = replace(SETTINGS, steps=2)
 
@@ -95,7 +95,7 @@ def tabletop():
     return gp.load_scene("tabletop").tasks["lift_to_goal"].scene
 
 
-# --- the core against others -----------------------------------------------------------------------------------------
+# --- the core against twin and MuJoCo --------------------------------------------------------------------------------
 
 
 def test_the_core_is_the_specification(odd):
@@ -104,7 +104,7 @@ def test_the_core_is_the_specification(odd):
     twin, found = BodyTwin(odd, constants), BodyModel(constants).distances(_batch(odd, q, qd))
     expected = [twin.distances(*state) for state in zip(q, qd, strict=True)]
     np.testing.assert_allclose(found, expected, atol=_SAME)
-    assert (found < 0.2).any(axis=(0, 1, 3)).all()  # both rows come near something
+    assert (found < 0.2).any(axis=(0, 1, 3)).all()  # both rows come near some entity
     ahead = q[:, None] + np.linspace(0.1, 0.4, 2)[:, None] * qd[:, None]
     found = BodyModel(constants).distances(_batch(odd, q, qd), ahead)
     expected = [twin.distances(*state) for state in zip(q, qd, ahead, strict=True)]
@@ -118,12 +118,12 @@ def test_the_core_is_the_specification_in_bundled_scenes(name):
     qd = 0.4 * (task.goal[:1] - task.start)
     q = 0.5 * (task.goal[:1] + task.start)
     found = BodyModel(constants).distances(_batch(task.scene, q, qd))
-    # Nearest points are iterated for, and may end a few nanometres apart.
+    # Nearest points are computed iteratively and may differ by a few nanometres.
     np.testing.assert_allclose(found[0], BodyTwin(task.scene, constants).distances(q[0], qd[0]), atol=1e-7)
 
 
 def _accelerations(scene, q):
-    """Of the scene's joints without any drive, by MuJoCo; what is held is welded to the tool by hand."""
+    """Joint accelerations without drives, by MuJoCo; the carried object is welded to the tool by hand."""
     model = scene.model.__copy__()
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     model.dof_frictionloss[:] = 0.0
@@ -134,7 +134,7 @@ def _accelerations(scene, q):
     return data.qacc[dofs]
 
 
-def test_accelerations_are_those_of_mujoco():
+def test_accelerations_equal_those_of_mujoco():
     scene = _odd(held=False)
     q, _ = _states(scene, 10, seed=1)
     M, G = native_model(scene, SETTINGS).dynamics(q)
@@ -143,7 +143,7 @@ def test_accelerations_are_those_of_mujoco():
 
 
 @pytest.mark.parametrize("name", ["tabletop", "dining_table"])
-def test_torques_are_those_of_inverse_dynamics(name):
+def test_torques_equal_inverse_dynamics(name):
     scene = next(iter(gp.load_scene(name).tasks.values())).scene
     inverse = RobotDynamics(scene)
     q, _ = _states(scene, 4, seed=2)
@@ -156,12 +156,12 @@ def test_torques_are_those_of_inverse_dynamics(name):
         np.testing.assert_allclose(M[k], columns, atol=_TORQUE)
 
 
-def test_a_joint_without_power_rests_on_what_it_meets(odd):
+def test_a_joint_without_power_rests_on_obstacles(odd):
     q, qd = _states(odd, 400, seed=11)
     never = replace(SETTINGS, joint=replace(SETTINGS.joint, stop_tolerance=100.0))
     batch, loose = _batch(odd, q, qd), slice(1, 5)
     through, resting = (BodyModel(constants).distances(batch)[:, loose] for constants in (never, SETTINGS))
-    # What rests may be carried elsewhere by the other joints, but most of what falls through something gets deeper.
+    # A resting link may be moved by the other joints, but most links that fall through an entity get deeper.
     assert (resting >= through - 1e-9).mean() > 0.99
     assert (resting > through + 0.01).sum() > 10
 
@@ -176,7 +176,7 @@ def _severity(scene):
 
 
 def _along(scene, task, n, seed):
-    """States near the way from start to goal, at the speeds of edges."""
+    """States near the path from start to goal, at the speeds of edges."""
     rng = np.random.default_rng(seed)
     u = rng.uniform(size=(n, 1))
     q = task.start + u * (task.goal[0] - task.start) + rng.normal(scale=0.2, size=(n, len(task.start)))
@@ -197,7 +197,7 @@ def test_the_impact_is_that_of_the_distances_nearly(name, task, isa):
     expected = np.einsum("nmre,mr,re->n", P, weight, severity)
     found = native.impact(weight, severity, q, qd)
     error = np.abs(found - expected) / (SINGLE * expected + _TINY * severity.max())
-    # A joint rests from a depth on; few states are so near to that depth that rounding decides.
+    # A joint rests beyond some depth; only states very close to that depth depend on rounding.
     assert np.sort(error)[-3] < 1.0 and np.median(error) < 0.1
     assert (expected > 0.0).mean() > 0.5
     same, by_q, by_qd = native.gradient(weight, severity, q, qd)
@@ -207,7 +207,7 @@ def test_the_impact_is_that_of_the_distances_nearly(name, task, isa):
 
 
 def _slopes(value, x, step=1e-5):
-    """Central differences."""
+    """Compute central differences."""
     units = step * np.eye(x.shape[1])
     return np.stack([(value(x + unit) - value(x - unit)) / (2.0 * step) for unit in units], axis=1)
 
@@ -235,7 +235,7 @@ def test_derivatives_of_the_impact(generator, tabletop):
     ):
         cosine = _cosines(given_slope, slope)[np.linalg.norm(slope, axis=1) > 1e-5]
         assert len(cosine) > 10
-        if generator in ("stuck", "stray"):  # nothing is left out
+        if generator in ("stuck", "stray"):  # these gradients are complete
             assert np.quantile(cosine, 0.1) > 0.999
         assert np.median(cosine) > 0.97 and np.quantile(cosine, 0.1) > 0.9
         size = np.linalg.norm(given_slope, axis=1) / np.maximum(np.linalg.norm(slope, axis=1), 1e-30)
@@ -289,7 +289,7 @@ def test_robot_and_scene_may_turn_together(odd, seed, turn):
     q, qd = _states(odd, 9, seed)
     turned = _odd(turn)
     model = BodyModel(_COARSE)
-    # Distances move by the rounding of poses to single precision.
+    # Poses rounded to single precision change the distances slightly.
     first, second = model.distances(_batch(odd, q, qd)), model.distances(_batch(turned, q, qd))
     np.testing.assert_allclose(first, second, atol=5e-6)
 
@@ -305,12 +305,12 @@ def test_chances_fall_with_distance(offset, spread):
     )
 
 
-def test_who_is_far_away_is_not_hit(odd):
+def test_distant_entities_are_not_hit(odd):
     q, qd = _states(odd, 50, seed=5)
     vase = list(odd.entities).index("vase")
     away = odd.add_box("far", [0.1, 0.1, 0.1], [0.0, 0.0, 9.0], entity="glass")
     P, before = BodyModel(_COARSE).probability(_batch(away, q, qd)), BodyModel(_COARSE).probability(_batch(odd, q, qd))
-    assert (P[..., list(away.entities).index("far")] < 1e-15).all()  # 0 but for rounding
+    assert (P[..., list(away.entities).index("far")] < 1e-15).all()  # 0 up to rounding
     np.testing.assert_allclose(P[..., list(away.entities).index("vase")], before[..., vase], atol=1e-12)
 
 
@@ -327,7 +327,7 @@ def test_entities_without_severity_change_nothing(odd):
     np.testing.assert_allclose(found, expected, rtol=SINGLE, atol=_TINY)
 
 
-def test_nothing_held_and_nobody_there(tabletop):
+def test_no_object_and_no_entities(tabletop):
     scene = _odd(held=False)
     q, qd = _states(scene, 9, seed=7)
     P = BodyModel(_COARSE).probability(_batch(scene, q, qd))
@@ -338,7 +338,7 @@ def test_nothing_held_and_nobody_there(tabletop):
     assert BodyModel().modes(_batch(tabletop, np.zeros((0, 7)), np.zeros((0, 7)))).shape[0] == 0
 
 
-def test_an_arm_that_is_held_up_does_not_reach_what_is_below(odd):
+def test_a_supported_arm_does_not_reach_entities_below(odd):
     q, qd = _states(odd, 60, seed=8)
     free = BodyModel(_stopped(0.0, steps=2)).distances(_batch(odd, q, qd))
     held = BodyModel(_stopped(4.0, steps=2)).distances(_batch(odd, q, qd))
@@ -349,7 +349,7 @@ def test_an_arm_that_is_held_up_does_not_reach_what_is_below(odd):
 # --- planners --------------------------------------------------------------------------------------------------------
 
 
-def test_what_planners_are_charged(odd):
+def test_costs_in_planners_equal_the_model(odd):
     q, _ = _states(odd, 12, seed=9)
     severity, weights = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 1.0]]), np.outer([0.4, 0.3, 0.2, 0.1], [1.0, 0.5])
     model = BodyModel(_COARSE)

@@ -1,4 +1,4 @@
-"""What searches and descents are charged for failing arms, against the same model in full."""
+"""Costs of failing arms in searches and descents, against the same model in full."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.models.body.body import SEARCHED, BodyModel
 from graceful_plan.costs.objective import search_paces
 
-_FINE = 0.004  # rad; below, integrals along edges do not change any more
+_FINE = 0.004  # rad; edge integrals have converged at this step
 _WEIGHTS = np.array([[0.035, 0.004], [0.031, 0.024], [0.053, 0.053], [0.005, 0.005]])
 TASKS = [("tabletop", "lift_to_goal"), ("kitchen_counter", "unload_jar"), ("dining_table", "serve_tea")]
 
@@ -29,7 +29,7 @@ def _kernel(task, severity=None, weights=_WEIGHTS):
 
 
 def _edges(task, n=60, length=1.0, seed=0):
-    """Edges near the way from start to goal, most of them along it."""
+    """Edges near the path from start to goal, most of them along it."""
     rng = np.random.default_rng(seed)
     way = task.goal[0] - task.start
     first = task.start + rng.uniform(size=(n, 1)) * way + rng.normal(scale=0.15, size=(n, len(way)))
@@ -38,7 +38,7 @@ def _edges(task, n=60, length=1.0, seed=0):
 
 
 def _motion(task, seed, n=127):
-    """States of a bent motion from start to goal that begins and ends at rest, nearly."""
+    """States of a curved motion from start to goal, almost at rest at both ends."""
     rng, u = np.random.default_rng(seed), np.linspace(0.0, 1.0, n)[:, None]
     bends = [scale * rng.normal(size=len(task.start)) for scale in (0.4, 0.2)]
     q = task.start + u * (task.goal[0] - task.start) + sum(np.sin((k + 1) * np.pi * u) * b for k, b in enumerate(bends))
@@ -52,7 +52,7 @@ def _cosine(a, b):
     return (a * b).sum() / np.linalg.norm(a) / np.linalg.norm(b)
 
 
-def test_edges_of_searches_cost_nearly_what_they_cost(task):
+def test_edges_in_searches_cost_nearly_as_much_as_in_full(task):
     kernel, (first, second) = _kernel(task), _edges(task)
     exact, found = kernel.edges(first, second, _FINE)[:, 1], kernel.edges(first, second, rough=True)[:, 1]
     error = (found - exact) / exact.mean()
@@ -61,7 +61,7 @@ def test_edges_of_searches_cost_nearly_what_they_cost(task):
     assert (found != kernel.edges(first, second)[:, 1]).any()
 
 
-def test_motions_that_descend_cost_nearly_what_they_cost(task):
+def test_motions_in_descents_cost_nearly_as_much_as_in_full(task):
     kernel = _kernel(task)
     values = []
     for seed in range(12):
@@ -80,11 +80,11 @@ def test_slopes_of_a_motion_push_its_control_points_the_right_way(task):
         q, qd = _motion(task, seed)
         exact, found = kernel.state_slopes(q, qd)[1:], kernel.state_slopes(q, qd, rough=True)[1:]
         pushed.append([(hats @ a, hats @ b) for a, b in zip(exact, found, strict=True)])
-    for by_what in np.swapaxes(pushed, 0, 1):  # q, and the velocity
-        assert _cosine(by_what[:, 0], by_what[:, 1]) > 0.6  # of 127 states 32 are looked at, and some hits are brief
+    for by_what in np.swapaxes(pushed, 0, 1):  # by q, by velocity
+        assert _cosine(by_what[:, 0], by_what[:, 1]) > 0.6  # only 32 of 127 states count, and some hits are brief
 
 
-def test_of_few_states_each_is_looked_at(task):
+def test_few_states_are_all_evaluated(task):
     kernel, (q, qd) = _kernel(task), _motion(task, 0, n=28)
     value, d_q, d_qd = kernel.state_slopes(q, qd, rough=True)
     turned = kernel.state_slopes(q[::-1], qd[::-1], rough=True)
@@ -103,7 +103,7 @@ def test_units_of_severity_do_not_matter(task):
     np.testing.assert_allclose(scaled[:, 1], 64.0 * cost[:, 1], rtol=1e-9)
 
 
-def test_who_is_worth_next_to_nothing_does_not_count():
+def test_entities_of_negligible_severity_do_not_count():
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     severity, (first, second) = _severity(task.scene), _edges(task, 30)
     names = list(task.scene.entities)
@@ -116,12 +116,12 @@ def test_who_is_worth_next_to_nothing_does_not_count():
     assert (_kernel(task, others).edges(first, second) != _kernel(task, few).edges(first, second)).any()
 
 
-def test_sums_and_factors_and_times_are_those_of_what_they_are_made_of(task):
+def test_sums_and_factors_and_times_follow_their_terms(task):
     body, (first, second) = _kernel(task), _edges(task, 10, 0.4)
     drop = gp.FailureMixture().kernel(task.scene, _severity(task.scene), search_paces())
     assert isinstance(drop, ImpactKernel)
     rough, falls = (kernel.edges(first, second, rough=True) for kernel in (body, drop))
-    np.testing.assert_array_equal(falls, drop.edges(first, second))  # rough is for what is dear
+    np.testing.assert_array_equal(falls, drop.edges(first, second))  # only expensive terms are approximated
     np.testing.assert_allclose((body + drop).edges(first, second, rough=True)[:, 1], rough[:, 1] + falls[:, 1])
     np.testing.assert_allclose(body.scaled(3.0).edges(first, second, rough=True)[:, 1], 3.0 * rough[:, 1])
     speed = 0.5 * task.scene.limits.velocity

@@ -1,4 +1,4 @@
-"""Algorithm 1 as printed: three transcriptions, the kernel's, the judge's and a literal one, and values by hand."""
+"""Algorithm 1 as printed: the transcriptions of kernel and judge, a literal one, and values by hand."""
 
 import numpy as np
 import pytest
@@ -8,10 +8,10 @@ import graceful_plan as gp
 from graceful_plan.judge.reference_cost import reference_probability
 from sizes import first_quick
 
-_SAME = 1e-9  # all three compute in double precision
+_SAME = 1e-9  # all three use double precision
 
-# A robot of two boxes, 1/8 wide; the second stands 1/4 further along x and 3/8 higher. A stack of two with a gap
-# between them, and a pile of three. All numbers are sums of powers of two, so that bodies can touch exactly.
+# A robot of two boxes, 1/8 wide; the second is 1/4 further along x and 3/8 higher. A stack of two boxes with a gap
+# between them, and a pile of three. All numbers are sums of powers of two, so that contacts are exact.
 _STACKS = """
 <mujoco><compiler autolimits="true"/>
 <worldbody>
@@ -35,7 +35,7 @@ _STACKS = """
   </body></body></body>
 </worldbody></mujoco>"""
 
-_AREA = 1.0 / 64.0  # of one of the robot's boxes
+_AREA = 1.0 / 64.0  # area of one robot box
 _ABOVE, _STRADDLES, _EQUAL, _BELOW = 1.0, 0.3125, 0.0625, -1.0
 _ON_TOP, _UNDERNEATH = 0.6875, -0.4375
 
@@ -53,7 +53,7 @@ def stacks():
 
 
 def _by_all(scene, q, component, entity):
-    """Return P as all three have it."""
+    """Return P after checking that all three agree."""
     row, column = list(scene.components).index(component), list(scene.entities).index(entity)
     literal = np.array([slow_overlap.probability(scene, x, component, entity) for x in q])
     np.testing.assert_allclose(reference_probability(scene, q, [component])[:, 0, column], literal, atol=_SAME)
@@ -65,22 +65,22 @@ def _by_all(scene, q, component, entity):
     ("height", "counts"),
     [
         (_ABOVE, True),
-        (_STRADDLES, True),  # a box below the upper one and above the lower one, the other above both
+        (_STRADDLES, True),  # a box is below the upper and above the lower one; the other is above both
         (_EQUAL, True),
         (-0.25, True),  # only the robot's upper box is as high as the stack, and it is beside it
         (_BELOW, False),
-        (_ON_TOP, False),  # they touch: neither above nor an overlap of heights
+        (_ON_TOP, False),  # contact: neither above, nor overlapping in height
         (_UNDERNEATH, False),
     ],
 )
 def test_heights_are_compared_once_for_both_bodies(stacks, height, counts):
-    """Half of the lower box is above the stack's upper geom, all of it above the lower one."""
+    """Half of the lower box is above the stack's upper geom, all of it above the lower geom."""
     (P,) = _by_all(stacks, np.array([[0.0625, 0.0, height]]), "body", "stack")
     assert P == (pytest.approx(1.5 * _AREA / (2.0 * _AREA)) if counts else 0.0)
 
 
-def test_the_smaller_area_of_the_two_is_what_the_overlap_is_a_share_of(stacks):
-    """The robot's boxes have 2 units of area, the stack's 4 + 1; a quarter of one box is over the wide geom alone."""
+def test_the_overlap_is_a_share_of_the_smaller_area(stacks):
+    """The robot's boxes have 2 units of area, the stack 4 + 1; a quarter of one box is over the wide geom only."""
     (P,) = _by_all(stacks, np.array([[0.125 + 0.03125, 0.0, _ABOVE]]), "body", "stack")
     assert P == pytest.approx(0.25 / 2.0)
 
@@ -90,7 +90,7 @@ def test_stacked_geoms_make_nothing_more_than_certain(stacks):
     assert P == 1.0
 
 
-def test_beside_it_and_not_over_it_is_nothing(stacks):
+def test_beside_and_not_above_is_no_hit(stacks):
     assert not _by_all(stacks, np.array([[0.0, 1.0, h] for h in (_ABOVE, _EQUAL)]), "body", "stack").any()
 
 

@@ -21,7 +21,7 @@ from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.exceptions import SceneError, SettingError
 
 _TOLERANCE = 1e-9
-"""Of the oracle: the same formulas in another order of operations."""
+"""The oracle uses the same formulas in another order of operations."""
 
 _SHAPES = {
     "box": '<geom name="load" type="box" size="0.03 0.04 0.05"/>',
@@ -32,7 +32,7 @@ _SHAPES = {
 
 
 def gantry(targets, shape="box", turn=0.0, shift=(0.0, 0.0), load=None):
-    """An arm of three slides and a hinge about the vertical, holding something above some boxes; all of it turned."""
+    """An arm of three slides and a vertical hinge that holds an object above boxes; all rotated by `turn`."""
     bodies = "".join(
         f'<body name="{name}" pos="{x} {y} {z}"><geom name="{name}" {geom}/></body>'
         for name, (x, y, z, geom) in targets.items()
@@ -90,7 +90,7 @@ def random_states(task, n, seed):
 # --- the oracle -----------------------------------------------------------------------------------------------------
 
 
-def test_it_equals_the_slow_oracle(tasks):
+def test_the_model_equals_the_slow_oracle(tasks):
     for seed, task in enumerate(tasks):
         q, qd = random_states(task, 6, seed)
         found = drop(task.scene, q, qd)
@@ -119,7 +119,7 @@ def test_every_class_equals_the_slow_oracle(shape):
     assert found.entity.max() > 0.5
 
 
-def test_velocities_are_those_of_mujoco(tasks):
+def test_velocities_equal_those_of_mujoco(tasks):
     for task in tasks:
         q, qd = random_states(task, 5, 7)
         speed = np.linalg.norm(qd, axis=1)
@@ -138,7 +138,7 @@ def test_the_first_contact_with_a_box_is_the_stated_distribution():
     scene, rng = gantry(BOX), np.random.default_rng(0)
     k = DropSettings.shipped().box
     q, qd = np.array([0.085, 0.06, -0.3, 0.0]), np.array([-0.05, 0.02, 0.0, 0.0])
-    # The object's centre is 0.3 below the slides' origin at 1, its lower face 0.05 below that.
+    # The object's centre is 0.3 below the slides' origin (z = 1), and its lower face 0.05 below the centre.
     h = 1.0 - 0.3 - 0.3 - 0.05 - 0.2
     t = math.sqrt(2.0 * 9.81 * 0.5 * (h + math.hypot(h, 0.01))) / 9.81
     x, y = q[:2] + qd[:2] * (t + k.delay)
@@ -154,7 +154,7 @@ def test_the_first_contact_with_a_box_is_the_stated_distribution():
     assert found == pytest.approx(inside.mean(), abs=0.004)
 
 
-def test_what_is_dropped_squarely_on_a_box_hits_that_first():
+def test_an_object_dropped_squarely_on_a_box_hits_it_first():
     found = drop(gantry(BOX), [0.0, 0.0, -0.3, 0.0])
     assert found.first[0, 0] == pytest.approx(1.0, abs=1e-2)
     assert found.entity[0, 0] == pytest.approx(1.0, abs=1e-2)
@@ -168,7 +168,7 @@ def test_speed_carries_the_object_on():
     assert drop(scene, [ahead, 0.0, 0.0, 0.0], [0.6, 0.0, 0.0, 0.0]).entity[0, 0] > 0.8
 
 
-def test_what_lies_above_catches_it():
+def test_a_higher_top_catches_the_object():
     low = {"low": (0.0, 0.0, 0.05, 'type="box" size="0.04 0.04 0.05"')}
     shelf = low | {"shelf": (0.0, 0.0, 0.3, 'type="box" size="0.4 0.4 0.01"')}
     assert drop(gantry(low), [0.0, 0.0, 0.0, 0.0]).entity[0, 0] > 0.8
@@ -199,27 +199,27 @@ def _flown(targets, q, qd, start=-0.3):
     return dict(zip(targets, drop(gantry(targets), [*q, start, 0.0], [*qd, 0.0, 0.0]).entity[0], strict=True))
 
 
-def test_what_flies_against_a_wall_hits_it_and_falls_down_in_front():
+def test_an_object_flying_against_a_wall_hits_it_and_falls_in_front():
     open_, walled = _BEHIND | _BEFORE, _BEHIND | _BEFORE | _wall(1.0)
     free, stopped = (_flown(x, (0.2, 0.0), (1.5, 0.0)) for x in (open_, walled))
     assert free["behind"] > 0.9 and free["before"] < 0.3
     assert stopped["wall"] > 0.95 and stopped["before"] > 0.85 and stopped["behind"] < 0.05
 
 
-def test_a_wall_that_it_flies_over_or_away_from_is_none():
+def test_a_wall_below_or_behind_the_flight_has_no_effect():
     for wall in (_wall(0.2), _wall(1.0, x=-0.4)):
         free, found = (_flown(_BEHIND | x, (0.2, 0.0), (1.5, 0.0)) for x in ({}, wall))
         assert found["wall"] < 0.25 and found["behind"] == pytest.approx(free["behind"], abs=0.05)
 
 
-def test_what_flies_along_a_wall_keeps_that_speed():
+def test_an_object_flying_along_a_wall_keeps_its_speed():
     ahead = {"ahead": (0.25, 0.6, 0.05, 'type="box" size="0.15 0.2 0.05"')}
     for across in (0.0, 1.0):
         targets = ahead | {"wall": (0.4, 0.5, 0.5, 'type="box" size="0.02 1.0 0.5"')}
         assert _flown(targets, (0.3, 0.0), (across, 1.6))["ahead"] > 0.9
 
 
-def test_only_what_is_fixed_stops_it():
+def test_only_fixed_sides_stop_the_object():
     scene = gp.load_scene("desk").tasks["bring_coffee"].scene
     tables = drop_tables(scene)
     loose = np.array([name in ("laptop", "phone") for name in scene.entities])
@@ -296,7 +296,7 @@ def test_probabilities_are_probabilities(crowd, q, qd):
 
 @given(turn=st.floats(-3.0, 3.0), shift=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)), q=_state, qd=_speed)
 @settings(max_examples=15, deadline=None)
-def test_it_does_not_depend_on_where_the_world_is(crowd, turn, shift, q, qd):
+def test_the_model_is_invariant_to_moving_the_world(crowd, turn, shift, q, qd):
     moved = drop(gantry(_CROWD, turn=turn, shift=shift), q, qd)
     np.testing.assert_allclose(moved.entity, drop(crowd, q, qd).entity, atol=1e-7)  # the ground ends 50 m away
 
@@ -310,7 +310,7 @@ def test_each_state_stands_alone(crowd, q, qd):
 
 
 @pytest.mark.parametrize("shape", SHAPE_CLASSES)
-def test_it_is_symmetric_at_rest(shape):
+def test_the_model_is_symmetric_at_rest(shape):
     row = {f"at{x}": (x, 0.0, 0.1, 'type="box" size="0.04 0.06 0.1"') for x in (-0.3, -0.1, 0.1, 0.3)}
     found = drop(gantry(row, shape), [0.0, 0.0, -0.3, 0.0]).entity[0]
     np.testing.assert_allclose(found, found[::-1], atol=1e-12)
@@ -323,8 +323,8 @@ def test_nothing_is_hit_from_far_away():
 
 
 @pytest.mark.parametrize("height", [0.0, 1e-4, 0.02, 0.2])
-def test_it_is_smooth_also_at_rest_and_without_height(crowd, height):
-    """Central differences of half the step agree, in q and in the velocity."""
+def test_the_model_is_smooth_also_at_rest_and_without_height(crowd, height):
+    """Both gradients, in q and velocity, equal central differences at two step sizes."""
     q0 = np.array([0.03, 0.02, -0.45 + height, 0.2])
     for direction in np.eye(4):
 
@@ -354,11 +354,11 @@ def test_rows_of_components(tasks):
     assert P.shape == (3, len(names), len(task.scene.entities))
     np.testing.assert_array_equal(P[:, names.index("body")], 0.0)
     np.testing.assert_allclose(P[:, names.index("carried")], dropped(batch).entity, atol=1e-9)
-    # What becomes of contents: test_spill_model.py.
+    # For contents see test_spill_model.py.
     assert 0.0 < P[:, names.index("contents")].max() <= 1.0
 
 
-def test_impact_cost_takes_it_by_its_word(tasks):
+def test_impact_cost_accepts_the_model_by_name(tasks):
     task = tasks[0]
     path = gp.Path(np.stack([task.start, np.atleast_2d(task.goal)[0]]))
     cost = gp.evaluate(path, task.scene, gp.Objective(impact=gp.ImpactCost(model="mixture"), w=1.0))
@@ -377,7 +377,7 @@ def test_no_states_and_many_states(crowd):
     q = np.random.default_rng(0).uniform(-0.2, 0.2, size=(3000, 4))
     whole = FailureMixture().probability(StateBatch(crowd, q))
     alone = FailureMixture().probability(StateBatch(crowd, q[:10]))
-    np.testing.assert_allclose(whole[:10], alone, rtol=0.0, atol=1e-12)  # states share the lanes of an instruction
+    np.testing.assert_allclose(whole[:10], alone, rtol=0.0, atol=1e-12)  # states share SIMD lanes
 
 
 # --- constants ------------------------------------------------------------------------------------------------------
@@ -409,6 +409,6 @@ def test_broken_files_are_refused(tmp_path):
         DropSettings.load(file)
 
 
-def test_shipped_constants_say_where_they_come_from():
+def test_shipped_constants_have_a_provenance():
     settings_ = DropSettings.shipped()
     assert {settings_.of(i) for i in range(4)} == {settings_.box, settings_.cylinder, settings_.plate, settings_.ball}

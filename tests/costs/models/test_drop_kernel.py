@@ -30,7 +30,7 @@ from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
 from sizes import first_quick
 
-_P = 1e-11  # probabilities: what is left out to save time, and rounding; the bar is 1e-9
+_P = 1e-11  # probabilities: pruning and rounding; the documented bound is 1e-9
 SETTINGS = DropSettings.shipped()
 
 
@@ -140,7 +140,7 @@ def test_neighbours_in_the_batch_and_batch_axes(scene, kernel):
     assert np.array_equal(lost, kernel.own_loss(q, qd).reshape(3, 7))
 
 
-# --- what planners are charged ----------------------------------------------------------------------------------------
+# --- costs in planners ------------------------------------------------------------------------------------------------
 
 
 def test_impact_is_the_sum_over_entities(scene, kernel):
@@ -159,7 +159,7 @@ def test_impact_is_the_sum_over_entities(scene, kernel):
     assert not nothing.own_loss(q).any() and not nothing.impact(q, np.zeros_like(severity), own=1.0).any()
 
 
-def test_edges_are_charged_at_their_speed(scene):
+def test_edges_are_evaluated_at_their_speed(scene):
     native = gp.Objective(impact=gp.ImpactCost(model="mixture")).bind(scene)
     generic = gp.Objective(impact=gp.ImpactCost(model=Wrapped())).bind(scene)
     assert native.kernel is not None and generic.kernel is None
@@ -170,7 +170,7 @@ def test_edges_are_charged_at_their_speed(scene):
     assert np.all(native.edges(q0, q1)[0] == 0.0)
 
 
-def test_planners_run_on_it():
+def test_planners_run_on_the_drop_model():
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), w=2.0).bind(task.scene)
     problem = SceneProblem(kernels=compile_scene(task.scene).kernels, start=task.start, goals=np.atleast_2d(task.goal))
@@ -178,12 +178,12 @@ def test_planners_run_on_it():
     native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=1500)
     assert native.path is not None
     assert native.cost.total == pytest.approx(objective.breakdown(native.trajectory).total, rel=1e-9)
-    # It pays: an ordinary plan is dearer by the same account.
+    # A plan that ignores impact costs more under this objective.
     ordinary = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=1500)
     assert ordinary.path is not None and objective.breakdown(ordinary.trajectory).total > 1.05 * native.cost.total
 
 
-def test_nothing_carried_harms_nobody():
+def test_without_a_carried_object_there_is_no_harm():
     scene = gp.load_scene("tabletop")
     assert scene.carried is None
     objective = gp.Objective(impact=gp.ImpactCost(model="mixture")).bind(scene)
@@ -214,7 +214,7 @@ def test_little_or_nothing_to_fall_on(vase):
 
 
 def _difference(f, n, h):
-    """Derivative of f [n] along each axis of its argument, to fourth order; [n nq]."""
+    """Return fourth-order differences of f [n] along each axis of its argument; [n nq]."""
     steps = h * np.eye(n)
     return np.stack([(8 * (f(d) - f(-d)) - (f(2 * d) - f(-2 * d))) / (12 * h) for d in steps], axis=1)
 
@@ -229,7 +229,7 @@ def _check_gradient(kernel, q, qd, severity, own=0.7):
 
     impacts = (lambda d: of(q + d, qd), lambda d: of(q, qd + d))
     for gradient, f in zip(gradients, impacts, strict=True):
-        # The model has kinks (edges of the parts along those of a surface); a smaller step does not cross them.
+        # The model has kinks (edges of parts above edges of a surface); a smaller step does not cross them.
         found = [_difference(f, q.shape[1], h) for h in (1e-5, 1e-6, 1e-7)]
         assert np.min([np.abs(gradient - d) / (1.0 + np.abs(d)) for d in found], axis=0).max() < 1e-6
 
@@ -240,7 +240,7 @@ def test_gradient_is_the_finite_difference(name):
         scene, kernel = task.scene, drop_kernel(task.scene, SETTINGS)
         severity = np.random.default_rng(k).uniform(size=(len(ROWS), len(scene.entities)))
         q, qd = _states(scene, 40, seed=20 + k)
-        q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
+        q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # away from kinks of aligned objects
         _check_gradient(kernel, q, qd, severity)
         if np.ptp(kernel.own_loss(q, qd)) > 0.1:
             _check_gradient(kernel, q, qd, np.zeros_like(severity), own=1.0)
@@ -248,7 +248,7 @@ def test_gradient_is_the_finite_difference(name):
 
 @pytest.mark.parametrize("name", first_quick(gp.scenes()))
 @pytest.mark.parametrize("isa", instruction_sets())
-def test_in_single_precision_it_is_nearly_the_same(name, isa):
+def test_single_precision_changes_little(name, isa):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
         scene = task.scene
         kernel = _kernel_of(scene, isa)
@@ -324,7 +324,7 @@ def test_misuse_names_the_culprit(scene, kernel):
         DropKernel(tables, constants, compiled.kernels, np.zeros(len(scene.joints)), len(scene.entities))
 
 
-def test_a_fit_that_tries_many_constants_leaves_no_tables_behind(scene):
+def test_a_fit_with_many_constants_leaves_no_tables_behind(scene):
     shipped = DropSettings.shipped()
     watched = []
     for delay in np.linspace(0.0, 0.02, 12):

@@ -1,4 +1,4 @@
-"""The network that corrects the drop model: core against NumPy, gradients, what it can never do, and its files."""
+"""The network that corrects the drop model: core against NumPy, gradients, bounds on its effect, and its files."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def task() -> gp.Task:
 
 
 def states(task: gp.Task, n: int, seed: int = 0) -> tuple[Array, Array]:
-    """Return states over the desk, where there is something to hit."""
+    """Return states over the desk, where entities can be hit."""
     rng = np.random.default_rng(seed)
     q = task.start + rng.uniform(size=(n, 1)) * (task.goal[0] - task.start)
     return q + rng.normal(scale=0.15, size=q.shape), rng.normal(scale=0.4, size=q.shape)
@@ -95,8 +95,8 @@ def test_the_core_is_the_network_in_numpy(task: gp.Task) -> None:
     plain = drop_kernel(task.scene, SETTINGS).probability(q, qd)
     found = drop_kernel(task.scene, SETTINGS, network=network).probability(q, qd)
     np.testing.assert_allclose(found[:, 0], by_numpy(network, task.scene, q, qd), atol=1e-12)
-    assert np.abs(found[:, 0] - plain[:, 0]).max() > 0.1  # so that there is something to compare
-    np.testing.assert_array_equal(found[:, 1:], plain[:, 1:])  # contents are left alone
+    assert np.abs(found[:, 0] - plain[:, 0]).max() > 0.1  # the network has an effect
+    np.testing.assert_array_equal(found[:, 1:], plain[:, 1:])  # contents are unchanged
 
 
 @pytest.mark.parametrize("isa", instruction_sets())
@@ -111,7 +111,7 @@ def test_instruction_sets_agree(task: gp.Task, isa: str) -> None:
     np.testing.assert_allclose(kernel.probability(q, qd)[:, 0], by_numpy(network, task.scene, q, qd), atol=1e-11)
 
 
-def test_gradients_are_those_of_differences(task: gp.Task) -> None:
+def test_gradients_equal_differences(task: gp.Task) -> None:
     q, qd = states(task, 24, seed=3)
     kernel, severity = drop_kernel(task.scene, SETTINGS, network=random_network(1)), severities(task.scene)
     value, d_q, d_qd = kernel.gradient(q, severity, qd)
@@ -126,12 +126,12 @@ def test_gradients_are_those_of_differences(task: gp.Task) -> None:
             difference = kernel.impact(ahead[0], severity, ahead[1]) - kernel.impact(back[0], severity, back[1])
             numeric[:, j] = difference / (2.0 * step)
         error = np.abs(numeric - slope).max(axis=1)
-        # Where two surfaces are equally likely, or a part passes an edge, there are two slopes.
+        # Equally likely surfaces, and parts at an edge, have two one-sided slopes.
         assert np.sort(error)[-3] < 1e-5 * max(1.0, np.abs(slope).max())
         assert np.abs(slope).max() > 1.0
 
 
-def test_the_network_has_a_say_in_the_gradient(task: gp.Task) -> None:
+def test_the_network_changes_the_gradient(task: gp.Task) -> None:
     q, qd = states(task, 8)
     severity = severities(task.scene)
     plain, own = (
@@ -178,10 +178,10 @@ def test_odds_stay_within_the_bound_and_each_state_stands_by_itself(seed: int, b
     assert np.all(np.abs(change) <= bound + 1e-6)
     np.testing.assert_allclose(P[plain <= 1e-4], plain[plain <= 1e-4], atol=1e-12)
     alone = np.concatenate([kernel.probability(q[i : i + 1], qd[i : i + 1])[:, 0] for i in range(len(q))])
-    np.testing.assert_allclose(P, alone, atol=1e-11)  # what is left out to save time
+    np.testing.assert_allclose(P, alone, atol=1e-11)  # error of pruning
 
 
-def test_a_network_that_says_nothing_changes_nothing(task: gp.Task) -> None:
+def test_a_zero_network_changes_nothing(task: gp.Task) -> None:
     q, qd = states(task, 20)
     silent = replace(random_network(), last=np.zeros(16), last_bias=np.zeros(1))
     a, b = (drop_kernel(task.scene, SETTINGS, network=x).probability(q, qd) for x in (None, silent))
@@ -197,7 +197,7 @@ def test_corrections_fade_in_without_a_jump() -> None:
 
 
 def _moved(scene: gp.Scene, yaw: float, shift: tuple[float, float, float]) -> gp.Scene:
-    """Return a scene with all of it, robot included, turned about the vertical and moved."""
+    """Return the whole scene, robot included, turned about the vertical and moved."""
     spec = scene.spec.copy()
     turn, c, s = np.array([math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)]), math.cos(yaw), math.sin(yaw)
     for one in (x for x in (*spec.worldbody.bodies, *spec.worldbody.frames) if x.frame is None):
@@ -218,7 +218,7 @@ def test_nothing_changes_if_all_is_moved_and_turned(
     tables = [drop_tables(scene) for scene in (task.scene, moved)]
     names = [list(scene.entities) for scene in (task.scene, moved)]
     assert names[0] == names[1] and before.shape == after.shape
-    # The order of surfaces may differ by rounding: each entity's most likely ones are compared.
+    # Rounding may reorder surfaces, so each entity's most likely ones are compared.
     for e in range(len(names[0])):
         mine = [np.flatnonzero(t.target_entity == e) for t in tables]
         most = [x[:, k, -1].max(axis=1) for x, k in zip((before, after), mine, strict=True)]
@@ -230,18 +230,18 @@ def test_nothing_changes_if_all_is_moved_and_turned(
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_written_files_can_be_read(tmp_path: Path) -> None:
     network = replace(random_network(), about={"drops": 7})
     network.write(tmp_path / "net.npz")
     found = DropNetwork.read(tmp_path / "net.npz")
     assert (found.bound, found.about) == (network.bound, {"drops": 7})
     for name in ("told", "looks", "shapes", "first_bias", "second", "second_bias", "last", "last_bias"):
         np.testing.assert_array_equal(getattr(found, name), getattr(network, name))
-    again = pickle.loads(pickle.dumps(found))  # models go to other processes
+    again = pickle.loads(pickle.dumps(found))  # models are sent to other processes
     np.testing.assert_array_equal(again.told, network.told)
 
 
-def test_the_shipped_one_says_where_it_comes_from(task: gp.Task) -> None:
+def test_the_shipped_network_has_a_provenance(task: gp.Task) -> None:
     network = DropNetwork.shipped()
     assert network.about["drops"] > 1000 and network is DropNetwork.shipped()
     q, qd = states(task, 8)
@@ -311,7 +311,7 @@ def test_damaged_files_are_refused_or_harmless(
         found = DropNetwork.read(folder / "damaged.npz")
     except FormatError:
         return
-    assert np.isfinite(found.told).all()  # what is not covered by checksums
+    assert np.isfinite(found.told).all()  # fields without a checksum
 
 
 def test_large_files_are_not_unpacked(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Failures of all kinds together: the footprint model weighs drops, spills and failing arms by a prior over faults."""
+"""Failures of all kinds: the mixture model weighs drops, spills and failing arms by a fault prior."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
 
-_SAME = 1e-9  # relative: the same numbers, added in another order
-_TINY = 1e-5  # of severities around 10: what single precision makes of probabilities near 0
+_SAME = 1e-9  # relative: the same terms summed in another order
+_TINY = 1e-5  # absolute, for severities around 10: single precision of probabilities near 0
 _SCENES = ("contents", "no contents", "nothing carried")
 _KNOWN_STEPS = len(AHEAD)
 
@@ -48,7 +48,7 @@ def states(scene: gp.Scene, n: int, seed: int = 0, *, still: bool = False) -> St
 
 
 def prior_of(**effects: float) -> FaultPrior:
-    """One fault that does this and nothing else."""
+    """A prior with a single fault that has these effects."""
     return FaultPrior({"mishap": 1.0}, {"mishap": effects})
 
 
@@ -75,7 +75,7 @@ def test_sources_add_up_to_probabilities(scenes: dict[str, gp.Scene], name: str,
 
 @pytest.mark.parametrize("faults", presets())
 @pytest.mark.parametrize("name", _SCENES)
-def test_the_kernel_charges_what_the_model_says(scenes: dict[str, gp.Scene], name: str, faults: str) -> None:
+def test_kernel_and_model_agree(scenes: dict[str, gp.Scene], name: str, faults: str) -> None:
     scene, cost = scenes[name], gp.ImpactCost(model=FailureMixture(faults=faults))
     kernel = cost.kernel(scene, (0.3, 0.7))
     assert kernel is not None
@@ -95,7 +95,7 @@ def test_the_kernel_charges_single_components(scenes: dict[str, gp.Scene], compo
 
 
 @pytest.mark.parametrize("faults", presets())
-def test_edges_are_charged_at_their_speed(scenes: dict[str, gp.Scene], faults: str) -> None:
+def test_edges_are_evaluated_at_their_speed(scenes: dict[str, gp.Scene], faults: str) -> None:
     scene, rng = scenes["no contents"], np.random.default_rng(3)
     q0 = rng.uniform(*scene.limits.position.T, size=(6, len(scene.joints)))
     q1 = q0 + rng.uniform(-0.2, 0.2, q0.shape)
@@ -106,7 +106,7 @@ def test_edges_are_charged_at_their_speed(scenes: dict[str, gp.Scene], faults: s
     np.testing.assert_allclose(native.edges(q0, q1), generic.edges(q0, q1), rtol=1e-2, atol=1e-6)
 
 
-def test_it_keeps_the_contract_of_costs(scenes: dict[str, gp.Scene]) -> None:
+def test_the_model_keeps_the_contract_of_costs(scenes: dict[str, gp.Scene]) -> None:
     for faults in presets():
         check_cost(gp.ImpactCost(model=FailureMixture(faults=faults)), scenes["no contents"], samples=8)
 
@@ -136,7 +136,7 @@ def test_probabilities_are_linear_in_the_rates(scenes: dict[str, gp.Scene], weig
 
 
 @pytest.mark.parametrize("generator", GENERATORS)
-def test_one_fault_alone_acts_like_its_generator(scenes: dict[str, gp.Scene], generator: str) -> None:
+def test_a_single_fault_acts_like_its_generator(scenes: dict[str, gp.Scene], generator: str) -> None:
     scene = scenes["contents"]
     model, batch = FailureMixture(faults=prior_of(**{generator: 0.5})), states(scene, 200)
     assert set(model.sources(batch)) == {generator}
@@ -161,7 +161,7 @@ def test_drops_and_spills_by_hand(scenes: dict[str, gp.Scene]) -> None:
     assert not P[:, row(scene, "body")].any()
 
 
-def test_what_is_dropped_is_not_held_by_an_arm_that_falls(scenes: dict[str, gp.Scene]) -> None:
+def test_a_dropped_object_does_not_fall_with_the_arm(scenes: dict[str, gp.Scene]) -> None:
     scene = scenes["contents"]
     batch = states(scene, 30)
     alone = BodyModel(BodySettings.shipped()).probability(batch)[:, 0]  # collapse
@@ -171,10 +171,10 @@ def test_what_is_dropped_is_not_held_by_an_arm_that_falls(scenes: dict[str, gp.S
     assert alone[:, 1].any()
 
 
-def test_the_motion_to_come_is_used_where_it_is_known(scenes: dict[str, gp.Scene]) -> None:
+def test_a_known_future_motion_is_used(scenes: dict[str, gp.Scene]) -> None:
     scene, model = scenes["contents"], FailureMixture(faults=prior_of(stuck=1.0))
     batch = states(scene, 20)
-    rest = np.repeat(batch.q[:, None], _KNOWN_STEPS, axis=1)  # the motion is over, although the joints still turn
+    rest = np.repeat(batch.q[:, None], _KNOWN_STEPS, axis=1)  # the motion has ended, although velocities remain
     over = StateBatch(scene, batch.q, batch.direction, batch.speed, ahead=rest)
     assert not np.allclose(model.probability(batch), model.probability(over))
     dropped = FailureMixture()
@@ -184,7 +184,7 @@ def test_the_motion_to_come_is_used_where_it_is_known(scenes: dict[str, gp.Scene
 # --- as settings ------------------------------------------------------------------------------------------------------
 
 
-def test_components_are_those_that_can_strike() -> None:
+def test_components_are_the_ones_that_can_strike() -> None:
     assert FailureMixture().components == ("carried", "contents") == gp.ImpactCost().components
     assert gp.ImpactCost(model="box_overlap").components == ("carried", "contents")
     for faults in ("arm", "service_robot", prior_of(stray=0.1)):
@@ -233,7 +233,7 @@ def test_moving_entities_meet_the_same_faults() -> None:
     assert moving.settings == model.settings
 
 
-def test_it_is_a_value() -> None:
+def test_instances_are_values() -> None:
     model = FailureMixture(faults=FaultPrior.preset("arm"))
     twin = pickle.loads(pickle.dumps(model))
     assert twin == model and hash(twin) == hash(model)
@@ -251,6 +251,6 @@ class NotAPrior:
     drop: float = 1.0
 
 
-def test_faults_that_are_no_prior() -> None:
+def test_invalid_priors_are_refused() -> None:
     with pytest.raises((SettingError, TypeError), match="faults"):
         FailureMixture(faults=NotAPrior())  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Drops on those who move: laws, the model of what stands still as reference, the core beside NumPy."""
+"""Drops on moving entities: laws, the static model as reference, the core against NumPy."""
 
 from dataclasses import dataclass, replace
 
@@ -21,11 +21,11 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.elements import COMPONENTS
 
 _STANDING = (0.03, 0.15)
-"""Largest mean and single difference from the model of what stands still: here the object is followed down the side of
-an entity and not to the height of its top alone, a part that falls off is caught a little differently, and those who
-stand beside a drop do not catch what would hit something else."""
+"""Largest mean and single difference from the static model. Here the object is followed down an entity's side, not
+only to its top; a part that falls off is caught slightly differently; and an entity beside the drop does not catch an
+object that would hit another one."""
 _CORE = 0.25
-"""Relative difference of mean probabilities: in the core nobody moves while the object falls."""
+"""Relative difference of mean probabilities: the core keeps entities fixed while the object falls."""
 _SIZES = {"box": [0.05, 0.08, 0.1], "cylinder": [0.06, 0.1]}
 
 
@@ -35,7 +35,7 @@ def scene():
 
 
 def walker(x=0.3, y=0.0, *, size="box", speed=0.0, heading=0.0, passes=0.0, turn=0.0, shift=(0.0, 0.0), **more):
-    """Something 0.2 m high on the ground that passes (x, y) at some time; all of it turned, then moved."""
+    """An entity 0.2 m high on the ground that passes (x, y) at a given time; the whole is rotated, then moved."""
     times = passes + np.array([-1.0, 1.0])
     R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     along = speed * np.array([np.cos(heading), np.sin(heading)])
@@ -79,7 +79,7 @@ def test_probabilities_are_probabilities(scene, q, qd, x, y, speed, spread, size
 
 @settings(max_examples=25)
 @given(states, rates, places, places, st.floats(-3.0, 3.0), places, places)
-def test_it_does_not_depend_on_where_the_world_is(scene, q, qd, x, y, turn, dx, dy):
+def test_the_model_is_invariant_to_moving_the_world(scene, q, qd, x, y, turn, dx, dy):
     moved = gantry(BOX, turn=turn, shift=(dx, dy))
     here = probability(scene, walker(x, y, speed=1.0, heading=0.7), q, qd, 0.1)
     there = probability(moved, walker(x, y, speed=1.0, heading=0.7, turn=turn, shift=(dx, dy)), q, qd, 0.1)
@@ -94,28 +94,28 @@ def test_only_differences_of_times_matter(scene, q, qd, seconds, time):
     np.testing.assert_allclose(now, probability(scene, entity.later(seconds), q, qd, time + seconds), atol=1e-9)
 
 
-def test_nobody_is_hit_who_comes_later():
+def test_an_entity_that_arrives_later_is_not_hit():
     scene = gantry({})
     entity = walker(0.0, 0.0, speed=1.5, passes=3.0)
     over = np.zeros(4)
-    assert probability(scene, entity, over, time=2.65)[0] > 0.9  # 0.5 m before the place, and 0.3 s to fall
+    assert probability(scene, entity, over, time=2.65)[0] > 0.9  # 0.5 m before (0, 0), with a fall of 0.3 s
     for time in (1.0, 3.6):
         assert probability(scene, entity, over, time=time)[0] < 1e-3
 
 
-def test_they_go_on_while_it_falls():
+def test_entities_move_on_during_the_fall():
     scene = gantry({})
-    height = 0.7 - 0.05 - 0.2  # of the object's bottom above their tops [m]
+    height = 0.7 - 0.05 - 0.2  # of the object's bottom above the entity's top [m]
     fall = np.sqrt(2.0 * height / 9.81) + DropSettings.shipped().box.delay
     times = np.linspace(-1.0, 1.0, 201)
     P = probability(scene, walker(0.0, 0.0, speed=1.0, size="cylinder"), np.zeros((201, 4)), time=times)
     sure = times[P > 0.9]
     assert len(sure) > 5
-    # Somewhat earlier too, since it may hit their sides while it goes on to the ground.
+    # Slightly earlier, since the object may hit the entity's side on its way to the ground.
     assert -fall - 0.08 < sure.mean() < -fall
 
 
-def test_the_less_is_known_of_a_place_the_less_likely_is_it_hit(scene):
+def test_a_more_uncertain_place_is_less_likely_hit(scene):
     over = [0.3, 0.0, 0.0, 0.0]
     P = [probability(scene, walker(spread=spread), over, time=0.0)[0] for spread in (0.0, 0.05, 0.1, 0.2, 0.5, 2.0)]
     assert P[0] > 0.9
@@ -126,12 +126,12 @@ def test_the_less_is_known_of_a_place_the_less_likely_is_it_hit(scene):
     assert wide > 10.0 * near
 
 
-def test_growth_is_spread_that_comes_with_time(scene):
+def test_uncertainty_grows_with_time(scene):
     grown = probability(scene, walker(growth=0.2), [0.3, 0.0, 0.0, 0.0], time=np.array([4.0]))
     assert grown[0] < 0.5 * probability(scene, walker(), [0.3, 0.0, 0.0, 0.0], time=4.0)[0]
 
 
-def test_without_a_time_it_is_the_mean_over_the_path(scene):
+def test_without_a_time_the_probability_is_the_mean_over_the_path(scene):
     entity, rng = walker(speed=0.5, heading=0.5), np.random.default_rng(0)
     q = np.column_stack([rng.uniform(-0.5, 0.5, (30, 2)), rng.uniform(-0.3, 0.2, 30), rng.uniform(-3, 3, 30)])
     times = np.linspace(-1.0, 1.0, 401)
@@ -140,14 +140,14 @@ def test_without_a_time_it_is_the_mean_over_the_path(scene):
     np.testing.assert_allclose(probability(scene, entity, q), each.mean(axis=1), atol=0.01)
 
 
-def test_what_is_higher_catches_it():
+def test_a_higher_entity_catches_the_object():
     table = {"table": (0.0, 0.0, 0.3, 'type="box" size="0.6 0.6 0.02"')}
     under, open_ = (probability(gantry(t), walker(0.0, 0.0), np.zeros(4), time=0.0)[0] for t in (table, {}))
     assert under < 0.05
     assert open_ > 0.9
 
 
-def test_a_tall_one_is_hit_from_the_side_on_the_way_down():
+def test_a_tall_entity_is_hit_from_the_side_on_the_way_down():
     scene, flies = gantry({}), [2.0, 0.0, 0.0, 0.0]
     tall = gp.MovingEntity("walker", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.55, 0.0, 0.85]])
     assert probability(scene, tall, np.zeros(4), flies, 0.0)[0] > 0.9  # 2 m/s for 0.3 s
@@ -155,7 +155,7 @@ def test_a_tall_one_is_hit_from_the_side_on_the_way_down():
 
 
 @pytest.mark.parametrize("size", sorted(_SIZES))
-def test_who_passes_in_a_slant_beside_it_is_not_hit(size):
+def test_an_entity_that_passes_diagonally_is_not_hit(size):
     scene, heading, times = gantry({}), 0.4 + np.pi / 8, np.linspace(-1.0, 1.0, 81)
     across = np.array([-np.sin(heading), np.cos(heading)])
 
@@ -164,7 +164,7 @@ def test_who_passes_in_a_slant_beside_it_is_not_hit(size):
         return probability(scene, entity, np.zeros((81, 4)), time=times).max()
 
     assert most(0.0) > 0.9
-    assert most(0.22) < 0.1  # the object reaches 0.05 m, and they 0.12 m to their sides
+    assert most(0.22) < 0.1  # the object reaches 0.05 m to the sides, the entity 0.12 m
 
 
 def test_nothing_falls_through_a_table():
@@ -185,7 +185,7 @@ def test_places_stand_for_a_normal_distribution(count):
 
 
 @pytest.mark.parametrize("places", [0, 3, 14, 26, 8.0])
-def test_so_many_places_cannot_stand_for_anybody(places):
+def test_too_many_places_are_refused(places):
     for model in (FailureMixture, MovingModel):
         with pytest.raises((SettingError, TypeCheckError), match="places"):
             model(places=places)
@@ -198,7 +198,7 @@ def test_few_places_are_close_to_many(scene):
     assert np.corrcoef(few, many)[0, 1] > 0.85
 
 
-def test_states_that_are_asked_for_at_many_times_are_the_same_as_one_by_one(scene):
+def test_many_times_at_once_equal_one_by_one(scene):
     batch = _near_a_walker(scene, 40, same=8)
     whole = moving_probability(batch, ("carried",))
     assert whole.max() > 0.1
@@ -208,7 +208,7 @@ def test_states_that_are_asked_for_at_many_times_are_the_same_as_one_by_one(scen
 
 
 def _near_a_walker(scene, n, same=1):
-    """States around somebody who is uncertain and walks, each of them at some times."""
+    """States around an uncertain moving entity, each at several times."""
     rng = np.random.default_rng(5)
     q = np.column_stack(
         [rng.uniform(-0.2, 0.8, n // same), rng.uniform(-0.5, 0.5, n // same), np.zeros((n // same, 2))]
@@ -218,18 +218,18 @@ def _near_a_walker(scene, n, same=1):
     return StateBatch(scene.with_moving(entity), q, np.zeros_like(q), np.zeros(n), time)
 
 
-def test_nobody_is_where_they_would_have_been_touched():
+def test_places_in_contact_with_the_arm_are_excluded():
     scene = gantry({})
     tall = gp.MovingEntity("p", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.3, 0.0, 0.85]], spread=0.1)
     P = probability(scene, tall, np.zeros(4), time=0.0)[0]
     blind = probability(scene, tall, np.zeros(4))[0]  # without a time
-    assert P < 0.6 * blind  # most places from which it is hit are such
+    assert P < 0.6 * blind  # at most places from which it would be hit, it already touches the arm
     inside = gp.MovingEntity("p", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.0, 0.0, 0.85]], spread=0.02)
-    assert probability(scene, inside, np.zeros(4), time=0.0)[0] > 0.9  # of none that is free, all
+    assert probability(scene, inside, np.zeros(4), time=0.0)[0] > 0.9  # no place is free, so all are used
 
 
 @pytest.mark.parametrize("size", ["box", "cylinder"])
-def test_whom_links_touch_is_found_as_by_looking_at_every_sphere(size):
+def test_entities_in_contact_are_those_of_a_loop_over_all_spheres(size):
     scene, rng, n = gp.load_scene("tabletop").tasks["right_to_left"].scene, np.random.default_rng(0), 600
     entity = walker(0.4, size=size, speed=0.4, spread=0.3)
     entity = replace(entity, position=entity.position + [0.0, 0.0, 0.5])
@@ -253,8 +253,8 @@ def test_whom_links_touch_is_found_as_by_looking_at_every_sphere(size):
 
 
 @pytest.mark.parametrize("geom", ["box", "cylinder"])
-def test_who_stands_still_is_hit_like_what_stands_still(geom):
-    # Free to move, as who walks is: nobody stops what flies as a wall does.
+def test_a_standing_moving_entity_is_hit_like_a_static_one(geom):
+    # A free joint, since a moving entity does not stop a flying object as a wall does.
     post = f'type="{geom}" size="{" ".join(map(str, _SIZES[geom]))}" euler="0 0 0.4"/><freejoint'
     place = {"post": (0.3, 0.1, 0.1, post)}
     rng = np.random.default_rng(2)
@@ -276,7 +276,7 @@ def test_who_stands_still_is_hit_like_what_stands_still(geom):
 # --- arms, components -------------------------------------------------------------------------------------------------
 
 
-def test_arms_reach_who_is_near_and_not_below_them():
+def test_arms_reach_near_entities_that_are_not_below_them():
     task = gp.load_scene("tabletop").tasks["right_to_left"]
     hand = task.scene.data_at(task.start).site(task.scene.tool).xpos
     for offset, low, high in (((0, 0, 0), 0.9, 1.0), ((0, 0, -1.0), 0.9, 1.0), ((0, 0, 1.0), 0.0, 0.01),
@@ -285,7 +285,7 @@ def test_arms_reach_who_is_near_and_not_below_them():
         assert low <= probability(task.scene, entity, task.start, time=0.0, component="body")[0] <= high
 
 
-def test_components_that_are_not_asked_for_are_zero():
+def test_other_components_are_zero():
     task = gp.load_scene("desk").tasks["bring_coffee"]
     place = task.scene.data_at(task.start).site(task.scene.tool).xpos * [1, 1, 0] + [0, 0, 0.8]
     near = task.scene.with_moving(gp.MovingEntity("p", "adult", size=[0.2, 0.05], t=[0.0], position=[place]))
@@ -351,14 +351,14 @@ def test_the_core_guides_searches_about_right(scene):
 
 @dataclass(frozen=True)
 class Nothing(gp.InteractionModel):
-    """A model of one's own in which nothing that stands still is hit."""
+    """A custom model in which static entities are never hit."""
 
     def probability(self, batch):
         return np.zeros((len(batch), len(batch.scene.components), len(batch.scene.entities)))
 
 
 @pytest.mark.parametrize("consequence", ["contact", "energy"])
-def test_moving_entities_are_hit_by_the_shipped_drop_model_whatever_the_model(scene, consequence):
+def test_moving_entities_use_the_shipped_drop_model_with_every_model(scene, consequence):
     batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
     components = ("body", "carried", "contents")
     own, aabb = (gp.ImpactCost(model, components, consequence) for model in (Nothing(), "box_overlap"))
@@ -371,7 +371,7 @@ def test_moving_entities_are_hit_by_the_shipped_drop_model_whatever_the_model(sc
     assert own.kernel(batch.scene, (1.0, 1.0)) is None and own.gradient(batch) is None
 
 
-def test_weights_scale_what_happens(scene):
+def test_weights_scale_probabilities(scene):
     entity, q = walker(), np.array([[0.3, 0.0, 0.0, 0.0]])
     batch = StateBatch(scene.with_moving(entity), q, time=np.zeros(1))
     prior = FaultPrior({"weak_grip": 1.0}, {"weak_grip": {"drop": 0.25}})

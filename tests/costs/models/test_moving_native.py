@@ -1,4 +1,4 @@
-"""Entities that move, in the core: the NumPy twin, derivatives by differences, gaps by MuJoCo, and a whole plan."""
+"""Moving entities in the core: the NumPy twin, derivatives by differences, gaps by MuJoCo, and a whole plan."""
 
 import mujoco
 import numpy as np
@@ -22,11 +22,11 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from hall import hall
 
 _SAME = 1e-8
-"""Of probabilities: the same formulas, but for tails that the core leaves out."""
+"""Absolute error of probabilities: the same formulas, except for tails that the core omits."""
 _SPHERES = 1e-5
-"""The same where spheres of links count: the core has them in single precision."""
+"""The same where spheres of links matter, which the core has in single precision."""
 _NUDGE = 1e-6
-"""Of differences."""
+"""Step of central differences."""
 
 _ROUND = gp.MovingEntity(
     "ann", "adult", size=[0.2, 0.6], t=[-1.0, 0.0, 0.5, 1.5],
@@ -53,7 +53,7 @@ def states(scene, n, seed=0, speed=0.5):
 
 
 def arm_scene(*walkers):
-    """The Panda at a table among entities that move where its hand is."""
+    """The Panda at a table among entities that move near its hand."""
     scene = gp.load_scene("tabletop").tasks["right_to_left"].scene
     return scene.with_moving(*walkers)
 
@@ -66,7 +66,7 @@ def raised(entity, by):
 
 
 def among(scene, severity=1.0):
-    """All ways to fail at once, each entity and component as bad as the others."""
+    """Impact with all failure modes, and equal severities for all entities and components."""
     model = MovingModel(coast=0.0)
     return model.impact(scene, np.full((len(scene.components), len(scene.moving)), severity))
 
@@ -77,7 +77,7 @@ def among(scene, severity=1.0):
 @pytest.mark.parametrize("walker", sorted(_WALKERS))
 @pytest.mark.parametrize("targets", [{}, BOX, _TABLE], ids=["ground", "box", "table"])
 @pytest.mark.parametrize("timed", [True, False])
-def test_drops_are_those_of_the_twin(walker, targets, timed):
+def test_drops_equal_the_twin(walker, targets, timed):
     scene = gantry(targets).with_moving(_WALKERS[walker])
     q, qd, t = states(scene, 150)
     batch = moving_batch(scene, q, qd, t if timed else None)
@@ -97,7 +97,7 @@ def test_shapes_fall_as_in_the_twin(shape):
 
 
 @pytest.mark.parametrize("timed", [True, False])
-def test_arms_are_those_of_the_twin(timed):
+def test_arms_equal_the_twin(timed):
     scene = arm_scene(*(raised(entity, [0.0, 0.0, 0.4]) for entity in _WALKERS.values()))
     q, qd, t = states(scene, 60)
     batch = moving_batch(scene, q, qd, t if timed else None)
@@ -154,7 +154,7 @@ def test_instruction_sets_agree(isa):
 
 
 def differences(value, q, qd, t):
-    """Derivatives by central differences, and where two steps agree on them: away from kinks."""
+    """Return central differences, and where two step sizes agree, that is, away from kinks."""
     found = []
     for step in (_NUDGE, 4.0 * _NUDGE):
         columns = []
@@ -177,7 +177,7 @@ def assert_slopes(impact, q, qd, t, least, tolerance=2e-3):
     found = np.concatenate([by_q, by_qd, by_t[:, None]], axis=1)
     scale = np.abs(expected).max(axis=1, keepdims=True) + 1.0
     off = np.abs(found - expected) / scale
-    # Where a place is touched or a target of a fall changes between the steps, differences mean nothing.
+    # Differences are invalid where contact starts, or the target of a fall changes, within a step.
     assert np.quantile(off[smooth].max(axis=1), 0.95) < tolerance
     assert np.median(off[felt].max(axis=1)) < 1e-4
 
@@ -212,11 +212,11 @@ def test_slopes_of_failing_bases_are_differences():
     impact = MovingModel(coast=1.0).impact(scene, np.ones((len(scene.components), 1)))
     value, by_q, by_qd, by_t = impact.slopes(q, qd, rng.uniform(0.5, 3.5, 80))
     assert (value > 0.05).sum() > 10 and all(np.isfinite(d).all() for d in (by_q, by_qd, by_t))
-    # Who stands still is met later by as much as she walks on: along a motion that rests nothing changes with time.
+    # Zero is the minimum of the impact, so its derivative by time is zero there, too.
     assert not by_t[value == 0.0].any()
 
 
-def test_a_motion_that_comes_later_feels_who_walks_on():
+def test_a_later_motion_meets_entities_at_their_later_place():
     scene = gantry({}).with_moving(_ROUND)
     over = np.array([[0.25, 0.0, 0.0, 0.0]])
     value, _, _, by_t = among(scene).slopes(over, np.zeros_like(over), np.array([0.2]))
@@ -228,7 +228,7 @@ def test_a_motion_that_comes_later_feels_who_walks_on():
 
 
 def oracle(scene, entity, q, t):
-    """The least distance between covering spheres and the entity, by MuJoCo."""
+    """Return the least distance between covering spheres and the entity, by MuJoCo."""
     robot, there = compile_scene(scene).robot, entity.at(t)
     X = compile_scene(scene).kernels.link_poses(q[None])[0]
     moves = np.flatnonzero(robot.sphere_link > 0)
@@ -258,11 +258,11 @@ def test_gaps_are_mujocos():
     outside = np.array(expected) > 0.0
     assert outside.sum() > 10
     np.testing.assert_allclose(gap[outside], np.array(expected)[outside], atol=1e-5)
-    # MuJoCo's depth of what overlaps is that of convex pairs, found by iterations.
+    # MuJoCo computes penetration depths iteratively, per convex pair.
     np.testing.assert_allclose(gap, expected, atol=5e-3)
 
 
-def test_gaps_beyond_what_is_wanted_are_infinite_and_others_exact():
+def test_gaps_beyond_the_cutoff_are_infinite_and_others_exact():
     scene = arm_scene(*(raised(entity, [0.8, 0.3, 0.5]) for entity in (_ROUND, _BOX)))
     q, _, t = states(scene, 300, seed=7)
     whole, by_q, by_t = among(scene).gaps(q, t, np.inf)
@@ -290,7 +290,7 @@ def test_slopes_of_gaps_are_differences():
 # --- motions ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_plan_gives_way_to_who_walks():
+def test_a_plan_avoids_a_pedestrian():
     task = gp.load_scene("tabletop").tasks["right_to_left"]
     hands = [task.scene.data_at(q).site(task.scene.tool).xpos.copy() for q in (task.start, task.goal[0])]
     middle = np.mean(hands, axis=0)
@@ -312,7 +312,7 @@ def test_a_plan_gives_way_to_who_walks():
 def test_motions_descend_by_where_entities_are_at_their_times():
     along = np.linspace(0.0, 1.0, 12)[:, None]
     path = np.array([-0.3, -0.3, 0.0, 0.0]) + along * [0.9, 0.8, 0.0, 0.3]
-    path = path + np.sin(np.pi * along) ** 2 * [0.1, -0.2, 0.05, 0.4]  # a straight one is at kinks of its speed
+    path = path + np.sin(np.pi * along) ** 2 * [0.1, -0.2, 0.05, 0.4]  # a straight one has kinks in its speed
     limits = {"velocity": np.ones(4), "acceleration": np.ones(4), "time_price": 0.02}
 
     def energy(begins):
@@ -323,7 +323,7 @@ def test_motions_descend_by_where_entities_are_at_their_times():
         value, slope = descent.energy(descent.inner)
         return descent, value, slope
 
-    _, late, _ = energy(50.0)  # she has passed
+    _, late, _ = energy(50.0)  # the pedestrian has passed
     descent, now, slope = energy(-0.5)
     assert now > 1.02 * late
     flat = descent.inner.ravel()

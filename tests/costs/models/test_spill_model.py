@@ -1,4 +1,4 @@
-"""The spill model: the slow oracle, laws, what it has to say of simple spills, the core, unhappy paths."""
+"""The spill model: the slow oracle, laws, simple spills, the core, unhappy paths."""
 
 import dataclasses
 from dataclasses import asdict, replace
@@ -27,7 +27,7 @@ _CUP = """<geom name="cup" type="cylinder" size="0.04 0.05"/>
 
 
 def gantry(targets, contents, turn=0.0, shift=(0.0, 0.0)):
-    """An arm of three slides and a hinge, which holds a cup above some boxes; all of it turned and shifted."""
+    """An arm of three slides and a hinge that holds a cup above boxes; all rotated and shifted."""
     bodies = "".join(
         f'<body name="{name}" pos="{x} {y} {z}"><geom name="{name}" {geom}/></body>'
         for name, (x, y, z, geom) in targets.items()
@@ -68,7 +68,7 @@ TABLE = {
 
 
 def reached(scene, q, qd=None, spill=SPILL):
-    """P [n, use, entity] from the core."""
+    """Return P [n, use, entity] from the core."""
     q = np.atleast_2d(np.asarray(q, float))
     qd = np.zeros_like(q) if qd is None else np.atleast_2d(np.asarray(qd, float))
     return drop_kernel(scene, DROP, spill).probability(q, qd)[:, 1 : 1 + len(USES)]
@@ -112,7 +112,7 @@ def table():
 
 
 @pytest.mark.long
-def test_it_equals_the_slow_oracle(scenes, table):
+def test_the_model_equals_the_slow_oracle(scenes, table):
     for seed, scene in enumerate([*scenes, table]):
         q, qd = states(scene, 6, seed)
         if scene is table:
@@ -153,7 +153,7 @@ def test_constants_are_handed_over_by_name():
 # --- laws -------------------------------------------------------------------------------------------------------------
 
 
-def test_no_contents_reach_nobody():
+def test_without_contents_there_is_no_spill():
     scene = gp.load_scene("tabletop").tasks["green_to_blue"].scene
     assert scene.contents is None
     found = drop_kernel(scene, DROP).probability(*states(scene, 50, seed=0))
@@ -167,7 +167,7 @@ def test_nothing_below_is_reached_by_nothing():
 
 @given(turn=st.floats(-3.0, 3.0), x=st.floats(-2.0, 2.0), y=st.floats(-2.0, 2.0), seed=st.integers(0, 99))
 @settings(max_examples=10, deadline=None)
-def test_it_does_not_matter_where_north_is(table, turn, x, y, seed):
+def test_the_model_is_invariant_to_turning_the_world(table, turn, x, y, seed):
     q, qd = states(table, 8, seed)
     q *= 0.05
     moved = gantry(TABLE, CUP_OF_TEA, turn, (x, y))
@@ -207,12 +207,12 @@ def test_more_severity_never_lowers_the_impact(table):
 # --- simple spills ----------------------------------------------------------------------------------------------------
 
 
-def test_a_dropped_cup_wets_the_table_and_what_stands_near(table):
+def test_a_dropped_cup_wets_the_table_and_near_entities(table):
     P = dict(zip(TABLE, reached(table, [0.0, 0.0, 0.5, 0.0])[0, 0], strict=True))
     assert P["table"] > 0.9 and P["phone"] > 0.4 and P["lamp"] > 0.4 and P["bag"] < 0.1
 
 
-def test_what_runs_over_the_edge_comes_down_below(table):
+def test_liquid_over_the_edge_falls_below(table):
     bag = list(TABLE).index("bag")
     middle, edge = reached(table, [[0.0, 0.0, 0.5, 0.0], [0.5, 0.0, 0.5, 0.0]])[:, 0, bag]
     assert edge > 0.3 and middle < 0.1 * edge
@@ -221,7 +221,7 @@ def test_what_runs_over_the_edge_comes_down_below(table):
 def test_set_down_gently_nothing_is_spilled(table):
     low, high = reached(table, [[0.0, 0.0, -0.15, 0.0], [0.0, 0.0, 0.5, 0.0]])
     assert high[0].max() > 0.9 and low[0].max() < 0.6 * high[0].max()
-    assert low[1].max() > 0.8  # what gets out in the gripper does not ask how high
+    assert low[1].max() > 0.8  # spills in the gripper do not depend on height
 
 
 def test_contents_fly_on(table):
@@ -250,7 +250,7 @@ def test_a_tilted_cup_holds_less(table):
     assert upright > 1.1 * tilted > 1.2 * lying
 
 
-def test_the_core_uses_it_for_contents(scenes):
+def test_the_core_uses_the_spill_model_for_contents(scenes):
     scene = scenes[0]
     q, qd = states(scene, 10, seed=5)
     found = gp.interaction_probability(q, scene, "mixture", qd)

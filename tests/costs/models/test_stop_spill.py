@@ -1,4 +1,4 @@
-"""What stops of the robot spill: the specification, its derivatives, and what simple stops should do."""
+"""Spills by protective stops: the specification, its derivatives, and simple stops."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def table():
 
 
 def reached(scene, q, qd, stop=STOP):
-    """P [n, entity] from the core."""
+    """Return P [n, entity] from the core."""
     return drop_kernel(scene, DROP, SPILL, None, stop).probability(q, qd)[:, STOPPED]
 
 
 def onward(speed, n=1):
-    """A cup in the middle above the table that moves along x."""
+    """Return a state with the cup above the middle of the table, moving along x."""
     return np.zeros((n, 4)), np.tile([speed, 0.0, 0.0, 0.0], (n, 1))
 
 
@@ -61,7 +61,7 @@ def test_the_core_is_the_specification(name, task):
 
 
 @pytest.mark.parametrize(("name", "task"), [("desk", "lift_coffee"), ("kitchen_counter", "season")])
-def test_gradients_are_those_of_differences(name, task):
+def test_gradients_equal_differences(name, task):
     task = gp.load_scene(name).tasks[task]
     scene, rng = task.scene, np.random.default_rng(0)
     kernel = drop_kernel(scene, DROP, SPILL, None, STOP)
@@ -102,12 +102,12 @@ def test_faster_and_harder_stops_spill_more(table, speed, more):
     assert 0.0 <= chance(speed, STOP) <= 1.0
 
 
-def test_contents_go_over_the_brim_where_it_is_level_with_what_is_felt(table):
+def test_contents_spill_where_the_brim_is_level_with_the_tilted_surface(table):
     vessel = find_vessel(table)
-    fast = 30.0  # a stop so long that nothing but its deceleration counts
+    fast = 30.0  # a stop so long that only its deceleration matters
     brim = 9.81 * np.tan(vessel.brim_tilt)
     for share, expected in ((0.6, 0.0), (1.0, 0.5), (1.6, 1.0)):
-        stop = replace(STOP, deceleration=share * brim, amplification=1.0)  # accelerations are 1 m/s^2 at most
+        stop = replace(STOP, deceleration=share * brim, amplification=1.0)  # joint accelerations are limited to 1 m/s^2
         assert stop_spill(moving(table, *onward(fast)), stop).chance[0] == pytest.approx(expected, abs=0.1)
 
 
@@ -123,7 +123,7 @@ def filled(litres):
     return gantry(TABLE, gp.Liquid(volume=litres))
 
 
-def test_a_cup_that_is_less_full_spills_less():
+def test_a_less_full_cup_spills_less():
     hard = replace(STOP, deceleration=8.0)
     full, half = (stop_spill(moving(filled(litres), *onward(1.0)), hard) for litres in (0.4, 0.15))
     assert full.chance[0] > half.chance[0] + 0.1

@@ -20,7 +20,7 @@ from failbench.basics.statistics import (
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 
 _EXACT = 1e-9
-"""Closed forms agree but for rounding."""
+"""Relative; closed forms agree up to rounding."""
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_wilson_mirrors_contains_and_never_vanishes(hits: int, more: int, confid
     assert (found.low == 0.0) == (hits == 0)
 
 
-def test_nothing_observed_says_nothing() -> None:
+def test_no_observations_give_the_whole_range() -> None:
     assert math.isnan(wilson(0, 0).mean)
     assert (wilson(0, 0).low, wilson(0, 0).high) == (0.0, 1.0)
     nothing = estimate_mean([], (0.0, 7.0))
@@ -108,7 +108,7 @@ def coverage(draw_estimate, truth: float, repeats: int = 400) -> float:
 
 _SEVERITIES, _SHARES = np.array([1.0, 2.0, 3.0, 10.0]), np.array([0.3, 0.4, 0.15, 0.15])
 _LEAST_COVERAGE = 0.93
-"""Nominal is 0.95; 400 repetitions of 0.95 are below this once in 30, and the draws are fixed."""
+"""Nominal coverage is 0.95; with 400 repetitions, 1 run in 30 would be below this, and the seeds are fixed."""
 
 
 @pytest.mark.parametrize(("p", "n"), [(0.003, 400), (0.03, 100), (0.1, 100), (0.5, 40), (0.5, 400), (0.95, 100)])
@@ -130,7 +130,7 @@ def test_coverage_where_the_worst_is_rarely_seen() -> None:
 
     truth = p * (0.95 + 1.0)
     assert coverage(lambda: estimate_mean(impacts(), (0.0, 20.0)), truth) >= _LEAST_COVERAGE
-    # What the guard is for: without the imaginary observation, most intervals miss.
+    # Without the added pseudo-observation, most intervals miss the truth.
     assert coverage(lambda: estimate_mean(impacts(), (0.0, 0.0)), truth) < 0.7
 
 
@@ -149,7 +149,7 @@ def test_coverage_of_weighted_probabilities() -> None:
     rng, n = np.random.default_rng(4), 100
 
     def probability() -> Estimate:
-        risky = rng.random(n) < 0.8  # drawn four times in five, though asked about once in two
+        risky = rng.random(n) < 0.8  # oversampled: drawn with 0.8 instead of 0.5
         hits = rng.random(n) < np.where(risky, 0.4, 0.02)
         return estimate_probability(hits, weights=np.where(risky, 0.5 / 0.8, 0.5 / 0.2))
 
@@ -253,7 +253,7 @@ def test_coverage_of_a_ratio_of_impacts_that_are_mostly_zero(p: float, reduced: 
     assert found >= _LEAST_COVERAGE
 
 
-def test_what_is_certain_comes_on_top_of_both_sides_of_a_ratio() -> None:
+def test_certain_amounts_are_added_to_both_sides_of_a_ratio() -> None:
     a, b = np.array([0.0, 4.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0, 3.0])
     plain, none = (estimate_ratio(a, b, (0.0, 5.0), **x) for x in ({}, {"certain": (0.0, 0.0)}))
     assert plain == none
@@ -261,14 +261,14 @@ def test_what_is_certain_comes_on_top_of_both_sides_of_a_ratio() -> None:
     assert found.mean == pytest.approx(11.5 / 101.0)
     shifted = estimate_ratio(a + 10.0, b + 100.0, (0.0, 105.0))
     assert shifted.mean == pytest.approx(found.mean)
-    assert shifted.low < found.low < found.mean < found.high < shifted.high  # what is certain does not widen it
+    assert shifted.low < found.low < found.mean < found.high < shifted.high  # known constants do not widen it
     sure = estimate_ratio(1e-6 * a, 1e-6 * b, (0.0, 5e-6), certain=(8.0, 4.0))
     assert (sure.low, sure.high) == pytest.approx((2.0, 2.0), rel=1e-5)
     with pytest.raises(SettingError, match="certain"):
         estimate_ratio(a, b, (0.0, 5.0), certain=(-1.0, 0.0))
 
 
-def test_what_is_known_shifts_an_estimate() -> None:
+def test_a_known_amount_shifts_an_estimate() -> None:
     found = estimate_mean([0.0, 1.0, 5.0], (0.0, 5.0))
     moved = found.shifted(2.0)
     assert (moved.mean, moved.low, moved.high, moved.n) == (found.mean + 2.0, found.low + 2.0, found.high + 2.0, 3)
@@ -277,7 +277,7 @@ def test_what_is_known_shifts_an_estimate() -> None:
         found.shifted(float("inf"))
 
 
-def test_what_is_no_ratio_is_refused() -> None:
+def test_invalid_ratios_are_refused() -> None:
     with pytest.raises(ShapeError, match="pairs"):
         estimate_ratio([1.0], [1.0, 2.0], (0.0, 1.0))
     with pytest.raises(SettingError, match=">= 0"):

@@ -1,4 +1,4 @@
-"""Margins are found again in what they have made, and the model reads what the calibration writes."""
+"""Fits recover the margins of generated data, and the model reads the file that the calibration writes."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def test_a_margin_is_found_again(ways):
     assert predicted(d, found).mean() == pytest.approx(hit.mean(), rel=0.02)
 
 
-def test_what_cannot_be_fitted():
+def test_unfittable_data_are_refused():
     with pytest.raises(SettingError, match="hit"):
         fit_margin(np.zeros((3, 1)), np.zeros(3, dtype=bool))
     with pytest.raises(ShapeError, match="d has shape"):
@@ -58,7 +58,7 @@ def parts():
     return [failure_jobs.run_job(job) for job in jobs[:2]]
 
 
-def test_labels_tell_what_was_struck(parts):
+def test_labels_hold_the_struck_entities(parts):
     labels = parts[0].faults
     scene = gp.load_scene("tabletop_l1")
     joints = scene.joints
@@ -67,7 +67,7 @@ def test_labels_tell_what_was_struck(parts):
     assert labels == tuple(map(fault_label, faults_of(scene)))
 
 
-def test_touches_are_those_of_the_joint_that_failed(parts):
+def test_hits_belong_to_the_failed_joint(parts):
     scenes = scenes_of(parts, gp.load_scene)
     settings = BodySettings.shipped()
     found = touches(settings, parts, scenes)
@@ -90,7 +90,7 @@ def test_touches_are_those_of_the_joint_that_failed(parts):
 
 
 @pytest.mark.long
-def test_the_command_writes_what_the_model_reads(parts, tmp_path, capsys, monkeypatch):
+def test_the_model_reads_the_file_of_the_command(parts, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(body_fit, "_RESAMPLES", 2)
     kept, written = tmp_path / "failures.npz", tmp_path / "body.yaml"
     failures.write_failures(kept, parts)

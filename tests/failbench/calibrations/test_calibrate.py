@@ -52,7 +52,7 @@ def test_fitting_helps(dropped: list[Failures], calibrated: family_fit.FamilyCal
 
 
 @pytest.mark.long
-def test_the_document_says_where_it_comes_from(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
+def test_the_document_has_a_provenance(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
     calibrate.write(calibrated, tmp_path / "constants.yaml")
     root = read_yaml(tmp_path / "constants.yaml")
     about = root["provenance"]

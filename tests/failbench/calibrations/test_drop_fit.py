@@ -24,12 +24,12 @@ def test_every_constant_has_a_prior() -> None:
     assert {c.name for c in FAMILY.constants} == {field.name for field in dataclasses.fields(DropConstants)}
 
 
-def test_priors_and_bounds_are_constants_that_the_model_takes() -> None:
+def test_priors_and_bounds_name_constants_of_the_model() -> None:
     for end in ("prior", "low", "high"):
         DropConstants(**{c.name: getattr(c, end) for c in FAMILY.constants})
 
 
-def test_it_predicts_what_the_model_does() -> None:
+def test_the_fitted_prediction_equals_the_model() -> None:
     scene = gp.load_scene("tabletop_l3").tasks["green_to_blue"].scene
     task = gp.load_scene("tabletop_l3").tasks["green_to_blue"]
     u = np.linspace(0.0, 1.0, 7)[:, None]
@@ -52,7 +52,7 @@ def calibrated() -> family_fit.FamilyCalibration:
 
 
 @pytest.mark.long
-def test_the_model_reads_what_calibration_writes(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
+def test_the_model_reads_the_file_of_the_calibration(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
     calibrate.write(calibrated, tmp_path / "footprint.yaml")
     read = DropSettings.load(tmp_path / "footprint.yaml")
     for shape in SHAPE_CLASSES:
@@ -82,7 +82,7 @@ def test_the_command_keeps_its_drops_and_takes_them_again(
     ("options", "text"),
     [(["--scenes", "nowhere"], "nowhere"), (["-n", "0"], "n = 0"), (["--scenes", "tabletop"], "at least two")],
 )
-def test_misuse_is_told(
+def test_misuse_is_refused(
     options: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(failure_jobs, "generate", lambda *_, **__: ([], []))

@@ -1,4 +1,4 @@
-"""The library's table of fault effects names the faults that FailBench has, without importing it; fits of effects."""
+"""Fault effects: the library's table lists FailBench's faults without importing it; fits of effects."""
 
 from dataclasses import replace
 
@@ -20,13 +20,13 @@ from graceful_plan.costs.fault_prior import FAILURES, FaultPrior, presets, shipp
 from graceful_plan.exceptions import SettingError, ShapeError
 
 
-def test_the_shipped_effects_are_those_of_the_faults_that_there_are():
+def test_shipped_effects_cover_exactly_the_existing_faults():
     assert list(shipped_effects()) == [*faults(), *reactions()]
     assert tuple(DEGREES) == fault_prior.DEGREES
 
 
 @pytest.mark.parametrize("name", presets())
-def test_presets_name_faults_that_there_are(name):
+def test_presets_name_existing_faults(name):
     assert set(FaultPrior.preset(name).rates) <= {*faults(), *reactions()}
 
 
@@ -34,7 +34,7 @@ def test_presets_name_faults_that_there_are(name):
 
 
 def draw(shares, n=40_000, motions=50, seed=0, concentration=(0.2, 1.0)):
-    """Events of a fault that acts like each generator with some probability, half of them touches by the body."""
+    """Draw events of a fault that acts like each generator with some probability; half are hits by the body."""
     rng = np.random.default_rng(seed)
     probability = rng.beta(*concentration, size=(n, len(FAILURES)))
     body = rng.random(n) < 0.5
@@ -55,7 +55,7 @@ def draw(shares, n=40_000, motions=50, seed=0, concentration=(0.2, 1.0)):
 
 
 TRUE = (0.6, 0.2, 0.0, 0.35, 0.0, 0.1)
-BOTH = (0.9, 0.0, 0.8, 0.0, 0.0, 0.0)  # a loss of power: the arm falls, and the object, too
+BOTH = (0.9, 0.0, 0.8, 0.0, 0.0, 0.0)  # a loss of power: the arm falls, and so does the object
 
 
 @pytest.mark.long
@@ -64,10 +64,10 @@ def test_the_truth_is_found_and_lies_in_the_intervals(true):
     effect = fit_effects({"weak_grip": draw(true, n=10_000)}, resamples=30, seed=1)["weak_grip"]
     for name, share in zip(FAILURES, true, strict=True):
         found = effect.shares[name]
-        # What is spilled shows only in what is not dropped.
+        # Spills can be observed only if the object is not dropped.
         assert found.value == pytest.approx(share, abs=0.06 if name != "spill" else 0.2)
         half = 0.5 * (found.high - found.low)
-        assert found.low - half - 0.01 <= share <= found.high + half + 0.01  # twice the width: luck decides seldom
+        assert found.low - half - 0.01 <= share <= found.high + half + 0.01  # twice the interval's width, for luck
         assert 0.0 <= half < (0.1 if name != "spill" else 0.45)
     assert effect.motions == 50
     assert effect.fitted.ratio == pytest.approx(1.0, abs=0.02)
@@ -95,7 +95,7 @@ def test_no_other_shares_are_likelier(seed):
 def test_a_fault_of_the_gripper_and_one_of_the_arm():
     gripper = draw((0.8, 0.0, 0.0, 0.0, 0.0, 0.0), n=4000)
     assert likeliest(gripper) == pytest.approx([0.8, 0, 0, 0, 0, 0], abs=0.06)
-    alone = gripper.rows(gripper.body)  # the body was never near anything
+    alone = gripper.rows(gripper.body)  # the body came near nothing
     assert likeliest(alone) == pytest.approx([0.0] * 6, abs=1e-3)
     stuck = draw((0.0, 0.0, 0.0, 0.0, 0.7, 0.0), n=4000)
     assert likeliest(stuck) == pytest.approx([0, 0, 0, 0, 0.7, 0], abs=0.06)
@@ -107,7 +107,7 @@ def test_one_scene_cannot_be_held_out():
     assert fit_effects({"noise": alone}, resamples=2)["noise"].held_out is None
 
 
-def test_what_is_written_is_read(tmp_path, monkeypatch):
+def test_written_files_can_be_read(tmp_path, monkeypatch):
     effects = fit_effects({"noise": draw(TRUE, n=2000), "dropout": draw((0.0,) * 6, n=2000)}, resamples=5)
     file = tmp_path / "fault_effects.yaml"
     about = {"scenes": ["desk"], "failures": 12}
@@ -121,7 +121,7 @@ def test_what_is_written_is_read(tmp_path, monkeypatch):
     about = yaml.safe_load(file.read_text())
     assert about["version"] == 1 and about["provenance"]["failures"] == 12 and about["provenance"]["seed"] == 0
     assert set(about["provenance"]["intervals"]["moderate"]["noise"]) <= set(FAILURES)
-    # It can stand in for the shipped file.
+    # The file can replace the shipped one.
     monkeypatch.setattr(fault_prior, "_EFFECTS", file)
     fault_prior._shipped_effects.cache_clear()
     try:

@@ -1,4 +1,4 @@
-"""Motions along which robots fail, and the jobs that make them."""
+"""Motions along which robots fail, and the jobs for them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_job_for_every_kind_of_motion_and_every_task_with_an_object() -> None:
     assert (made.scene, made.task, made.motion, len(made)) == (SCENE, jobs[0].task, str(jobs[0].kind), 2)
 
 
-def test_jobs_that_cannot_be_done_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_jobs_give_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     (job, *_) = failure_jobs.failure_jobs(gp.load_scene, [SCENE], n=2, kinds=[MotionKind(way="via", iterations=1)])
     monkeypatch.setattr(failure_jobs, "make_motion", lambda *_: None)
     assert failure_jobs.run_job(job) == f"{SCENE}/{job.task}, via, w 0, speed 0.5: no motion"

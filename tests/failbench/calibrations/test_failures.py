@@ -43,7 +43,7 @@ def _same(first: Failures, second: Failures) -> bool:
 
 
 @pytest.mark.long
-def test_events_are_what_the_recorder_says(task: gp.Task, motion: gp.Trajectory, dropped: Failures) -> None:
+def test_events_equal_those_of_the_recorder(task: gp.Task, motion: gp.Trajectory, dropped: Failures) -> None:
     execution = execute(motion, build_world(task.scene))
     jobs = make_jobs([GripperFailure(degree="critical")], execution.duration, n=24, seed=3)
     rollouts = run_rollouts(execution, jobs)

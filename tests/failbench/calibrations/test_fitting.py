@@ -20,7 +20,7 @@ TRUTH = {"width": 0.035, "speed": 0.12, "reach": 1.3}
 
 
 def _prepared(n: int, rng: np.random.Generator) -> Prepared:
-    """Return made-up landings, half of them near."""
+    """Return invented landings, half of them near."""
     offset = rng.normal(scale=0.12, size=(n, 5, 2))
     half = np.stack([np.full((n, 5, 2), 0.03), np.broadcast_to(rng.uniform(0.02, 0.06, size=(5, 2)), (n, 5, 2))])
     return Prepared(offset, rng.uniform(0.0, 0.5, size=(n, 5)), half)
@@ -45,13 +45,13 @@ def _made_up(values: Mapping[str, float], n: int, seed: int, shape: str = "box")
     return found
 
 
-def test_constants_that_made_the_events_are_found_again() -> None:
+def test_fits_recover_the_constants_of_generated_events() -> None:
     found = fitting.fit(GaussianFamily(), _made_up(TRUTH, 1500, 0), trust=1.0)["box"]
     for name, true in TRUTH.items():
         fitted = found[name]
         assert fitted.low <= fitted.value <= fitted.high
         assert fitted.value == pytest.approx(true, rel=0.1)
-        assert fitted.low - 0.03 * true <= true <= fitted.high + 0.03 * true  # 95 %, give a little
+        assert fitted.low - 0.03 * true <= true <= fitted.high + 0.03 * true  # 95 %, with some tolerance
 
 
 def test_intervals_shrink_with_more_motions() -> None:
@@ -59,7 +59,7 @@ def test_intervals_shrink_with_more_motions() -> None:
     for n in (500, 4500):
         found = fitting.fit(GaussianFamily(), _made_up(TRUTH, n, 1), trust=1.0)["box"]
         widths.append(np.array([x.high - x.low for x in found.values()]))
-    assert (widths[1] < 0.6 * widths[0]).all()  # a third, but for luck
+    assert (widths[1] < 0.6 * widths[0]).all()  # expected: a third
 
 
 def test_intervals_cover() -> None:
@@ -90,7 +90,7 @@ def test_shared_constants_are_the_same_for_all_shapes() -> None:
     assert found["box"]["width"].value < 0.05 < found["round"]["width"].value
 
 
-def test_the_optimum_is_that_of_another_optimiser() -> None:
+def test_another_optimiser_finds_the_same_optimum() -> None:
     samples = _made_up(TRUTH, 400, 8)
     family = GaussianFamily()
     layout = fitting.FitLayout(
@@ -104,7 +104,7 @@ def test_the_optimum_is_that_of_another_optimiser() -> None:
     assert np.allclose(found, other.x, atol=0.03)
 
 
-def test_gradient_is_that_of_the_loss() -> None:
+def test_the_gradient_is_the_derivative_of_the_loss() -> None:
     samples = _made_up(TRUTH, 100, 9) + _made_up(TRUTH, 100, 10, shape="round")
     family = GaussianFamily()
     slots = ((family.constants[0], None), *((c, shape) for shape in ("box", "round") for c in family.constants[1:]))
@@ -119,7 +119,7 @@ def test_gradient_is_that_of_the_loss() -> None:
     assert (np.linalg.eigvalsh(fisher) > 0.0).all()
 
 
-def test_shapes_that_were_never_dropped_get_what_fits_all() -> None:
+def test_shapes_without_drops_get_the_common_constants() -> None:
     samples = _made_up(TRUTH, 500, 7)
     found = fitting.fit(GaussianFamily(), samples, trust=1.0, shapes=("ball",))
     for name, true in TRUTH.items():
@@ -147,7 +147,7 @@ def test_bounds_hold() -> None:
         assert constant.low <= fitted.low <= fitted.value <= fitted.high <= constant.high
 
 
-def test_what_does_not_count_does_not_matter() -> None:
+def test_events_of_weight_zero_do_not_matter() -> None:
     samples = _made_up(TRUTH, 300, 6)
     hidden = []
     for sample in samples:
@@ -201,7 +201,7 @@ def test_drops_of_a_task_are_put_together() -> None:
 @pytest.mark.parametrize(
     ("prior", "spread", "text"), [(2.0, 1.0, r"prior of x = 2\.0"), (0.0, 0.0, r"spread of x = 0\.0")]
 )
-def test_constants_that_make_no_sense_are_refused(prior: float, spread: float, text: str) -> None:
+def test_invalid_constants_are_refused(prior: float, spread: float, text: str) -> None:
     with pytest.raises(SettingError, match=text):
         Constant(name="x", prior=prior, spread=spread, high=1.0)
 

@@ -1,4 +1,4 @@
-"""Mixtures of causes: the truth, the optimum, the ends of the range."""
+"""Mixtures of causes: the true shares, the optimum, the ends of the range."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ TRUE = (0.5, 0.1, 0.0, 0.25, 0.0, 0.05)
 
 
 def draw(shares, n=10_000, seed=0):
-    """Events of causes that come with some probability."""
+    """Draw events of causes with given probabilities."""
     rng = np.random.default_rng(seed)
     probability = rng.beta(0.2, 1.0, size=(n, len(shares)))
     cause = rng.choice(len(shares) + 1, size=n, p=[*shares, max(0.0, 1.0 - sum(shares))])
@@ -54,14 +54,14 @@ def test_the_start_does_not_matter():
         np.testing.assert_allclose(most_likely(probability, happened, start=start)[0], cold, atol=1e-4)
 
 
-def test_what_is_known_already_is_not_fitted_again():
+def test_known_shares_are_not_fitted_again():
     probability, happened = draw(TRUE, n=40_000)
     known = 0.5 * probability[:, 0]
     rest, _ = most_likely(0.5 * probability[:, 1:], happened, offset=known)
     np.testing.assert_allclose(0.5 * rest, TRUE[1:], atol=0.03)
 
 
-def test_shares_that_have_to_sum_to_one():
+def test_shares_can_be_required_to_sum_to_one():
     probability, happened = draw((0.3, 0.7))
     shares, _ = most_likely(probability, happened, harmless=False)
     assert shares.sum() == pytest.approx(1.0) and shares[0] == pytest.approx(0.3, abs=0.05)
@@ -72,14 +72,14 @@ def test_ends_of_the_range():
     never, always = np.zeros(300, bool), np.ones(300, bool)
     assert most_likely(probability, never)[0].sum() == pytest.approx(0.0, abs=1e-6)
     assert most_likely(probability, always)[0].sum() == pytest.approx(1.0)
-    # One cause that is always right, and others that say nothing.
+    # One cause that is always right, and five without information.
     right = np.zeros((300, 6))
     right[:, 3] = happened
     np.testing.assert_allclose(most_likely(right, happened)[0], [0, 0, 0, 1, 0, 0], atol=1e-3)
     assert not most_likely(np.zeros((300, 6)), happened)[0].any()
 
 
-def test_causes_that_say_the_same_share():
+def test_equal_causes_share_the_weight():
     probability, happened = draw((0.6, 0.0, 0.0, 0.0, 0.0, 0.0), n=40_000)
     probability[:, 4] = probability[:, 0]
     shares, gap = most_likely(probability, happened)

@@ -12,7 +12,7 @@ from failbench.calibrations import skill
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 
 _EXACT = 1e-9
-"""Closed forms agree but for rounding."""
+"""Relative; closed forms agree up to rounding."""
 
 Array = np.ndarray
 
@@ -26,7 +26,7 @@ def events(draw: st.DrawFn) -> tuple[Array, Array]:
 
 
 def _sample(n: int = 20_000, seed: int = 0) -> tuple[Array, Array]:
-    """Events that happen exactly as often as predicted: p uniform."""
+    """Draw events that happen exactly as often as predicted, with p uniform."""
     rng = np.random.default_rng(seed)
     p = rng.random(n)
     return p, rng.random(n) < p
@@ -57,7 +57,7 @@ def test_certainty_and_the_base_rate(data: tuple[Array, Array]) -> None:
     assert skill.auc(constant, y) == 0.5
 
 
-def test_what_happens_as_often_as_predicted_has_the_known_scores() -> None:
+def test_calibrated_events_have_the_known_scores() -> None:
     p, y = _sample()
     # Of p uniform and y ~ Bernoulli(p): E (p-y)^2 = 1/6, base rate 1/2, log loss 1/2, AUC 5/6.
     assert skill.brier(p, y) == pytest.approx(1.0 / 6.0, abs=0.01)
@@ -78,7 +78,7 @@ def test_figures_at_a_glance_are_the_same() -> None:
     assert found.ratio == skill.predicted_ratio(p, y)
 
 
-def test_calibration_error_of_what_is_always_predicted_too_likely() -> None:
+def test_calibration_error_of_overestimated_events() -> None:
     p, y = _sample()
     high = np.minimum(1.0, p + 0.2)
     # The excess is 0.2 up to p = 0.8 and 1 - p beyond: 0.16 + 0.02.
@@ -90,7 +90,7 @@ def test_log_loss_forgives_certainty_only_so_far() -> None:
     assert skill.log_loss([0.5, 0.5], [True, False]) == pytest.approx(math.log(2.0))
 
 
-def test_reliability_bands_cover_what_is_calibrated() -> None:
+def test_reliability_bands_cover_calibrated_predictions() -> None:
     p, y = _sample()
     clusters = np.arange(len(p)) % 200
     curve = skill.reliability(p, y, clusters, bins=12)
@@ -167,7 +167,7 @@ def test_bootstrap_intervals_are_repeatable_and_contain_the_figure() -> None:
         ([[0.5]], [[1]], ShapeError, "predicted"),
     ],
 )
-def test_what_makes_no_sense_is_refused(p: list[float], y: list[float], error: type[Exception], text: str) -> None:
+def test_invalid_arguments_are_refused(p: list[float], y: list[float], error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         skill.brier(p, y)
     with pytest.raises(error, match=text):

@@ -1,4 +1,4 @@
-"""Fitting the spill model: what it is fitted to, and that the model reads what is written."""
+"""Fits of the spill model: their data, and the model reads the file that the fit writes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_every_constant_is_fitted_or_fixed(use: str) -> None:
     assert (use == "held") == (family.of({c.name: c.prior for c in family.constants}).soft_speed == -10.0)
 
 
-def test_it_predicts_what_the_model_does() -> None:
+def test_the_fitted_prediction_equals_the_model() -> None:
     task = gp.load_scene("desk").tasks["bring_coffee"]
     q = task.start + np.linspace(0.0, 1.0, 7)[:, None] * (task.goal[0] - task.start)
     qd = np.full_like(q, 0.1)
@@ -49,7 +49,7 @@ def test_it_predicts_what_the_model_does() -> None:
 @pytest.mark.parametrize(
     ("scene", "task"), [("desk", "bring_coffee"), ("dining_table", "serve_tea"), ("kitchen_counter", "season")]
 )
-def test_the_container_is_the_one_that_failbench_empties(scene: str, task: str) -> None:
+def test_the_container_is_the_one_of_failbench(scene: str, task: str) -> None:
     where = gp.load_scene(scene).tasks[task].scene
     vessel, tables = find_vessel(where), spill_tables(where)
     assert vessel is not None
@@ -81,7 +81,7 @@ def parts() -> list[Failures]:
 
 
 @pytest.mark.long
-def test_the_command_writes_what_the_model_reads(
+def test_the_model_reads_the_file_of_the_command(
     parts: list[Failures], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick = partial(family_fit.fit_family, iterations=1, trusts=(25.0,))
@@ -96,7 +96,7 @@ def test_the_command_writes_what_the_model_reads(
         assert dataclasses.asdict(read.of(use)) == pytest.approx(dataclasses.asdict(expected.of(use)), rel=1e-4)
 
 
-def test_what_both_uses_share_is_written_for_each(
+def test_shared_constants_are_written_for_both_uses(
     parts: list[Failures], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(spill_fit, "fit_family", partial(family_fit.fit_family, iterations=1, trusts=(25.0,)))

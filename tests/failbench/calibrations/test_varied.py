@@ -1,4 +1,4 @@
-"""Things that bounce and turn otherwise than their scenes say."""
+"""Objects whose restitution and inertia differ from their scenes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def task() -> gp.Task:
 
 
 def rebound(task: gp.Task, restitution: float) -> float:
-    """Drop a sphere with the contact parameters of a varied object on wood; return the root of rebound over height."""
+    """Drop a sphere with a varied object's contact parameters on wood; return sqrt(rebound height / height)."""
     world = build_world(task.scene, SimSettings(grasp="weld"))
     bounce(world, Variation(restitution=(restitution, restitution)), seed=0)
     carried = int(np.flatnonzero(np.isin(world.model.geom_bodyid, world.striker_bodies["carried"]))[0])
@@ -49,7 +49,7 @@ def rebound(task: gp.Task, restitution: float) -> float:
 
 
 @pytest.mark.parametrize("restitution", [0.1, 0.3, 0.6])
-def test_what_is_carried_bounces_as_it_is_to(task: gp.Task, restitution: float) -> None:
+def test_the_carried_object_bounces_with_the_given_restitution(task: gp.Task, restitution: float) -> None:
     assert rebound(task, restitution) == pytest.approx(restitution, abs=0.04)
 
 
@@ -62,7 +62,7 @@ def test_nothing_else_bounces_otherwise(task: gp.Task) -> None:
 
 
 @pytest.mark.long
-def test_spin_is_added_to_the_angular_velocity_of_what_is_carried_alone(task: gp.Task) -> None:
+def test_spin_changes_only_the_angular_velocity_of_the_carried_object(task: gp.Task) -> None:
     motion = make_motion(task, MotionKind(way="rrt_connect", speed=0.5), 1)
     assert motion is not None
     execution = execute(motion, build_world(task.scene, SimSettings(grasp="weld")))
@@ -81,7 +81,7 @@ def test_spin_is_added_to_the_angular_velocity_of_what_is_carried_alone(task: gp
 
 
 @pytest.mark.long
-def test_things_that_vary_end_elsewhere_and_come_out_alike(task: gp.Task) -> None:
+def test_varied_objects_end_elsewhere_but_repeatably(task: gp.Task) -> None:
     motion = make_motion(task, MotionKind(way="rrt_connect", speed=0.5), 1)
     assert motion is not None
     plain, first, second = (
@@ -108,6 +108,6 @@ def test_every_second_motion_of_a_calibration_varies(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("wrong", [{"restitution": (0.6, 0.1)}, {"restitution": (0.1, 0.9)}, {"spin": -1.0}])
-def test_what_cannot_be_is_refused(wrong: dict[str, object]) -> None:
+def test_impossible_settings_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(SettingError):
         Variation(**wrong)  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,4 @@
-"""What `check_fault` says about faults that break their contract, and about those that do not."""
+"""`check_fault` reports faults that break their contract, and accepts sound ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from graceful_plan.testing import ContractError
 
 @dataclass(frozen=True, kw_only=True)
 class Sound(Fault):
-    """Half the gain is lost."""
+    """A fault that loses half of the gain."""
 
     NAME: ClassVar[str] = "sound"
     CATEGORY: ClassVar[str] = "actuator"
@@ -31,7 +31,7 @@ class Sound(Fault):
 
 
 def variant(**changes):
-    """A class like `Sound` with other class data or methods."""
+    """Return a class like `Sound` with other class data or methods."""
     return dataclass(frozen=True, kw_only=True)(type("Sound", (Sound,), changes))
 
 
@@ -57,11 +57,11 @@ def test_our_own_are_sound_where_a_weld_holds(name):
     check_fault(faults()[name](), healthy_run(WELD))
 
 
-def test_a_sound_one_passes():
+def test_a_sound_fault_passes():
     check_fault(Sound())
 
 
-def test_what_is_no_fault():
+def test_an_object_that_is_no_fault():
     assert findings("rust") == ("is not a failbench.Fault",)
 
 
@@ -93,7 +93,7 @@ def test_class_data(changes, finding):
 
 
 @pytest.mark.parametrize("name", ["dof_rust", "opt.gravity"])
-def test_fields_that_there_are_not(name):
+def test_unknown_fields(name):
     (finding,) = findings(variant(FIELDS=(name,))())
     assert finding.startswith(f"FIELDS names {name!r}, which is not a field")
 
@@ -105,17 +105,17 @@ def test_a_class_that_is_not_frozen():
     assert findings(Loose()) == ("is not a frozen dataclass",)
 
 
-def test_fields_that_were_not_declared():
+def test_undeclared_fields():
     (finding,) = findings(variant(FIELDS=())())
     assert finding.startswith("unknown model field (the fault's FIELDS name those it may write) 'actuator_gainprm'")
 
 
-def test_targets_that_there_are_not():
+def test_unknown_targets():
     (finding,) = findings(Sound(targets=("elbow",)))
     assert finding.startswith("unknown target 'elbow'; valid: all, any, gripper, panda/joint1")
 
 
-def test_what_does_nothing():
+def test_a_fault_without_effect():
     def apply(self, plant, level):
         pass
 
@@ -123,21 +123,21 @@ def test_what_does_nothing():
     assert "changes nothing in the degree 'minor'" in findings(StuckGripper(closed=True))
 
 
-def test_what_is_random_by_itself():
+def test_randomness_without_the_seed():
     def apply(self, plant, level):
         plant["actuator_gainprm"][0, 0] *= np.random.default_rng().random()
 
     assert findings(variant(apply=apply)()) == ("did different things for the same seed",)
 
 
-def test_what_draws_from_the_global_generator():
+def test_use_of_the_global_generator():
     def apply(self, plant, level):
         plant["actuator_gainprm"][0, 0] *= 0.5 + 0.0 * np.random.random()  # noqa: NPY002 - what is to be found
 
     assert findings(variant(apply=apply)()) == ("drew from numpy's global random state instead of plant.rng",)
 
 
-def test_what_is_not_undone():
+def test_an_effect_that_is_not_undone():
     def apply(self, plant, level):
         Sound.apply(self, plant, level)
         plant.eq_active[0] = 1 - plant.eq_active[0]
@@ -147,7 +147,7 @@ def test_what_is_not_undone():
     )
 
 
-def test_what_writes_where_it_may_only_read():
+def test_a_write_into_read_only_data():
     def push(self, plant, level):
         Sound.apply(self, plant, level)
         plant.qvel[plant.robot.dofs] += 1e-3
@@ -160,21 +160,21 @@ def test_what_writes_where_it_may_only_read():
     assert findings(variant(apply=improve)()) == ("raised ValueError: assignment destination is read-only",)
 
 
-def test_what_writes_into_the_healthy_commands():
+def test_a_write_into_the_healthy_commands():
     def apply(self, plant, level):
         plant.healthy[...] = 0.0
 
     assert findings(variant(apply=apply)()) == ("raised ValueError: assignment destination is read-only",)
 
 
-def test_what_writes_nan():
+def test_a_write_of_nan():
     def apply(self, plant, level):
         plant.ahead[:, 0] = np.nan
 
     assert findings(variant(apply=apply)()) == ("wrote a NaN into command",)
 
 
-def test_settings_that_are_no_json():
+def test_settings_without_json_form():
     @dataclass(frozen=True, kw_only=True)
     class Odd(Sound):
         about: object = 1j

@@ -1,4 +1,4 @@
-"""What all faults have in common: names, degrees, restoration, JSON form; and how one of the user's own is found."""
+"""Laws of all faults: names, degrees, restoration, JSON form, custom faults."""
 
 import dataclasses
 import json
@@ -34,7 +34,7 @@ def test_there_are_the_nineteen_in_order():
         assert {faults()[name].CATEGORY for name in names.split()} == {category}
 
 
-def test_nobody_can_change_the_list():
+def test_the_list_of_faults_is_read_only():
     with pytest.raises(TypeError):
         faults()["mine"] = Nothing
 
@@ -52,11 +52,11 @@ def test_class_data(name):
     assert fault.TARGETS == expected
 
 
-# --- what they do --------------------------------------------------------------------------------
+# --- effects -------------------------------------------------------------------------------------
 
 
 def consequence(record, well):
-    """How far off the tool was, or how far it went once the power was lost, and how far the object slipped [m]."""
+    """Return the tool's greatest deviation (after a power loss: its displacement) plus the object's slip [m]."""
     reference = record.tool[0] if isinstance(record.job.fault, PowerLoss) else well.tool
     return np.linalg.norm(record.tool - reference, axis=1).max() + record.slip.max()
 
@@ -70,7 +70,7 @@ def test_degree_scales_the_consequence(name):
         np.mean([consequence(Record(faults()[name](degree=degree), seed=seed), well[seed]) for seed in seeds])
         for degree in DEGREES
     ]
-    # What holds, holds: a weaker grip that is still strong enough may differ by less than a millimetre.
+    # A weaker grip that still holds may differ by less than a millimetre.
     assert (np.diff(means) > -1e-4).all(), means
     assert means[3] > 2.0 * means[0] or name == "power_loss"
     if faults()[name].CATEGORY in ("actuator", "sensor"):
@@ -78,7 +78,7 @@ def test_degree_scales_the_consequence(name):
 
 
 def same_model(a, b):
-    # What was dropped may fall asleep; that is no fault's doing.
+    # A dropped object may fall asleep; faults do not set this field.
     arrays = [name for name in MODEL_FIELDS if "." not in name and name != "tree_sleep_policy"]
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in arrays)
 
@@ -100,7 +100,7 @@ def test_a_fault_shorter_than_a_step_lasts_a_step():
     assert differs.tolist() == [True] + [False] * (len(differs) - 1)
 
 
-def test_while_they_last_something_is_different():
+def test_faults_change_the_model_while_they_last():
     for name in ALL:
         record = Record(faults()[name](degree="critical"), horizon=0.02)
         same = same_model(record.model, healthy_run().world.model)
@@ -173,7 +173,7 @@ def made(chosen):
     if "when" in settings:
         onset, arguments = settings["when"]
         settings = settings | {"when": onset(*arguments)}
-    if "targets" in settings:  # one of them has to be able to have the fault
+    if "targets" in settings:  # at least one target must be able to have the fault
         settings = settings | {"targets": (*settings["targets"], "robot")}
     return cls(**settings)
 
@@ -209,7 +209,7 @@ def test_json_form_is_readable():
     }
 
 
-def test_what_is_not_said_has_its_default():
+def test_missing_fields_have_their_defaults():
     assert from_document({"fault": "gradual_degradation"}) == faults()["gradual_degradation"]()
     assert from_document({"fault": "voltage_drop", "duration": None}).duration is None
 
@@ -258,7 +258,7 @@ def test_wrong_documents_are_refused_by_name(document, error, message):
         from_document(document)
 
 
-# --- of the user's own ---------------------------------------------------------------------------
+# --- custom faults -------------------------------------------------------------------------------
 
 OWN = """
 from __future__ import annotations
@@ -277,7 +277,7 @@ class Own(Fault):
 """
 
 
-def test_a_fault_of_ones_own_is_loaded_and_has_a_json_form(tmp_path):
+def test_a_custom_fault_is_loaded_and_has_a_json_form(tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     cls = load_class(f"{tmp_path / 'mine.py'}:Own")
     assert issubclass(cls, Fault)
@@ -301,7 +301,7 @@ def test_a_fault_of_ones_own_is_loaded_and_has_a_json_form(tmp_path):
         ("mine.txt:Own", "mine.txt: expected a file whose name ends in .py"),
     ],
 )
-def test_what_cannot_be_loaded_is_said(where, message, tmp_path, monkeypatch):
+def test_unloadable_faults_are_refused_with_the_reason(where, message, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(OWN)
     (tmp_path / "mine.txt").write_text(OWN)
     (tmp_path / "broken.py").write_text("1 / 0")

@@ -36,7 +36,7 @@ def test_shutdown_gives_no_torque_and_leaves_the_arm_to_forward_dynamics():
     for qpos in record.all:
         mujoco.mj_step(model, data)
         assert data.qpos == pytest.approx(qpos, abs=1e-12)
-    assert np.abs(record.q[-1] - record.q0).max() > 0.1  # it does fall
+    assert np.abs(record.q[-1] - record.q0).max() > 0.1  # the arm does fall
 
 
 def test_shutdown_of_one_joint_leaves_the_others_their_torque():
@@ -49,7 +49,7 @@ def test_dead_motor_resists_in_proportion_to_speed():
     record = Record(CompleteShutdown(degree="minor", targets=joint(4)), horizon=0.1)
     dof = record.robot.dofs[3]
     healthy = healthy_run().world.model.dof_damping[dof]
-    # The passive force of the last step was computed from the state before it.
+    # MuJoCo computed the passive force of the last step from the state before it.
     assert record.data.qfrc_passive[dof] == pytest.approx(-(40.0 + healthy) * record.qd[-2, 3])
 
 
@@ -57,8 +57,8 @@ def test_loose_joint_sags_by_gravity_over_its_stiffness():
     fault = LooseJoint(degree="moderate", targets=joint(4), backlash=0.0)
     record, before = Record(fault, when=1.0, horizon=3.0), Record(Nothing(), when=1.0, horizon=0.1)
     stiffness = 0.1 * record.robot.kp[3]
-    assert np.abs(record.qd[-1]).max() < 1e-3  # it has come to rest
-    # What arm and object weigh, less the feed-forward, of which a tenth is left.
+    assert np.abs(record.qd[-1]).max() < 1e-3  # at rest
+    # The load of arm and object, minus the feed-forward torque, of which a tenth remains.
     load = _load(record.data, 3) - 0.1 * _load(before.data, 3)
     assert before.q[-1, 3] - record.q[-1, 3] == pytest.approx(load / stiffness, rel=0.02)
     assert abs(before.q[-1, 3] - record.q[-1, 3]) > 0.01
@@ -87,7 +87,7 @@ def test_limited_range_stops_the_joint_on_either_side():
     assert away[free] == pytest.approx(wanted[free], abs=1e-6)
 
 
-def test_limited_range_never_widens_the_range_that_there_was():
+def test_limited_range_never_widens_the_range():
     record = Record(LimitedRange(degree="minor", targets=("all",), ramp=0.1), horizon=0.2)
     ids, healthy = record.robot.joint_ids, healthy_run().world.model.jnt_range
     assert (record.model.jnt_range[ids, 0] >= healthy[ids, 0]).all()
@@ -102,7 +102,7 @@ def test_partial_degradation_leaves_a_share_of_the_torque(degree):
     assert (np.abs(record.force[:, :7]) <= fault.amount * limits * (1 + 1e-12)).all()
     # In the first step both are in the same state.
     assert record.force[0, :7] == pytest.approx(fault.amount * well.force[0, :7], rel=1e-9)
-    assert (record.limit[:, 7] == well.limit[:, 7]).all()  # the gripper is not meant
+    assert (record.limit[:, 7] == well.limit[:, 7]).all()  # the gripper is not a target
 
 
 def test_gradual_degradation_loses_torque_along_its_ramp():
@@ -126,16 +126,16 @@ def test_stuck_joint_stands_still_while_the_command_moves_on(degree):
     assert np.abs(record.qd[stuck, 0]).max() < 1e-3
     assert np.ptp(record.command[stuck, 0]) > 0.04
     assert np.ptp(record.q[stuck, 0]) < 1e-4
-    assert np.abs(record.qd[stuck, 1]).max() > 0.1  # the others go on
+    assert np.abs(record.qd[stuck, 1]).max() > 0.1  # the other joints go on
 
 
 def test_stuck_joint_rubs_harder_and_harder_before():
     record = Record(StuckPosition(degree="minor", targets=joint(1)), when=0.3, horizon=0.4)
     lag = record.q[:, 0] - Record(Nothing(), when=0.3, horizon=0.4).q[:, 0]
-    assert np.all(np.diff(lag[::10]) > 0.0)  # it moves towards the negative side, and stays behind
+    assert np.all(np.diff(lag[::10]) > 0.0)  # it moves in the negative direction and lags
 
 
-def test_friction_takes_the_torque_that_it_says():
+def test_friction_takes_the_stated_torque():
     fault = IncreasedFriction(degree="minor", targets=joint(1), ramp=0.0)
     record, well = Record(fault, when=0.3, horizon=0.3), Record(Nothing(), when=0.3, horizon=0.3)
     limit = healthy_run().world.model.actuator_forcerange[0, 1]
@@ -145,8 +145,8 @@ def test_friction_takes_the_torque_that_it_says():
     assert more == pytest.approx(0.1 * limit * (np.sign(speed) + speed), rel=0.02)
 
 
-def test_dry_friction_holds_what_it_can_hold():
-    # The arm has not quite arrived at the end of the motion, and what is left to correct does not overcome friction.
+def test_dry_friction_holds_a_joint_below_its_limit():
+    # Near the end of the motion, the servo's remaining error does not overcome friction.
     record = Record(IncreasedFriction(degree="severe", targets=joint(2)), when=1.0, horizon=0.5)
     assert np.abs(record.qd[-100:, 1]).max() < 1e-4
 
@@ -159,7 +159,7 @@ def test_several_joints_can_be_struck(name):
     assert (off[[1, 3]] > 5.0 * 1e-3).all()
 
 
-def test_a_stuck_joint_stays_where_it_is_whatever_the_model_calls_zero():
+def test_a_stuck_joint_stays_in_place_for_any_joint_zero():
     text = ARM.format(fingers="", actuators=SERVO).replace('range="-2 2"', 'range="-1 3" ref="1"')
     scene = gp.Scene.from_mjcf(text, robot="base", tool="tool", velocity=[2.0], acceleration=[5.0], torque=[80.0])
     done = execute([[0.0], [0.6]], build_world(scene))
@@ -176,16 +176,16 @@ def test_friction_and_brakes_need_to_know_the_greatest_torque(fault):
     done = execute([[0.0], [0.6]], build_world(arm(torque=[80.0])))
     *_, (_, data) = rollout_steps(done, job, horizon=0.6)
     held = abs(data.qvel[done.world.robot.dofs]) < 1e-3
-    assert held or isinstance(fault, IncreasedFriction)  # whose motor goes on
+    assert held or isinstance(fault, IncreasedFriction)  # its motor still acts
 
 
 @pytest.mark.parametrize("fault", [CompleteShutdown, LooseJoint, PartialDegradation, GradualDegradation])
-def test_a_weld_does_not_hold_for_a_gripper_that_is_dead(fault):
+def test_a_dead_gripper_releases_its_weld(fault):
     done = healthy_run(WELD)
     jobs = [
         Job(fault=fault(degree=degree, targets=("gripper",)), onset=0.2 * done.duration, seed=0)
         for degree in ("minor", "critical")
     ]
     kept, lost = (rollout.dropped for rollout in run_rollouts(done, jobs))
-    assert lost == (fault is not PartialDegradation)  # a tenth of the force carries the can
+    assert lost == (fault is not PartialDegradation)  # a tenth of the force still holds the can
     assert not kept or fault is CompleteShutdown

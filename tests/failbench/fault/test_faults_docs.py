@@ -1,4 +1,4 @@
-"""docs/faults.md says what the classes say, and the example of an own fault runs."""
+"""docs/faults.md agrees with the classes, and its example of a custom fault runs."""
 
 import dataclasses
 import re
@@ -18,7 +18,7 @@ EXAMPLE = ROOT / "examples" / "custom_fault.py"
 
 
 def rows(known=None):
-    """The rows of a table of faults: name, mechanism, parameter, four values, targets."""
+    """Return the rows of a table of faults: name, mechanism, parameter, four values, targets."""
     known = faults() if known is None else known
     cells = [
         [cell.strip() for cell in line.strip("|").split("|")] for line in TEXT.splitlines() if line.startswith("|")
@@ -46,13 +46,13 @@ def test_table_of_reactions_has_the_values_of_the_class():
 
 
 @pytest.mark.parametrize("name", list(faults()))
-def test_mechanism_names_fields_that_the_fault_writes(name):
+def test_mechanisms_name_the_written_fields(name):
     fields = " ".join(faults()[name].FIELDS)
     for word in re.findall(r"`(\w+)`", rows()[name][1]):
         assert word in fields
 
 
-def test_ramps_and_durations_are_those_of_the_classes():
+def test_ramps_and_durations_equal_those_of_the_classes():
     (line,) = [line for line in TEXT.splitlines() if line.startswith("| `ramp` |")]
     said = {name: float(s) for s, names in re.findall(r"([\d.]+) s: ([\w, ]+)", line) for name in names.split(", ")}
     assert said == {name: fault().ramp for name, fault in faults().items() if fault().ramp > 0.0}
@@ -67,12 +67,12 @@ def test_snippets_run():
 
 
 def held_out():
-    """Figures of each fault in scenes that its effects were not fitted on."""
+    """Return the skill of each fault's effects in held-out scenes."""
     document = yaml.safe_load((LIBRARY / "costs" / "fault_effects.yaml").read_text())
     return document["provenance"]["held_out"]
 
 
-def test_the_table_of_skill_is_that_of_the_calibration():
+def test_the_table_of_skill_equals_the_calibration():
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in PRIOR.splitlines() if line[:1] == "|"]
     table = [tuple(row) for row in cells if len(row) == 5 and row[0] in faults()]
     expected = sorted(held_out().items(), key=lambda item: -item[1]["brier_skill"])
@@ -83,11 +83,11 @@ def test_the_table_of_skill_is_that_of_the_calibration():
     ]
 
 
-def test_what_is_said_of_the_faults_that_are_predicted_well():
+def test_the_text_counts_the_well_predicted_faults():
     well = {name for name, x in held_out().items() if x["brier_skill"] >= 0.3}
     assert f"{len(well)} of {len(faults())} faults" in PRIOR
     shares = shipped_effects()
-    assert all(shares[name]["drop"] > 0.5 for name in well)  # "those with which the object is lost"
+    assert all(shares[name]["drop"] > 0.5 for name in well)  # the document says "those with which the object is lost"
 
 
 def test_links_lead_somewhere():

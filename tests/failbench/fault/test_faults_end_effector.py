@@ -29,7 +29,7 @@ def test_failing_gripper_opens_in_its_time(degree):
     assert fingers == pytest.approx(wide, abs=2e-3)
 
 
-def test_what_a_failing_gripper_held_falls_freely():
+def test_the_object_of_a_failing_gripper_falls_freely():
     record = Record(GripperFailure(degree="critical"), when=1.0, horizon=0.2)
     assert falls_freely(record, 0.06, 0.1) == pytest.approx(-G, rel=0.02)
     assert falls_freely(Record(Nothing(), when=1.0, horizon=0.2), 0.06, 0.1) == pytest.approx(0.0, abs=0.1)
@@ -42,7 +42,7 @@ def test_a_weld_lets_go_at_once_and_cleanly():
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Grip(WeakGrip):
-    """A weak grip of any force."""
+    """A weak grip with any share of the force."""
 
     share: float = 1.0
 
@@ -52,20 +52,20 @@ class Grip(WeakGrip):
 
 
 def lost_weight(done):
-    """Weight of the carried object [N], friction of the pads, and the force that the gripper gives [N]."""
+    """Return the object's weight [N], the pads' friction, and the gripper's force [N]."""
     model, robot = done.world.model, done.world.robot
     mass = model.body_mass[done.world.carried_body]
     return mass * G, model.geom_friction[robot.pads[0], 0], model.actuator_forcerange[robot.gripper_actuators[0], 1]
 
 
 def slips(share, **given):
-    # Gradually, or the pads spring back and let go for a moment whatever force is left.
+    # With a ramp; after a sudden change, the pads spring back and let go briefly at any force.
     return Record(Grip(share=share, ramp=0.3), when=1.0, horizon=0.6, **given).slip[-1] > 5e-3
 
 
-def test_slip_begins_where_the_friction_cone_says():
+def test_slip_begins_at_the_friction_cone():
     weight, friction, force = lost_weight(healthy_run())
-    # The tendon halves the force: N = F / 2 a finger, and 2 mu N = m g.
+    # The tendon halves the force: N = F / 2 per finger, and 2 mu N = m g.
     expected = 2.0 * (weight / (2.0 * friction)) / force
     low, high = 0.3 * expected, 3.0 * expected
     assert slips(low) and not slips(high)
@@ -75,7 +75,7 @@ def test_slip_begins_where_the_friction_cone_says():
     assert high == pytest.approx(expected, rel=0.1)
 
 
-def test_a_weld_breaks_where_the_friction_cone_says():
+def test_a_weld_breaks_at_the_friction_cone():
     done = healthy_run(WELD)
     weight, friction, force = lost_weight(done)
     expected = weight / friction / force
@@ -90,7 +90,7 @@ def test_weak_grip_bounds_the_force():
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_gripper_that_sticks_open_is_as_wide_as_its_degree(degree):
+def test_a_gripper_stuck_open_has_the_width_of_its_degree(degree):
     fault = StuckGripper(degree=degree)
     record, done = Record(fault, when=1.0, horizon=0.8), healthy_run()
     robot = done.world.robot
@@ -102,20 +102,20 @@ def test_gripper_that_sticks_open_is_as_wide_as_its_degree(degree):
 
 
 def releasing(done):
-    """The same motion, but at its end the robot lets go of the object."""
+    """Return the same execution, but at its end the gripper opens."""
     command = done.command.copy()
     command[-100:, done.world.robot.gripper_actuators] = done.world.robot.grip_open
     return dataclasses.replace(done, command=command)
 
 
-def test_gripper_that_sticks_closed_does_not_let_go():
+def test_a_gripper_stuck_closed_does_not_let_go():
     done = releasing(healthy_run())
     late = {"when": 0.7, "horizon": 0.6, "done": done}
     assert Record(Nothing(), **late).slip[-1] > 0.02
     assert Record(StuckGripper(closed=True), **late).slip[-1] < 2e-3
 
 
-def test_gripper_that_sticks_closed_changes_nothing_else():
+def test_a_gripper_stuck_closed_changes_nothing_else():
     record, well = Record(StuckGripper(closed=True)), Record(Nothing())
     assert np.array_equal(record.all, well.all)
 

@@ -1,4 +1,4 @@
-"""How faults begin: gradual where the method's table says gradual, instant where it says instant; and how they end."""
+"""Onsets of faults: gradual or instant as in the method's table; and how faults end."""
 
 import dataclasses
 
@@ -46,13 +46,13 @@ GRADUAL = {
 
 
 @pytest.mark.parametrize("name", list(faults()))
-def test_onsets_are_gradual_where_the_table_says_so(name):
+def test_onsets_are_gradual_as_in_the_table(name):
     assert (faults()[name]().ramp > 0.0) == (name in GRADUAL)
     assert faults()[name](ramp=0.0).ramp == 0.0 and faults()[name](ramp=0.3).ramp == 0.3
 
 
 def along(record, fault):
-    """How far the ramp has come in each step, with the uncertainty of one level."""
+    """Return the ramp's progress at each step, and the tolerance of one level."""
     return np.minimum(1.0, record.t / fault.ramp), 5 * record.dt / fault.ramp
 
 
@@ -63,7 +63,7 @@ def test_torque_goes_little_by_little(kind):
     level, step = along(record, fault)
     left = record.limit[:, 0] / healthy_run().world.model.actuator_forcerange[0, 1]
     assert left == pytest.approx(1.0 - (1.0 - fault.amount) * level, abs=1.01 * step * (1.0 - fault.amount))
-    assert len(np.unique(left)) >= 2  # a voltage is down within 20 ms, the others take longer
+    assert len(np.unique(left)) >= 2  # a voltage drops within 20 ms; the others take longer
 
 
 def test_stiffness_goes_little_by_little():
@@ -80,7 +80,7 @@ def test_friction_grows_little_by_little():
     limit = healthy_run().world.model.actuator_forcerange[0, 1]
     speed = np.concatenate([record.qd0[:1], record.qd[:-1, 0]])
     took = np.abs(record.force - well.force)[:, 0] / (0.1 * limit * (1.0 + np.abs(speed)))
-    # Torque answers to friction with the lag of the servo, of 0.1 s at first.
+    # Torque responds to friction with the servo's lag, initially 0.1 s.
     assert np.all(np.diff(took[::10]) > -0.02)
     assert (took <= level + step + 0.03).all() and took[25] < 0.5 < took[-1]
 
@@ -95,18 +95,18 @@ def test_readings_go_wrong_little_by_little(kind):
     if kind is Noise:
         assert error == pytest.approx(level * full, abs=0.3 * step)
         return
-    # The rate grows, and the error is its integral: after the ramp, half a ramp's drift is missing for good.
+    # The error is the integral of a growing rate: after the ramp, half a ramp of drift is missing.
     before = slow.t <= fault.ramp
     assert np.abs(error[before]) == pytest.approx(0.15 * slow.t[before] ** 2 / (2.0 * fault.ramp), abs=1.1e-3)
     assert (np.abs(full) - np.abs(error))[~before] == pytest.approx(0.15 * fault.ramp / 2.0, rel=0.1)
-    assert np.abs(np.diff(error)).max() <= 0.15 * slow.dt * (1 + 1e-9)  # it never jumps
+    assert np.abs(np.diff(error)).max() <= 0.15 * slow.dt * (1 + 1e-9)  # no jumps
 
 
 def test_commands_get_late_little_by_little_and_never_go_back_in_time():
     fault = ControlDelay(degree="critical", targets=joint(1))
     record, done = Record(fault, horizon=0.6), healthy_run()
     whole = done.command[:, 0]
-    # Which command came: the motion of this joint is monotonous there.
+    # Find which command was sent; this joint moves monotonically here.
     sent = np.searchsorted(-whole, -record.command[:, 0])
     late = np.arange(record.onset_step, record.onset_step + len(sent)) - sent
     level, step = along(record, fault)
@@ -135,7 +135,7 @@ def test_grip_gets_weak_little_by_little():
 
 @pytest.mark.parametrize("gap", [0.02, 0.04])
 def test_a_joint_with_backlash_sags_by_half_the_gap(gap):
-    # The load is on one side of the gap; what is left of the stiffness is compared with, so that only the gap differs.
+    # The load rests on one side of the gap. The reduced stiffness is equal in both, so only the gap differs.
     tight, loose = (
         Record(LooseJoint(degree="minor", targets=joint(4), backlash=b), when=1.0, horizon=2.0) for b in (0.0, gap)
     )
@@ -146,12 +146,12 @@ def test_a_joint_with_backlash_sags_by_half_the_gap(gap):
 def test_within_the_gap_no_torque_reaches_the_joint():
     fault = LooseJoint(degree="minor", targets=joint(1), backlash=0.3, ramp=0.0)
     record = Record(fault, when=1.0, horizon=0.2)
-    assert not record.force[:, 0].any()  # nothing pulls at the base's joint, and it floats in the gap
+    assert not record.force[:, 0].any()  # the base joint carries no load, so it floats in the gap
     tight = Record(dataclasses.replace(fault, backlash=0.0), when=1.0, horizon=0.2)
     assert tight.force[:, 0].all()
 
 
-def test_backlash_is_that_of_the_degree_unless_it_is_said():
+def test_backlash_follows_the_degree_unless_given():
     gaps = [LooseJoint(degree=degree).gap for degree in DEGREES]
     assert np.all(np.diff(gaps) > 0.0)
     assert LooseJoint(backlash=0.1).gap == 0.1
@@ -167,7 +167,7 @@ def test_servos_see_where_the_joint_was(line):
     fault = ControlDelay(degree="moderate", targets=joint(1), line=line, ramp=0.0)
     record, done = Record(fault, when=0.5, horizon=0.1), healthy_run()
     robot, late = record.robot, round(fault.amount / record.dt)
-    # What the servo of this joint sees: the healthy run before the onset, then the broken one before each step.
+    # The servo's readings: the healthy run before the onset, then the state before each step.
     q = np.concatenate([done.measured[: record.onset_step + 1, 0, 0], record.q[:-1, 0]])
     qd = np.concatenate([done.measured[: record.onset_step + 1, 1, 0], record.qd[:-1, 0]])
     seen = slice(record.onset_step - late, record.onset_step - late + len(record.q))
@@ -178,7 +178,7 @@ def test_servos_see_where_the_joint_was(line):
     assert record.force[:, 0] == pytest.approx(np.clip(force, -limit, limit), rel=1e-9)
 
 
-def test_before_the_motion_joints_stood_where_they_stood_first():
+def test_delayed_readings_before_the_start_repeat_the_first_one():
     fault = ControlDelay(degree="critical", targets=joint(1), line="measurement", ramp=0.0)
     record, done = Record(fault, when=0.0, horizon=0.1), healthy_run()
     robot = record.robot
@@ -187,13 +187,13 @@ def test_before_the_motion_joints_stood_where_they_stood_first():
     assert record.force[:, 0] == pytest.approx(np.clip(force, -87.0, 87.0), rel=1e-9)
 
 
-def test_measured_is_what_the_joints_did():
+def test_measured_holds_the_states_of_the_joints():
     done = healthy_run()
     record = Record(Nothing(), when=0.5, horizon=0.1)
     at = record.onset_step
     assert done.measured.shape == (len(done.command), 2, 7)
     assert np.array_equal(done.measured[at, 0], record.q0) and np.array_equal(done.measured[at, 1], record.qd0)
-    # To what a fork wakes up that slept in the healthy run.
+    # Bodies that sleep in the healthy run are awake after the fork, hence the tolerance.
     assert done.measured[at + 1 : at + 51, 0] == pytest.approx(record.q, abs=1e-6)
 
 
@@ -217,7 +217,7 @@ def test_a_sensor_reads_right_outside_its_dead_range_and_stands_within():
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_a_gripper_that_sticks_open_lets_a_weld_go_where_fingers_would(degree):
+def test_a_gripper_stuck_open_releases_a_weld_where_fingers_would(degree):
     fingers, weld = (
         Record(StuckGripper(degree=degree), when=1.0, horizon=0.8, done=healthy_run(settings)).slip[-1] > 0.02
         for settings in (SETTINGS, WELD)
@@ -225,7 +225,7 @@ def test_a_gripper_that_sticks_open_lets_a_weld_go_where_fingers_would(degree):
     assert fingers == weld
 
 
-# --- which joint, and until when ----------------------------------------------------------------------------------
+# --- targets and duration -----------------------------------------------------------------------------------------
 
 
 def robot():
@@ -248,7 +248,7 @@ def test_rates_change_no_other_draw():
 
 
 @pytest.mark.parametrize("rates", [(1.0, -1.0), (0.0, 0.0), (np.inf, 1.0), (np.nan,)])
-def test_rates_that_are_none_are_refused(rates):
+def test_invalid_rates_are_refused(rates):
     with pytest.raises(SettingError, match="rates = "):
         Noise(rates=rates)
 
@@ -262,7 +262,7 @@ def test_rates_of_another_robot_are_refused():
         from_document({"fault": "noise", "rates": "any"})
 
 
-def test_a_permanent_failure_lasts_until_it_is_restored_by_a_call():
+def test_a_permanent_failure_lasts_until_restore():
     done = healthy_run()
     fault = CompleteShutdown(degree="critical", targets=("all",), when=AtTime(0.2))
     going = rollout_steps(done, Job(fault=fault, onset=0.2, seed=0), horizon=0.5)
@@ -275,6 +275,6 @@ def test_a_permanent_failure_lasts_until_it_is_restored_by_a_call():
     assert dead == [True] * 100 + [False] * 150
     for name in fault.FIELDS:
         assert np.array_equal(getattr(model, name), getattr(done.world.model, name)), name
-    going.restore()  # once more does nothing
+    going.restore()  # a second call changes nothing
     with pytest.raises(StopIteration):
         next(going)

@@ -1,4 +1,4 @@
-"""Signatures of the robot's own protective stop, against the motion that it interrupts."""
+"""Signatures of the robot's protective stop, against the interrupted motion."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ from failbench.testing import check_fault
 from graceful_plan.exceptions import SettingError
 
 
-def test_it_is_no_fault_but_a_reaction():
+def test_a_stop_is_a_reaction_and_no_fault():
     assert list(reactions()) == ["protective_stop"]
     assert failbench.reactions() is reactions()
     assert not set(reactions()) & set(faults())
@@ -23,33 +23,33 @@ def test_it_is_no_fault_but_a_reaction():
 
 
 @pytest.mark.parametrize("category", [0, 1])
-def test_it_keeps_the_contract_of_faults(category):
+def test_a_stop_keeps_the_contract_of_faults(category):
     check_fault(ProtectiveStop(category=category))
     check_fault(ProtectiveStop(category=category), healthy_run(WELD))
 
 
 def braking_time(record):
-    """The time that a stop at the degree's deceleration takes from the speed of the onset [s]."""
+    """Return the time to stop from the speed at the onset with the degree's deceleration [s]."""
     return np.max(np.abs(record.qd0) / record.robot.acceleration) / record.job.fault.amount
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_it_brakes_along_the_path_as_hard_as_the_degree_says(degree):
+def test_a_stop_brakes_along_the_path_with_its_deceleration(degree):
     done = healthy_run()
     record = Record(ProtectiveStop(degree=degree), when=0.5, horizon=1.4)
     needed = braking_time(record)
     assert needed > 0.02
-    assert np.ptp(record.q[record.t > needed + 0.15], axis=0).max() < 5e-3  # it trembles at most
-    # The clock of the motion has run on for half of that.
+    assert np.ptp(record.q[record.t > needed + 0.15], axis=0).max() < 5e-3  # small oscillations remain
+    # While braking, the motion's clock advances by half of that time.
     onset = record.onset_step * record.dt
     end = done.trajectory.at(done.trajectory.t[0] + min(onset + needed / 2.0, done.duration)).q
     assert record.q[-1] == pytest.approx(end, abs=5e-3)
-    if needed > 0.1:  # half way through half the speed is left
+    if needed > 0.1:  # half of the speed is left after half of the time
         half = np.argmin(np.abs(record.t - needed / 2.0))
         assert np.abs(record.qd[half]).max() == pytest.approx(0.5 * np.abs(record.qd0).max(), rel=0.25)
 
 
-def test_every_configuration_on_the_way_is_one_of_the_motion():
+def test_a_stop_stays_on_the_path_of_the_motion():
     done = healthy_run()
     record = Record(ProtectiveStop(degree="moderate"), when=0.4, horizon=0.6)
     fine = done.trajectory.at(np.linspace(done.trajectory.t[0], done.trajectory.t[-1], 4000)).q
@@ -101,7 +101,7 @@ def test_native_rollouts_are_the_plain_loop():
         assert any(np.array_equal(pose, seen) for seen in rollout.poses.values())
 
 
-def test_it_has_a_json_form_and_refuses_other_categories():
+def test_a_stop_has_a_json_form_and_refuses_other_categories():
     for category in (0, 1):
         fault = ProtectiveStop(category=category, degree="minor")
         assert from_document(to_document(fault)) == fault

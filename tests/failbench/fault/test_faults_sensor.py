@@ -11,7 +11,7 @@ TORQUE = SimSettings(control="torque")
 
 
 def readings_off(record):
-    """Return by how much the servos of the joints misread the position [step joint], from the law of the servo."""
+    """Return the error of the position readings [step joint], from the servo law."""
     robot, done = record.robot, healthy_run()
     meant = done.commands(record.onset_step, len(record.q))
     return (meant - record.command)[:, robot.actuators] * robot.gain / robot.kp
@@ -24,12 +24,12 @@ def test_noise_has_its_standard_deviation_and_is_held():
     samples = off[::5]  # 0.01 s
     assert np.repeat(samples, 5, axis=0) == pytest.approx(off, abs=1e-12)
     assert samples.size == 3 * 40 * 7
-    # The standard error of a deviation is 1 / sqrt(2 n) of it.
+    # The standard error of a standard deviation s is s / sqrt(2 n).
     assert samples.std() == pytest.approx(0.05, rel=3.0 / np.sqrt(2.0 * samples.size))
     assert abs(samples.mean()) < 3.0 * 0.05 / np.sqrt(samples.size)
 
 
-def test_noise_shakes_the_joint_that_has_it_and_no_other():
+def test_noise_shakes_only_its_joint():
     record, well = Record(Noise(degree="critical", targets=joint(4))), Record(Nothing())
     off = np.abs(record.q - well.q).max(axis=0)
     assert off[3] > 5e-3
@@ -89,10 +89,10 @@ def test_controller_is_blind_in_a_gap():
 
 
 def test_readings_come_back_after_a_gap():
-    seed = 1  # no other gap begins soon
+    seed = 1  # with this seed, no other gap begins soon
     record = Record(Dropout(degree="minor", targets=joint(1)), seed=seed, horizon=0.1)
     robot, after = record.robot, record.t[1:] > 0.03
-    q, qd = record.q[:-1, 0], record.qd[:-1, 0]  # what the sensor reads before a step
+    q, qd = record.q[:-1, 0], record.qd[:-1, 0]  # the sensor reads the state before a step
     seen = robot.kp[0] * (record.command[1:, 0] - q) - robot.kd[0] * qd
     limit = record.limit[0, 0]
     assert record.force[1:, 0][after] == pytest.approx(np.clip(seen, -limit, limit)[after], rel=1e-6)
@@ -112,7 +112,7 @@ def test_longer_gaps_contain_the_shorter_ones():
 
 
 @pytest.mark.parametrize("settings", [SimSettings(), TORQUE])
-def test_scaled_reading_rests_where_it_reads_what_is_wanted(settings):
+def test_a_scaled_reading_settles_where_it_reads_the_target(settings):
     fault = ScaleError(degree="severe", targets=joint(1))
     record = Record(fault, when=1.0, horizon=1.5, done=healthy_run(settings))
     wanted = healthy_run().trajectory.q[-1, 0]

@@ -1,4 +1,4 @@
-"""What each fault writes into model and commands in one call, number by number; nothing is simulated."""
+"""The values that each fault writes into model and commands in one call, without simulation."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def model():
 
 
 def plant_of(fault, *, joints=(2,), steps=200, step=0, seed=0):
-    """Stand at some step after the onset, as healthy as an injection leaves a robot before it lets the fault act."""
+    """Return a plant at some step after the onset, still healthy, as an injection passes it to the fault."""
     qpos, qvel = np.zeros(model().nq), np.zeros(model().nv)
     qpos[robot().qpos], qvel[robot().dofs] = gp.load_scene("tabletop").tasks["green_to_blue"].start, 0.3
-    healthy = np.arange(steps)[:, None] + np.linspace(0.0, 0.5, model().nu)  # a number of its own for each step
+    healthy = np.arange(steps)[:, None] + np.linspace(0.0, 0.5, model().nu)  # a distinct number for each step
     healthy[:, robot().gripper_actuators] = robot().grip_closed
     return Simulation(
         robot=robot(),
@@ -60,20 +60,20 @@ def plant_of(fault, *, joints=(2,), steps=200, step=0, seed=0):
 
 
 def struck(fault, level=1.0, **given):
-    """Let a fault act once."""
+    """Return the plant after one call of the fault."""
     plant = plant_of(fault, **given)
     fault.apply(plant, level)
     return plant
 
 
 def misread(plant):
-    """Return the error of the readings that was written into the commands [step joint], by the law of the servo."""
+    """Return the error of the readings written into the commands [step joint], by the servo law."""
     more = (plant.command - plant.healthy)[:, robot().actuators[plant.joints]]
     return -more * (robot().gain / robot().kp)[plant.joints]
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_dead_motor_damps_the_joint_that_has_it_and_no_other(level):
+def test_a_dead_motor_damps_only_its_joint(level):
     more = struck(CompleteShutdown(degree="moderate"), level)["dof_damping"] - model().dof_damping
     expected = np.zeros(model().nv)
     expected[robot().dofs[2]] = 10.0 * level
@@ -89,7 +89,7 @@ def test_both_stops_close_in_along_the_ramp(level):
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.25, 1.0), (0.5, 1.0), (0.5, 0.5)])
-def test_a_joint_rubs_with_the_share_of_its_torque_that_time_has_brought(share, level):
+def test_friction_grows_with_the_ramp(share, level):
     fault = StuckPosition(degree="minor")
     plant = struck(fault, level, step=round(share * fault.amount / DT))
     rubbing = (plant["dof_frictionloss"] - model().dof_frictionloss)[robot().dofs]
@@ -109,7 +109,7 @@ def test_readings_are_off_as_far_as_the_ramp_has_come(fault, level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_commands_are_late_by_the_delay_that_the_ramp_has_come_to(level):
+def test_command_delay_grows_with_the_ramp(level):
     plant = struck(ControlDelay(degree="severe"), level)
     column = robot().actuators[2]
     assert (plant.healthy - plant.command)[:, column] == pytest.approx(round(0.1 * level / DT))
@@ -124,14 +124,14 @@ def test_a_gripper_opens_as_far_as_the_ramp_has_come(level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_weak_grip_presses_with_what_the_ramp_has_left(level):
+def test_grip_force_falls_with_the_ramp(level):
     left = struck(WeakGrip(degree="moderate"), level)["actuator_forcerange"] / model().actuator_forcerange
     assert left[robot().gripper_actuators] == pytest.approx(1.0 - 0.9 * level)
     assert left[robot().actuators] == pytest.approx(1.0)
 
 
 def gaps(fault, level=1.0, steps=15_000):
-    """Return in which steps the controller does not see the joint."""
+    """Return in which steps the controller gets no reading of the joint."""
     plant = plant_of(fault, steps=steps)
     blind = np.zeros(steps, dtype=bool)
     for plant.step in range(steps):
@@ -149,8 +149,8 @@ def test_gaps_have_their_length_and_begin_a_quarter_of_a_second_apart(level):
     edges = np.flatnonzero(np.diff(np.concatenate([[0], blind.astype(int), [0]])))
     runs = edges[1::2] - edges[::2]
     assert blind[0]
-    assert runs[:-1].min() == length  # one that no other gap has begun in
-    # Whenever the joint is seen, the next gap may begin: as many draws as there are such steps.
+    assert runs[:-1].min() == length  # a gap without another one inside
+    # In every step with a reading, the next gap may begin: one draw per such step.
     expected = DT / 0.25 * np.count_nonzero(~blind)
     assert len(runs) - 1 == pytest.approx(expected, abs=3.0 * np.sqrt(expected))
 
@@ -174,7 +174,7 @@ def test_a_brake_holds_half_as_much_again_as_the_motor():
     assert np.delete(holds, robot().dofs) == pytest.approx(0.0)
 
 
-def test_a_reading_that_is_too_great_acts_as_one():
+def test_a_scaled_reading_acts_through_the_servo():
     plant = plant_of(Noise(), joints=(1, 4))
     error = np.array([0.01, -0.02])
     plant.misread(plant.joints, np.tile(error, (len(plant.command), 1)))

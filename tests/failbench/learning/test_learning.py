@@ -1,4 +1,4 @@
-"""Learning from generated scenes: the scenes, what is learned of drops, the fit, and the command."""
+"""Learning from generated scenes: the scenes, the data on drops, the fit, and the command."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SMALL = Training(hidden=4, decays=(1e-4,), iterations=60)
 
 
 def made_up(n: int = 600, *, factor: float = 1.5, seed: int = 0) -> Pairs:
-    """Return pairs of two surfaces each whose odds are off by e^factor on one side of the first input."""
+    """Return pairs of surfaces whose odds are off by e^factor on one side of the first input."""
     rng = np.random.default_rng(seed)
     plain = rng.uniform(0.02, 0.9, size=2 * n)
     told = rng.normal(size=(2 * n, len(STATE_FEATURES)))
@@ -52,7 +52,7 @@ def made_up(n: int = 600, *, factor: float = 1.5, seed: int = 0) -> Pairs:
 # --- scenes -----------------------------------------------------------------------------------------------------------
 
 
-def test_scenes_are_what_their_names_say() -> None:
+def test_scenes_match_their_names() -> None:
     first = generated_scene("generated_3")
     generated_scene.cache_clear()
     again, other = generated_scene("generated_3"), generated_scene("generated_4")
@@ -82,7 +82,7 @@ def test_things_stand_by_themselves(name: str) -> None:
         assert np.linalg.norm(task.goal[0] - task.start) > 0.5
 
 
-# --- what is learned of drops -----------------------------------------------------------------------------------------
+# --- data on drops ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def drops() -> list[Failures]:
 
 
 @pytest.mark.long
-def test_pairs_are_those_of_the_drop_model(drops: list[Failures]) -> None:
+def test_pairs_equal_those_of_the_drop_model(drops: list[Failures]) -> None:
     pairs = pairs_of(drops)
     assert len(pairs) > 10 and pairs.hit.any() and not pairs.hit.all()
     np.testing.assert_array_equal(pairs.chooses, pairs.motion == 1)
@@ -148,7 +148,7 @@ def test_the_gradient_of_the_likelihood() -> None:
         assert check_grad(lambda z: of(z)[0], lambda z: of(z)[1], x) < 1e-5
 
 
-def test_what_is_off_is_learned() -> None:
+def test_the_fit_learns_a_known_error() -> None:
     found = train(made_up(4000), replace(SMALL, iterations=120))
     fresh = made_up(4000, seed=1)
     truth = made_up(4000, seed=1).hit
@@ -162,7 +162,7 @@ def test_where_there_is_nothing_to_learn_little_is_changed() -> None:
     found = train(made_up(1500, factor=0.0), SMALL)
     fresh = made_up(1500, factor=0.0, seed=1)
     assert np.abs(probability(found.network, fresh) - probability(None, fresh)).mean() < 0.05
-    assert found.corrected.log_loss <= found.plain.log_loss + 1e-9  # a scale of zero is among those tried
+    assert found.corrected.log_loss <= found.plain.log_loss + 1e-9  # a scale of zero is among the candidates
 
 
 def test_same_seed_same_weights() -> None:

@@ -1,4 +1,4 @@
-"""What stands on a base goes along with it, and falls where the base is stopped too hard for it to stand."""
+"""Objects on a base ride along, and fall if the base stops too hard."""
 
 import mujoco
 import numpy as np
@@ -14,11 +14,11 @@ from graceful_plan.scene.loading.robot_models import robot_file
 from graceful_plan.scene.mobile.known_bases import known_base
 
 GRIP = 0.6
-"""Of the tyres, which is what locked wheels brake with, over gravity."""
+"""Friction coefficient of the tyres, the deceleration of locked wheels over gravity."""
 
 
 def laden(half_width, half_height):
-    """A Jackal on a wide floor with a box on its deck, and a vase ahead of where it goes."""
+    """A Jackal on a wide floor with a box on its deck, and a vase ahead of it."""
     size = f"{half_width} {half_width} {half_height}"
     world = (
         '<mujoco><worldbody><geom name="floor" type="plane" size="50 50 .1"/>'
@@ -47,8 +47,8 @@ def straight(scene):
 
 
 @pytest.mark.parametrize(("half_width", "falls"), [(0.03, True), (0.12, False)])
-def test_what_stands_on_a_base_tips_over_if_it_is_stopped_harder_than_it_is_wide(half_width, falls):
-    """A block tips where deceleration over gravity exceeds its width over its height: 0.25 and 1 here, and 0.6."""
+def test_an_object_on_a_base_tips_over_if_the_base_brakes_hard(half_width, falls):
+    """A block tips if deceleration over gravity, 0.6 here, exceeds width over height: 0.25 or 1."""
     half_height = 0.12
     scene = laden(half_width, half_height)
     execution = execute(straight(scene), build_world(scene))
@@ -58,18 +58,18 @@ def test_what_stands_on_a_base_tips_over_if_it_is_stopped_harder_than_it_is_wide
     onsets = [0.4 * execution.duration, 0.5 * execution.duration]
     for rollout in run_rollouts(execution, [Job(fault=locked, onset=t, seed=0) for t in onsets], horizon=1.5):
         _, x, y, _ = rollout.poses["carried"][:4]
-        upright = 1.0 - 2.0 * (x**2 + y**2)  # of its axis, how much is upwards
+        upright = 1.0 - 2.0 * (x**2 + y**2)  # z component of its axis
         assert rollout.status == "completed" and rollout.dropped == falls
         assert abs(upright) < 0.2 if falls else upright > 0.95  # it lies on its side
 
 
 @pytest.mark.long
-def test_tea_on_a_jackal_is_planned_driven_and_spilt_only_if_it_fails():
+def test_tea_on_a_jackal_spills_only_in_failures():
     task = gp.load_scene("apartment").tasks["serve_tea"]
     result = gp.plan(task.start, task.goal, task.scene, iterations=3000)
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["contents"].passed
     locked = fb.faults()["stuck_position"](degree="critical", targets=("all",))
     report = fb.validate(result, task.scene, locked, n=12, horizon=2.0, threads=1)
     assert report.healthy.harmless and report.diverged == 0
-    assert report.spilled.mean > 0.2 and report.dropped.mean > 0.0  # some of those whose wheels lock lose the cup
+    assert report.spilled.mean > 0.2 and report.dropped.mean > 0.0  # some runs with locked wheels lose the cup
     assert report.predicted > 0.0

@@ -1,4 +1,4 @@
-"""Bases that are driven by controllers, healthy and while they fail."""
+"""Driving bases under controllers, healthy and failing."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_a_planned_motion_is_driven():
     [("apartment", "bring_parcel", (6.0, 1.5), 0.08), ("hallway", "carry_bottle", (4.0, -0.6), 0.08)],
 )
 def test_bundled_scenes_are_driven_in(name, task, goal, error):
-    """A Jackal away from stairs, and a Fetch past a plant with its arm held out: floors are boxes there."""
+    """A Jackal away from stairs, and a Fetch past a plant with its arm extended, where floors are boxes."""
     found = gp.load_scene(name).tasks[task]
     result = gp.plan(found.start, gp.BasePose(*goal), found.world, w=0.0, iterations=3000)
     driven = drive_base(result.trajectory, found.world)
@@ -45,8 +45,8 @@ def motion(scene):
     return gp.plan([-2.0, 0.0, 0.0], gp.BasePose(2.0, 0.0, 0.0), scene, w=0.0, iterations=1000).unwrap()
 
 
-def test_a_controller_takes_its_own_time_and_what_it_drove_is_the_motion(scene, motion):
-    """At half the speed at most it takes longer, though both need the same time to get fast."""
+def test_a_controlled_drive_sets_its_own_duration(scene, motion):
+    """At half the greatest speed the motion takes longer; accelerating takes the same time in both."""
     slow = PurePursuit(speed=0.5 * float(np.abs(motion.qd[:, 0]).max()))
     execution = execute(motion, build_world(scene), controller=slow)
     assert 1.25 < execution.duration / motion.duration < 3.0
@@ -64,8 +64,8 @@ def test_the_same_controller_by_default_is_bit_by_bit_the_same(scene, motion):
 
 
 @pytest.mark.long
-def test_what_looks_around_does_less_harm_when_it_fails():
-    """Without power it rolls on into the child behind the goal; the dynamic window came slowly, as that may happen."""
+def test_a_cautious_controller_does_less_harm():
+    """Without power the base rolls into the child behind the goal, unless the controller approached slowly."""
     scene, kind = jackal((2.85, 0.0)), fb.faults()["complete_shutdown"]
     motion = gp.plan([-2.0, 0.0, 0.0], gp.BasePose(2.0, 0.0, 0.0), scene, w=0.0, iterations=1000).unwrap()
     fault = kind(degree="critical", when=fb.Uniform(0.5, 0.7))
@@ -82,7 +82,7 @@ def test_what_looks_around_does_less_harm_when_it_fails():
     assert window.failures.observed.mean < 0.4 * blind.failures.observed.mean
     assert window.failures.predicted < 0.1 * blind.failures.predicted
     again = fb.validate(motion, scene, fault, n=32, horizon=2.0, threads=2, controller=PurePursuit())
-    assert again.observed == blind.failures.observed  # whatever the number of threads
+    assert again.observed == blind.failures.observed  # independent of the number of threads
 
 
 def test_places_on_the_floor_are_enough(scene):
@@ -92,7 +92,7 @@ def test_places_on_the_floor_are_enough(scene):
     assert driven.arrived and driven.failures.n == 2 and driven.failures.duration > 4.0 / 0.8
 
 
-def test_what_makes_no_sense_is_refused(scene, motion):
+def test_invalid_arguments_are_refused(scene, motion):
     tabletop = gp.load_scene("tabletop").tasks["lift_to_goal"]
     with pytest.raises(SettingError, match="does not drive"):
         execute(np.stack([tabletop.start, tabletop.goal[0]]), build_world(tabletop.scene), controller=PurePursuit())
@@ -105,7 +105,7 @@ def test_what_makes_no_sense_is_refused(scene, motion):
 
 
 def test_a_skid_steer_turns_about_its_origin():
-    """Its wheels' middle was said to be where it turns about: the base was 40 mm away after a turn in place."""
+    """The centre of the wheels used to be the pivot; a turn in place then moved the base by 40 mm."""
     scene = jackal()
     result = gp.plan([0.0, 0.0, 0.0], [0.0, 0.0, 2.5], scene, w=0.0, iterations=100)
     driven = drive_base(result.trajectory, scene)

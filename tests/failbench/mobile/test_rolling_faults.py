@@ -1,4 +1,4 @@
-"""What each fault does to a base that drives, and that it does it in what FailBench simulates natively too."""
+"""The effect of each fault on a driving base, and the same effect in FailBench's native simulation."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_a_healthy_base_follows_and_its_loop_goes_on_from_any_onset(driven, heal
     np.testing.assert_allclose(healthy[4::5][: len(states) - 1, :3], states[1:], atol=0.02)
 
 
-# name, targets, how much shorter its way gets at least [m], how far it turns away at least [rad].
+# name, targets, least loss of distance [m], least turn [rad].
 SIGNATURES = [
     ("complete_shutdown", ("all",), 0.8, 0.0),
     ("limited_range", ("all",), 1.5, 0.0),
@@ -84,7 +84,7 @@ def test_faults_leave_their_signature(driven, healthy, name, targets, shorter, t
 
 
 def test_loose_and_weak_drives_and_dead_zones_change_little(driven, healthy):
-    """Drives slip by less than a wheel's turn, and the loop mends it; a brown-out is caught up with."""
+    """Drives slip by less than a wheel's turn, and the loop corrects it; so it does after a brown-out."""
     for name in ("loose_joint", "dead_zone"):
         found = rolled(driven, fault(name))
         away = np.linalg.norm((found - healthy)[:, :2], axis=1)
@@ -106,7 +106,7 @@ def test_one_motor_drives_a_side(driven):
     angles = rolled(driven, fault("stuck_position", targets=LEFT))[:, 3:]
     turned = np.abs(np.diff(angles, axis=0)).sum(
         axis=0
-    )  # back and forth: the loop swings it about the side that stands
+    )  # back and forth: the loop swings the base about the blocked side
     assert (turned[:2] < 0.1).all() and (turned[2:] > 1.0).all()
 
 
@@ -134,7 +134,7 @@ def test_native_rollouts_are_the_same_bit_by_bit(driven):
         assert rollout.status == "completed" and np.isfinite(data.qpos).all()
 
 
-def test_what_a_failing_base_hits_counts_by_its_speed():
+def test_hits_of_a_failing_base_count_by_speed():
     scene = jackal((1.2, 0.05))
     motion = gp.plan([-3.0, -0.9, 0.0], gp.BasePose(0.0, 0.0), scene, w=0.0, iterations=1500)
     report = fb.validate(motion, scene, fault("bias_drift", targets=LEFT), n=8, horizon=2.0, threads=1)

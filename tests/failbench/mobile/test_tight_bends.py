@@ -1,4 +1,4 @@
-"""Healthy bases drive bends that are as tight and as fast as plans have them."""
+"""Healthy bases follow the tightest and fastest curves of plans."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ HOOK = [[0, 0], [0.2, 0], [0.4, 0], [0.6, 0], [0.75, 0.1], [0.75, 0.4], [0.6, 0.
 
 
 def test_a_skid_steer_drives_a_hook_there_and_back():
-    """Held at the angle to its way that its pivot asks for, its heading was off by 0.35 rad, and the motion refused."""
+    """When the heading was held at the pivot's drift angle, it was off by 0.35 rad and the motion was refused."""
     scene, controls = jackal(), np.array(HOOK)
     curve = RollingSpline(np.column_stack([controls, np.zeros(len(controls))]), True, 0.0)
     motion = timed(Drive((curve,)), scene.limits, scene.joints, restraint=lambda grid: drive_limits(scene.base, grid))
@@ -27,6 +27,6 @@ def test_a_skid_steer_drives_a_hook_there_and_back():
 
 @pytest.mark.parametrize(("v", "omega"), [(1.5, 1.0), (-1.5, 1.0), (-1.0, 1.0), (-0.5, 1.0)])
 def test_where_nothing_moves_sideways_is_known_in_both_gears(v, omega):
-    """Backwards at 1.5 m/s it is 13 cm behind the origin; as forwards, it would be 9."""
+    """At 1.5 m/s backwards, the point without lateral motion is 13 cm behind the origin; forwards, 9 cm."""
     drives = steady_drive(jackal(), v, omega)
     assert fitted_tracking(jackal()).pivot.ahead(v, omega) == pytest.approx(-drives.sideways / drives.omega, abs=0.02)

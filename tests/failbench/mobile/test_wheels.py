@@ -12,7 +12,7 @@ from hall import hall
 from jackals import jackal
 
 
-def test_the_model_weighs_and_measures_what_is_published():
+def test_the_model_has_the_published_mass_and_size():
     model = jackal().model
     assert float(model.body_subtreemass[model.body("jackal/base").id]) == pytest.approx(16.523 + 4 * 0.477)
     left, right = (model.body(f"jackal/front_{side}").pos for side in ("left", "right"))
@@ -22,7 +22,7 @@ def test_the_model_weighs_and_measures_what_is_published():
 
 
 @pytest.mark.parametrize("omega", [1.0, 2.0])
-def test_turning_in_place_slips_as_much_as_the_maker_says(omega):
+def test_turning_in_place_slips_as_published(omega):
     wheels = wheeled(jackal())
     data = wheels.placed(np.zeros(3), 0.0, 0.0)
     data.ctrl[:] = wheels.wheel_rates(0.0, omega)
@@ -33,11 +33,11 @@ def test_turning_in_place_slips_as_much_as_the_maker_says(omega):
 
 
 FRONT = 0.229 - 0.035
-"""Of a Jackal's wheels, ahead of where it turns about [m]."""
+"""Distance of a Jackal's front wheels ahead of its pivot [m]."""
 
 
 def reach(failure, v):
-    """How far a base gets: the first of a row of children that it touches tells, to 10 cm."""
+    """Return how far a base gets, to 10 cm, from the farthest child in a row that it still hits."""
     far, at = 0.0, 0.1
     while at < 4.0:
         hits = coasted(wheeled(jackal((at + 0.2 + FRONT, 0.0))), np.zeros(3), np.array([v, 0.0, 0.0]), failure)
@@ -56,24 +56,24 @@ def reach(failure, v):
         (BaseFailure("driven", 1.5, 0.0, 0.25), 1.0, 0.25 + 1.0 / 3.0),
     ],
 )
-def test_a_failing_base_goes_as_far_as_the_closed_forms_say(failure, v, expected):
+def test_a_failing_base_covers_the_closed_form_distance(failure, v, expected):
     assert reach(failure, v) == pytest.approx(expected, abs=0.11)
 
 
-def test_hits_are_told_once_with_speed_and_time():
+def test_hits_are_reported_once_with_speed_and_time():
     scene = jackal((1.0, 0.0), (5.0, 3.0))
     (hit,) = coasted(wheeled(scene), np.zeros(3), np.array([1.5, 0.0, 0.0]), BaseFailure("driven", 1.0, 0.0, 2.0))
     assert hit.entity == 0
     assert hit.speed == pytest.approx(1.5, abs=0.05) and hit.time == pytest.approx((1.0 - 0.2 - 0.229) / 1.5, abs=0.05)
 
 
-def test_who_is_grazed_is_hit_with_the_speed_along_the_normal():
-    scene = jackal((1.0, 0.35))  # the side of the base passes 14 cm nearer to its axis than its middle
+def test_a_grazing_hit_has_the_speed_along_the_normal():
+    scene = jackal((1.0, 0.35))  # the child is 35 cm off the path, near the side of the base
     (hit,) = coasted(wheeled(scene), np.zeros(3), np.array([1.5, 0.0, 0.0]), BaseFailure("driven", 1.0, 0.0, 2.0))
     assert 0.2 < hit.speed < 1.4
 
 
-def test_failures_are_drawn_as_often_as_the_settings_say():
+def test_failures_are_drawn_with_the_given_shares():
     settings, rng = CoastSettings.shipped(), np.random.default_rng(0)
     words = [drawn(settings, rng).wheels for _ in range(2000)]
     total = sum(way.weight for way in settings.ways.values())
@@ -94,7 +94,7 @@ def test_an_arm_is_held_and_stairs_are_no_wall():
     assert model.geom("keep_out_stairs").contype == model.geom("keep_out_stairs").conaffinity == 0
 
 
-def test_what_has_no_wheels_is_refused():
+def test_robots_without_wheels_are_refused():
     with pytest.raises(UnsupportedError, match="wheels"):
         wheeled(hall())
     with pytest.raises(UnsupportedError, match="DiffDrive"):

@@ -1,4 +1,4 @@
-"""Pictures of failures: right in number and size, true to the simulation, refused with a reason where impossible."""
+"""Pictures of failures: right number and size, true to the simulation, refused with a reason where impossible."""
 
 import contextlib
 import os
@@ -31,7 +31,7 @@ LATE = Job(fault=Drop(), onset=0.4, seed=0)
 
 @dataclass(frozen=True, kw_only=True)
 class Explode(Fault):
-    """Joints are pushed the faster, the faster they are."""
+    """A fault that pushes joints in proportion to their speed."""
 
     NAME = "explode"
     CATEGORY = "actuator"
@@ -51,7 +51,7 @@ def done():
 
 @pytest.fixture(scope="module")
 def gl(done):
-    """Off-screen OpenGL, without which there are no pictures."""
+    """Skip without off-screen OpenGL."""
     try:
         with offscreen.Offscreen(done.world.model, 16, 16):
             pass
@@ -69,7 +69,7 @@ def above_caption(image):
 
 @pytest.mark.usefixtures("gl")
 class TestFrames:
-    def test_frames_are_numbered_and_have_the_size_asked_for(self, done, tmp_path):
+    def test_frames_are_numbered_and_have_the_given_size(self, done, tmp_path):
         files = replay(done, LATE, output=tmp_path / "a" / "b", horizon=0.2, lead=0.1, fps=20.0, size=SIZE)
         assert [file.name for file in files] == [f"{i:05d}.png" for i in range(6)]
         assert sorted((tmp_path / "a" / "b").iterdir()) == list(files)
@@ -78,7 +78,7 @@ class TestFrames:
         assert all(not np.array_equal(a, b) for a, b in pairwise(frames))
 
     @pytest.mark.long
-    def test_a_failure_looks_like_health_until_it_begins(self, done, tmp_path):
+    def test_a_failure_looks_healthy_until_its_onset(self, done, tmp_path):
         settings = {"horizon": 0.3, "lead": 0.1, "fps": 20.0, "size": SIZE}
         broken = images(replay(done, LATE, output=tmp_path / "broken", **settings))
         intact = images(replay(done, replace(LATE, fault=Nothing()), output=tmp_path / "intact", **settings))
@@ -106,7 +106,7 @@ class TestFrames:
             image.load()
             assert image.info["duration"] == pytest.approx(50.0)
 
-    def test_gif_is_as_slow_as_the_format_allows_to_say(self, done, tmp_path):
+    def test_gif_durations_are_capped_by_the_format(self, done, tmp_path):
         replay(done, LATE, output=tmp_path / "x.gif", horizon=0.1, lead=0.0, fps=60.0, size=SIZE)
         with Image.open(tmp_path / "x.gif") as image:
             assert image.info["duration"] == 20.0
@@ -126,7 +126,7 @@ class TestFrames:
         )
         assert [file.read_bytes() for file in one] == [file.read_bytes() for file in other]
 
-    def test_a_simulation_that_blows_up_is_shown_until_then(self, done, tmp_path, monkeypatch):
+    def test_a_diverging_simulation_is_shown_until_then(self, done, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         [rollout] = run_rollouts(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.3)
         assert (rollout.status, rollout.state is None) == ("diverged", False)
@@ -179,7 +179,7 @@ def test_the_film_is_the_rollout(done):
     assert not last.diverged
     start = mujoco.MjData(done.world.model)
     mujoco.mj_setState(done.world.model, start, done.states[done.checkpoint(LATE.onset)], STATE)
-    assert before == pytest.approx(start.qpos, abs=1e-5)  # what slept wakes up at the fork
+    assert before == pytest.approx(start.qpos, abs=1e-5)  # sleeping objects wake up at the fork
     for name, body in done.world.movable.items():
         adr = done.world.model.jnt_qposadr[done.world.model.body_jntadr[body]]
         position = last.data.qpos[adr : adr + 3]
@@ -188,7 +188,7 @@ def test_the_film_is_the_rollout(done):
 
 @pytest.mark.parametrize("fault", [Drop(), Weaken(degree="critical")])
 @pytest.mark.parametrize("onset", [0.2, 0.5])
-def test_what_is_marked_as_hit_is_what_the_recorder_has(done, fault, onset):
+def test_marked_hits_equal_those_of_the_recorder(done, fault, onset):
     job = Job(fault=fault, onset=onset, seed=0)
     touches = TouchPaint(done.world, done.baseline)
     for moment in moments_of(done, job, horizon=0.5, lead=0.1):
@@ -219,7 +219,7 @@ def test_arrows_of_an_object_at_rest_carry_its_weight():
     weight = 9.81 * done.world.model.body_mass[done.world.carried_body]
     down = 0.0
     for arrow in arrows:
-        down -= arrow.mat[2, 2] * (arrow.size[2] / 0.01) ** 2  # its own z axis, and its length
+        down -= arrow.mat[2, 2] * (arrow.size[2] / 0.01) ** 2  # z component of its axis, times its length
     assert down == pytest.approx(weight, rel=0.1)
 
 
@@ -232,7 +232,7 @@ def test_marks_beyond_the_room_for_them_are_left_out(done):
     assert view.ngeom == 2
 
 
-def test_only_what_was_hit_is_painted_and_no_furniture(done):
+def test_only_hit_entities_are_painted(done):
     touches = TouchPaint(done.world, done.baseline)
     model = build_world(done.world.scene).model
     touches.struck |= {"red1", "table"}
@@ -305,7 +305,7 @@ class TestWithoutDisplay:
         for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
             monkeypatch.delenv(name, raising=False)
 
-    def test_the_viewer_says_what_to_do_instead(self, done):
+    def test_without_a_viewer_the_error_names_the_alternative(self, done):
         with pytest.raises(NoPicture, match=r"display .*output='replay\.gif'"):
             replay(done, LATE)
 
@@ -319,7 +319,7 @@ class TestWithoutDisplay:
             replay(done, LATE, output=tmp_path / "x")
         assert not (tmp_path / "x").exists()
 
-    def test_what_mujoco_gl_names_is_used(self, done, tmp_path, monkeypatch):
+    def test_the_backend_of_mujoco_gl_is_used(self, done, tmp_path, monkeypatch):
         monkeypatch.setenv("MUJOCO_GL", "osmesa")
         monkeypatch.setitem(sys.modules, "mujoco.osmesa", None)
         with pytest.raises(NoPicture, match=r"\(mujoco\.osmesa: "):
@@ -333,7 +333,7 @@ def test_video_without_its_encoder_names_the_extra(done, tmp_path, monkeypatch):
 
 
 class Viewer:
-    """Stands for MuJoCo's viewer; its window is closed after some frames."""
+    """Stub of MuJoCo's viewer, whose window closes after some frames."""
 
     def __init__(self, model, data, frames):
         self.model, self.data, self.frames = model, data, frames
@@ -431,7 +431,7 @@ class TestContactSheet:
         assert all(np.any(a != b) for a, b in pairwise(cells))
         assert all(len(np.unique(cell.reshape(-1, 3), axis=0)) > 1000 for cell in cells)
 
-    def test_the_one_in_the_documentation_is_there_and_small(self):
+    def test_the_documented_picture_exists_and_is_small(self):
         file = ROOT / "docs" / "images" / "faults.png"
         assert file.stat().st_size < 900_000
         with Image.open(file) as page:

@@ -10,13 +10,13 @@ NAME = "tabletop_l1/green_to_blue"
 
 @pytest.fixture(scope="session")
 def easy() -> PolicyTask:
-    """A task with few objects, of which episodes are short."""
+    """A task with few objects and short episodes."""
     return policy_task(NAME, PolicySettings(noise=0.0, limit=1.6, horizon=0.3))
 
 
 @pytest.fixture(scope="session")
 def exact() -> PolicyTask:
-    """The same with an action for each time step."""
+    """The same task with an action for each time step."""
     return policy_task(NAME, PolicySettings(noise=0.0, period=0.002, limit=0.8, horizon=0.1))
 
 

@@ -1,4 +1,4 @@
-"""Environments for Gymnasium: its own checker, episodes that seeds repeat, and the vector environment as its twin."""
+"""Environments for Gymnasium: its own checker, episodes repeatable by seed, and the vector environment as twin."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_every_scenario_is_registered():
         register("nowhere/*")
 
 
-def test_what_is_registered_is_made():
+def test_registered_environments_can_be_made():
     made = gymnasium.make("FailBench/tabletop_l1.green_to_blue.noise.severe", settings=SHORT, action="tool_pose")
     assert made.action_space.shape == (6,)
     assert made.unwrapped.core.faulting.fault == faults()["noise"](degree="severe")
@@ -74,7 +74,7 @@ def test_the_same_seed_is_the_same_episode_also_among_many(short):
     seen, _ = many.reset(seed=7)
     alone, _ = one.reset(seed=8)
     np.testing.assert_array_equal(seen[1], alone)
-    for _ in range(40):  # an episode has 25 steps, and the vector environment begins the next one by itself
+    for _ in range(40):  # an episode has 25 steps; the vector environment then starts the next one
         actions = rng.uniform(-1.0, 1.0, (3, 7)).astype(np.float32)
         seen, rewards, ended, cut, infos = many.step(actions)
         if restarted := one.core.episode(0).timed_out:
@@ -89,7 +89,7 @@ def test_the_same_seed_is_the_same_episode_also_among_many(short):
     assert not np.array_equal(seen[0], seen[1])
 
 
-def test_rewards_are_progress_and_the_end_tells_what_came_of_it(short):
+def test_rewards_are_progress_and_the_last_info_has_the_outcome(short):
     env = FailBenchEnv(short, harm_weight=0.0, settings=SHORT)
     env.reset(seed=0)
     whole, q = 0.0, env.core.episode(0).qpos[short.world.robot.qpos].copy()
@@ -103,7 +103,7 @@ def test_rewards_are_progress_and_the_end_tells_what_came_of_it(short):
     assert info["is_success"] is False and info["harm"] == info["rollout"].harm(short.scene)
 
 
-def test_options_and_wrappers_say_what_breaks(short):
+def test_options_and_wrappers_choose_the_fault(short):
     env = FailBenchEnv(short)
     env.reset(seed=0, options={"fault": DELAY, "onset": 0.2})
     assert env.core.episode(0).onset == 100
@@ -123,7 +123,7 @@ def test_options_and_wrappers_say_what_breaks(short):
             WithFaults(env, **wrong)
 
 
-def test_names_that_are_none_are_refused(short):
+def test_unknown_names_are_refused(short):
     for wrong in ({"action": "command"}, {"reward": "fame"}, {"render_mode": "human"}):
         with pytest.raises(UnknownNameError):
             FailBenchEnv(short, **wrong)
@@ -150,7 +150,7 @@ def test_policies_see_pictures_and_so_do_people(monkeypatch):
 
 @pytest.mark.long
 def test_stable_baselines_finds_nothing_wrong():
-    """Of every task one of each kind of action; make test-policies has it."""
+    """Every task with one of the kinds of action; run by `make test-policies`."""
     checker = pytest.importorskip("stable_baselines3.common.env_checker", exc_type=ImportError)
     for i, name in enumerate(name for name in registered.NAMES if name.count(".") == 1):
         action = ("joint_velocity", "joint_position", "tool_pose")[i % 3]
@@ -159,7 +159,7 @@ def test_stable_baselines_finds_nothing_wrong():
         env.close()
 
 
-def test_actions_and_options_that_mean_nothing_are_refused(short):
+def test_invalid_actions_and_options_are_refused(short):
     env = FailBenchEnv(short)
     nothing = np.zeros(7)
     with pytest.raises(SettingError, match="reset it first"):

@@ -1,4 +1,4 @@
-"""A policy that sends what the executor sends does what the executor does, healthy and with every fault."""
+"""A policy that sends the executor's commands reproduces the execution, healthy and with every fault."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from failbench.rollouts.single import rollout_steps
 from failbench.simulated.states import CHECKPOINT
 
 _ROBOT = 1e-9
-"""Of the joints [rad]."""
+"""Tolerance for joints [rad]."""
 _REST = 1e-5
-"""Of objects at rest [m]: they settle anew where the harness begins from a checkpoint."""
+"""Tolerance for objects at rest [m], which settle again from the harness's checkpoint."""
 ONSET = 0.3
 QUICK = ("noise", "control_delay", "dropout", "complete_shutdown")
-"""One of each way to break something; the others are further cases."""
+"""One fault per mechanism; the others are long tests."""
 
 
 def positions(task: PolicyTask, execution: Execution, job: Job | None) -> tuple[np.ndarray, int]:
-    """Return positions of everything at the beginning and after each step, and the step of the onset."""
+    """Return positions of everything at the beginning and after each step, and the onset's step."""
     batch, act = EpisodeBatch(task, 1), executor(execution)(task, 0)
     episode = batch.begin(0, np.random.default_rng(0), job)
     found = [episode.qpos.copy()]
@@ -35,7 +35,7 @@ def positions(task: PolicyTask, execution: Execution, job: Job | None) -> tuple[
     return np.array(found), episode.onset
 
 
-def test_a_healthy_policy_that_is_the_executor_does_what_the_executor_does(exact, execution):
+def test_a_policy_with_the_executors_commands_reproduces_the_healthy_run(exact, execution):
     found, _ = positions(exact, execution, None)
     nq = exact.world.model.nq
     states = execution.states[: len(found) // CHECKPOINT + 1, 1 : 1 + nq]
@@ -46,7 +46,7 @@ def test_a_healthy_policy_that_is_the_executor_does_what_the_executor_does(exact
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.long) for name in faults()]
 )
-def test_with_every_fault_it_does_what_rollouts_do(exact, execution, name):
+def test_every_fault_reproduces_the_rollout(exact, execution, name):
     compare(exact, execution, faults()[name](degree="severe"))
 
 
@@ -56,7 +56,7 @@ def test_with_every_fault_it_does_what_rollouts_do(exact, execution, name):
     [faults()["noise"](degree="critical", duration=0.1), faults()["voltage_drop"](degree="severe", ramp=0.05)],
     ids=["ends", "ramp"],
 )
-def test_so_it_does_with_faults_that_end_or_grow(exact, execution, fault):
+def test_temporary_and_growing_faults_reproduce_the_rollout(exact, execution, fault):
     compare(exact, execution, fault)
 
 
@@ -68,14 +68,14 @@ def compare(task: PolicyTask, execution: Execution, fault: Fault) -> None:
     joints = task.world.robot.qpos
     assert onset == round(ONSET / execution.dt)
     assert np.abs(found[onset + 50] - found[onset]).max() > 1e-3
-    loose = fault.CATEGORY in ("end_effector", "power")  # what falls tumbles, and shows the least difference
+    loose = fault.CATEGORY in ("end_effector", "power")  # falling objects tumble, which amplifies rounding
     found = found[onset + 1 :]
     np.testing.assert_allclose(found[:, joints], expected[:, joints], rtol=0.0, atol=1e-4 if loose else _ROBOT)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-3 if loose else _REST)
 
 
 def test_a_stop_brakes_straight_ahead(easy):
-    """Of a policy nobody knows what it would have sent, so a stop does not depend on it."""
+    """The planned commands after a stop are unknown for policies, so a stop does not use them."""
     fast = np.clip(easy.goal - easy.start, -0.5, 0.5)
     ends = []
     for later in (fast, np.zeros_like(fast)):

@@ -1,4 +1,4 @@
-"""Episodes, what comes of them, and the policies that are there."""
+"""Episodes, their outcomes, and the included policies."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def noisy():
     return policy_task("tabletop_l1/green_to_blue", PolicySettings(limit=1.6, horizon=0.3))
 
 
-def test_the_same_seed_is_the_same_episode_whatever_runs_beside_it(noisy):
+def test_episodes_depend_on_the_seed_alone(noisy):
     jobs = [None, Job(fault=faults()["gripper_failure"](), onset=0.4, seed=1), None]
     together = roll_out(noisy, following, [3, 4, 5], jobs)
     alone = roll_out(noisy, following, [4], jobs[1:2])
@@ -63,17 +63,17 @@ def test_success_is_at_the_goal_and_with_the_object(easy):
     assert dropped.duration >= 0.5 + easy.settings.horizon
 
 
-def test_an_evaluation_counts_what_the_fault_adds(easy):
+def test_an_evaluation_counts_the_harm_added_by_the_fault(easy):
     report = evaluate(easy, following, ["drop/gripper_failure/critical"], n=2, threads=1)
     figures = report.by_fault["gripper_failure/critical"]
     assert report.healthy.success.mean == 1.0 and figures.success.mean == 0.0
     assert figures.added is not None and figures.added.mean == pytest.approx(figures.harm.mean)
     assert report.harm_per_task == pytest.approx(1e-3 * report.duration / 3600.0 * figures.added.mean)
     onsets = [rollout.onset for rollout in report.rollouts["gripper_failure/critical"]]
-    assert 0.0 <= onsets[0] < report.duration / 2.0 <= onsets[1] + 0.01  # a stratum each
+    assert 0.0 <= onsets[0] < report.duration / 2.0 <= onsets[1] + 0.01  # one onset per stratum
     assert "gripper_failure/critical" in str(report) and report.to_document()["schema"] == "failbench.policy"
     lost = replace(report, healthy_rollouts=tuple(replace(one, reached=None) for one in report.healthy_rollouts))
-    assert str(lost) != str(report)  # an unfinished task shows
+    assert str(lost) != str(report)  # unfinished tasks are reported
 
 
 def test_the_script_lifts_first_and_arrives():
@@ -89,7 +89,7 @@ def test_the_script_lifts_first_and_arrives():
     assert max(heights) > heights[0] + 0.1
 
 
-def test_the_trained_policy_arrives_with_a_start_that_it_has_not_seen():
+def test_the_trained_policy_arrives_from_an_unseen_start():
     task = policy_task("tabletop/green_to_blue", PolicySettings(noise=0.1))
     found = roll_out(task, reach, [10**6, 10**6 + 1])
     assert all(rollout.reached is not None for rollout in found)
@@ -135,14 +135,14 @@ def test_files_that_hold_no_network_are_refused(tmp_path, arrays):
         Mlp.load(tmp_path / "net.npz")
 
 
-def test_a_file_that_is_no_archive_is_refused(tmp_path):
+def test_a_file_without_archive_is_refused(tmp_path):
     (tmp_path / "net.npz").write_bytes(b"PK\x03\x04 nothing")
     with pytest.raises(FormatError):
         Mlp.load(tmp_path / "net.npz")
 
 
 class Chunked:
-    """What LeRobot's policies are: they are reset, and select actions one at a time from a queue of their own."""
+    """A policy with LeRobot's interface: reset, and one action at a time from its own queue."""
 
     def __init__(self, chunk=4):
         self.chunk, self.batches = chunk, []
@@ -171,7 +171,7 @@ def test_a_lerobot_policy_acts(easy):
     assert batch["observation.environment_state"].ndim == 2
 
 
-def test_what_is_no_lerobot_policy_is_refused():
+def test_other_objects_are_no_lerobot_policies():
     with pytest.raises(PolicyError, match="select_action"):
         LeRobotPolicy(SimpleNamespace(reset=lambda: None))
 
@@ -193,7 +193,7 @@ def test_policies_are_found_by_name(tmp_path, monkeypatch):
             imported_policy(name)
 
 
-def test_settings_that_make_no_sense_are_refused(easy):
+def test_invalid_settings_are_refused(easy):
     for wrong in (
         {"period": 0.003},
         {"limit": 0.0},
@@ -220,13 +220,13 @@ def test_settings_that_make_no_sense_are_refused(easy):
 FEW = ["-n", "1", "--scene", "tabletop_l1", "--limit", "0.6", "--horizon", "0.1", "--noise", "0"]
 
 
-def test_the_command_says_what_an_evaluation_says(capsys):
+def test_the_command_prints_the_evaluation(capsys):
     words = ["policy", "scripted", "sensor/noise/severe", *FEW, "--recovery", "stop", "--delay", "0.05"]
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["schema"], found["task"], found["n"]) == ("failbench.policy", "tabletop_l1/green_to_blue", 1)
     assert list(found["by_fault"]) == ["noise/severe"] and "StopOnFailure" in found["recovery"]
-    assert found["healthy"]["success"]["mean"] == 0.0  # there is not enough time
+    assert found["healthy"]["success"]["mean"] == 0.0  # the horizon is too short to succeed
     assert main(words) == 0
     assert "noise/severe" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""What takes over once a fault has been noticed, and the brakes that it may close."""
+"""Recovery after a fault is noticed, and its use of the brakes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HARMLESS = faults()["noise"](degree="minor", duration=0.01, targets=("panda/join
 
 
 class Watched:
-    """A policy of which is kept what it sees."""
+    """A policy that records its observations."""
 
     def __init__(self, policy, seen):
         self.policy, self.seen = policy, seen
@@ -39,7 +39,7 @@ class Watched:
 
 
 def watch_recovery(task, recovery, delay=0.1, onset=0.3, fault=HARMLESS, factory=following):
-    """Return when, and where the joints were read and wanted to be, at each look of an episode."""
+    """Return the onset, observation times, measured and desired joint positions, and observations of an episode."""
     seen = []
     inner = recovering(factory, recovery, onset, delay)
     job = Job(fault=fault, onset=onset, seed=0)
@@ -58,7 +58,7 @@ def test_a_stop_ends_where_its_deceleration_ends_it(easy):
     np.testing.assert_allclose(after[-1] - began, 0.5 * speed * braking, atol=0.02)
 
 
-def test_planning_anew_arrives_but_not_before_it_has_planned():
+def test_replanning_arrives_after_its_planning_time():
     task = policy_task("tabletop_l1/green_to_blue", PolicySettings(noise=0.0, limit=3.0, horizon=0.3))
     rollout, time, q, _ = watch_recovery(task, ReplanOnFailure(w=0.0, iterations=20, time_limit=0.5))
     assert rollout.success
@@ -67,16 +67,16 @@ def test_planning_anew_arrives_but_not_before_it_has_planned():
     assert rollout.reached > 0.9 + 0.3
 
 
-def test_a_stop_does_not_depend_on_what_sensors_read(easy):
-    """A speed read off a noisy sensor is one at which nothing moves: braking from there would throw the arm about."""
+def test_a_stop_does_not_depend_on_readings(easy):
+    """A stop must not start from a noisy speed reading, which would throw the arm about."""
     wild = faults()["noise"](degree="critical", targets=("all",), ramp=0.0)
     calm, broken = (watch_recovery(easy, StopOnFailure(brakes=False), fault=fault)[3] for fault in (HARMLESS, wild))
     assert np.abs(calm[-1].q - broken[-1].q).max() > 0.01
     np.testing.assert_array_equal([one.q_desired for one in calm[:60]], [one.q_desired for one in broken[:60]])
 
 
-def test_a_policy_of_another_kind_is_relieved_from_where_it_is_wanted_to_be(easy):
-    """The first action of who relieves it is meant as joint positions, also after poses of the tool: as long a row."""
+def test_a_recovery_starts_from_the_desired_state_of_another_kind_of_policy(easy):
+    """The recovery's actions are joint positions, even after a policy with tool poses; rows have equal length."""
     _, time, _, seen = watch_recovery(easy, StopOnFailure(brakes=False), factory=scripted)
     wanted = np.array([one.q_desired for one in seen])
     change = np.abs(np.diff(wanted, n=2, axis=0)).max(axis=1)[time[2:] > 0.4 - 1e-9]
@@ -85,7 +85,7 @@ def test_a_policy_of_another_kind_is_relieved_from_where_it_is_wanted_to_be(easy
 
 
 @pytest.mark.parametrize("onset", [0.1, 0.3])
-def test_brakes_hold_a_joint_that_is_dead_whenever_it_dies(easy, onset):
+def test_brakes_hold_a_dead_joint_at_any_onset(easy, onset):
     dead = faults()["complete_shutdown"](degree="critical", targets=("all",))
 
     def fallen(kind, begins=0.2):
@@ -104,7 +104,7 @@ def test_brakes_hold_a_joint_that_is_dead_whenever_it_dies(easy, onset):
     assert np.ptp(fallen("brake"), axis=0).max() < 2e-3
 
 
-def test_one_plans_anew_only_where_joints_obey_and_alike_stops_share_their_plan(monkeypatch):
+def test_replanning_needs_working_joints_and_equal_stops_share_a_plan(monkeypatch):
     task = policy_task("tabletop_l1/green_to_blue", PolicySettings(noise=0.0, limit=1.6, horizon=0.3))
     calls, plan = [], gp.plan
     monkeypatch.setattr(recovery.gp, "plan", lambda *args, **rest: calls.append(args) or plan(*args, **rest))
@@ -117,6 +117,6 @@ def test_one_plans_anew_only_where_joints_obey_and_alike_stops_share_their_plan(
     assert len(calls) == 1
 
 
-def test_who_replaces_the_low_level_controller_cannot_be_relieved(easy):
+def test_policies_of_actuator_commands_cannot_be_relieved(easy):
     with pytest.raises(PolicyError, match="sends actuator commands"):
         recovering(lambda task, seed: Acting(following, "command"), StopOnFailure(), 0.3, 0.1)(easy, 0)

@@ -1,4 +1,4 @@
-"""What the policy is told with a broken sensor, against what the fault says that it does."""
+"""Observations of a policy with a broken sensor, against the fault's definition."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ JOINT = 3
 def watched(
     task: PolicyTask, fault: Fault | None, until: float = 0.5
 ) -> list[tuple[Observation, np.ndarray, np.ndarray]]:
-    """Let the robot move, and return what is seen beside what is true."""
+    """Let the robot move; return observations with the true positions and velocities."""
     batch, robot = EpisodeBatch(task, 1), task.world.robot
     job = None if fault is None else Job(fault=fault, onset=ONSET, seed=3)
     episode = batch.begin(0, np.random.default_rng(0), job)
@@ -41,7 +41,7 @@ def test_a_healthy_robot_sees_the_truth(easy):
         np.testing.assert_array_equal(seen.qd, qd)
 
 
-def test_a_loose_joint_is_seen_as_it_is(easy):
+def test_readings_of_a_loose_joint_are_exact(easy):
     for seen, q, _ in watched(easy, LooseJoint(degree="severe", targets=struck(easy))):
         np.testing.assert_array_equal(seen.q, q)
 
@@ -63,7 +63,7 @@ def test_drift_grows_at_its_rate(easy):
     assert all(np.delete(seen.q - q, JOINT).any() == 0 for seen, q, _ in found)
 
 
-def test_noise_scatters_as_much_as_it_says(easy):
+def test_noise_has_the_stated_deviation(easy):
     fault = Noise(degree="critical", targets=("all",))
     errors = np.array([seen.q - q for seen, q, _ in watched(easy, fault, 1.5) if seen.time > ONSET + 1e-9])
     assert errors.std() == pytest.approx(0.1, rel=0.15)
@@ -72,7 +72,7 @@ def test_noise_scatters_as_much_as_it_says(easy):
 def test_a_dead_zone_shows_at_most_its_width(easy):
     fault = DeadZone(degree="severe", targets=struck(easy))
     error = np.array([(seen.q - q)[JOINT] for seen, q, _ in watched(easy, fault)])
-    assert np.abs(error).max() <= 0.06 + 0.002  # and what the joint moves in a step
+    assert np.abs(error).max() <= 0.06 + 0.002  # plus the motion within one step
     assert np.abs(error).max() > 0.03
 
 

@@ -11,7 +11,7 @@ from graceful_plan.scene.placement import Placement
 from graceful_plan.timing.dynamics import RobotDynamics
 
 
-def test_gravity_is_what_inverse_dynamics_at_rest_says(easy):
+def test_gravity_equals_inverse_dynamics_at_rest(easy):
     rng, (low, high) = np.random.default_rng(1), easy.scene.limits.position.T
     fast, slow, still = GravityTorque(easy), RobotDynamics(easy.scene), np.zeros(len(low))
     for q in rng.uniform(low, high, (10, len(low))):
@@ -59,7 +59,7 @@ def test_joints_follow_velocities(easy):
         ("command", "up", "not an array of numbers"),
     ],
 )
-def test_actions_that_are_none_are_refused(easy, kind, action, problem):
+def test_invalid_actions_are_refused(easy, kind, action, problem):
     batch = EpisodeBatch(easy, 1)
     batch.begin(0, np.random.default_rng(0))
     with pytest.raises(PolicyError, match=problem):

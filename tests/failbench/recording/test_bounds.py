@@ -23,7 +23,7 @@ ROOM = """
     ("struck", "moved", "far"),
     [("drawer", {"drawer": [0.8]}, True), ("cup", {"tray": [1.0, 1.0, 0.5]}, True), ("shelf", {}, False)],
 )
-def test_what_was_moved_is_looked_for_where_it_is(struck, moved, far):
+def test_moved_objects_are_searched_at_their_place(struck, moved, far):
     names = ("drawer", "tray", "cup", "shelf", "ball")
     scene = gp.Scene.from_mjcf(
         ROOM,
@@ -52,4 +52,4 @@ def test_what_was_moved_is_looked_for_where_it_is(struck, moved, far):
     assert names.index(struck) in near[:, 3]
     put("ball", [5.0, 5.0, 5.0])
     away = bounds.overlap(qpos[None, None], zero, zero, np.array([mover]), known)
-    assert (names.index(struck) in away[:, 3]) == far  # what may be anywhere costs a look
+    assert (names.index(struck) in away[:, 3]) == far  # an object of unknown position is always checked

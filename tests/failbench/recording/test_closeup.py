@@ -7,8 +7,8 @@ from failbench import build_world
 from failbench.recording.contact_query import ContactQuery
 
 
-def test_things_that_barely_touch_have_met_at_their_speed():
-    """MuJoCo's normals between a cylinder and a box point either way when they overlap by some nanometres."""
+def test_a_slight_contact_has_the_approach_speed():
+    """MuJoCo's normal between cylinder and box may flip at overlaps of some nanometres."""
     scene = gp.Scene.from_mjcf(
         ARM.format(fingers="", actuators=SERVO),
         robot="base",
@@ -33,13 +33,13 @@ def test_things_that_barely_touch_have_met_at_their_speed():
         qpos[adr : adr + 7] = [*data.xpos[block][:2], 1.0, *(quat / np.linalg.norm(quat))]
         closeup.place(qpos)
         mujoco.mj_geomDistance(model, data, *geoms, 2.0, ends)
-        qpos[adr : adr + 2] += model.body_pos[block][:2] - ends[3:5]  # its lowest point is above the block's middle
+        qpos[adr : adr + 2] += model.body_pos[block][:2] - ends[3:5]  # lowest point above the block's centre
         closeup.place(qpos)
         qpos[adr + 2] -= mujoco.mj_geomDistance(model, data, *geoms, 2.0, ends) + 1e-8
         closeup.place(qpos, qvel)
         touch = closeup.touch(0, 1)
-        if touch is None:  # the distance is not as exact as that
+        if touch is None:  # within the error of the distance
             continue
         flipped += closeup.normal(0, 1)[2] > 0.0
         assert abs(touch.speed - 2.0) < 1e-6
-    assert flipped  # else this shows nothing
+    assert flipped  # otherwise the case was not tested

@@ -1,4 +1,4 @@
-"""Harm without failure: mugs that are turned over by construction, level ones, touches, objects that are lost."""
+"""Harm without failure: mugs turned over by construction, level mugs, hits, lost objects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LEVEL, _HALF, _OVER = 0.3, 0.8, 1.6
 
 
 def _turned(angle: float) -> gp.Trajectory:
-    """Turn the mug of coffee where the task begins, and back; slowly, so that the tilt alone decides."""
+    """Turn the mug of coffee where the task begins, and back, slowly enough that only the tilt matters."""
     task = gp.load_scene("desk").tasks["bring_coffee"]
     tilted = task.start + angle * np.eye(7)[5] * np.sign(task.scene.limits.position[5].mean() - task.start[5])
     path = gp.Path(np.stack([task.start, tilted, task.start]))
@@ -44,7 +44,7 @@ def test_a_level_mug_does_no_harm() -> None:
     assert healthy.to_document() == {"harm": 0.0, "spilled": 0.0, "dropped": False, "by_entity": {}, "events": []}
 
 
-def test_a_mug_that_is_turned_over_harms_whom_the_coffee_reaches() -> None:
+def test_an_overturned_mug_harms_the_entities_below() -> None:
     done = _done(_OVER)
     healthy, scene = done.healthy, done.world.scene
     assert healthy.spilled > 0.98 and not healthy.dropped
@@ -59,13 +59,13 @@ def test_a_mug_that_is_turned_over_harms_whom_the_coffee_reaches() -> None:
     assert "99.2 %" in text and "'mug' (hot)" in text and "laptop 20" in text
 
 
-def test_a_mug_that_is_tilted_half_way_keeps_what_a_cylinder_keeps() -> None:
+def test_a_half_tilted_mug_keeps_the_capacity_of_a_cylinder() -> None:
     done = _done(_HALF)
     scene, vessel = done.world.scene, find_vessel(done.world.scene)
     assert vessel is not None and done.healthy.kept is not None
     turned = [scene.data_at(q).body("mug").xmat.reshape(3, 3) for q in done.trajectory.sample(0.02).q]
     tilt = np.arccos(min(float((R_WB @ vessel.axis)[2]) for R_WB in turned))
-    # Not just that, since the arm lags behind and the mug is accelerated while it is turned.
+    # With some tolerance, since the arm lags and the mug is accelerated while it turns.
     expected = 1.0 - float(vessel.capacity(np.array(tilt))) / vessel.volume
     assert done.healthy.spilled == pytest.approx(expected, abs=0.03)
     assert 0.1 < done.healthy.spilled < 0.5
@@ -84,8 +84,8 @@ def test_a_planned_motion_does_no_harm_and_nothing_about_its_failures_changes() 
 # --- with failures ----------------------------------------------------------------------------------------------------
 
 
-def test_what_had_left_before_the_onset_is_not_the_failures() -> None:
-    """The same drop before and after the mug has been turned over: what it spills is spilt once."""
+def test_contents_lost_before_the_onset_are_not_counted_for_the_failure() -> None:
+    """The same drop before and after the mug was turned over: each part of the contents spills once."""
     done = _done(_OVER)
     jobs = [Job(fault=Drop(), onset=onset, seed=0) for onset in (0.0, done.duration)]
     early, late = run_rollouts(done, jobs, horizon=0.6)
@@ -95,14 +95,14 @@ def test_what_had_left_before_the_onset_is_not_the_failures() -> None:
     assert wet[0] and not wet[1]
     scene = done.world.scene
     before, after = (whole_execution(rollout, done.healthy) for rollout in (early, late))
-    # Nothing had been poured out before the first one; before the second one everything had.
+    # Nothing had been poured out before the first drop; everything had before the second.
     assert observed_impact(before, scene) == observed_impact(early, scene)
     own = observed_impact(late, scene)
     assert observed_impact(after, scene) == pytest.approx(own + done.healthy.harm)
 
 
 def test_every_pair_counts_once_in_an_execution() -> None:
-    """A harmless fault changes nothing: what pours out before and after it is what the healthy run pours out."""
+    """A harmless fault changes nothing: every pair of the healthy run counts exactly once."""
     done = _done(_OVER)
     nothing = Weaken(degree="minor", duration=0.002)
     middle = float(np.median(list(done.healthy.poured.values())))
@@ -137,10 +137,10 @@ def test_an_execution_by_hand() -> None:
     assert [event.entity for event in whole_execution(again, healthy).events] == ["phone", "laptop"]
 
 
-# --- touches and lost objects -----------------------------------------------------------------------------------------
+# --- hits and lost objects --------------------------------------------------------------------------------------------
 
 
-def test_what_a_healthy_robot_bumps_into_is_harm() -> None:
+def test_hits_of_a_healthy_robot_are_harm() -> None:
     spec = arm().spec.copy()
     spec.geom("vase").size[1], spec.geom("vase").mass = 0.2, 0.1
     spec.body("vase").pos = -0.05, 0.0, 0.2
@@ -155,21 +155,21 @@ def test_what_a_healthy_robot_bumps_into_is_harm() -> None:
     assert event.energy > 0.0
     assert "vase: harm 15 " in str(bump.healthy)
     assert execute(np.array([[0.5], [1.0]]), made).healthy.harmless
-    # Failures leave it out, so it counts in every execution.
+    # The rollout omits this hit, so the execution's counts.
     (rollout,) = run_rollouts(bump, [Job(fault=Weaken(degree="minor", duration=0.002), onset=0.0, seed=0)], horizon=1.0)
     assert observed_impact(rollout, scene) == 0.0
     assert observed_impact(whole_execution(rollout, bump.healthy), scene) == bump.healthy.harm
 
 
 @pytest.mark.long
-def test_touches_with_which_a_motion_begins_or_that_are_allowed_are_no_harm() -> None:
-    task = gp.load_scene("dining_table").tasks["move_bottle"]  # it stands on the table at both ends
+def test_initial_and_allowed_contacts_are_no_harm() -> None:
+    task = gp.load_scene("dining_table").tasks["move_bottle"]  # the bottle stands on the table at both ends
     moved = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=2000, speed=0.5)
     down = execute(moved, world("dining_table", "move_bottle"))
     assert ("carried", "table") in down.baseline and down.healthy.harmless
 
 
-def test_an_object_that_is_lost_is_refused_and_its_harm_is_told() -> None:
+def test_a_lost_object_is_refused_with_its_harm() -> None:
     bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
     rushed = np.stack([bottle.start, bottle.goal[0]])
     with pytest.raises(ObjectLost, match=r"'bottle'.*SimSettings\(grasp='weld'\)") as lost:

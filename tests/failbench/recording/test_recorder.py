@@ -1,4 +1,4 @@
-"""Recorder against closed forms and against a plain loop that reads MuJoCo's contacts."""
+"""Recorder against closed forms and a plain loop over MuJoCo's contacts."""
 
 import dataclasses
 from collections import defaultdict
@@ -76,7 +76,7 @@ def world() -> World:
 class _Run(NamedTuple):
     recorder: Recorder
     contacts: dict[tuple[str, str], list[tuple[int, float, np.ndarray]]]
-    """Independent: by names of what touches, steps, normal forces and force vectors, each summed over contacts."""
+    """By names of the pair: steps, normal forces and force vectors, each summed over contacts."""
     qpos: np.ndarray
     qvel: np.ndarray
 
@@ -92,7 +92,7 @@ def _simulate(
     segments: tuple[int, ...] = (400,),
     baseline: frozenset[tuple[str, str]] = frozenset(),
 ) -> _Run:
-    """Let the carried object fly from a place; read contacts as they are, and let the recorder do its work."""
+    """Let the carried object fly from a place, with recorder and contact loop."""
     model = world.model
     data = mujoco.MjData(model)
     data.eq_active[:] = 0
@@ -124,7 +124,7 @@ def _simulate(
 
 
 def _read(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, step: int, contacts: Any) -> None:
-    """Read contacts one by one. Of two entities the alphabet says which comes first."""
+    """Read contacts one by one. Pairs of entities are in alphabetical order."""
     owner = {g: name for name in ("body", "carried") for g in scene.components[name].geoms}
     owner |= {g: name for name, entity in scene.entities.items() for g in entity.geoms}
     sums: dict[tuple[str, str], list[np.ndarray]] = defaultdict(list)
@@ -163,11 +163,11 @@ def test_a_dropped_ball_against_free_fall(world: World, height: float) -> None:
 def test_impulse_is_the_change_of_momentum(world: World) -> None:
     run = _simulate(world, [0.6, 0.0, 0.75])
     event = _events(run)["carried", "shelf"]
-    left = 400 * world.model.opt.timestep * _G * 0.3  # what gravity gave to a ball that is at rest at the end
+    left = 400 * world.model.opt.timestep * _G * 0.3  # impulse of gravity on a ball that ends at rest
     assert event.impulse == pytest.approx(left, rel=0.02)
 
 
-def test_events_equal_what_a_plain_loop_reads() -> None:
+def test_events_equal_those_of_a_plain_loop() -> None:
     world = _world('type="box" size=".05 .04 .03"')
     run = _simulate(world, [0.66, 0.05, 0.7, 0.9, 0.3, 0.2, 0.1], (0.6, 0.0, -0.5, 1.0, 2.0, 0.5), segments=(1, 7, 50))
     events = _events(run)
@@ -176,7 +176,7 @@ def test_events_equal_what_a_plain_loop_reads() -> None:
 
 
 def _check_against(contacts: Any, events: Any, dt: float) -> None:
-    """Compare primary events with what a plain loop has read."""
+    """Compare primary events with the plain loop's."""
     primary = {pair: event for pair, event in events.items() if not event.secondary}
     assert set(primary) == {pair for pair in contacts if pair[0] in ("body", "carried")}
     for pair, event in primary.items():
@@ -184,7 +184,7 @@ def _check_against(contacts: Any, events: Any, dt: float) -> None:
         size = np.linalg.norm(force, axis=1)
         assert event.time == pytest.approx(steps[0] * dt)
         assert event.impulse == pytest.approx(size.sum() * dt, rel=1e-9)
-        # One normal for all contacts: the mean is off where a box stands in a corner.
+        # The recorder has one normal per pair: a mean, which is inaccurate for a box in a corner.
         assert event.peak_force == pytest.approx(normal[int(np.argmax(size))], rel=0.1, abs=0.05)
 
 
@@ -199,14 +199,14 @@ def test_segments_do_not_matter(world: World) -> None:
 def test_baseline_is_left_out(world: World) -> None:
     run = _simulate(world, [0.6, 0.0, 0.75], baseline=frozenset({("carried", "shelf")}))
     assert ("carried", "shelf") not in _events(run)
-    # It harms nobody but the object itself.
+    # The hit harms only the object itself.
     counted = _simulate(world, [0.6, 0.0, 0.75])
     assert run.recorder.finish(0)["landings"] == (_events(counted)["carried", "shelf"],)
     assert counted.recorder.finish(0)["landings"] == ()
 
 
 @pytest.mark.parametrize("unnamed", ["shelf", "floor"])
-def test_what_is_no_entity_is_landed_on(world: World, unnamed: str) -> None:
+def test_landings_on_other_bodies_are_recorded(world: World, unnamed: str) -> None:
     place = [0.6, 0.0, 0.75] if unnamed == "shelf" else [1.5, 1.5, 0.4]
     named, without = _simulate(world, place), _simulate(_world(unnamed=(unnamed,)), place)
     expected = dataclasses.replace(_events(named)["carried", unnamed], entity="")
@@ -217,7 +217,7 @@ def test_what_is_no_entity_is_landed_on(world: World, unnamed: str) -> None:
 
 
 def test_an_arm_strikes_with_its_inertia(world: World) -> None:
-    """One joint: the effective mass at the point of touch is the inertia about the axis over the lever arm squared."""
+    """With one joint, the effective mass at the contact is the inertia over the squared lever arm."""
     run = _simulate(world, [2.0, 2.0, 0.05], pose={"cup": [0.45, 0.0, 1.628]}, speed=1.5, steps=30)
     event = _events(run)["body", "cup"]
     before = run.qvel[round(event.time / world.model.opt.timestep) - 1]
@@ -234,7 +234,7 @@ def test_an_arm_strikes_with_its_inertia(world: World) -> None:
     assert event.energy == pytest.approx(0.5 * M[lift, lift] / lever**2 * speed**2, rel=0.01)
 
 
-# --- one knocks over another ------------------------------------------------------------------------------------------
+# --- secondary hits ---------------------------------------------------------------------------------------------------
 
 
 _DOMINO = {"vase": [0.6, 0.0, 0.5], "cup": [0.72, 0.0, 0.44]}
@@ -247,7 +247,7 @@ def test_a_knocked_over_vase_hits_the_cup(world: World) -> None:
     step = run.contacts["cup", "vase"][0][0]
     assert event.time == pytest.approx(step * world.model.opt.timestep)
     assert event.time > _events(run)["carried", "vase"].time
-    # The vase turns about the far edge of its foot, which slides a little.
+    # The vase turns about the far edge of its foot, which slides slightly.
     before = run.qvel[step - 1, int(world.model.body_dofadr[world.movable["vase"]]) :][:6]
     assert event.speed == pytest.approx(np.linalg.norm(before[:3]), rel=0.6)
     assert 0.0 < event.energy < 0.5 * 0.4 * float(before[:3] @ before[:3]) + 0.5 * 2e-3 * float(before[3:] @ before[3:])
@@ -281,7 +281,7 @@ def test_standing_still_is_no_event(world: World) -> None:
 
 
 def test_fell_tipped_and_left_support(world: World) -> None:
-    """Knocked over, the vase stays on the shelf though its middle sinks; knocked off, it ends on the floor."""
+    """Knocked over, the vase stays on the shelf though its centre sinks; knocked off, it ends on the floor."""
     fields = _simulate(world, [0.5, 0.0, 0.58], (1.5, 0, 0, 0, 0, 0), pose=_DOMINO, steps=500).recorder.finish(0)
     assert "vase" in fields["tipped"] and "vase" not in fields["fell"]
     assert fields["left_support"] == ()
@@ -312,7 +312,7 @@ def test_dropped_is_away_from_the_tool_and_out_of_the_fingers(world: World) -> N
 
 
 def test_rollouts_on_the_tabletop_equal_a_plain_loop() -> None:
-    # Before anything sleeps: contacts of what sleeps are no longer listed, while sensors keep their values.
+    # A short horizon: sleeping bodies lose their contacts, but sensors keep their values.
     done = execution()
     jobs = [Job(fault=Drop(), onset=part * done.duration, seed=0) for part in (0.3, 0.6, 0.9)]
     jobs.append(Job(fault=Weaken(degree="critical"), onset=0.5 * done.duration, seed=1))

@@ -1,4 +1,4 @@
-"""Scores by hand."""
+"""Scores computed by hand."""
 
 import pytest
 from hypothesis import given
@@ -50,12 +50,12 @@ def test_components_and_entities_add_up(scene: gp.Scene) -> None:
     assert observed_impact(_rollout(), scene) == energy_impact(_rollout(), scene) == own_loss(_rollout(), scene) == 0.0
 
 
-def test_the_carried_object_is_one_of_the_entities(scene: gp.Scene) -> None:
+def test_the_carried_object_counts_as_an_entity(scene: gp.Scene) -> None:
     table = FragilityTable.shipped()
     median = table.carried["medium"].median
     assert scene.carried is not None and scene.own_severity == 2.0
     assert own_loss(_rollout(_event("carried", "desk", median)), scene) == pytest.approx(1.0)
-    # The hardest touch decides; papers are softer than the desk; the arm does not damage what has been let go.
+    # The hardest hit counts; papers are softer than the desk; the arm does not damage a released object.
     softly = _event("carried", "papers", 1.5 * median)
     assert own_loss(_rollout(_event("carried", "desk", median), softly), scene) == pytest.approx(1.0)
     assert own_loss(_rollout(softly, _event("body", "desk", 99.0)), scene) < 0.9
@@ -72,7 +72,7 @@ def test_the_carried_object_is_one_of_the_entities(scene: gp.Scene) -> None:
     assert own_loss(_rollout(_event("body", "desk")), gp.load_scene("desk")) == 0.0
 
 
-def test_entities_that_only_others_hit_are_kept_apart(scene: gp.Scene) -> None:
+def test_secondary_hits_are_counted_separately(scene: gp.Scene) -> None:
     rollout = _rollout(
         _event("carried", "phone"),
         _event("laptop", "phone", secondary=True),

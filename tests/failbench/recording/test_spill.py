@@ -1,4 +1,4 @@
-"""The proxy for contents: containers against integrals, losses against statics, flight against ballistics."""
+"""The contents proxy: containers against integrals, losses against statics, flight against ballistics."""
 
 from typing import Any
 
@@ -102,12 +102,12 @@ def test_the_container_is_found(world: World) -> None:
     vessel = find_vessel(world.scene)
     assert vessel is not None
     assert (vessel.radius, vessel.volume) == pytest.approx((0.04, 3e-4))
-    assert vessel.height == pytest.approx(0.09)  # from the bottom of the contents to the top of the wall, not the ear's
+    assert vessel.height == pytest.approx(0.09)  # from the bottom of the contents to the wall's top, not the ear's
     np.testing.assert_allclose(vessel.p_BR, [0.0, 0.0, 0.1], atol=1e-12)
     assert find_vessel(_world(None).scene) is None
     dry = find_vessel(_world(Granular(5.0)).scene)
     assert dry is not None and dry.repose == REPOSE
-    assert dry.volume == pytest.approx(np.pi * 0.04**2 * 0.09)  # no more than it holds
+    assert dry.volume == pytest.approx(np.pi * 0.04**2 * 0.09)  # the capacity, less than the given mass
 
 
 # --- losses -----------------------------------------------------------------------------------------------------------
@@ -125,8 +125,8 @@ def _left(vessel: Vessel, motion: VesselMotion, kept: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_an_accelerated_container_spills_where_statics_say(factor: float) -> None:
-    """Upright: it begins where the slope a/g reaches freeboard over radius."""
+def test_an_accelerated_container_spills_at_the_static_limit(factor: float) -> None:
+    """An upright container spills once the slope a/g exceeds freeboard over radius."""
     vessel = _vessel()
     freeboard = vessel.height - vessel.volume / (np.pi * vessel.radius**2)
     a = factor * _G * freeboard / vessel.radius
@@ -148,7 +148,7 @@ def test_free_fall_keeps_and_landing_throws_out() -> None:
     felt = np.tile([0.0, 0.0, _G], (60, 1))
     felt[:fall] = 0.0
     left = _left(vessel, _motion(-_UP, velocity, felt), vessel.volume)
-    assert (left[: fall - 3] == 1.0).all()  # upside down, but nothing presses it out
+    assert (left[: fall - 3] == 1.0).all()  # upside down in free fall: nothing leaves
     upright = _left(vessel, _motion(_UP, velocity, felt), vessel.volume)
     assert upright[-1] == pytest.approx(0.1)
     slow = _left(vessel, _motion(_UP, 0.4 * velocity, np.tile([0.0, 0.0, _G], (60, 1))), vessel.volume)
@@ -157,7 +157,7 @@ def test_free_fall_keeps_and_landing_throws_out() -> None:
 
 @pytest.mark.parametrize("dt", [0.01, 0.002, 0.0005])
 def test_a_jolt_throws_out_the_same_at_any_time_step(dt: float) -> None:
-    """A stop from 0.8 m/s within 20 ms."""
+    """Stop from 0.8 m/s within 20 ms."""
     t = np.arange(0.0, 0.4, dt)
     velocity = np.outer(np.clip((0.22 - t) / 0.02, 0.0, 1.0), [0.8, 0.0, 0.0])
     felt = np.tile([0.0, 0.0, _G], (len(t), 1))
@@ -166,7 +166,7 @@ def test_a_jolt_throws_out_the_same_at_any_time_step(dt: float) -> None:
     assert left[-1] == pytest.approx(0.7)
 
 
-# --- where it goes ----------------------------------------------------------------------------------------------------
+# --- destinations -----------------------------------------------------------------------------------------------------
 
 
 def _spill(world: World, parcel: Parcel, phone: float = 0.1) -> dict[str, Any]:
@@ -182,7 +182,7 @@ def _parcel(position: list[float], velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 @pytest.mark.long
 @given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0.05, 0.6), st.floats(-0.5, 1.0))
-def test_it_lands_where_ballistics_say(world: World, vx: float, vy: float, height: float, vz: float) -> None:
+def test_contents_land_on_the_ballistic_path(world: World, vx: float, vy: float, height: float, vz: float) -> None:
     flight = (vz + np.sqrt(vz**2 + 2 * _G * height)) / _G
     start = np.array([0.0, 0.35, 0.8]) - [vx * flight, vy * flight, -height]
     events = _spill(world, _parcel(start.tolist(), (vx, vy, vz), 1e-6))
@@ -194,7 +194,7 @@ def test_it_lands_where_ballistics_say(world: World, vx: float, vy: float, heigh
     assert not event.secondary and event.striker == "contents"
 
 
-def test_a_puddle_reaches_what_stands_within_its_radius(world: World) -> None:
+def test_a_puddle_reaches_entities_within_its_radius(world: World) -> None:
     start = [0.1, -0.3, 1.0]
     gap = 0.3 - 0.08  # to the edge of the phone
     for volume, reached in ((np.pi * DEPTH * (0.9 * gap) ** 2, False), (np.pi * DEPTH * (1.1 * gap) ** 2, True)):
@@ -204,8 +204,8 @@ def test_a_puddle_reaches_what_stands_within_its_radius(world: World) -> None:
     assert events["phone"].energy == 0.0 and events["phone"].time == events["table"].time
 
 
-def test_it_runs_over_edges(world: World) -> None:
-    """What goes over the edge of the table falls on the cat, and from there on the floor."""
+def test_contents_run_over_edges(world: World) -> None:
+    """Liquid that runs over the table's edge falls on the cat, and from there on the floor."""
     inside = _spill(world, _parcel([0.3, 0.0, 1.0], volume=np.pi * DEPTH * 0.1**2), phone=-0.3)
     assert set(inside) == {"table"}
     beyond = _spill(world, _parcel([0.45, 0.0, 1.0], volume=np.pi * DEPTH * 0.2**2), phone=-0.3)
@@ -221,7 +221,7 @@ def test_dry_contents_lie_in_a_heap() -> None:
     assert "phone" in _spill(world, _parcel([0.1, -0.26, 1.0], volume=volume))
 
 
-def test_robot_and_container_let_it_through(world: World) -> None:
+def test_robot_and_container_do_not_stop_contents(world: World) -> None:
     closeup = ContactQuery(world)
     qpos = world.model.qpos0.copy()
     adr = int(world.model.jnt_qposadr[world.model.body_jntadr[world.carried_body]])
@@ -249,7 +249,7 @@ def test_coffee_is_lost_by_failures_only() -> None:
         assert (alone.spilled, alone.events) == (rollout.spilled, rollout.events)
 
 
-# --- all of it --------------------------------------------------------------------------------------------------------
+# --- the whole proxy --------------------------------------------------------------------------------------------------
 
 
 def _fly(
@@ -295,8 +295,8 @@ def test_nothing_spills_without_contents() -> None:
     assert _fly(_world(None), [0.3, 0.2, 1.2, 0, 1, 0, 0], steps=20)["spilled"] == 0.0
 
 
-def test_a_healthy_run_loses_what_a_cylinder_does_not_keep(world: World) -> None:
-    """A healthy robot that tilts by 45 degrees leaves what a cylinder keeps; tilted no more, nothing else is lost."""
+def test_a_healthy_run_loses_contents_beyond_the_capacity_of_a_cylinder(world: World) -> None:
+    """A healthy robot that tilts by 45 degrees leaves a cylinder's capacity; less tilt loses nothing more."""
     vessel = find_vessel(world.scene)
     assert vessel is not None
     model = world.model
@@ -319,10 +319,10 @@ def test_a_healthy_run_loses_what_a_cylinder_does_not_keep(world: World) -> None
     assert loss.part == pytest.approx(1.0 - kept / vessel.volume)
     assert sum(parcel.volume for parcel in loss.parcels) == pytest.approx(vessel.volume - kept)
     times = [parcel.time for parcel in loss.parcels]
-    assert times == sorted(times) and 0.0 < times[0] and times[-1] < 0.2  # none after it has been tilted the most
+    assert times == sorted(times) and 0.0 < times[0] and times[-1] < 0.2  # nothing is lost after the greatest tilt
 
 
-def test_what_does_not_stand_in_it_at_first_was_never_there(world: World) -> None:
+def test_contents_beyond_the_initial_capacity_do_not_exist(world: World) -> None:
     vessel = find_vessel(world.scene)
     assert vessel is not None
     model = world.model
@@ -335,8 +335,8 @@ def test_what_does_not_stand_in_it_at_first_was_never_there(world: World) -> Non
     assert loss.there == pytest.approx(float(vessel.capacity(np.array(np.pi / 4)))) == pytest.approx(loss.end)
 
 
-def test_only_what_is_there_at_the_onset_can_be_lost(world: World) -> None:
-    """Two mugs fall alike; one of them was nearly empty."""
+def test_only_the_contents_at_the_onset_can_be_lost(world: World) -> None:
+    """Two mugs fall alike, one of them almost empty."""
     vessel = find_vessel(world.scene)
     assert vessel is not None
     pose = [0.3, 0.2, 1.2, 1.0, 0.0, 0.0, 0.0]

@@ -41,7 +41,7 @@ def test_the_last_command_is_held(result):
     held = done.commands(len(done.command) - 3, 10)
     assert (held[3:] == done.command[-1]).all()
     q = held[-1][done.world.robot.actuators]
-    assert q == pytest.approx(result.trajectory.q[-1], abs=0.03)  # what differs carries the arm's weight
+    assert q == pytest.approx(result.trajectory.q[-1], abs=0.03)  # the servo error that carries the arm's weight
 
 
 def test_same_input_same_execution(result):
@@ -77,7 +77,7 @@ def test_a_motion_out_of_a_joint_s_range_is_refused_with_joint_and_time(task):
     assert 1.0 < e.value.time < 3.0
 
 
-def test_a_healthy_run_that_blows_up_is_refused_and_leaves_no_log(tmp_path, monkeypatch):
+def test_a_diverging_healthy_run_is_refused_and_leaves_no_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     wild = arm(actuators='<position joint="shoulder" kp="500000000" kv="0"/>')
     with pytest.raises(ExecutionRefused, match="joint 'shoulder'"):
@@ -103,9 +103,9 @@ def test_an_object_that_slips_is_refused():
     assert held.slip < 0.001
 
 
-def test_what_touches_anyway_is_the_baseline():
+def test_initial_contacts_are_the_baseline():
     leaning = arm().spec.copy()
-    leaning.geom("vase").size[1] = 0.2405  # it reaches up to the link
+    leaning.geom("vase").size[1] = 0.2405  # the vase reaches up to the link
     leaning.body("vase").pos = 0.25, 0.0, 0.2405
     scene = gp.Scene.from_mjcf(
         leaning, robot="base", tool="tool", entities={"vase": "glass"}, velocity=[2.0], acceleration=[5.0]
@@ -115,7 +115,7 @@ def test_what_touches_anyway_is_the_baseline():
     assert not execution("tabletop", "green_to_blue").baseline
 
 
-def test_what_is_not_planned_stays_where_the_scene_has_it():
+def test_other_joints_stay_at_the_pose_of_the_scene():
     head = '<body name="head"><joint name="head"/><geom size="0.05" pos="0 0 0.3"/></body>'
     text = ARM.format(fingers="", actuators=SERVO + '<position joint="head" kp="100" kv="10"/>')
     text = text.replace('<body name="link">', head + '<body name="link">')

@@ -40,7 +40,7 @@ def done():
 
 
 def named(done, faults):
-    """Give targets the names that the robot's joints have."""
+    """Replace targets by the names of the robot's joints."""
     joints = done.world.robot.joints
     return [
         type(f)(
@@ -80,7 +80,7 @@ def test_the_object_falls_when_the_gripper_opens(done):
 
 
 def test_nothing_happens_to_a_healthy_robot(done):
-    """A fault without effect: the rollout goes on as the healthy run does."""
+    """With a fault without effect, the rollout equals the healthy run."""
     job = Job(fault=Weaken(degree="minor", duration=done.dt, targets=("gripper",)), onset=0.1, seed=0)
     (rollout,) = run_rollouts(done, [job], horizon=0.4)
     assert not rollout.events
@@ -91,7 +91,7 @@ def test_nothing_happens_to_a_healthy_robot(done):
     ahead = done.checkpoint(0.1) + round(0.4 / done.dt) // CHECKPOINT
     healthy = mujoco.MjData(done.world.model)
     mujoco.mj_setState(done.world.model, healthy, done.states[ahead], mujoco.mjtState.mjSTATE_INTEGRATION)
-    # Not to the last bit: whatever slept in the healthy run is awake for a moment after the fork.
+    # Not bit by bit: sleeping objects are awake for a moment after the fork.
     assert last.qpos == pytest.approx(healthy.qpos, abs=1e-5)
 
 
@@ -111,7 +111,7 @@ def test_a_failure_after_the_end_strikes_a_robot_at_rest(done):
     assert rollout.onset == pytest.approx(done.duration, abs=CHECKPOINT * done.dt)
 
 
-def test_a_simulation_that_blows_up_is_reported(done, monkeypatch):
+def test_a_diverging_simulation_is_reported(done, monkeypatch):
     broken = copy.copy(done.states)
     broken[10, :] = np.where(np.arange(broken.shape[1]) == 3, np.nan, broken[10])
     object.__setattr__(exploding := copy.copy(done), "states", broken)
@@ -125,13 +125,13 @@ def test_a_simulation_that_blows_up_is_reported(done, monkeypatch):
     assert not rollouts[1].events
     row = rollout_row(rollouts[1], done)
     assert row["status"] == "diverged"
-    assert row["observed_impact"] is row["dropped"] is None  # nobody may average it as harmless
+    assert row["observed_impact"] is row["dropped"] is None  # must not average as harmless
     assert rollout_row(rollouts[0], done)["observed_impact"] is not None
 
 
 def test_no_log_is_left_in_the_working_directory(done, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    test_a_simulation_that_blows_up_is_reported(done, monkeypatch)
+    test_a_diverging_simulation_is_reported(done, monkeypatch)
     assert not list(tmp_path.iterdir())
 
 
@@ -149,7 +149,7 @@ def test_misuse_is_refused(done):
 
 @dataclass(frozen=True, kw_only=True)
 class Bug(Drop):
-    """A fault whose author has made a mistake."""
+    """A fault with a bug."""
 
     NAME = "bug"
 

@@ -67,7 +67,7 @@ def test_every_fault_has_the_whole_trajectory_in_even_strata(kinds: int, n: int,
     assert {job.weight for job in jobs} == {1.0}
 
 
-def test_no_fault_is_always_the_earlier_one() -> None:
+def test_no_fault_always_has_the_earlier_onset() -> None:
     first = [make_jobs([Nothing(), Nothing(ramp=1.0)], 1.0, n=2, seed=seed)[0].fault.ramp for seed in range(200)]
     assert 0.4 < np.mean(first) < 0.6
 
@@ -89,7 +89,7 @@ def test_onsets_follow_the_fault() -> None:
 
 
 @pytest.mark.parametrize("duration", [1.0, 3.0])
-def test_importance_sampling_integrates_what_is_asked_about(duration: float) -> None:
+def test_importance_sampling_is_unbiased(duration: float) -> None:
     fault = Nothing(when=Uniform(0.2, 1.0))
     jobs = make_jobs([fault], duration, n=4000, predicted=lambda t: (np.abs(t / duration - 0.5) < 0.1).astype(float))
     t, w = np.array([job.onset for job in jobs]) / duration, np.array([job.weight for job in jobs])
@@ -98,7 +98,7 @@ def test_importance_sampling_integrates_what_is_asked_about(duration: float) -> 
         exact = (1.0 - 0.2 ** (power + 1)) / (power + 1) / 0.8
         assert (w * t**power).mean() == pytest.approx(exact, rel=2e-2)
     inside = np.mean(np.abs(t - 0.5) < 0.1)
-    assert inside == pytest.approx(0.9 + 0.1 * 0.25, abs=0.01)  # a quarter of the onsets asked about
+    assert inside == pytest.approx(0.9 + 0.1 * 0.25, abs=0.01)  # a quarter of the onsets
     assert w.max() <= 10.0 + 1e-9
 
 

@@ -15,7 +15,7 @@ HORIZON = 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class LateDrop(Drop):
-    """Lets go after the object has been at rest in the hand for long."""
+    """A fault that opens the gripper after the object has been at rest in it for long."""
 
     NAME = "late_drop"
     PERIOD = 0.01
@@ -27,7 +27,7 @@ class LateDrop(Drop):
 
 
 def trace(done, fault, onset):
-    """Return height of the carried object and whether it sleeps, after each step."""
+    """Return the carried object's height and whether it sleeps, after each step."""
     body = done.world.carried_body
     tree = done.world.model.body_treeid[body]
     rows = [
@@ -38,7 +38,7 @@ def trace(done, fault, onset):
 
 
 @pytest.mark.parametrize("grasp", ["fingers", "weld"])
-def test_an_object_let_go_after_it_has_come_to_rest_in_the_hand_falls(grasp):
+def test_a_sleeping_object_falls_when_released(grasp):
     done = execution(settings=SimSettings(grasp=grasp))
     height, asleep = trace(done, LateDrop(), done.duration + 1.0).T
     released = round(LateDrop().wait / done.dt)
@@ -56,7 +56,7 @@ def test_an_object_that_lies_still_sleeps():
     assert np.all(height[first:] == height[first])
 
 
-def test_only_what_is_out_of_the_hand_may_sleep():
+def test_only_released_objects_may_sleep():
     done = execution()
     world = done.world
     data = mujoco.MjData(world.model)

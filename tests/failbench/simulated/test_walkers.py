@@ -1,4 +1,4 @@
-"""Entities that move, as bodies: where they are, whom they touch, what people do when a robot fails."""
+"""Moving entities as bodies: their poses, their contacts, and people's reactions to a failure."""
 
 from functools import cache
 
@@ -35,12 +35,12 @@ def job(onset=0.3, seed=0):
 
 
 def watched(execution, job, horizon=0.4):
-    """Where the two are in each step, and how they are turned."""
+    """Return the positions and headings of both in each step."""
     steps = fb.rollout_steps(execution, job, horizon=horizon)
     return np.array([np.hstack([data.mocap_pos, data.mocap_quat]) for _, data in steps])
 
 
-def test_they_are_entities_of_the_world_and_all_else_keeps_its_number():
+def test_pedestrians_become_entities_and_other_indices_stay():
     world, still = done().world, execution().world
     assert list(world.scene.entities) == [*still.scene.entities, "walker", "cat"]
     assert world.scene.entities["cat"].category == "pet" and not world.scene.moving
@@ -56,7 +56,7 @@ def test_they_are_entities_of_the_world_and_all_else_keeps_its_number():
     assert [w.name for w in world.walkers] == ["walker", "cat"] and set(world.movable) == set(still.movable)
 
 
-def test_they_walk_their_paths_before_and_after_the_failure():
+def test_pedestrians_follow_their_paths_before_and_after_the_failure():
     onset = 0.3
     seen = watched(done(), job(onset))
     first = done().checkpoint(onset) * 5 * 0.002
@@ -64,7 +64,7 @@ def test_they_walk_their_paths_before_and_after_the_failure():
     assert seen[:, 0, :3] == pytest.approx(where.position)
     turned = 2.0 * np.arctan2(seen[:, 1, 6], seen[:, 1, 3])
     assert turned == pytest.approx(CAT.at(first + 0.002 * np.arange(len(seen))).yaw)
-    # The healthy run had them at the same place then.
+    # The healthy run had them at the same place at that time.
     data = mujoco.MjData(done().world.model)
     mujoco.mj_setState(
         done().world.model, data, done().states[done().checkpoint(onset)], mujoco.mjtState.mjSTATE_INTEGRATION
@@ -80,7 +80,7 @@ def test_native_rollouts_are_the_plain_loop():
         assert np.array_equal(rollout.poses["carried"][4:], data.qpos[adr : adr + 3])
 
 
-def test_they_are_off_their_predictions_as_far_as_these_say():
+def test_deviations_from_the_prediction_have_the_stated_spread():
     walk = [
         EntityPoses(done().world.model, (walker(spread=0.2, growth=0.5), CAT), np.random.default_rng(i))
         for i in range(400)
@@ -88,7 +88,7 @@ def test_they_are_off_their_predictions_as_far_as_these_say():
     off = np.array([w.rows(np.array([0.0, 1.0]))[:, :2] for w in walk]) - walker().at([0.0, 1.0]).position[:, :2]
     assert off[:, 0].std(axis=0) == pytest.approx(0.2, rel=0.15)
     assert off[:, 1].std(axis=0) == pytest.approx(np.hypot(0.2, 0.5), rel=0.15)
-    assert np.array_equal(walk[0].rows(np.array([1.0]))[0, 3:6], CAT.at(1.0).position)  # of which all is known
+    assert np.array_equal(walk[0].rows(np.array([1.0]))[0, 3:6], CAT.at(1.0).position)  # has no uncertainty
 
 
 def test_the_same_seed_gives_the_same_walk_and_another_one_another():
@@ -100,12 +100,12 @@ def test_the_same_seed_gives_the_same_walk_and_another_one_another():
 def test_people_react_and_cats_do_not(people):
     seen, walks = watched(done(people), job(), 1.2), watched(done("walk"), job(), 1.2)
     assert np.array_equal(seen[:, 1], walks[:, 1])
-    assert seen[:200, 0] == pytest.approx(walks[:200, 0], abs=1e-9)  # 0.4 s until they do
+    assert seen[:200, 0] == pytest.approx(walks[:200, 0], abs=1e-9)  # reaction time 0.4 s
     speed = np.linalg.norm(np.diff(seen[:, 0, :2], axis=0), axis=1) / 0.002
     assert speed[:190] == pytest.approx(1.0)
     tool = done(people).states_tool(150)[:2]
     if people == "stop":
-        assert speed[405:] == pytest.approx(0.0, abs=1e-9)  # a step later they stand
+        assert speed[405:] == pytest.approx(0.0, abs=1e-9)  # they stand one step later
         assert seen[-1, 0, 1] - seen[199, 0, 1] == pytest.approx(0.2, abs=0.01)
         assert np.all(np.diff(speed[200:400]) < 1e-9)
     else:
@@ -113,17 +113,17 @@ def test_people_react_and_cats_do_not(people):
         assert 0.4 < gone < 0.8 and speed[-20:] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_people_do_is_one_of_three():
+def test_reactions_of_people_are_one_of_three():
     with pytest.raises(SettingError, match=r"people = 'fly'.*walk, stop, aside"):
         fb.SimSettings(people="fly")
 
 
-def test_a_sound_robot_that_touches_them_says_so():
+def test_a_healthy_robot_that_touches_a_pedestrian_is_reported():
     here = execution().trajectory.at(np.array(0.5)).q
     tool = (
         execution().world.scene.data_at(here).site_xpos[execution().world.model.site(execution().world.scene.tool).id]
     )
-    # The smallest thing that flies by, so that the arm is not stopped.
+    # A tiny entity that flies past, which does not stop the arm.
     fly = gp.MovingEntity(
         "fly", "pet", size=[0.01, 0.01, 0.01], t=[0.4, 0.6], position=[tool - [0, 0.3, 0], tool + [0, 0.3, 0]]
     )
@@ -134,7 +134,7 @@ def test_a_sound_robot_that_touches_them_says_so():
     assert touching.healthy.by_entity["fly"] > 0.0
 
 
-def test_their_speed_counts_where_they_are_struck():
+def test_the_speed_of_pedestrians_adds_to_the_impact_speed():
     qpos, qvel = np.zeros((3, 2)), np.zeros((3, 1))
     rows = np.zeros((4, 7))
     rows[:, 1] = [0.0, 0.002, 0.004, 0.006]
@@ -144,7 +144,7 @@ def test_their_speed_counts_where_they_are_struck():
 
 
 @pytest.mark.long
-def test_contents_that_are_lost_where_somebody_walks():
+def test_contents_fall_on_pedestrians():
     task = next(t for t in gp.load_scene("desk").tasks.values() if t.scene.contents is not None)
     motion = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50)
     execution = fb.execute(motion, fb.build_world(task.scene.with_moving(walker(x=-3.0))))

@@ -36,20 +36,20 @@ def test_a_contact_sensor_feels_its_pair_and_no_other():
     data = mujoco.MjData(made.model)
     vase = made.model.jnt_qposadr[made.model.body_jntadr[made.movable["vase"]]]
     data.qpos[made.robot.qpos] = 0.0
-    data.qpos[vase : vase + 3] = 0.25, 0.0, 0.41  # its top is 1 cm inside of the link
+    data.qpos[vase : vase + 3] = 0.25, 0.0, 0.41  # the vase's top is 1 cm inside the link
     mujoco.mj_forward(made.model, data)
     (adr,) = made.sensor_adr
     count, force, place = data.sensordata[adr], data.sensordata[adr + 1 : adr + 4], data.sensordata[adr + 4 : adr + 7]
     assert made.pairs == (("body", "vase"),)
     assert count >= 1
     assert place == pytest.approx([0.25, 0.0, 0.5], abs=0.05)
-    assert force[2] < 0.0  # of the link on the vase
+    assert force[2] < 0.0  # force of the link on the vase
     data.qpos[vase + 2] = 0.1
     mujoco.mj_forward(made.model, data)
     assert data.sensordata[adr] == 0.0
 
 
-def test_fingers_press_with_what_their_drive_can_however_thin_the_object():
+def test_finger_force_does_not_depend_on_object_width():
     for name, task in (("tabletop", "green_to_blue"), ("dining_table", "serve_tea")):
         made = world(name, task)
         held = gp.load_scene(name).tasks[task]
@@ -90,7 +90,7 @@ def test_without_fingers_only_a_weld_holds():
 
 
 @pytest.mark.parametrize("axes", ["0 1 0|0 -1 0", "0 -1 0|0 1 0"])
-def test_the_gripper_opens_the_way_the_fingers_part(axes):
+def test_the_gripper_opens_as_the_fingers_part(axes):
     first, second = axes.split("|")
     fingers = FINGERS.replace('axis="0 1 0"', f'axis="{first}"').replace('axis="0 -1 0"', f'axis="{second}"')
     servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
@@ -139,10 +139,10 @@ def test_drives_without_limits_of_their_own_have_those_of_the_scene():
     servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
     model = build_world(arm(fingers=FINGERS, actuators=servos, torque=[30.0])).model
     assert model.actuator_forcelimited.all()
-    # The servos of the fingers ask for 100 N/m over their stroke of 0.04 m at most.
+    # The finger servos have 100 N/m over a stroke of at most 0.04 m.
     assert model.actuator_forcerange == pytest.approx(np.outer([30.0, 4.0, 4.0], [-1.0, 1.0]))
 
 
-def test_nobody_changes_the_robot_of_all_rollouts():
+def test_the_shared_robot_is_read_only():
     with pytest.raises(ValueError, match="read-only"):
         build_world(arm()).robot.kp[:] = 0.0

@@ -31,7 +31,7 @@ ALL = ["pushed_object", "added_object", "bumped_table", "wet_floor", "heavier_ob
 
 @cache
 def staged(fault):
-    """The usual motion, in a scene that has what the fault needs."""
+    """Execute the usual motion in a scene with the entity that the fault needs."""
     usual = healthy_run()
     return fb.execute(
         usual.trajectory,
@@ -40,7 +40,7 @@ def staged(fault):
 
 
 class Watched:
-    """What happened in one rollout, a row a step."""
+    """The states of one rollout, a row per step."""
 
     def __init__(self, fault, done, *, onset=0.5, seed=0, horizon=0.4, prepare=None):
         rows = {"qpos": [], "qvel": [], "mocap": [], "quat": [], "xfrc": []}
@@ -54,7 +54,7 @@ class Watched:
             if prepare is not None and step == 0:
                 prepare(model, data)
         self.qpos, self.qvel, self.mocap, self.quat, self.xfrc = (np.array(values) for values in rows.values())
-        self.t = done.dt * np.arange(len(self.qpos))  # of the state before each step, as of those who move
+        self.t = done.dt * np.arange(len(self.qpos))  # before each step, like the poses of moving entities
         self.done = done
 
     def velocity(self, entity):
@@ -63,7 +63,7 @@ class Watched:
         return self.qvel[:, adr : adr + 3]
 
 
-def test_they_are_seven_and_none_of_the_robots():
+def test_there_are_seven_faults_of_surroundings():
     assert list(disturbances()) == ALL
     assert not set(disturbances()) & set(faults())
     assert {cls.CATEGORY for cls in disturbances().values()} == {"surroundings"}
@@ -71,7 +71,7 @@ def test_they_are_seven_and_none_of_the_robots():
         disturbances()["mine"] = WetFloor
 
 
-def test_patterns_mean_the_robots_own_faults_unless_surroundings_are_asked_for():
+def test_patterns_exclude_surroundings_unless_named():
     for pattern in ("*", "*/*", "*/*/*", "*/*/*/severe", "tabletop/*"):
         assert {scenario.fault.NAME for scenario in fb.scenarios(pattern)} == set(faults())
     around = fb.scenarios("surroundings/*")
@@ -83,7 +83,7 @@ def test_patterns_mean_the_robots_own_faults_unless_surroundings_are_asked_for()
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_they_keep_the_contract_of_faults(name):
+def test_faults_of_surroundings_keep_the_contract(name):
     fault = disturbances()[name]()
     check_fault(fault, staged(fault) if fault.visitor() else healthy_run())
     assert from_document(to_document(fault), disturbances()) == fault
@@ -103,7 +103,7 @@ def test_native_rollouts_are_the_plain_loop(name):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_what_is_over_is_over(name):
+def test_a_finished_fault_has_no_effect(name):
     fault = disturbances()[name](duration=0.04)
     seen = Watched(fault, staged(fault) if fault.visitor() else healthy_run(), horizon=0.1)
     assert not seen.xfrc[20:].any()
@@ -121,14 +121,14 @@ def test_a_push_gives_its_speed_to_one_thing():
     model, body = seen.model, seen.done.world.movable["red1"]
     assert np.linalg.norm(seen.xfrc[0, body]) == pytest.approx(model.body_mass[body] * 1.0 / 0.05)
     assert not seen.xfrc[25:].any()
-    # At its centre of mass, friction takes a part: at most mu g for as long as it is pushed.
+    # The push acts at the centre of mass; friction takes at most mu g.
     speed = np.linalg.norm(seen.velocity("red1")[24, :2])
     assert 1.0 - 2.0 * G * 0.05 < speed <= 1.05
     others = [np.abs(seen.velocity(name)[:25]).max() for name in seen.done.world.movable if name != "red1"]
     assert sorted(others)[len(others) // 2] < 1e-3  # it may hit a neighbour
 
 
-def test_any_thing_is_pushed_any_way():
+def test_pushes_have_random_targets_and_directions():
     bodies, ways = set(), []
     for seed in range(8):
         force = Watched(PushedObject(), healthy_run(), seed=seed, horizon=0.004).xfrc[0]
@@ -148,12 +148,12 @@ def test_a_bump_throws_everything_back_and_then_forth():
         assert seen.xfrc[30, body] == pytest.approx(-seen.xfrc[0, body]), name
         assert not seen.xfrc[50:, body].any()
     speeds = [np.linalg.norm(seen.velocity(name)[:, :2], axis=1) for name in seen.done.world.movable]
-    assert np.median([s[24] for s in speeds]) > 0.5  # of 1.2, less friction and who is in the way
+    assert np.median([s[24] for s in speeds]) > 0.5  # of 1.2, minus friction and collisions
     assert np.median([s[-1] for s in speeds]) < 0.2
 
 
 def sliding(fault):
-    """How fast a thing slows down that slides [m/s^2]."""
+    """Return the deceleration of a sliding object [m/s^2]."""
     done = healthy_run()
     adr = done.world.model.jnt_dofadr[done.world.model.body_jntadr[done.world.movable["red1"]]]
 
@@ -165,7 +165,7 @@ def sliding(fault):
     return -np.polyfit(seen.done.dt * np.arange(len(speed)), speed, 1)[0]
 
 
-def test_on_a_wet_floor_things_slow_down_by_what_is_left_of_friction():
+def test_on_a_wet_floor_objects_decelerate_by_the_remaining_friction():
     dry, wet = sliding(PushedObject(entity="white1", degree="minor")), sliding(WetFloor(degree="severe"))
     assert wet == pytest.approx(0.2 * dry, rel=0.15)
 
@@ -195,7 +195,7 @@ def test_a_heavier_object_pulls_the_arm_down_by_its_weight_over_the_stiffness(de
     assert robot.kp * sag == pytest.approx(G * more * jacobian[2, robot.dofs], abs=0.03 * G * more)
 
 
-def test_fingers_lose_what_is_too_heavy():
+def test_fingers_lose_a_heavy_object():
     done = execution("tabletop", "green_to_blue", WELD)
     held, lost = (
         fb.run_rollouts(done, [fb.Job(fault=HeavierObject(degree=degree), onset=0.3, seed=0)])[0].dropped
@@ -207,7 +207,7 @@ def test_fingers_lose_what_is_too_heavy():
     assert HeavierObject().when == fb.AtFraction(0.0)
 
 
-def test_what_is_put_in_the_way_is_hit():
+def test_an_obstacle_put_in_the_path_is_hit():
     fault = AddedObject(degree="critical", category="glass")
     done = staged(fault)
     rollouts = fb.run_rollouts(done, [fb.Job(fault=fault, onset=0.2, seed=0)], horizon=1.0)
@@ -218,17 +218,17 @@ def test_what_is_put_in_the_way_is_hit():
     place = seen.mocap[0, 0]
     tool = done.world.model.site(done.world.scene.tool).id
     ways = [done.world.scene.data_at(q).site_xpos[tool] for q in done.planned(np.linspace(0.0, done.duration, 200))]
-    assert np.linalg.norm(np.array(ways) - place, axis=1).min() < 0.02  # on the way of the tool
-    assert np.linalg.norm(done.states_tool(5 * done.checkpoint(0.2)) - place) > 0.16  # and not in it yet
+    assert np.linalg.norm(np.array(ways) - place, axis=1).min() < 0.02  # on the tool's path
+    assert np.linalg.norm(done.states_tool(5 * done.checkpoint(0.2)) - place) > 0.16  # and still ahead of the tool
     assert np.array_equal(seen.mocap, np.tile(place, (len(seen.mocap), 1, 1)))
 
 
-def test_nothing_is_put_where_the_tool_does_not_come_any_more():
+def test_no_obstacle_appears_after_the_motion():
     fault = AddedObject()
     assert (Watched(fault, staged(fault), onset=99.0, horizon=0.02).mocap[:, 0, 2] == -30.0).all()
 
 
-# --- who comes in ---------------------------------------------------------------------------------------------------
+# --- intruders ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("degree", ["minor", "critical"])
@@ -253,13 +253,13 @@ def test_a_person_may_set_off_slowly():
     assert speed == pytest.approx(1.5 * np.minimum(1.0, np.arange(1, len(speed) + 1) / 100), abs=1.5 * 5 / 100)
 
 
-def test_who_walks_into_a_robot_is_touched():
+def test_a_person_walking_into_the_robot_is_hit():
     fault = PersonWalksIn(degree="critical", passing=0.0, distance=0.5)
     rollouts = fb.run_rollouts(staged(fault), [fb.Job(fault=fault, onset=0.2, seed=s) for s in range(4)], horizon=0.6)
     touched = [{e.striker for e in r.events if e.entity == fault.NAME and not e.secondary} for r in rollouts]
     assert all(touched)
     speeds = [e.speed for r in rollouts for e in r.events if e.entity == fault.NAME and e.striker == "body"]
-    assert max(speeds) > 1.0  # they walk at 2.5 m/s, and that counts
+    assert max(speeds) > 1.0  # they walk at 2.5 m/s, which adds to the impact speed
 
 
 def test_a_door_turns_about_its_hinge_through_the_tool():
@@ -273,12 +273,12 @@ def test_a_door_turns_about_its_hinge_through_the_tool():
     assert np.ptp(hinge, axis=0) == pytest.approx(0.0, abs=1e-9)
     across = done.states_tool(5 * done.checkpoint(0.5))[:2] - hinge[0]
     assert np.linalg.norm(across) == pytest.approx(0.65, abs=2e-3)
-    # After a right angle it stands where the tool was.
+    # After a right angle it is where the tool was.
     later = yaw[0] + np.pi / 2.0
     assert across / np.linalg.norm(across) == pytest.approx([np.cos(later), np.sin(later)], abs=5e-3)
 
 
-def test_who_is_not_in_the_scene_cannot_come():
+def test_intruders_must_be_in_the_scene():
     with pytest.raises(UnsupportedError, match="failbench"):
         Watched(PersonWalksIn(), healthy_run(), horizon=0.01)
 
@@ -292,7 +292,7 @@ def test_who_is_not_in_the_scene_cannot_come():
         (lambda: AddedObject(size=float("nan")), "size = nan"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(make, message):
+def test_invalid_settings_are_refused(make, message):
     with pytest.raises(SettingError, match=message):
         make()
 
@@ -303,5 +303,5 @@ def test_validate_stages_and_scores_them():
     report = fb.validate(
         healthy_run().trajectory, task.scene, ["surroundings/person_walks_in/critical"], n=8, threads=1
     )
-    assert report.by_entity["person_walks_in"].predicted == pytest.approx(0.0, abs=1e-9)  # nobody expected them
+    assert report.by_entity["person_walks_in"].predicted == pytest.approx(0.0, abs=1e-9)  # not predicted
     assert report.observed.mean > 0.0

@@ -58,7 +58,7 @@ def test_pandas_polars_and_duckdb_read_it_in_one_line(folder):
     assert list(pandas.read_parquet(folder / "contacts")) == [column.name for column in TABLES["contacts"]]
 
 
-def test_bytes_depend_on_the_rows_alone_not_on_how_they_come(folder, tmp_path):
+def test_bytes_depend_on_the_rows_alone(folder, tmp_path):
     write_dataset(tmp_path / "again", chunks(size=4), ABOUT)
     assert files(folder) == files(tmp_path / "again")
     write_dataset(tmp_path / "other", chunks(count=COUNT - 1), ABOUT)
@@ -84,7 +84,7 @@ def test_a_table_without_rows_can_be_read(tmp_path):
     assert len(pandas.read_parquet(tmp_path / "contacts")) == 0
 
 
-def test_every_part_says_what_it_is(folder):
+def test_every_file_describes_itself(folder):
     import pyarrow.parquet as pq
 
     for table, columns in TABLES.items():
@@ -193,7 +193,7 @@ def test_a_part_with_other_columns_is_refused_even_if_its_checksum_fits(folder):
 
 
 def test_datasets_of_earlier_versions_are_read(tmp_path, monkeypatch):
-    """What a column that came later would have said is null."""
+    """A column that was added later is null in older datasets."""
     whole = tables.TABLES["rollouts"]
     first = tuple(column for column in whole if column.name not in tables.ADDED)
     with monkeypatch.context() as before:
@@ -230,7 +230,7 @@ def test_files_of_others_are_neither_removed_nor_mixed_with(folder):
 
 
 @pytest.mark.parametrize("writes", [0, 1, 2])
-def test_whatever_is_written_before_a_crash_is_no_dataset(folder, monkeypatch, writes):
+def test_files_before_a_crash_are_no_dataset(folder, monkeypatch, writes):
     real, count = dataset._write, iter(range(9))
 
     def crash(file, content):

@@ -31,7 +31,7 @@ def run(work, workers=2, chunks=CHUNKS):
 
 
 @pytest.mark.parametrize("workers", [1, 3])
-def test_every_chunk_is_done_once_whatever_the_number_of_workers(workers):
+def test_every_chunk_is_done_once_for_any_number_of_workers(workers):
     outcomes = run(Fake(), workers)
     assert {i: o.rows for i, o in outcomes.items()} == {c.index: fake_work.rows(c) for c in CHUNKS}
 
@@ -63,7 +63,7 @@ def test_a_killed_worker_is_replaced_and_its_chunk_done_again(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("exits", "how"), [(False, "SIGKILL"), (True, "exit code 7")])
-def test_a_chunk_that_keeps_killing_its_worker_fails_and_the_others_do_not(tmp_path, exits, how):
+def test_only_the_chunk_that_kills_its_workers_fails(tmp_path, exits, how):
     outcomes = run(Fake(deadly=0, deadly_times=99, notes=tmp_path, exits=exits))
     error = outcomes[0].error
     assert error.startswith("motion / fault 0 / 0-2: ") and f" {MAX_KILLS} times" in error and how in error
@@ -129,7 +129,7 @@ if __name__ == "__main__":
         driver.stdout.readline()
         workers = children_of(driver.pid)
         assert len(workers) >= 2
-        # Ctrl-C reaches everybody; a kill only the driver.
+        # Ctrl-C signals the process group; a kill only the driver.
         (os.killpg if deadly == signal.SIGINT else os.kill)(driver.pid, deadly)
         _, err = driver.communicate(timeout=20)
     assert all_end(workers)
@@ -142,7 +142,7 @@ class Promise:
 
 
 class Lossy:
-    """A Ray whose every task is lost, some number of times, before it is done."""
+    """A stub of Ray that loses every task some number of times before finishing it."""
 
     class exceptions:
         WorkerCrashedError, OutOfMemoryError, NodeDiedError, LocalRayletDiedError, ObjectLostError, RayTaskError = (

@@ -33,7 +33,7 @@ def done(index):
     return ChunkOutcome(chunk=CHUNKS[index], rows=fake_work.rows(CHUNKS[index]))
 
 
-def test_what_is_recorded_is_there_after_reopening(file):
+def test_records_survive_reopening(file):
     with SweepJournal(file) as journal:
         assert not journal.begun
         journal.begin(ABOUT)
@@ -75,7 +75,7 @@ def test_a_chunk_is_done_once_but_a_failed_one_can_be_done_again(begun):
         assert journal.rows(CHUNKS[0]) == fake_work.rows(CHUNKS[0])
 
 
-def test_rows_that_are_not_there(begun):
+def test_missing_rows(begun):
     with SweepJournal(begun) as journal:
         journal.record(ChunkOutcome(chunk=CHUNKS[1], error="it broke"))
         for chunk in CHUNKS[:2]:
@@ -150,7 +150,7 @@ def test_flipped_bits_in_rows_are_noticed(begun):
                 rows = journal.rows(CHUNKS[0])
             except FormatError as error:
                 assert "journal.sqlite: damaged" in str(error)
-            else:  # a bit of zlib's header that says nothing about the content
+            else:  # a bit of zlib's header that does not affect the content
                 assert rows == fake_work.rows(CHUNKS[0])
                 assert place == 0
 
@@ -163,7 +163,7 @@ def test_flipped_bits_anywhere_are_noticed_or_do_not_matter(begun):
     told = 0
     for place in [*range(0, len(whole), 97), *(m.start() for m in re.finditer(b"tabletop|mujoco|4.0.0", whole))]:
         flipped = bytearray(whole)
-        flipped[place] ^= 0x81 if place % 2 else 0x01  # text that is no UTF-8 any more, and text that is
+        flipped[place] ^= 0x81 if place % 2 else 0x01  # invalid UTF-8, and valid UTF-8
         begun.write_bytes(flipped)
         try:
             with SweepJournal(begun) as journal:

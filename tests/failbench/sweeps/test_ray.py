@@ -1,4 +1,4 @@
-"""Sweeps on Ray: on a Ray of our own, and on a cluster of two nodes whose workers and nodes die."""
+"""Sweeps on Ray: a local instance, and a cluster of two nodes whose workers and nodes die."""
 
 import contextlib
 import os
@@ -25,9 +25,9 @@ pytestmark = pytest.mark.long
 
 @pytest.fixture(scope="module")
 def nodes():
-    """Two nodes with a worker each."""
+    """A cluster of two nodes with one worker each."""
     with pytest.MonkeyPatch.context() as patch:
-        # Ray's workers are processes of their own, which find what is imported here by this.
+        # Ray's workers are separate processes; this lets them import the test modules.
         patch.setenv("PYTHONPATH", ":".join([str(SUPPORT), *sys.path]))
         with RayNodes(2) as running:
             yield running
@@ -63,7 +63,7 @@ def test_workers_and_nodes_may_die_while_they_work(nodes):
     assert all(outcome.rows == fake_work.rows(outcome.chunk) for outcome in outcomes)
 
 
-def test_a_node_with_other_versions_is_an_error_that_says_so(nodes, monkeypatch):
+def test_a_node_with_other_versions_is_an_error(nodes, monkeypatch):
     real = ray_executor.versions()
     monkeypatch.setattr(ray_executor, "versions", lambda: real | {"mujoco": "5.0"})
     with pytest.raises(WorkerError, match=rf"mujoco {real['mujoco']}.*5\.0"):
@@ -75,7 +75,7 @@ def test_work_that_no_node_can_receive_is_an_error(nodes):
         list(RayExecutor(address=nodes.address).map(Unreadable(), fake_work.chunks(1)))
 
 
-def test_who_stops_listening_stops_the_work(nodes):
+def test_closing_the_iterator_stops_the_work(nodes):
     outcomes = RayExecutor(address=nodes.address).map(fake_work.Fake(seconds=0.2), fake_work.chunks(50))
     next(outcomes)
     outcomes.close()
@@ -86,7 +86,7 @@ def test_who_stops_listening_stops_the_work(nodes):
 
 
 class Unreadable:
-    """Work that cannot be unpickled."""
+    """Work whose unpickling fails."""
 
     def __reduce__(self):
         return int, ("no number",)

@@ -28,7 +28,7 @@ DROP, LOOSE, NOISE = (to_document(faults()[name]()) for name in ("gripper_failur
 
 
 class InProcess:
-    """Does chunks right here, in the order given."""
+    """Runs chunks in this process, in the given order."""
 
     def __init__(self, order=1, stop_after=None):
         self.order, self.stop_after = order, stop_after
@@ -50,14 +50,14 @@ def sweep():
 
 @pytest.fixture(scope="module")
 def reference(sweep, tmp_path_factory):
-    """The sweep as it is when nothing gets in its way."""
+    """The files of an undisturbed sweep."""
     folder = tmp_path_factory.mktemp("reference")
     generate_dataset(sweep, folder, executor=InProcess())
     return files(folder)
 
 
 def files(folder: Path) -> dict[str, str]:
-    """Checksums of a dataset's files."""
+    """Return checksums of a dataset's files."""
     found = [*folder.glob("*/*.parquet"), folder / MANIFEST]
     return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in found}
 
@@ -70,7 +70,7 @@ def test_the_bytes_do_not_depend_on_the_number_of_workers(sweep, reference, tmp_
     assert made.manifest["rows"]["rollouts"] == 120
 
 
-def test_the_card_says_what_is_in_it_and_spares_a_file_of_somebody_else(sweep, tmp_path):
+def test_the_card_describes_the_dataset_and_keeps_foreign_files(sweep, tmp_path):
     manifest = {"rows": {"rollouts": 120, "contacts": 7}, "versions": versions()}
     write_card(tmp_path, sweep, manifest)
     card = tmp_path / CARD
@@ -100,7 +100,7 @@ def test_hugging_face_finds_the_tables_by_the_card(sweep, tmp_path):
         assert (found.num_rows, found.column_names) == (count, [column.name for column in TABLES[table]])
 
 
-def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
+def test_the_dataset_matches_the_sweep(sweep, reference, tmp_path):
     generate_dataset(sweep, tmp_path, executor=InProcess(order=-1))
     assert files(tmp_path) == reference and "120 rollouts" in (tmp_path / CARD).read_text()
     made = read_dataset(tmp_path)
@@ -114,7 +114,7 @@ def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
 
 
 @pytest.mark.long
-def test_an_interrupted_sweep_goes_on_where_it_was(sweep, reference, tmp_path):
+def test_an_interrupted_sweep_resumes(sweep, reference, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         generate_dataset(sweep, tmp_path, executor=InProcess(stop_after=2))
     assert not (tmp_path / MANIFEST).exists()
@@ -163,7 +163,7 @@ def test_failed_chunks_are_tried_again_by_resume(sweep, reference, tmp_path, mon
     assert files(tmp_path) == reference
 
 
-def test_another_sweep_in_the_folder_is_refused_by_what_differs(sweep, tmp_path):
+def test_another_sweep_in_the_folder_is_refused_with_the_difference(sweep, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         generate_dataset(sweep, tmp_path, executor=InProcess(stop_after=0))
     other = dataclasses.replace(sweep, seed=1, horizon=0.06)
@@ -246,7 +246,7 @@ def test_ray_makes_the_same_bytes(sweep, reference, tmp_path, monkeypatch):
     ray = pytest.importorskip("ray")
     from failbench.sweeps.ray_executor import RayExecutor
 
-    # Ray's workers are processes of their own, which find what is imported here by this.
+    # Ray's workers are separate processes; this lets them import the test modules.
     monkeypatch.setenv("PYTHONPATH", ":".join([str(SUPPORT), *sys.path]))
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:

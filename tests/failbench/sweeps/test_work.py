@@ -60,7 +60,7 @@ def test_chunks_are_every_rollout_once_in_order(motions, kinds, rollouts):
 
 
 @pytest.mark.long
-def test_the_name_of_a_chunk_says_what_it_is(sweep):
+def test_chunks_are_named_by_content(sweep):
     assert sweep.chunks[0].name == "lift / gripper_failure severe / rollouts 0-4"
 
 
@@ -83,7 +83,7 @@ def test_planning_is_reproducible_and_no_part_of_the_question(sweep):
     assert own.question["motions"][0]["trajectory"] is not None
 
 
-def test_rows_are_the_columns_and_say_what_the_rollouts_said(sweep):
+def test_rows_have_the_columns_and_the_values_of_rollouts(sweep):
     chunk = sweep.chunks[1]
     rows = run_chunk(sweep, chunk)
     rollouts = run_rollouts(execution_of(sweep, 0), jobs_of(sweep, 0, 1), horizon=0.1)
@@ -170,7 +170,7 @@ def test_senseless_sweeps_are_refused(change, message):
         Sweep(**{"motions": (PLANNED,), "faults": (DROP,), "rollouts": 1} | change)
 
 
-def test_motion_needs_a_trajectory_or_a_way_to_plan_one():
+def test_a_motion_needs_a_trajectory_or_a_planner():
     with pytest.raises(SettingError, match=r"trajectory.*'a'"):
         SweepMotion(name="a", scene="tabletop")
     with pytest.raises(SettingError, match=r"task.*'a'"):
@@ -212,7 +212,7 @@ def test_bundled_planner_settings_are_accepted_by_plan():
     assert {field.name for field in dataclasses.fields(PlanSettings)} <= set(gp.plan.__annotations__)
 
 
-def test_numbers_of_a_simulation_that_blew_up_become_null(sweep):
+def test_numbers_of_a_diverged_simulation_become_null(sweep):
     nan = float("nan")
     event = ContactEvent(
         striker="body",

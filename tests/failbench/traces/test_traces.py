@@ -1,4 +1,4 @@
-"""Traces: contacts as points with forces, states and energies, tables and LeRobot's form, read by other programs."""
+"""Traces: contact points with forces, states and energies, tables and LeRobot's form, read by other programs."""
 
 import json
 
@@ -31,18 +31,18 @@ def traced(job, done, **given):
     return pandas.DataFrame(rows["steps"]), pandas.DataFrame(rows["points"])
 
 
-def test_states_are_those_of_the_rollout():
+def test_states_equal_those_of_the_rollout():
     job = fb.Job(fault=DROP, onset=0.3, seed=1)
     steps, _ = traced(job, healthy_run(), horizon=0.1, sampling=Sampling(every=10))
     assert steps["step"].tolist() == [0, 10, 20, 30, 40]
     states = [data.qpos.copy() for _, data in fb.rollout_steps(healthy_run(), job, horizon=0.1)]
-    assert np.array_equal(steps["qpos"][3], states[29])  # of the state before step 30
+    assert np.array_equal(steps["qpos"][3], states[29])  # state before step 30
     robot = healthy_run().world.robot
     assert np.array_equal(steps["q"][3], states[29][robot.qpos])
     assert np.array_equal(steps["qpos"][0][:7], healthy_run().states[healthy_run().checkpoint(0.3)][1:8])
 
 
-def test_energies_are_those_of_all_masses():
+def test_energies_include_all_masses():
     job = fb.Job(fault=DROP, onset=0.3, seed=1)
     steps, _ = traced(job, healthy_run(), horizon=0.1, sampling=Sampling(every=20))
     model, data = healthy_run().world.model, mujoco.MjData(healthy_run().world.model)
@@ -56,7 +56,7 @@ def test_energies_are_those_of_all_masses():
     assert steps["kinetic"].max() > 0.01
 
 
-def test_points_press_as_hard_as_the_events_of_the_rollout_say():
+def test_contact_forces_equal_those_of_events():
     job = fb.Job(fault=DROP, onset=0.3, seed=1)
     (rollout,) = fb.run_rollouts(healthy_run(), [job], horizon=0.5)
     _, points = traced(job, healthy_run(), horizon=0.5, sampling=Sampling(every=1))
@@ -82,7 +82,7 @@ def test_the_gripper_carries_what_it_holds():
     assert up == pytest.approx(weight, rel=0.05)
 
 
-def test_what_is_sampled_is_checked():
+def test_sampling_options_are_checked():
     with pytest.raises(SettingError, match="every = 0"):
         Sampling(every=0)
     with pytest.raises(SettingError, match=r"images = 7.*every = 5"):
@@ -102,7 +102,7 @@ def dataset(tmp_path_factory):
     return folder
 
 
-def test_tables_are_read_by_pandas_and_polars_and_say_what_they_are(dataset, tmp_path):
+def test_pandas_and_polars_read_the_self_describing_tables(dataset, tmp_path):
     counts = write_traces(dataset, tmp_path, rollouts=[0, 2], sampling=Sampling(every=10))
     steps = pandas.read_parquet(tmp_path / "steps")
     points = polars.read_parquet(tmp_path / "points" / "*.parquet")
@@ -135,7 +135,7 @@ def test_hugging_face_datasets_reads_them(dataset, tmp_path):
         assert columns <= set(found.column_names) and len(found)
 
 
-def test_lerobots_form_has_what_version_3_says(dataset, tmp_path):
+def test_lerobots_form_follows_version_3(dataset, tmp_path):
     frames = write_lerobot(dataset, tmp_path / "l", every=10)
     info = json.loads((tmp_path / "l" / "meta" / "info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["total_episodes"], info["total_frames"]) == (
@@ -171,7 +171,7 @@ def test_the_command_writes_both(dataset, tmp_path, capsys):
     assert main(["trace", str(dataset), str(tmp_path / "c"), "--rollouts", "9"]) == 2
 
 
-def test_numbers_that_there_are_not_are_refused(dataset, tmp_path):
+def test_non_finite_numbers_are_refused(dataset, tmp_path):
     with pytest.raises(SettingError, match=r"rollout = 3.*2"):
         write_traces(dataset, tmp_path / "x", rollouts=[3])
     with pytest.raises(SettingError, match="once"):
@@ -189,7 +189,7 @@ def test_pictures_are_of_the_states(dataset, tmp_path):
     assert "dtype: image" in (tmp_path / "README.md").read_text()
 
 
-def test_steps_and_folders_that_cannot_be_are_refused(dataset, tmp_path):
+def test_invalid_steps_and_folders_are_refused(dataset, tmp_path):
     (tmp_path / "file").write_text("")
     for write in (write_traces, write_lerobot):
         for output in (tmp_path / "file" / "below", "a\0b"):

@@ -1,4 +1,4 @@
-"""The coast model in NumPy, as its docstring has it: independent of the core, and slow."""
+"""The coast model in NumPy, by its docstring: independent of the core, and slow."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _stopping(batch, tables, settings, turns_on, at):
 
 
 def _astray(batch, tables, settings, step=0.05):
-    """Who is touched after the next step that is not touched yet, where the base would be that has been astray."""
+    """Return P of new contacts after the next step, for a base with drifted odometry."""
     q, total = batch.q, np.zeros((len(batch.q), len(batch.scene.entities)))
     v = batch.qd[:, 0] * np.cos(q[:, 2]) + batch.qd[:, 1] * np.sin(q[:, 2])
     speed, sign = np.abs(v), np.sign(v)
@@ -108,13 +108,13 @@ def _apart(tables, x, y, yaw):
 
 
 def _along_the_normal(closing, tables, spread):
-    """Share of the energy: of who is small beside the spread, half."""
+    """Return the energy share along the normal; half for entities that are small compared with the spread."""
     unknown = spread**2 / (spread**2 + (np.hypot(tables.shape[:, 4], tables.shape[:, 5]) + tables.shape[:, 6]) ** 2)
     return (1.0 - unknown) * np.clip(closing, 0.0, 1.0) ** 2 + 0.5 * unknown
 
 
 def _one_sided(batch, tables, settings, load):
-    """Places from the tables, between them in a straight line, one state after the other."""
+    """Interpolate poses in the tables, one state after the other."""
     ways = one_sided_trajectories(tables.body, settings)
     table = RegularGridInterpolator((ways.speeds, ways.rates), ways.places, bounds_error=False, fill_value=None)
     total = np.zeros((len(batch.q), len(batch.scene.entities)))
@@ -140,7 +140,7 @@ def _one_sided(batch, tables, settings, load):
 
 
 def _moved(place, gone, load):
-    """Places of what is carried, and how far it moves between them."""
+    """Return places of the carried object, and how far it moves between them."""
     if load == (0.0, 0.0):
         return place, gone
     x, y, c, s = place
@@ -149,7 +149,7 @@ def _moved(place, gone, load):
 
 
 def _touch(tables, at, gone, settings, way):
-    """How likely each place touches each shape, and the share of the energy that is along the normal there."""
+    """Return P that each pose touches each shape, and the energy share along the normal there."""
     d = np.full((*np.shape(at[0]), len(tables.shape)), np.inf)
     for part in tables.outline:
         d = np.minimum(d, _between(part, at, tables.shape))
@@ -172,7 +172,7 @@ def _family(batch, tables, settings, stops, which, load):
     free, braked = _ways(speed, stops)
     places = min(SAMPLES, 1 + int(np.ceil(far.max(initial=0.0) / SPACING)))
     way = np.minimum(far[:, None], SPACING * np.arange(places))
-    # What is touched at a place may have been met anywhere since the place before.
+    # A shape touched at a place may have been hit anywhere since the previous place.
     met = np.concatenate([way[:, :1], 0.5 * (way[:, :-1] + way[:, 1:])], axis=1)
     left = 1.0 - (met[:, :, None] - free[:, None]) / np.maximum(braked, 1e-12)[:, None]
     energy = np.clip(left, 0.0, 1.0) * (speed**2)[:, :, None] / settings.reference_speed**2
@@ -198,14 +198,14 @@ def _family(batch, tables, settings, stops, which, load):
 
 
 def _met_before(touch, owner, entity):
-    """How likely another entity has taken the base's energy before each place."""
+    """Return P that another entity has taken the base's energy before each place."""
     others = touch[..., (owner >= 0) & (owner != entity)].max(axis=-1, initial=0.0)
     met = np.maximum.accumulate(others, axis=-1)
     return np.concatenate([np.zeros_like(met[..., :1]), met[..., :-1]], axis=-1)
 
 
 def _ways(speed, stops):
-    """How far at full speed, and while it slows down."""
+    """Return the distances at full speed and while slowing down."""
     _, a, k, delay, *_ = stops.T
     with np.errstate(divide="ignore", invalid="ignore"):
         dragged = speed / k - a / k**2 * np.log1p(k * speed / a)
@@ -213,7 +213,7 @@ def _ways(speed, stops):
 
 
 def _between(part, at, shape):
-    """Signed distance of a part of the base at places to rounded rectangles: by corners, or how far they overlap."""
+    """Return the signed distance of a part of the base to rounded rectangles: by corners, or by overlap."""
     x, y, ch, sh = (np.asarray(value)[..., None] for value in at)
     own = _sides(x + ch * part[0] - sh * part[1], y + sh * part[0] + ch * part[1], ch * part[2] - sh * part[3],
                  sh * part[2] + ch * part[3], part[4], part[5])  # fmt: skip
@@ -233,7 +233,7 @@ def _along(one, dx, dy):
 
 
 def _nearest(one, other):
-    """Least signed distance of the other's corners from one."""
+    """Return the least signed distance of the other's corners from one."""
     found = np.inf
     (x, y), ((ux, uy), (wx, wy)), (a, b) = other["centre"], other["axes"], other["half"]
     for s in (-1.0, 1.0):
@@ -246,7 +246,7 @@ def _nearest(one, other):
 
 
 def _gap(one, other):
-    """How far apart they are along the sides of one."""
+    """Return the separation along the sides of one."""
     way = other["centre"][0] - one["centre"][0], other["centre"][1] - one["centre"][1]
     wide = [
         sum(h * abs(ux * vx + uy * vy) for h, (vx, vy) in zip(other["half"], other["axes"], strict=True))

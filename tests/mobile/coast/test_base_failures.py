@@ -37,7 +37,7 @@ BODY = coast_tables(hall()).body
 
 
 @pytest.mark.parametrize(("v", "a", "k"), [(2.0, 0.5, 0.4), (1.0, 1.2, 0.0), (0.3, 0.4, 2.0)])
-def test_rolling_is_what_integration_says(v, a, k):
+def test_rolling_equals_integration(v, a, k):
     dt, speed, far = 1e-4, v, 0.0
     while speed > 0.0:
         far += speed * dt
@@ -57,7 +57,7 @@ def test_distances_of_other_ways():
     assert aside.std() == pytest.approx(sideways_of_noise(2.0, 0.05), rel=0.05)
 
 
-def test_slopes_move_what_friction_does_not_hold():
+def test_slopes_move_bases_that_friction_does_not_hold():
     assert slope_acceleration(0.02, 0.5, 18.0, 60.0) == 0.0
     assert slope_acceleration(0.3, 0.5, 18.0, 60.0) == pytest.approx(9.81 * np.sin(0.3) * 0.3 - 0.5)
     assert slope_acceleration(-0.3, 0.5, 18.0, 60.0) < 0.0
@@ -75,9 +75,9 @@ def case(held, *, delay=10.0, left=True, friction=0.6):
     return Case(left, held, np.array(friction), np.array(0.8), np.array(0.4), delay=np.array(delay), brakes=1.5)
 
 
-def test_one_side_that_is_held_makes_a_skid_steer_spin_as_its_slip_says():
+def test_a_blocked_side_spins_a_skid_steer_at_the_rate_of_its_slip():
     places = integrated(BODY, np.array(1.0), np.array(0.0), case(True, delay=3.0))
-    rate = np.gradient(places[:, 2], places[:, 4])[140]  # of steps of 0.02 s: long before the other side stops
+    rate = np.gradient(places[:, 2], places[:, 4])[140]  # in steps of 0.02 s; long before the other side stops
     assert rate == pytest.approx(spin_rate(1.0, BODY.base), rel=0.1)
 
 
@@ -90,20 +90,20 @@ def test_two_wheels_pivot_about_the_one_that_is_held():
     assert radius == pytest.approx(pivot_radius(body.base), rel=0.1)
 
 
-def test_left_and_right_are_mirror_images_and_what_stands_stays():
+def test_left_and_right_are_mirror_images_and_rest_stays_rest():
     straight = BODY.__class__(base=BODY.base, mass=18.0, gyration=0.17, centre=(0.0, 0.0))
     left, right = (integrated(straight, np.array(1.0), np.array(0.3 * s), case(True, left=s > 0)) for s in (1, -1))
     np.testing.assert_allclose(left * [1, -1, -1, 1, 1], right, atol=1e-9)
     assert np.abs(integrated(straight, np.array(0.0), np.array(0.0), case(False))[:, :4]).max() < 1e-12
 
 
-def test_a_jackals_wheels_are_behind_where_it_turns_about_and_its_mass_ahead_of_them():
+def test_a_jackals_wheels_are_behind_its_pivot_and_its_mass_ahead_of_them():
     body = coast_tables(jackal()).body
     assert body.middle == pytest.approx((-0.035, 0.0)) and body.middle[0] < body.centre[0] < 0.0
 
 
 @pytest.mark.parametrize("v, omega", [(2.0, 0.0), (1.0, 1.0)])
-def test_a_controller_that_goes_on_swings_it_about_its_way_as_in_mujoco(v, omega):
+def test_a_continuing_controller_oscillates_as_in_mujoco(v, omega):
     scene = jackal()
     wheels, body = wheeled(scene), coast_tables(scene).body
     failure = BaseFailure("side_locked", 5.9, 0.0, 2.0, left=True, steered=True)
@@ -112,7 +112,7 @@ def test_a_controller_that_goes_on_swings_it_about_its_way_as_in_mujoco(v, omega
     locked = Case(True, True, np.array(5.9 / 9.81), np.array(0.8), np.array(0.4), np.array(2.0), 1.5, np.array(True))
     (found,) = integrated(body, np.array([v]), np.array([omega]), locked)[:, : len(poses)]
     np.testing.assert_allclose(found[:, :2], poses[:, :2], atol=0.12)
-    # It does not simply pivot until it has turned round: it is steered back.
+    # The steering limits the pivoting, which alone would turn the base around.
     (alone,) = integrated(body, np.array([v]), np.array([omega]), locked._replace(steered=np.array(False)))
     assert found[:, 2].max() < 2.8 and found[-1, 2] < found[:, 2].max() - 0.1 and alone[:, 2].max() > 4.0
 
@@ -128,7 +128,7 @@ def test_a_motion_that_goes_on_gets_as_fast_as_it_may_be(v, time):
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_it_goes_where_mujoco_has_it(held):
+def test_failing_bases_move_as_in_mujoco(held):
     scene = jackal()
     wheels = wheeled(scene)
     failure = BaseFailure("side_locked" if held else "side_dead", 5.4 if held else 0.8, 0.4, 0.25, left=True)
@@ -159,7 +159,7 @@ def test_tables_share_out_the_probability_and_are_made_once():
     assert len(one_sided_trajectories(BODY, settings.only("runaway")).share) == 0
 
 
-def test_what_steers_on_says_what_the_tracking_controller_and_its_motors_do():
+def test_continued_steering_equals_the_tracking_controller_and_its_motors():
     base, rng = BODY.base, np.random.default_rng(0)
     for _ in range(20):
         v, omega = rng.uniform(0.0, 2.0), rng.uniform(-2.0, 2.0)
@@ -168,7 +168,7 @@ def test_what_steers_on_says_what_the_tracking_controller_and_its_motors_do():
             (x, y, turned, rate), rims = rng.normal(0.0, 0.3, 4), rng.uniform(-2.0, 2.0, 2)
             t = tick * TICK
             way = omega * t
-            # The way goes on with this rate of turning, and as fast as the base may be.
+            # The target continues with this turning rate, at the greatest speed of the base.
             later, whole = np.linspace(0.0, t, 1001), np.minimum(v + base.a_max * np.linspace(0.0, t, 1001), base.v_max)
             chord = np.trapezoid(whole, later) * np.sinc(0.5 * way / np.pi)
             wanted = DriveState(chord * np.cos(0.5 * way), chord * np.sin(0.5 * way), way, whole[-1], omega)

@@ -34,7 +34,7 @@ def only(**way):
 
 
 def hit(x, v, *, y=0.8, yaw=0.0, omega=0.0, scene=SCENE, settings=SHIPPED):
-    """P that the base, driving at x, hits the person, who stands at (2, 0.8) with a radius of 0.25 m."""
+    """Return P that the base, driving at x, hits the person, who stands at (2, 0.8) with a radius of 0.25 m."""
     q = np.array([[x, y, yaw]])
     qd = np.array([[v * np.cos(yaw), v * np.sin(yaw), omega]])
     return Coast(settings).probability(moving_batch(scene, q, qd))[0, 0, 0]
@@ -47,7 +47,7 @@ def states(n=400, seed=0):
     return q, np.column_stack([v * np.cos(q[:, 2]), v * np.sin(q[:, 2]), omega])
 
 
-def test_the_core_says_the_same():
+def test_the_core_equals_the_twin():
     q, qd = states(200)
     cost = gp.ImpactCost(model=Coast())
     kernel = Coast().kernel(SCENE, cost.severity(SCENE), (1.0, 1.0))
@@ -78,7 +78,7 @@ CROWDED = [gp.load_scene("warehouse_aisle"), gp.load_scene("hallway").without_mo
 @pytest.mark.parametrize("isa", instruction_sets())
 @pytest.mark.parametrize("scene", CROWDED)
 def test_instruction_sets_agree(scene, isa):
-    """Also with several parts of a base, several entities, and shapes that hide behind each other."""
+    """With several parts of a base, several entities, and shapes that hide behind each other."""
     q, qd = states_in(scene, 1)
     compiled = compile_scene(scene)
 
@@ -100,7 +100,7 @@ def test_instruction_sets_agree(scene, isa):
 
 
 @pytest.mark.parametrize("scene", CROWDED)
-def test_the_core_says_the_same_where_many_are_near(scene):
+def test_the_core_equals_the_twin_among_many_entities(scene):
     q, qd = states_in(scene, 2, n=50)
     batch = moving_batch(scene, q, qd)
     P = hits(batch, coast_tables(scene), SHIPPED, SHIPPED.straightens if scene.base.slip > SKIDS else 1e6)
@@ -122,7 +122,7 @@ def states_with_a_pan(n, seed, scene=KITCHEN):
     return q, qd
 
 
-def test_the_core_says_the_same_of_what_an_arm_carries():
+def test_the_core_equals_the_twin_for_the_object_on_an_arm():
     q, qd = states_with_a_pan(80, 3)
     batch = moving_batch(KITCHEN, q, qd)
     P = carried_hits(batch, coast_tables(KITCHEN), SHIPPED, 1e6)
@@ -131,7 +131,7 @@ def test_the_core_says_the_same_of_what_an_arm_carries():
     np.testing.assert_allclose(Coast().probability(batch)[:, carried], P, atol=1e-9)
 
 
-def test_derivatives_with_what_an_arm_carries_are_those_of_differences():
+def test_derivatives_with_an_object_on_the_arm_are_finite_differences():
     q, qd = states_with_a_pan(60, 4)
     severity = np.zeros((len(KITCHEN.components), len(KITCHEN.entities)))
     severity[list(KITCHEN.components).index("carried")] = 1.0
@@ -148,7 +148,7 @@ def test_derivatives_with_what_an_arm_carries_are_those_of_differences():
     assert right >= 0.98 * n  # it has kinks: which touch decides, and the standing base
 
 
-def test_what_an_arm_carries_is_swung_into_who_is_beside_the_base():
+def test_an_object_on_the_arm_is_swung_into_entities_beside_the_base():
     """A wheel that locks turns the base about it, and the pan with an arm's length: farther than the base goes."""
     place = KITCHEN.data_at(KITCHEN.keyframes["ready"]).xpos[KITCHEN.model.body("child_head").id]
     q = KITCHEN.keyframes["ready"].copy()
@@ -163,7 +163,7 @@ def test_what_an_arm_carries_is_swung_into_who_is_beside_the_base():
     assert not Coast().probability(moving_batch(empty, q[None], qd[None]))[0, 1:].any()
 
 
-def test_tables_that_are_kept_are_read_again_and_broken_ones_are_made_again(tmp_path, monkeypatch):
+def test_cached_tables_are_read_and_broken_ones_recomputed(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     body = coast_tables(SCENE).body
     first = one_sided_trajectories.__wrapped__(body, SHIPPED)
@@ -175,7 +175,7 @@ def test_tables_that_are_kept_are_read_again_and_broken_ones_are_made_again(tmp_
     np.testing.assert_array_equal(one_sided_trajectories.__wrapped__(body, SHIPPED).places, first.places)
 
 
-def test_the_outline_is_that_of_the_geoms_and_shapes_are_what_stands_at_its_height():
+def test_the_outline_covers_the_geoms_and_shapes_are_at_its_height():
     tables = coast_tables(SCENE)
     chassis, *wheels = tables.outline
     np.testing.assert_allclose(chassis, [0, 0, 1, 0, 0.21, 0.155, 0], atol=1e-9)
@@ -192,7 +192,7 @@ def test_a_round_base_is_round_and_hides_its_casters():
 
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-3, 3))
 def test_a_hit_is_where_mujoco_has_the_geoms_touch(x, y, yaw):
-    """A base that hardly moves, and a box that lies anyhow: P is a half where they are as far apart as the spread."""
+    """A nearly static base and a box at a random pose: P is one half at a distance equal to the spread."""
     box = '<body name="box" pos="0 0 .1" euler="0 0 .4"><geom name="box" type="box" size=".3 .1 .1"/></body>'
     scene = boxed(box)
     q = np.array([x, y, yaw])
@@ -211,15 +211,15 @@ def test_a_hit_is_where_mujoco_has_the_geoms_touch(x, y, yaw):
 
 @cache
 def boxed(box):
-    """The hall with a box that is an entity, and nothing else that is met."""
+    """The hall with a box as the only entity."""
     return hall(walls="", extra=box, entities={"box": "adult"})
 
 
 @pytest.mark.parametrize("v", [0.5, 1.0, 2.0])
-def test_it_goes_as_far_as_the_closed_form_says(v):
+def test_the_base_covers_the_closed_form_distance(v):
     settings = only(deceleration=(1.0,), delay=(0.2,))
     far = 0.2 * v + v**2 / 2.0
-    front = 0.229  # of the foremost disc, wheels included
+    front = 0.229  # front of the foremost disc, including wheels
     gap = 2.0 - 0.25 - front
     assert hit(gap - 0.85 * far, v, settings=settings) > 0.0
     assert hit(gap - 1.05 * far, v, settings=settings) < 1e-12
@@ -246,7 +246,7 @@ SIDE = '<body name="side" pos="0 1 .5"><geom type="box" size="6 .05 .5"/></body>
 @pytest.mark.parametrize("angle", [0.3, 0.6, 1.0, np.pi / 2])
 @pytest.mark.parametrize("backwards", [False, True])
 def test_energy_counts_along_the_normal(angle, backwards):
-    """Who drives against a long side at an angle hits it with the sine of the angle times the speed."""
+    """The impact speed on a long side is the speed times the sine of the angle."""
     scene = hall(walls="", extra=SIDE, entities={"side": "adult"})
     settings, v = only(deceleration=(1e-4,), delay=(5.0,)), 0.8
     turned, v = (angle + np.pi, -v) if backwards else (angle, v)
@@ -254,7 +254,7 @@ def test_energy_counts_along_the_normal(angle, backwards):
     assert P == pytest.approx((v * np.sin(angle)) ** 2, rel=0.02)
 
 
-def test_who_is_grazed_does_not_stop_it():
+def test_grazed_entities_do_not_stop_the_base():
     behind = '<body name="behind" pos="2.6 0 .5"><geom type="cylinder" size=".25 .5"/></body>'
     names = {"person": "adult", "behind": "adult"}
     scene, settings = hall(walls="", extra=behind, entities=names), only(deceleration=(0.1,), delay=(2.0,))
@@ -268,15 +268,15 @@ def test_who_is_grazed_does_not_stop_it():
 
 
 @pytest.mark.parametrize("y", [0.2, 0.8])
-def test_of_who_may_be_anywhere_the_normal_is_unknown(y):
-    """Half of the energy, where the base drives by and where it comes straight on."""
+def test_very_uncertain_entities_have_no_known_normal(y):
+    """Half of the energy counts, both for passing and for driving straight at the entity."""
     settings = replace(only(deceleration=(1e-4,), delay=(5.0,)), position_spread=3.0)
     touched = hit(0.0, 0.5, y=y, settings=replace(settings, reference_speed=1e-6))
     assert hit(0.0, 0.5, y=y, settings=settings) / touched == pytest.approx(0.5 * 0.5**2, rel=0.05)
 
 
 def astray():
-    """All failures lead a base astray, at rates that hardly turn it."""
+    """Settings in which all failures are odometry drift, at rates that hardly turn the base."""
     lost = OdometryDrift(weight=1.0, misread=0.001 * BASE.track * BASE.slip, lasts=16.0, pace=1.0, spread=0.2)
     strong = replace(SHIPPED.weak, weight=0.0)
     return replace(
@@ -285,7 +285,7 @@ def astray():
 
 
 def passing(settings, gap, v, scene=None, dt=0.005):
-    """Sum over time of P along a straight way past the person, who stands to the left [s]."""
+    """Return the sum over time of P along a straight path past the person, who stands to the left [s]."""
     scene = hall(walls="") if scene is None else scene
     t = np.arange(-2.0, 2.0, dt * abs(v)) / abs(v)
     q = np.column_stack(
@@ -298,8 +298,8 @@ def passing(settings, gap, v, scene=None, dt=0.005):
 
 @pytest.mark.parametrize("gap", [0.02, 0.1, 0.2])
 @pytest.mark.parametrize("v", [0.05, -0.05, 0.2])
-def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
-    """Who has been astray for 2, 6, 10 or 14 s at 2 m/s is 1 to 39 cm aside, to either side."""
+def test_passed_entities_are_hit_by_drifting_bases(gap, v):
+    """After 2, 6, 10 or 14 s of drift at 2 m/s, the base is 1 to 39 cm aside, on either side."""
     way = 2.0 * np.array([2.0, 6.0, 10.0, 14.0])
     aside = 0.001 * way**2 / 2.0
     met = 0.5 * erfc((gap - aside) / np.hypot(1e-3, 0.2 * aside) / np.sqrt(2.0))
@@ -307,7 +307,7 @@ def test_who_is_passed_is_met_by_those_astray_that_are_as_far_aside(gap, v):
     assert passing(astray(), gap, v) == pytest.approx(expected, rel=0.1)
 
 
-def test_at_one_moment_what_leads_astray_bends_off():
+def test_without_drift_odometry_failures_take_its_weight():
     seen = SHIPPED.without_drift()
     total = sum(way.weight for way in SHIPPED.ways.values()) + SHIPPED.astray.weight
     assert seen.weak == SHIPPED.weak
@@ -351,7 +351,7 @@ def test_in_a_turn_a_base_that_cannot_turn_leaves_its_path_once_per_angle():
     assert left == pytest.approx(0.01 * settings.weak.lasts * (np.pi / 2.0) / settings.weak.turn, rel=0.02)
 
 
-def test_walls_keep_those_astray_from_whom_they_are_not_to_meet():
+def test_walls_stop_drifting_bases():
     wall = '<body name="wall" pos="2 0.45 .5"><geom type="box" size="4 .06 .5"/></body>'
     assert passing(astray(), 0.2, 0.05, hall(walls="", extra=wall)) < 0.1 * passing(astray(), 0.2, 0.05)
 
@@ -376,7 +376,7 @@ def test_reversing_is_driving_the_other_way():
     assert hit(0.0, -1.5, yaw=np.pi) == pytest.approx(ahead, rel=1e-6)
 
 
-def test_arcs_lead_where_they_lead():
+def test_hits_on_arcs_are_at_the_right_place():
     settings = only(deceleration=(0.5,))
     # From (1, -0.2), heading to +y on an arc of 1 m to the right, it comes to the person at (2, 0.8).
     assert hit(1.0, 1.5, y=-0.2, yaw=np.pi / 2, omega=-1.5, settings=settings) > 0.3
@@ -391,7 +391,7 @@ def test_a_skid_steer_goes_straight_on_once_its_wheels_are_let_go():
     assert hit(1.7, 1.5, y=-0.6, yaw=np.pi / 2, omega=0.3, settings=settings) > 0.05
 
 
-def test_walls_stop_it():
+def test_walls_stop_the_base():
     shield = '<body name="shield" pos="1 .8 .5"><geom type="box" size=".05 .6 .5"/></body>'
     assert hit(0.0, 2.0) > 0.1
     assert hit(0.0, 2.0, scene=hall(extra=shield)) < 1e-4
@@ -413,7 +413,7 @@ def test_by_default_all_failures_of_a_base_without_an_arm_are_its_own():
 
 
 class Doubtful(FailingBase):
-    """A user's own: as the shipped one, and half of that."""
+    """A custom model: the shipped one plus half of it."""
 
     coast = Coast()
 
@@ -439,7 +439,7 @@ class Doubtful(FailingBase):
         return self.coast.gradients(batch, severity)
 
 
-def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_descents():
+def test_a_custom_model_of_failing_bases_counts_in_states_searches_and_descents():
     q, qd = states()
     batch = moving_batch(SCENE, q, qd)
     shipped, own = (gp.ImpactCost(model=gp.FailureMixture(base=base)) for base in (None, Doubtful()))
@@ -452,7 +452,7 @@ def test_a_model_of_ones_own_of_how_bases_fail_counts_in_states_searches_and_des
 
 def test_settings_alone_are_no_model_of_how_bases_fail():
     model = gp.FailureMixture()
-    object.__setattr__(model, "base", SHIPPED)  # past the checks of types, which users do not have
+    object.__setattr__(model, "base", SHIPPED)  # past the type checks, which users do not have
     with pytest.raises(SettingError, match=r"base = .*Coast\(settings\)"):
         model.__post_init__()
 

@@ -1,4 +1,4 @@
-"""Failing bases and those who move: the same as those who stand, where they then are."""
+"""Failing bases and moving entities: the result is that of static entities at their predicted places."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def states(n, around, seed=0):
     return q, np.column_stack([v * np.cos(q[:, 2]), v * np.sin(q[:, 2]), omega])
 
 
-def test_who_stands_is_met_as_an_entity_that_stands_there():
+def test_a_standing_moving_entity_equals_a_static_one():
     q, qd = states(200, [2.0, 0.8])
     P = met(walker([[2.0, 0.8, 0.85]]), q, qd, 3.0, hall(extra="").edit(remove=["person"]))
     known = Coast(SHIPPED).probability(moving_batch(SCENE, q, qd))[:, 0, 0]
@@ -50,15 +50,15 @@ def test_only_the_time_since_the_prediction_counts(shift):
     np.testing.assert_allclose(met(entity, q, qd, 1.0), met(entity.later(shift), q, qd, 1.0 + shift), atol=1e-9)
 
 
-def test_who_is_there_when_the_base_comes_is_hit_and_who_was_there_before_is_not():
+def test_entities_are_hit_only_if_they_are_there_when_the_base_arrives():
     q, qd = np.array([[-3.0, 1.2, 0.0]]), np.array([[1.5, 0.0, 0.0]])
     crossing = walker([[-2.0, -6.0, 0.85], [-2.0, 8.0, 0.85]], t=[0.0, 14.0])  # at y = 1.2 after 7.2 s
-    soon = SHIPPED.only("wheels_locked", "runaway", "delayed")  # none is still about when the next one comes
+    soon = SHIPPED.only("wheels_locked", "runaway", "delayed")  # these failures end before the next entity arrives
     before, at, after = (met(crossing, q, qd, t, settings=soon)[0] for t in (4.0, 6.8, 9.5))
     assert at > 0.3 and before < 0.05 * at and after < 0.01 * at
 
 
-def test_rest_harms_nobody_and_heights_count():
+def test_rest_does_no_harm_and_heights_count():
     q = np.array([[1.5, 0.8, 0.0]])
     here = walker([[2.0, 0.8, 0.85]])
     assert met(here, q, np.zeros((1, 3)), 0.0)[0] == 0.0

@@ -28,7 +28,7 @@ def test_wheels_and_body_are_inverse(v, omega):
 
 
 @given(*SPEEDS, *SPEEDS, st.floats(0.01, 0.2))
-def test_what_is_limited_is_within_limits_and_what_is_within_stays(v, omega, v0, omega0, dt):
+def test_limiting_clamps_only_values_beyond_the_limits(v, omega, v0, omega0, dt):
     before = limited(DriveCommand(v0, omega0), DriveCommand(v0, omega0), BASE, 10.0)
     told = limited(DriveCommand(v, omega), before, BASE, dt)
     assert abs(told.omega - before.omega) <= BASE.alpha_max * dt + 1e-9
@@ -43,7 +43,7 @@ def test_a_rate_that_wheels_cannot_keep_up_with_slows_the_base():
 
 
 def rolled(controller, wanted, sideways, *, seconds, start, dt=0.02):
-    """Drive a base that slips sideways where it turns; return how far off it was, second by second."""
+    """Drive a base that slips sideways in turns; return its error each second."""
     state, off = start, []
     for k in range(int(seconds / dt)):
         aim = wanted(k * dt)
@@ -61,14 +61,14 @@ def circle(t, v=1.0, omega=1.5):
     return DriveState(v / omega * math.sin(yaw), v / omega * (1 - math.cos(yaw)), yaw, v, omega)
 
 
-def test_tracking_comes_back_to_its_motion():
-    # What stays is of the steps of Euler: half as much with half of them.
+def test_tracking_converges_to_the_motion():
+    # The rest is the error of Euler steps: half of it with half the step.
     begins = DriveState(0.05, -0.1, 0.2, 1.0, 1.5)
     off = rolled(Tracking(), circle, 0.0, seconds=4.0, start=begins, dt=0.01)
     assert off[0] > 0.05 and off[-1] < 5e-3
 
 
-def test_a_base_that_slips_in_bends_stays_on_its_way_if_that_is_known():
+def test_a_base_with_known_slip_stays_on_its_path():
     start = circle(0.0)
     blind = rolled(Tracking(), circle, 0.12, seconds=4.0, start=start)
     aware = rolled(Tracking(pivot=Pivot(still=0.12)), circle, 0.12, seconds=4.0, start=start)
@@ -76,7 +76,7 @@ def test_a_base_that_slips_in_bends_stays_on_its_way_if_that_is_known():
 
 
 @pytest.mark.parametrize("turns", [-1.0, 1.0])
-def test_a_base_is_held_at_no_greater_angle_to_its_way_than_it_may_be(turns):
+def test_the_angle_of_a_base_to_its_path_is_limited(turns):
     tracking = Tracking(pivot=Pivot(still=0.04, bend=0.2))
     wanted = DriveState(0.0, 0.0, 0.3, 0.8, 2.5 * turns)  # where its pivot asks for 0.3 rad
     held = DriveState(0.0, 0.0, 0.3 + turns * tracking.slant, 0.8, 2.5 * turns)
@@ -139,8 +139,8 @@ HERE, PATH = DriveState(0.0, 0.0, 0.0, 0.0, 0.0), np.array([[0.0, 0.0], [1.0, 0.
         (HERE, np.zeros((200_000, 2))),
     ],
 )  # fmt: skip
-def test_who_does_not_know_where_it_is_gets_no_command(state, path):
-    """An error, by which a loop stops the base: comparisons with NaN would all be false, and it would drive on."""
+def test_invalid_states_get_no_command(state, path):
+    """An error stops the base; comparisons with NaN are false, and the base would drive on."""
     window = gp.DWA().bind(gp.load_scene("hallway"))
     with pytest.raises((ShapeError, NonFiniteError, SettingError), match=r"state|path"):
         PurePursuit().command(state, path, BASE)
@@ -177,7 +177,7 @@ def test_surroundings_that_mean_nothing_are_refused(wrong):
 
 
 def test_discs_that_mean_nothing_are_refused():
-    """An unknown severity, above all, is not that of nobody."""
+    """In particular, an unknown severity must not count as zero."""
     for centre, radius, severity in (
         ([[1.0, 0.0]], 0.2, NAN),
         ([[1.0, 0.0]], [0.1, 0.2], None),

@@ -17,7 +17,7 @@ NOTHING = Surroundings(np.zeros((0, 7)))
 
 
 def driven(window, path, around, *, seconds=10.0, start=(-4.0, 0.0, 0.0)):
-    """States of a base that does what it is told at once, until it stands."""
+    """Return the states of a base that follows commands exactly, until it stands."""
     state, period = DriveState(*start, 0.0, 0.0), window.settings.period
     found = [state]
     for k in range(int(seconds / period)):
@@ -37,7 +37,7 @@ def test_on_free_floor_it_is_as_fast_as_it_may_be_and_stops_at_the_end():
     assert abs(states[-1, 3]) < 0.02 and np.abs(states[:, 1]).max() < 1e-3
 
 
-def test_commands_stay_within_what_the_base_can_do():
+def test_commands_keep_the_limits_of_the_base():
     rng = np.random.default_rng(0)
     window, around = DWA().bind(SCENE), seen(SCENE)
     for _ in range(200):
@@ -50,11 +50,11 @@ def test_commands_stay_within_what_the_base_can_do():
             assert abs(told.omega - omega) <= BASE.alpha_max * period + 1e-9
             lateral = max(BASE.lateral_max, abs(v * omega))
             assert abs(told.v * told.omega) <= lateral + 1e-9
-            rims = max(BASE.rim_max, abs(v) + BASE.lever * abs(omega))  # it may be too fast already
+            rims = max(BASE.rim_max, abs(v) + BASE.lever * abs(omega))  # it may exceed the limit initially
             assert abs(told.v) + BASE.lever * abs(told.omega) <= rims * (1 + 1e-6)
 
 
-def test_looking_at_the_best_first_finds_what_looking_at_all_finds():
+def test_best_first_equals_exhaustive_evaluation():
     rng, fewer = np.random.default_rng(1), []
     window, around = DWA(impact=0.1).bind(SCENE), seen(SCENE)
     for _ in range(60):
@@ -67,7 +67,7 @@ def test_looking_at_the_best_first_finds_what_looking_at_all_finds():
     assert np.median(fewer) < 0.8
 
 
-def test_it_goes_round_what_stands_in_the_way():
+def test_the_base_drives_around_obstacles():
     post = Surroundings.discs([[0.0, 0.05]], 0.1)
     states = driven(DWA().bind(SCENE), PATH, post)
     gap = np.hypot(states[:, 0], states[:, 1] - 0.05) - 0.1
@@ -75,7 +75,7 @@ def test_it_goes_round_what_stands_in_the_way():
     np.testing.assert_allclose(states[-1, :2], PATH[-1], atol=0.06)
 
 
-def test_it_stops_before_a_wall_and_says_so():
+def test_the_base_stops_before_a_wall_and_reports_it():
     wall = Surroundings([[0.0, 0.0, 1.0, 0.0, 0.1, 30.0, 0.0]])
     states = driven(DWA(horizon=1.5).bind(SCENE), PATH, wall)
     assert states[:, 0].max() < -0.1 - 0.2 and abs(states[-1, 3]) < 0.3
@@ -83,7 +83,7 @@ def test_it_stops_before_a_wall_and_says_so():
     assert not choice.admissible and choice.command.v == pytest.approx(2.0 - BASE.a_max * 0.05)
 
 
-def test_it_waits_for_somebody_who_crosses():
+def test_the_base_waits_for_a_crossing_pedestrian():
     def walker(t):
         return Surroundings.discs([[0.0, -2.4 + 1.0 * t]], 0.25, velocity=[[0.0, 1.0]])
 
@@ -94,7 +94,7 @@ def test_it_waits_for_somebody_who_crosses():
     np.testing.assert_allclose(states[-1, :2], PATH[-1], atol=0.1)
 
 
-def test_who_counts_makes_it_slow_and_who_does_not_leaves_it_fast():
+def test_only_severe_entities_slow_the_base_down():
     def harm(w):
         person = Surroundings.discs([[0.0, 0.6]], 0.25, severity=[60.0])
         window = DWA(impact=w).bind(SCENE)
@@ -120,7 +120,7 @@ def test_no_more_impact_than_is_allowed_where_that_is_possible():
         state = DriveState(x, y, state.yaw + 0.05 * omega, v, omega)
 
 
-def test_a_scene_says_what_is_there_and_what_walks():
+def test_obstacles_and_pedestrians_come_from_the_scene():
     walker = gp.MovingEntity("dog", "pet", size=[0.15, 0.3], t=[0, 4], position=[[0, -1, 0.3], [4, -1, 0.3]])
     scene = SCENE.with_moving(walker)
     around = seen(scene, 1.0)

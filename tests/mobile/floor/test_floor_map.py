@@ -1,4 +1,4 @@
-"""Floor maps: files, hostile ones too, distances, slices of scenes, and scenes made of maps."""
+"""Floor maps: files, hostile files, distances, slices of scenes, and scenes made from maps."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def written(folder, pixels, *, most=255, negate=0, more=THRESHOLDS, plain=False)
 @pytest.mark.parametrize("outside", [True, False])
 @given(seed=st.integers(0, 1000), share=st.floats(0, 0.5))
 @settings(max_examples=15, deadline=None)
-def test_distances_are_those_to_the_nearest_square(outside, seed, share):
+def test_distances_are_to_the_nearest_square(outside, seed, share):
     from graceful_plan.core import _native
 
     rng = np.random.default_rng(seed)
@@ -56,8 +56,8 @@ def test_distances_are_those_to_the_nearest_square(outside, seed, share):
     assert (found <= 0.1 * least + 1e-12).all()
 
 
-def test_pixels_become_occupancy_as_map_server_says(tmp_path):
-    # Above, below and between the thresholds; 205 is unknown, for 50 / 255 = .1961 is above .196.
+def test_pixels_become_occupancy_as_in_map_server(tmp_path):
+    # Above, below and between the thresholds; 205 is unknown, since 50 / 255 = .1961 is above .196.
     file = written(tmp_path, [[0, 89, 90], [205, 206, 254]])
     floor = OccupancyGrid.from_map_server(file)
     assert floor.occupancy.tolist() == [[-1, 0, 0], [100, 100, -1]]
@@ -88,7 +88,7 @@ def test_png_is_read(tmp_path):
 
 @given(seed=st.integers(0, 100), mixed=st.booleans())
 @settings(max_examples=10, deadline=None)
-def test_what_is_saved_is_read_again(tmp_path_factory, seed, mixed):
+def test_saved_maps_can_be_read(tmp_path_factory, seed, mixed):
     rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("maps")
     values = np.arange(-1, 101) if mixed else np.array([-1, 0, 100])
     floor = OccupancyGrid(
@@ -258,7 +258,7 @@ def test_a_turned_map_becomes_the_same_floor_as_a_scene():
     rng = np.random.default_rng(0)
     cells = rng.integers(0, [80, 60], (200, 2))
     q = np.column_stack([floor.centres(cells), np.zeros(200)])
-    # A base whose middle is on something, or which is far from everything.
+    # A base whose middle is on an obstacle, or far from everything.
     on = floor.occupied[cells[:, 1], cells[:, 0]]
     far = (floor.clearance(q[:, :2]) > 0.6) & (np.linalg.norm(q[:, :2] - (0, 3), axis=1) > 0.9)
     clearance = gp.clearance(q, scene)
@@ -284,7 +284,7 @@ NAN, INF = float("nan"), float("inf")
     ],
     ids=str,
 )  # fmt: skip
-def test_maps_that_nobody_could_plan_on_are_refused(change):
+def test_unusable_maps_are_refused(change):
     with pytest.raises((gp.GracefulPlanError, TypeCheckError)):
         OccupancyGrid(**({"occupancy": [[0, 100]], "resolution": 0.1} | change))
 

@@ -1,4 +1,4 @@
-"""Floors by chance: the same for a seed, with a way between all rooms, and planned through."""
+"""Random floors: the same for a seed, connected, and suitable for planning."""
 
 import numpy as np
 import pytest
@@ -16,13 +16,13 @@ def test_floor_plans_leave_a_way(seed):
     np.testing.assert_array_equal(one.floor.occupied, two.floor.occupied)
     np.testing.assert_array_equal(one.start, two.start)
     path = FloorGrid(floor=one.floor, radius=0.4).path(one.start[:2], one.goal[:2])
-    # People are in the way too, so that the way past them is no shorter.
+    # People block cells, too, so the path past them is no shorter.
     assert path.status is GridStatus.SOLVED and path.cost <= one.length + 1e-6
     assert {solid.entity for solid in one.floor.entities} <= {"adult", "child", "pet", "heirloom", "glass"}
     assert (gp.clearance(np.array([one.start, one.goal]), one.floor.to_scene()) > 0.05).all()
 
 
-def test_seeds_differ_and_rooms_are_as_many_as_asked_for():
+def test_seeds_differ_and_the_number_of_rooms_is_kept():
     assert not np.array_equal(floor_plan(0).floor.occupied, floor_plan(1).floor.occupied)
     assert floor_plan(3, rooms=(4, 3), people=9).floor.shape == (270, 360)
     assert len(floor_plan(3, people=9).floor.entities) == 9

@@ -1,4 +1,4 @@
-"""Paths over cells: Dijkstra and A* against scipy and brute force, Theta* between what is visible and octile."""
+"""Paths over cells: Dijkstra and A* against scipy and brute force; Theta* between any-angle and octile length."""
 
 import itertools
 
@@ -13,7 +13,7 @@ from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.mobile.floor.grid_paths import METHODS, FloorGrid, GridStatus
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 
-_RELATIVE = 1e-6  # what a metre costs in a cell is a single precision number
+_RELATIVE = 1e-6  # the cost per metre in a cell is in single precision
 RESOLUTION = 0.1
 
 
@@ -28,7 +28,7 @@ def case(seed, most=14):
 
 
 def reference(grid):
-    """Costs from cell (0, 0) by scipy; a diagonal needs both cells beside it."""
+    """Return costs from cell (0, 0) by scipy; a diagonal needs both adjacent cells."""
     free = ~grid.floor.occupied
     rows, columns = free.shape
     charge = np.zeros(free.shape) if grid.charge is None else grid.charge
@@ -64,7 +64,7 @@ def test_dijkstra_and_a_star_are_exact(seed):
 
 
 def charged(grid, a, b, n=2000):
-    """What a straight way costs, and whether it is free, by fine samples."""
+    """Return the cost of a straight line, and whether it is free, by fine samples."""
     t = (np.arange(n) + 0.5) / n
     xy = a + t[:, None] * (b - a)
     column, row = grid.floor.cells(xy).T
@@ -87,7 +87,7 @@ def test_theta_star_is_free_and_not_above_octile(seed):
 
 
 def visible_length(grid, start, goal):
-    """Shortest any-angle length between centres of cells by brute force: all pairs that see each other."""
+    """Return the shortest any-angle length between cell centres by brute force over all visible pairs."""
     free = np.argwhere(~grid.floor.occupied)[:, ::-1].astype(np.int32)
     n = len(free)
     cost = np.zeros((n, n))
@@ -100,7 +100,7 @@ def visible_length(grid, start, goal):
 
 def test_theta_star_is_close_to_the_shortest_way_of_any_angle():
     ratios = []
-    for seed in range(0, 45, 3):  # those without charges
+    for seed in range(0, 45, 3):  # cases without additional costs
         grid = case(seed, most=11)
         columns, rows = grid.floor.shape[::-1]
         start, goal = grid.floor.centres([[0, 0], [columns - 1, rows - 1]])
@@ -109,7 +109,7 @@ def test_theta_star_is_close_to_the_shortest_way_of_any_angle():
             best = visible_length(grid, (0, 0), (columns - 1, rows - 1))
             assert path.cost >= best * (1 - 1e-9)
             ratios.append(path.cost / best)
-    assert len(ratios) > 5 and np.mean(ratios) < 1.03 and max(ratios) < 1.2  # the least there is it is not
+    assert len(ratios) > 5 and np.mean(ratios) < 1.03 and max(ratios) < 1.2  # Theta* is not optimal
 
 
 def test_open_floor_has_the_known_lengths():
@@ -136,7 +136,7 @@ def test_unhappy_ends_and_limits(method):
     grid = FloorGrid(floor=OccupancyGrid(occupancy=occupied, resolution=1.0))
     assert grid.path((5.5, 5.5), (1.0, 1.0), method=method).status is GridStatus.START_BLOCKED
     assert grid.path((1.0, 1.0), (-1.0, 1.0), method=method).status is GridStatus.GOAL_BLOCKED
-    if method == "dijkstra":  # the others are there before they look at the clock
+    if method == "dijkstra":  # the other methods finish before they check the time
         assert grid.path((1.0, 1.0), (390.0, 380.0), method=method, time_limit=1e-9).status is GridStatus.STOPPED
     assert len(grid.path((1.0, 1.0), (1.0, 1.0), method=method).xy) == 1
     assert np.isinf(grid.costs((5.5, 5.5))).all()

@@ -1,4 +1,4 @@
-"""Searches on a lattice: against Dijkstra over all of its states, and paths checked again by exact geometry."""
+"""Searches on a lattice: against Dijkstra over all states, and paths checked by exact geometry."""
 
 import math
 from dataclasses import replace
@@ -19,11 +19,11 @@ AHEAD = Steering(radius=0.4, reverse=False)
 BASE = Steering(radius=0.4, yaw_length=0.3, reverse_penalty=1.5)
 COARSE = LatticeSettings(steering=CAR, headings=16, inflations=(1.0,), shots=0)
 
-_TOLERANCE = 1e-5  # of costs: the heuristic is kept in single precision
+_TOLERANCE = 1e-5  # of costs: the heuristic is stored in single precision
 
 
 def distances(occupied, resolution=RESOLUTION):
-    """Exact distances from centres of cells to squares of occupied ones; 0 there."""
+    """Return exact distances from cell centres to occupied squares; 0 inside."""
     rows, columns = np.indices(occupied.shape)
     nearest = np.full(occupied.shape, 1e3)
     for r, c in np.argwhere(occupied):
@@ -59,7 +59,7 @@ START, GOAL = pose(6, 6, 2), pose(23, 19, 5)
 
 
 def least_costs(lattice, start, w=0.0):
-    """Costs of all states by Dijkstra over all moves, collision as the lattice says that it checks it."""
+    """Return the costs of all states by Dijkstra over all moves, with the lattice's documented collision check."""
     s, D = lattice.settings, np.asarray(lattice.distance, dtype=np.float32)
     rows, columns = D.shape
     arm, pad = np.hypot(*DISCS[:, :2].T).max(), 40
@@ -96,7 +96,7 @@ def least_costs(lattice, start, w=0.0):
     tail, head, costs = (np.concatenate(part) for part in zip(*edges, strict=True))
     order = np.lexsort((costs, head, tail))
     tail, head, costs = tail[order], head[order], costs[order]
-    first = np.r_[True, (np.diff(tail) != 0) | (np.diff(head) != 0)]  # of two moves between the same states the cheaper
+    first = np.r_[True, (np.diff(tail) != 0) | (np.diff(head) != 0)]  # the cheaper of two equal moves
     n = rows * columns * s.headings
     graph = coo_array((costs[first], (tail[first], head[first])), shape=(n, n)).tocsr()
     column, row = (int(v / RESOLUTION) for v in start[:2])
@@ -109,7 +109,7 @@ def cost_at(costs, at):
 
 
 def least_gap(path, occupied):
-    """Least distance between the discs along a path and the squares of occupied cells, finely sampled."""
+    """Return the least distance between the discs along a path and occupied squares, finely sampled."""
     at = path.curve.sampled(0.005)
     c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
     cells = np.argwhere(occupied)[:, ::-1] + 0.5
@@ -123,7 +123,7 @@ def least_gap(path, occupied):
 
 @pytest.mark.parametrize("steering", [CAR, AHEAD, BASE], ids=["car", "ahead", "base"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_costs_are_those_of_dijkstra(seed, steering):
+def test_costs_equal_those_of_dijkstra(seed, steering):
     lattice = StateLattice(
         distance=distances(floor(seed)),
         resolution=RESOLUTION,
@@ -147,7 +147,7 @@ def test_costs_are_those_of_dijkstra(seed, steering):
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
-def test_costs_with_impact_are_those_of_dijkstra(seed):
+def test_costs_with_impact_equal_those_of_dijkstra(seed):
     occupied = floor(seed)
     lattice = StateLattice(
         distance=distances(occupied),
@@ -214,13 +214,13 @@ def test_an_open_floor_is_crossed_on_the_shortest_curve():
     assert path.cost <= float(shortest_curves(start, goal, CAR).cost) + 1e-9
 
 
-def test_what_is_off_the_map_is_an_obstacle():
+def test_cells_off_the_map_are_obstacles():
     settings = LatticeSettings(steering=BASE, headings=16)
     lattice = StateLattice(
         distance=np.full((30, 30), 9.0), resolution=RESOLUTION, discs=DISCS, settings=settings,
         impact=np.ones((30, 30, 16)),
     )  # fmt: skip
-    for x in np.linspace(2.75, 2.999, 9):  # until only what is ahead of the middle is off the map
+    for x in np.linspace(2.75, 2.999, 9):  # only the part ahead of the middle is off the map
         assert lattice.path([1, 1, 0], [x, 1, 0]).status is LatticeStatus.GOAL_BLOCKED
     assert lattice.path([1, 1, 0], [2.7, 1, math.pi / 2]).status is LatticeStatus.SOLVED
     rng = np.random.default_rng(0)
@@ -345,7 +345,7 @@ def test_a_path_of_the_lead_is_free_and_its_bound_is_true(seed):
                 assert quick.cost <= quick.bound * best.cost + _TOLERANCE
 
 
-def test_driving_backwards_has_an_impact_of_its_own():
+def test_driving_backwards_has_its_own_impact():
     occupied = np.zeros((26, 60), dtype=bool)
     one = np.ones((*occupied.shape, 16), dtype=np.float32)
     made = {

@@ -1,4 +1,4 @@
-"""Shortest curves of a base that steers: against OMPL, and what has to hold of any."""
+"""Shortest curves of a steered base: against OMPL, and laws of all curves."""
 
 import math
 
@@ -51,12 +51,12 @@ def of_ompl(space, a, b):
 
 @pytest.mark.parametrize("n", [2_000, pytest.param(100_000, marks=pytest.mark.long)])
 @pytest.mark.parametrize("steering", [CAR, AHEAD], ids=["Reeds-Shepp", "Dubins"])
-def test_lengths_are_those_of_ompl(steering, n):
+def test_lengths_equal_those_of_ompl(steering, n):
     from ompl import base as ob
 
     space = (ob.ReedsSheppStateSpace if steering.reverse else ob.DubinsStateSpace)(steering.radius)
     a, b = random_poses(n), random_poses(n, 1)
-    b[: n // 4, :2] = a[: n // 4, :2] + 0.2 * b[: n // 4, :2]  # near each other words are many
+    b[: n // 4, :2] = a[: n // 4, :2] + 0.2 * b[: n // 4, :2]  # near each other there are many words
     ours = shortest_curves(a, b, steering).cost
     assert np.abs(ours - of_ompl(space, a, b)).max() < _TOLERANCE
 
@@ -83,7 +83,7 @@ def test_there_and_back_is_as_long(a, b):
 def test_a_detour_is_not_shorter(a, b, c):
     for steering in (CAR, AHEAD):
         direct = shortest_curves(a, c, steering).cost
-        # Dubins' curves jump by whole circles at some goals, where rounding decides.
+        # At some goals, rounding makes Dubins' curves longer by whole circles.
         near = shortest_curves(a, c + [0, 0, 1e-7], steering).cost, shortest_curves(a, c - [0, 0, 1e-7], steering).cost
         detour = shortest_curves(a, b, steering).cost + shortest_curves(b, c, steering).cost
         assert min(direct, *near) <= detour + 1e-5

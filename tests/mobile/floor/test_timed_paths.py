@@ -1,4 +1,4 @@
-"""Paths over cells, headings and time against all there are, on floors so small that they can be listed."""
+"""Paths over cells, headings and time against all paths, on floors small enough to enumerate them."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def everywhere(rows, columns):
 
 
 def walking(*places, radius=0.2, **given):
-    """Somebody round who is at these places at half ticks, and stays at the last."""
+    """Return a round entity with these positions at half ticks; it stays at the last."""
     shape = np.zeros((1, len(places), 7))
     shape[0, :, :2], shape[0, :, 2], shape[0, :, 6] = places, 1.0, radius
     return DynamicObstacles(shape=shape, velocity=np.zeros((1, len(places)), dtype=np.int32), **given)
 
 
 def price_of(of, who, node, move):
-    """What a move costs; infinite if it must not be made."""
+    """Return the cost of a move, infinite if it is forbidden."""
     (x, y, h, tick), rows, columns = node, *of.open.shape[1:]
     to, arrives = (x + move.columns, y + move.rows), (h + move.turn) % HEADINGS
     drives = move.kind in (MoveKind.FORWARD, MoveKind.SLOW, MoveKind.BACKWARD)
@@ -71,7 +71,7 @@ def price_of(of, who, node, move):
 
 
 def every_path(of, who, start, goal):
-    """The least cost of all: values of all states, from the last tick to the first."""
+    """Return the least cost: values of all states, from the last tick to the first."""
     rows, columns = of.open.shape[1:]
     left = np.full((of.ticks + 1, HEADINGS, rows, columns), np.inf)
     for tick in range(of.ticks, -1, -1):
@@ -90,7 +90,7 @@ def every_path(of, who, start, goal):
 
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000))
-def test_costs_are_those_of_the_best_of_all_paths(seed):
+def test_costs_equal_those_of_the_best_of_all_paths(seed):
     rng = np.random.default_rng(seed)
     opened = everywhere(2, 3) & np.where(rng.uniform(size=(HEADINGS, 2, 3)) < 0.85, 3, 1).astype(np.uint8)
     places = rng.uniform([0.0, -1.0], [3.0, 2.0], (30, 2))
@@ -113,8 +113,8 @@ def test_costs_are_those_of_the_best_of_all_paths(seed):
         assert (np.diff(found.nodes[:, 3]) > 0).all()
 
 
-def test_it_waits_until_the_door_is_open_or_turns_in_place():
-    # Somebody stands in the door of a corridor until the 20th half tick.
+def test_the_base_waits_for_a_door_or_turns_in_place():
+    # A person blocks the door of a corridor until the 20th half tick.
     places = [[2.0, 0.0]] * 20 + [[2.0, 9.0]]
     of = lattice(everywhere(1, 4), 40)
     alone, found = of.cheapest((0, 0, 0), (3, 0)), of.cheapest((0, 0, 0), (3, 0), others=walking(*places))
@@ -122,13 +122,13 @@ def test_it_waits_until_the_door_is_open_or_turns_in_place():
     assert found.nodes[-1, 3] >= 12 and found.cost > alone.cost
     assert not len(lattice(everywhere(1, 4), 11).cheapest((0, 0, 0), (3, 0), others=walking(*places)).nodes)
     back = of.cheapest((3, 0, 0), (0, 0))
-    assert (back.nodes[:, 2] == 0).all()  # a short way is driven backwards
+    assert (back.nodes[:, 2] == 0).all()  # a short distance is driven backwards
     round_ = lattice(everywhere(1, 4), 40, paces=TimedPaces(reverse=False)).cheapest((3, 0, 0), (0, 0))
     assert sorted({int(h) for h in round_.nodes[:, 2]}) in ([0, 1, 2, 3, 4], [0, 4, 5, 6, 7])
 
 
-def test_who_comes_along_a_corridor_is_let_by_at_a_bay():
-    # One cell wide, with a bay; somebody walks through it from the far end: the base pulls in and goes on.
+def test_the_base_lets_a_pedestrian_pass_at_a_bay():
+    # A corridor one cell wide with a bay; a person comes from the far end: the base waits in the bay.
     opened = np.zeros((HEADINGS, 2, 9), dtype=np.uint8)
     opened[:, 0], opened[:, 1, 3] = STANDS | LEAVES, STANDS | LEAVES
     diagonal = [h for h, (c, r) in enumerate(STEPS) if c and r]

@@ -16,18 +16,18 @@ def planned(goal, scene=SCENE, start="west", **given):
     return gp.plan(start, goal, scene, **given)
 
 
-def test_a_base_drives_round_what_is_in_the_way():
-    result = planned("east", w=0.0)  # with a weight it is slow near the person
+def test_a_base_drives_around_obstacles():
+    result = planned("east", w=0.0)  # with w > 0 it is slow near the person
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["rolling"].passed
     trajectory = result.trajectory
     np.testing.assert_allclose(trajectory.q[[0, -1]], [[-4, 0, 0], [4, 0, 0]], atol=1e-9)
-    # One smooth curve: it stops nowhere, and takes little longer than the straight line would.
+    # One smooth curve without stops, hardly slower than the straight line.
     speed = np.linalg.norm(trajectory.at(np.linspace(0.3, trajectory.duration - 0.3, 500)).qd[:, :2], axis=1)
     assert speed.min() > 0.3
     assert trajectory.duration < 1.15 * (8.0 / BASE.v_max + BASE.v_max / BASE.a_max)
 
 
-def test_what_is_returned_costs_what_it_says_and_passes_a_judge_of_its_own():
+def test_results_have_the_stated_cost_and_pass_an_independent_check():
     result = planned("east", w=1.0)
     assert gp.evaluate(result.trajectory, SCENE, gp.Objective(w=1.0)).total == pytest.approx(result.cost.total)
     assert gp.verify(result.trajectory, SCENE, start=[-4, 0, 0], goal=[4, 0, 0]).passed
@@ -46,7 +46,7 @@ def test_goals_anywhere_are_reached_rolling_or_refused(x, y, yaw):
         assert gp.verify(result.trajectory, SCENE).passed
 
 
-def test_tight_places_are_told():
+def test_tight_places_are_reported():
     tight = gp.BasePose(0.0, 0.578125, 2.625)  # half a millimetre beside the pillar
     result = planned(tight)
     assert result.status is gp.PlanStatus.INVALID_GOAL and "clearance" in result.detail
@@ -71,7 +71,7 @@ def test_a_pose_in_a_wall_is_no_goal():
     assert result.status is gp.PlanStatus.INVALID_GOAL and "north" in result.detail
 
 
-def test_no_way_is_said():
+def test_a_missing_path_is_reported():
     wall = '<body name="wall" pos="-2 0 .5"><geom type="box" size=".05 2 .5"/></body>'
     ends = '<body name="end" pos="-6 0 .5"><geom type="box" size=".05 2 .5"/></body>'
     planner = gp.DriveLattice(cells=(0.4,))
@@ -84,7 +84,7 @@ def test_staying_is_a_motion():
     assert result.status is gp.PlanStatus.SOLVED and result.trajectory.duration == 0.0
 
 
-def test_the_arm_goes_with_it():
+def test_the_arm_moves_with_the_base():
     scene = hall(arm=True)
     result = planned([4.0, 0.5, 0.0, -0.9], scene)
     assert result.status is gp.PlanStatus.SOLVED
@@ -93,7 +93,7 @@ def test_the_arm_goes_with_it():
 
 def test_slower_is_slower():
     full, half = (planned("east", w=0.0, speed=speed).trajectory.duration for speed in (1.0, 0.5))
-    assert 1.7 * full < half < 2.05 * full  # bends may be tighter where it is slower
+    assert 1.7 * full < half < 2.05 * full  # slower motions may turn tighter
 
 
 def test_other_planners_do_not_roll():
@@ -105,7 +105,7 @@ def test_other_planners_do_not_roll():
         planned(gp.BasePose(0.0, 1.0), hall(None))
 
 
-def test_what_does_not_know_how_a_base_rolls_says_so():
+def test_pareto_and_roadmap_refuse_bases():
     with pytest.raises(UnsupportedError, match="pareto"):
         gp.pareto("west", "east", SCENE, time_limit=1.0)
     with pytest.raises(UnsupportedError, match="roadmap"):

@@ -1,4 +1,4 @@
-"""Descents of curves that a base rolls along: exact derivatives, and ends that stay where they are."""
+"""Descents of curves along which a base rolls: exact derivatives, and fixed ends."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ PATH = np.array([[-4.0, -0.8, 0.0], [-1.0, -1.1, 0.0], [1.0, -1.1, 0.0], [4.0, -
 
 
 def descent(scene, w=0.0, path=PATH, controls=11, **kind):
-    """Return a descent from a path, the arm at rest but for its last vertex."""
+    """Return a descent from a path, with the arm at rest except at its last vertex."""
     nq = len(scene.joints)
     q = np.column_stack([path, np.zeros((len(path), nq - 3))])
     q[-1, 3:] = 0.4
@@ -41,7 +41,7 @@ def descent(scene, w=0.0, path=PATH, controls=11, **kind):
 
 @pytest.mark.parametrize("turns", [(False, False), (True, True)])
 @pytest.mark.parametrize(("scene", "w"), [(HALL, 0.0), (HALL, 1.0), (WITH_ARM, 0.0), (AMONG, 0.0), (AMONG, 1.0)])
-def test_derivatives_are_those_of_differences(scene, w, turns):
+def test_derivatives_equal_differences(scene, w, turns):
     found, _ = descent(scene, w, turns_before=turns[0], turns_after=turns[1])
     rng, columns = np.random.default_rng(0), len(scene.joints)
     x = found.inner.ravel() + 0.05 * rng.normal(size=found.inner.size)
@@ -79,7 +79,7 @@ def test_a_base_that_may_turn_first_does_so_where_that_is_shorter():
     assert abs(curves.curve(turned.controls).even(50)[0, 2]) < 1.0
 
 
-def test_it_is_slower_near_others_where_there_is_no_room():
+def test_the_base_is_slower_near_entities_in_tight_places():
     narrow = hall(walls='<body name="south" pos="0 -.6 .5"><geom type="box" size="6 .05 .5"/></body>')
     straight = np.array([[-4.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
     shares = []
@@ -91,11 +91,11 @@ def test_it_is_slower_near_others_where_there_is_no_room():
     assert shares[1].min() < 0.85 and shares[1].max() <= 1.0
 
 
-def test_gaps_to_entities_that_move_are_told_at_the_times_of_the_motion():
+def test_gaps_to_moving_entities_are_at_the_times_of_the_motion():
     through = PATH.copy()
     through[1:-1, 1] = 0.0
     found, _ = descent(AMONG, path=through)
-    assert found.gap < 0.0  # she is in the middle when it gets there
+    assert found.gap < 0.0  # the pedestrian is in the middle when the base arrives
     found.run(80, np.inf)
     assert found.gap > 0.0
     alone, _ = descent(HALL)

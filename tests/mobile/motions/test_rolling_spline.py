@@ -1,4 +1,4 @@
-"""Smooth curves of bases: they roll, within all limits, and as fast as these allow."""
+"""Smooth curves of bases: they roll within all limits, as fast as possible."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def travelled(drive, scene=SCENE, speed=1.0):
 
 
 def rates(trajectory, n=4000):
-    """Speeds along and across the heading, acceleration along, and rate of turning."""
+    """Return speeds along and across the heading, acceleration along it, and turning rate."""
     state = trajectory.at(np.linspace(0.0, trajectory.duration, n))
     c, s = np.cos(state.q[:, 2]), np.sin(state.q[:, 2])
     along = state.qd[:, 0] * c + state.qd[:, 1] * s
@@ -39,7 +39,7 @@ def rates(trajectory, n=4000):
 
 
 @pytest.mark.parametrize("forward", [True, False])
-def test_derivatives_of_the_heading_are_those_of_differences(forward):
+def test_derivatives_of_the_heading_equal_differences(forward):
     grid = rolling(forward=forward).grid(16)
     du = np.diff(grid.s)
     inside = slice(40, -40)
@@ -65,7 +65,7 @@ def test_a_drive_rolls_within_all_limits_and_reaches_one_of_them_everywhere(forw
     assert np.abs(a).max() <= BASE.a_max * 1.01
     assert np.abs(v * omega).max() <= BASE.lateral_max * 1.01
     np.testing.assert_allclose(trajectory.q[[0, -1]], [start, turned], atol=1e-12)
-    # Time-optimal: almost always something is at its limit.
+    # Time-optimal: some limit is active almost everywhere.
     lateral = np.abs(v * omega) / BASE.lateral_max
     used = np.maximum.reduce([rim / BASE.rim_max, np.abs(a) / BASE.a_max, lateral, np.abs(omega) / BASE.omega_max])
     alpha = np.abs(trajectory.at(np.linspace(0.0, trajectory.duration, 4000)).qdd[:, 2]) / BASE.alpha_max

@@ -1,4 +1,4 @@
-"""Ways over the floor, routes along them, and postures to begin with."""
+"""Homotopy classes on the floor, routes along them, and initial postures."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from hall import hall
 WEST, EAST = np.array([-4.0, 0.0, 0.0]), np.array([4.0, 0.0, 0.0])
 
 
-def test_ways_lead_round_both_sides_of_what_is_between():
+def test_routes_lead_around_both_sides_of_an_obstacle():
     found = list(ways(hall(), WEST, EAST))
     sides = {bool(np.interp(0.0, way[:, 0], way[:, 1]) > 0.0) for way in found}
     assert sides == {True, False}

@@ -36,7 +36,7 @@ def rolls(path):
 
 
 def brute_force(problem, objective, cell, goal):
-    """Dijkstra over the same lattice, in Python, with the goal on it."""
+    """Return the cost by Dijkstra over the same lattice, in Python, with a goal on the lattice."""
     start = problem.start
 
     def state(key):
@@ -80,7 +80,7 @@ def test_a_path_is_at_least_as_good_as_the_best_of_its_lattice():
     (path, *_), objective = solve(scene, [0, 0, 0], [[2, 0, 0]], cells=(0.25,), weights=(1.0,))
     problem, _ = asked(scene, [0, 0, 0], [[2, 0, 0]])
     expected = brute_force(problem, objective, 0.25, (8, 0, 0))
-    # The way to the goal has any heading, so that it may cut what the lattice has to go round.
+    # The last curve to the goal may have any heading, so it can be shorter than lattice moves.
     assert 0.85 * expected < path_total(objective, path) <= expected + 1e-9
 
 

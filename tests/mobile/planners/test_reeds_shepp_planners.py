@@ -1,4 +1,4 @@
-"""OMPL's planners over poses: what they return rolls, is free, gets better and repeats itself."""
+"""OMPL's planners over poses: their paths roll, are free, improve, and repeat for a seed."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def test_through_plan_with_result_and_verdict():
     assert result.trace[-1].total == pytest.approx(result.cost.total)
 
 
-def test_who_cannot_use_them_is_told():
+def test_unsuitable_robots_are_refused():
     forward = hall(replace(BASE, reverse=False))
     for planner in PLANNERS:
         assert DRIVING[planner.name] is planner

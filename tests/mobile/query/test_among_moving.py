@@ -14,7 +14,7 @@ SCENE = hall(extra="").edit(remove=["person", "pillar"])
 CROSSING = gp.MovingEntity(
     "ann", "adult", size=[0.25, 0.85], t=[0.0, 4.0], position=[[0.0, -1.6, 0.85], [0.0, 1.6, 0.85]], spread=0.05
 )
-"""Who is in the middle of the hall when a base that drives straight on at once gets there."""
+"""A pedestrian who is in the middle of the hall when a base that starts at once gets there."""
 
 
 def planned(scene, **given):
@@ -23,13 +23,13 @@ def planned(scene, **given):
 
 
 @pytest.mark.long
-def test_the_planner_over_cells_and_time_where_nobody_moves():
+def test_the_planner_over_cells_and_time_without_moving_entities():
     result = planned(SCENE, planner="floor_in_time")
     assert result.status is gp.PlanStatus.SOLVED
 
 
 @pytest.mark.long
-def test_nobody_is_driven_into_and_harm_is_less_than_without_regard_for_time():
+def test_pedestrians_are_avoided_with_less_harm_than_without_times():
     scene = SCENE.with_moving(CROSSING)
     unaware, aware = planned(SCENE), planned(scene)
     assert unaware.status is aware.status is gp.PlanStatus.SOLVED
@@ -43,9 +43,9 @@ def test_nobody_is_driven_into_and_harm_is_less_than_without_regard_for_time():
 
 
 @pytest.mark.long
-def test_who_is_far_away_changes_nothing_and_w_of_0_still_drives_into_nobody():
+def test_distant_entities_change_nothing_and_plans_at_w_0_avoid_entities():
     far = gp.MovingEntity("ann", "adult", size=[0.25, 0.85], t=[0.0], position=[[30.0, 30.0, 0.85]])
-    # Searches share 300 iterations in other ways, and one of them looks at cells: the motion may be a little better.
+    # Searches divide the 300 iterations differently, and one uses cells, so the motion may be slightly better.
     alone, haunted = planned(SCENE), planned(SCENE.with_moving(far))
     assert haunted.trajectory.duration == pytest.approx(alone.trajectory.duration, rel=0.02)
     assert haunted.cost.total <= 1.01 * alone.cost.total
@@ -60,7 +60,7 @@ def test_the_planner_over_cells_and_time_alone():
 
 
 @pytest.mark.long
-def test_who_cannot_be_passed_is_named_in_a_warning():
+def test_entities_that_cannot_be_passed_are_named_in_a_warning():
     wall = gp.MovingEntity("crowd", "adult", size=[0.3, 9.0, 0.85], t=[0.0], position=[[0.0, 0.0, 0.85]])
     result = planned(SCENE.with_moving(wall), iterations=1000)
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.warnings == ("passing_by",)

@@ -1,4 +1,4 @@
-"""Regard for impact never costs more, by J, than none."""
+"""Plans with w > 0 never cost more, by J, than plans with w = 0."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Poses of a tool with the base free: reached, free, nearest first; through the front door too."""
+"""Tool poses with a free base: reached, free, the nearest first, also through the front door."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def reached(goal: gp.PoseGoal, **given) -> np.ndarray:
 
 @given(st.integers(0, 10_000), st.booleans())
 @settings(max_examples=10, deadline=None)
-def test_what_some_configuration_reaches_is_reached(seed, free_yaw):
+def test_reachable_poses_are_reached(seed, free_yaw):
     rng = np.random.default_rng(seed)
     q = rng.uniform(*KITCHEN.limits.position.T)
     q[2] = rng.uniform(-np.pi, np.pi)
@@ -46,7 +46,7 @@ def test_what_some_configuration_reaches_is_reached(seed, free_yaw):
     assert (np.diff(way_to(READY, found)) >= 0.0).all()
 
 
-def test_what_the_arm_reaches_from_where_the_base_stands_needs_no_driving():
+def test_poses_within_reach_of_the_arm_need_no_driving():
     q = READY.copy()
     q[4] += 0.5
     np.testing.assert_allclose(reached(gp.PoseGoal.from_tool(q, KITCHEN))[0, :3], READY[:3], atol=1e-9)
@@ -57,14 +57,14 @@ def test_the_way_to_a_configuration_is_turn_drive_turn():
     np.testing.assert_allclose(way_to(start, q), [2.0, 2.0 + np.pi, 2.5, 1.0], atol=1e-9)
 
 
-def test_postures_that_are_kept_have_the_tool_where_they_say():
+def test_stored_postures_have_the_right_tool_pose():
     reach = reach_of(KITCHEN)
     for k in (0, 777):
         q = np.concatenate([[0.0, 0.0, 0.0], reach.arm[k]])
         np.testing.assert_allclose(tool(q), reach.X_BT[k], atol=1e-6)
 
 
-def test_poses_out_of_reach_are_told():
+def test_poses_out_of_reach_are_reported():
     result = gp.plan("ready", gp.PoseGoal.at([3.0, 2.0, 4.0]), KITCHEN, iterations=1)
     assert result.status is gp.PlanStatus.INVALID_GOAL and "pose" in result.detail
 
@@ -82,7 +82,7 @@ def test_base_and_arm_go_to_a_pose():
     assert np.linalg.norm(result.trajectory.q[-1, :2] - READY[:2]) > 1.0
 
 
-def test_arms_go_round_what_is_between():
+def test_arms_move_around_obstacles():
     bar = '<body name="bar" pos="4.6 0 .4"><geom type="box" size=".05 .5 .02"/></body>'
     scene = hall(arm=True, extra=bar)
     above, below = np.array([4.0, 0.0, 0.0, -0.6]), np.array([4.0, 0.0, 0.0, 0.6])
@@ -90,7 +90,7 @@ def test_arms_go_round_what_is_between():
     held = SceneConstraints(scene, [])
     assert gp.clearance(np.stack([above, below]), scene).min() > 0.002
     ends = find_endpoints(start, below, held, np.random.default_rng(0))
-    # With one joint there is no way round; the goal stays as it is.
+    # With one joint there is no detour, so the goal stays.
     assert len(with_arm_detours(ends).arrivals) == 1
 
 
@@ -112,15 +112,15 @@ def test_ways_round_a_corner_are_free_where_the_straight_one_is_not():
         assert held.kernels.edges_free(arrival.q[:-1], arrival.q[1:]).all()
 
 
-def test_who_stops_the_search_late_does_not_wait_for_all_of_the_time():
-    """Motions near a path took half a minute of this minute; now as long as its search."""
+def test_a_late_stop_does_not_use_the_whole_time_limit():
+    """Motions near a path used to take half a minute of this minute; now they take as long as the search."""
     q = np.array([3.6, 1.82, -1.06, 0.18, -1.44, 0.54, -0.81, 0.39, -0.42, 1.7, -2.92])
 
     def stops(_: object) -> bool:
-        time.sleep(0.15)  # a motion soon is for who stops earlier
+        time.sleep(0.15)  # earlier stops end with a quick motion
         return True
 
-    gp.plan(READY, READY, KITCHEN, iterations=1)  # compiles
+    gp.plan(READY, READY, KITCHEN, iterations=1)  # compile the scene
     result = gp.plan(READY, gp.PoseGoal.from_tool(q, KITCHEN), KITCHEN, time_limit=60.0, callback=stops)
     assert result.status is gp.PlanStatus.SOLVED
     assert result.stats["total_time"] < 15.0
@@ -131,5 +131,5 @@ def test_the_first_motion_ends_the_call_of_a_base():
     told = []
     goal = gp.PoseGoal.from_tool(q, KITCHEN)
     result = gp.plan(READY, goal, KITCHEN, time_limit=60.0, stop="first", callback=told.append)
-    assert result.status is gp.PlanStatus.SOLVED and len(told) == 2  # the path, and the motion
+    assert result.status is gp.PlanStatus.SOLVED and len(told) == 2  # path and motion
     assert result.stats["total_time"] < 15.0

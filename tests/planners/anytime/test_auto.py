@@ -1,4 +1,4 @@
-"""The default planner: its searches, what they tell each other, and paths to begin with."""
+"""The default planner: its searches, what they share, and initial paths."""
 
 import hashlib
 import inspect
@@ -28,7 +28,7 @@ def task():
 
 
 def bound(task, w=1.0, impact="mixture"):
-    """From and to where a first path is clear of what the object stands on: way outs are the business of plan()."""
+    """Return a problem whose ends are clear of the surface below the object; leaving contact is the task of plan()."""
     kernels = compile_scene(task.scene).kernels
     q = gp.plan(task.start, task.goal, task.scene, w=0.0, planner="rrt_connect", iterations=500).unwrap().path.q
     first, last = q[kernels.free(q, 0.005)][[0, -1]]
@@ -76,7 +76,7 @@ def test_searches_share_the_budget_and_only_improve(task, workers):
 
 @pytest.mark.long
 @pytest.mark.parametrize("setting", first_quick(["descents", "scouts"]))
-def test_what_a_search_leaves_out_it_does_without(task, setting):
+def test_parts_of_the_default_search_can_be_switched_off(task, setting):
     problem, objective = bound(task)
     paths, _ = solved(gp.Auto(search=gp.Anytime(**{setting: False})), problem, objective)
     whole, _ = solved(gp.Auto(), problem, objective)
@@ -84,7 +84,7 @@ def test_what_a_search_leaves_out_it_does_without(task, setting):
     assert not np.array_equal(paths[-1].q, whole[-1].q)
 
 
-def test_without_fear_there_is_one_search(task):
+def test_without_impact_there_is_one_search(task):
     problem, objective = bound(task, w=0.0)
     one, _ = solved(gp.Auto(workers=1), problem, objective)
     several, _ = solved(gp.Auto(workers=4), problem, objective)
@@ -111,7 +111,7 @@ def test_a_cost_without_gradient_is_lowered_too(task):
 
 
 def test_begins_with_a_free_path_and_improves_it(task):
-    """A first path is free at the fine step, too, which shortcuts are not asked for."""
+    """Initial paths are checked at the fine step, which shortcuts need not pass."""
     problem, objective = bound(task)
     given = solved(gp.RRTConnect(shortcut=None), problem, objective)[0][-1]
     paths, _ = solved(gp.Auto(initial=given), problem, objective)
@@ -137,7 +137,7 @@ def test_an_initial_path_is_brought_into_the_limits(task):
 @pytest.mark.long
 def test_an_initial_path_that_grazes_something_between_two_checks_is_only_a_hint(task):
     problem, objective = bound(task)
-    coarse = replace(problem, check_step=10.0)  # looks at little more than the ends of edges
+    coarse = replace(problem, check_step=10.0)  # checks little more than the ends of edges
     via = np.random.default_rng(0).uniform(problem.lower, problem.upper, (3000, len(problem.lower)))
     start, goal = np.broadcast_to(problem.start, via.shape), np.broadcast_to(problem.goals[0], via.shape)
     seems, is_free = (p.edges_free(start, via) & p.edges_free(via, goal) for p in (coarse, problem))

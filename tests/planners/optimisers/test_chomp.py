@@ -1,4 +1,4 @@
-"""CHOMP: its steps, known optima, what it does about limits, obstacles and symmetry, and that hazards are smeared."""
+"""CHOMP: its steps, known optima, limits, obstacles and symmetry, and smeared hazards."""
 
 from __future__ import annotations
 
@@ -10,14 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import (
-    AnalyticProblem,
-    DensityObjective,
-    FunctionProblem,
-    analytic_problems,
-    disc,
-    free_space,
-)
+from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems, disc, free_space
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.costs.objective import search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
@@ -33,7 +27,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 
 _WITHIN = 1.005
 _FINER = 50
-"""How much finer J is integrated than it was planned with."""
+"""J is evaluated with steps smaller than those of planning by this factor."""
 _BAD = {
     "free_space": [[0.5, -1.8], [-1.0, 0.5]],
     "uniform_density": [[0.5, -1.8], [-1.0, 0.5]],
@@ -42,7 +36,7 @@ _BAD = {
     "hyperbolic": [[-0.4, 0.15], [0.5, 0.12], [1.4, 0.2]],
     "catenary": [[-1.8, 2.9], [1.7, 2.9]],
 }
-"""Detours to begin with, each on the right side."""
+"""Initial detours in the homotopy class of the optimum."""
 
 
 def _bad(instance: AnalyticProblem) -> Path:
@@ -84,8 +78,8 @@ def test_reaches_the_optimum_in_seven_dimensions() -> None:
 
 
 @pytest.mark.parametrize("memory", [0, 8])
-def test_smoothness_alone_needs_one_step(memory: int) -> None:
-    """The energy of free space is quadratic in the metric itself, so that the first full step is Newton's."""
+def test_smoothness_without_cost_needs_one_step(memory: int) -> None:
+    """The energy of free space equals the metric, so the first full step is a Newton step."""
     instance = free_space(3)
     rng = np.random.default_rng(0)
     q = np.linspace(instance.problem.start, instance.problem.goals[0], 33)
@@ -101,8 +95,8 @@ def test_smoothness_alone_needs_one_step(memory: int) -> None:
 
 @given(seed=st.integers(0, 1000), size=st.integers(1, 8))
 @settings(max_examples=20, deadline=None)
-def test_memory_learns_the_curvature_it_was_shown(seed: int, size: int) -> None:
-    """L-BFGS maps the last change of the gradient back on to its step exactly, and goes down."""
+def test_memory_reproduces_the_last_curvature(seed: int, size: int) -> None:
+    """L-BFGS maps the last change of the gradient exactly to its step, and gives a descent direction."""
     rng = np.random.default_rng(seed)
     metric = Smoothness(6, 1)
     memory = Memory(metric, 3.0, size)
@@ -128,7 +122,7 @@ def test_memory_refuses_a_step_along_which_the_energy_bends_down() -> None:
 
 
 def test_steps_never_lead_to_a_path_that_is_not_allowed() -> None:
-    """The first step would end far beyond the line that must not be crossed."""
+    """The first step would end far beyond the line, which must not be crossed."""
     instance = analytic_problems()["hyperbolic"]
     problem, line = instance.problem, 0.52
     q = with_edges(Path(np.array([problem.start, [0.5, 0.2], problem.goals[0]])), 20)
@@ -150,7 +144,7 @@ def test_steps_never_lead_to_a_path_that_is_not_allowed() -> None:
 
 
 def test_every_path_is_free_inside_the_limits_and_cheaper() -> None:
-    """The least cost lies beyond the limits, so that the path runs along them."""
+    """The least cost lies beyond the limits, so the path follows them."""
     problem = FunctionProblem(
         start=np.array([-1.0, 0.0]), goals=np.array([[1.0, 0.0]]), lower=np.full(2, -1.2), upper=np.array([1.2, 0.4])
     )
@@ -165,12 +159,12 @@ def test_every_path_is_free_inside_the_limits_and_cheaper() -> None:
     for path in paths:
         assert np.all(path.q >= problem.lower) and np.all(path.q <= problem.upper)
     assert np.isclose(paths[-1].q[:, 1], 0.4).sum() > 5
-    assert totals[-1] < 7.4875  # that of a search to convergence; where limits only cut off what steps do: 7.4906
+    assert totals[-1] < 7.4875  # cost of a converged search; a search that clips its steps at the limits reaches 7.4906
     np.testing.assert_array_equal(paths[-1].q[[0, -1]], straight.q)
 
 
 def test_leaves_a_symmetric_saddle() -> None:
-    """A ridge across a straight path: both sides are equal, so that the gradient points to neither."""
+    """A ridge across a straight path: both sides are equal, so the gradient points to neither."""
     problem = FunctionProblem(
         start=np.array([-1.0, 0.0]), goals=np.array([[1.0, 0.0]]), lower=np.full(2, -2.0), upper=np.full(2, 2.0)
     )
@@ -198,7 +192,7 @@ def test_without_weight_paths_are_as_short_as_obstacles_let_them() -> None:
 
 
 def test_a_path_that_is_not_free_is_pushed_out() -> None:
-    """Straight through the disc, a little off its centre."""
+    """A path straight through the disc, slightly off its centre."""
     instance = disc()
     initial = Path(np.array([[-2.0, 0.0], [0.0, 0.3], [2.0, 0.0]]))
     assert not instance.problem.edges_free(initial.q[:-1], initial.q[1:]).all()
@@ -288,8 +282,8 @@ def test_a_path_is_cut_up_evenly(corners: int, edges: int, seed: int) -> None:
         assert lengths.max() <= 2.0 * max(path.length / edges, np.median(lengths)) + path.length / edges
 
 
-def test_what_is_free_of_a_better_path_is_taken() -> None:
-    """The straight way is blocked by a disc in its middle: beside that, the path comes closer to it."""
+def test_free_stretches_of_a_better_path_are_taken() -> None:
+    """A disc blocks the middle of the straight path; elsewhere the incumbent moves closer to that path."""
     instance = disc()
     around = Path(np.array([[-2.0, 0.0], [-2.0, 1.5], [2.0, 1.5], [2.0, 0.0]]))
     kept = Incumbent(around, 40, InterruptibleProblem(instance.problem, instance.objective, Budget()))
@@ -323,7 +317,7 @@ def initial(task: gp.Task) -> Path:
 
 
 def test_improves_a_path_in_a_scene_and_smearing_helps(task: gp.Task, initial: Path) -> None:
-    """From the same path in as many iterations; the cost is that of the objective as it is."""
+    """Same initial path and iterations; both costs are of the original objective."""
     totals = {}
     for widths in ((), (0.2, 0.06)):
         planner = gp.CHOMP(initial=initial, widths=widths, bend=None)

@@ -1,4 +1,4 @@
-"""Derivatives that optimisers descend along: of edge costs, of clearances and of the energy of a path."""
+"""Derivatives for optimisers: of edge costs, of clearances and of a path's energy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import pytest
 from body_twin import BodyTwin
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, analytic_problems, disc, saddle
+from graceful_plan.compare.problems.analytic import analytic_problems, disc, saddle
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.exceptions import CostError, SettingError
@@ -22,7 +23,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 
 _STEP = 1e-6
 _TOLERANCE = 1e-5
-"""Relative error of a derivative; differences at `_STEP` are good to about 1e-9 where nothing bends sharply."""
+"""Relative error of a derivative; differences at `_STEP` have about 1e-9 where curvature is small."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def _edges(n: int, low: float, high: float, seed: int = 0) -> tuple[np.ndarray, 
 
 
 def _difference(function: Callable[[np.ndarray], float], q: np.ndarray) -> np.ndarray:
-    """Derivative of a function of one array, entry by entry."""
+    """Compute the derivative of a function of one array, entry by entry, by differences."""
     slope = np.zeros_like(q)
     for index in np.ndindex(q.shape):
         moved = np.zeros_like(q)
@@ -74,11 +75,11 @@ def test_exact_derivatives_of_edges_agree_with_differences(name: str) -> None:
 
 
 def test_differences_see_a_jump_that_a_derivative_does_not() -> None:
-    """Across the border of two media, farther into the dearer one costs more."""
+    """An edge across the border of two media costs more the farther it reaches into the more expensive one."""
     objective = analytic_problems()["two_media"].objective
     q0, q1 = np.array([[0.0, 0.101]]), np.array([[0.0, -0.099]])
     _, _, d_q1 = edge_derivatives(objective, q0, q1)
-    assert -4.0 < d_q1[0, 1] < -2.0  # an edge that goes on below the border pays 3 per length
+    assert -4.0 < d_q1[0, 1] < -2.0  # the part of an edge below the border costs 3 per length
 
 
 def test_an_edge_without_length_has_finite_derivatives() -> None:
@@ -124,7 +125,7 @@ def test_potential_is_that_of_chomp_and_continuously_differentiable() -> None:
 
 
 def test_gradient_of_the_potential_on_a_moving_path() -> None:
-    """100 edges that touch the disc, leave it and graze it: the change of length counts as much as the push."""
+    """100 edges that touch, leave or graze the disc: the change of length matters as much as the potential."""
     problem = disc().problem
     slopes = Slopes(problem, disc().objective, Budget())
     rng = np.random.default_rng(1)
@@ -168,7 +169,7 @@ def test_potential_does_not_depend_on_how_a_path_is_cut_up() -> None:
 @pytest.mark.parametrize("obstacles", [False, True])
 def test_gradient_of_the_energy(obstacles: bool) -> None:
     instance = disc()
-    objective = replace(saddle().objective, step=0.2)  # no edge comes close to that, so that samples do not jump
+    objective = replace(saddle().objective, step=0.2)  # longer than every edge, so the number of samples is constant
     energy = PathEnergy(Slopes(instance.problem, objective, Budget()), _potential(step=0.2) if obstacles else None)
     q = np.linspace([-1.8, 0.2], [1.9, 0.6], 25) + 0.02 * np.random.default_rng(0).normal(size=(25, 2))
     at = energy(q)
@@ -205,7 +206,7 @@ def test_clearance_of_a_scene_counts_from_the_margin(carrying: gp.Scene) -> None
 
 
 class _Clearances:
-    """Clearance in double precision: distances of single pairs, all spheres at a time."""
+    """Clearance in double precision, pair by pair, over all spheres."""
 
     def __init__(self, scene: gp.Scene) -> None:
         self.twin, self.robot = BodyTwin(scene, BodySettings.shipped()), compile_scene(scene).robot
@@ -215,7 +216,7 @@ class _Clearances:
         return np.einsum("sij,sj->si", X[robot.sphere_link, :3, :3], robot.sphere[:, :3]) + X[robot.sphere_link, :3, 3]
 
     def of(self, q: np.ndarray, i: int, j: int) -> float:
-        """Distance of sphere i to obstacle j, or to sphere -1 - j."""
+        """Return the distance of sphere i to obstacle j, or to sphere -1 - j."""
         centre, radius = self.centres(q), self.robot.sphere[:, 3]
         if j >= 0:
             return self.twin.distance_to(j, centre[i]) - radius[i]
@@ -240,7 +241,7 @@ class _Clearances:
 
 @pytest.mark.long
 def test_gradient_of_clearance_in_a_scene() -> None:
-    """100 configurations near contact and in it, with obstacles and with itself."""
+    """100 configurations near contact and in it, with obstacles and with the robot itself."""
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
     kernels, oracle = compile_scene(scene).kernels, _Clearances(scene)
     q = np.random.default_rng(3).uniform(kernels.robot.lower, kernels.robot.upper, (3000, kernels.nq))
@@ -273,7 +274,7 @@ def test_hits_can_be_smeared(carrying: gp.Scene, faults: str, rounding: float) -
     assert wide.edge_gradients(q[:1], q[1:2]) is not None
 
 
-def test_what_cannot_be_smeared_says_so(carrying: gp.Scene) -> None:
+def test_objectives_that_cannot_be_smeared_are_refused(carrying: gp.Scene) -> None:
     for impact in (
         gp.ImpactCost("box_overlap"),
         gp.ImpactCost(consequence="energy"),

@@ -1,4 +1,4 @@
-"""CasADi as a planner: known optima from bad paths of the right class, and paths of an arm that cost less."""
+"""CasADi as a planner: known optima from bad paths of the right homotopy class, and better paths of an arm."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import AnalyticProblem, DensityObjective, analytic_problems, disc
+from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems, disc
+from graceful_plan.compare.problems.function_problem import DensityObjective
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
@@ -22,12 +23,12 @@ Array = np.ndarray
 
 _WITHIN = 1.005
 _BELOW = 0.998
-"""J is a sum over samples: where the density jumps, it may be a little below the optimum."""
+"""J is a sum over samples; at a jump of the density it may be slightly below the optimum."""
 _SWING = {"disc": 1.8, "two_media": 0.6, "hyperbolic": 0.3, "catenary": -0.5}
 
 
 def _bad_path(instance: AnalyticProblem) -> Path:
-    """A long way around on the right side, and shaky."""
+    """Return a long, wavy detour in the homotopy class of the optimum."""
     problem = instance.problem
     t = np.linspace(0.0, 1.0, 9)[:, None]
     q = (1.0 - t) * problem.start + t * problem.goals[0]
@@ -87,8 +88,8 @@ def test_a_path_that_is_not_free_is_pushed_out() -> None:
     assert path_total(instance.objective, paths[-1]) <= _WITHIN * instance.optimum
 
 
-def test_the_program_has_the_slopes_that_it_says() -> None:
-    # Without impact: sums over samples jump a little where an edge gets one more of them.
+def test_the_program_has_correct_derivatives() -> None:
+    # Without impact, since sums over samples jump where an edge gets one more sample.
     problem, objective, first = _panda("tabletop_l1", "green_to_blue", w=0.0)
     q = np.stack([first.resampled(0.2).q[k] for k in np.linspace(0, len(first.resampled(0.2)) - 1, 7).astype(int)])
     program = PathProgram(q, Slopes(problem, objective, Budget()), 1e-3, 0.1, path_total(objective, Path(q)), 0.5)
@@ -98,7 +99,7 @@ def test_the_program_has_the_slopes_that_it_says() -> None:
     np.testing.assert_allclose(values.constraints[-q[1:-1].size :], program.least[-q[1:-1].size :], atol=1e-9)
     jacobian = np.zeros((len(program.least), len(x)))
     np.add.at(jacobian, (program.jacobian_pattern.row, program.jacobian_pattern.column), values.jacobian)
-    # Along the ties: whatever moves points moves whitened variables with them.
+    # Along the ties between points and whitened variables: moving one moves the other.
     n = q[1:-1].size
     rng, step = np.random.default_rng(0), 1e-4
     for _ in range(5):
@@ -133,7 +134,7 @@ def test_misuse_is_refused(settings: dict) -> None:
         CasADi(**settings)
 
 
-def test_plan_takes_it_by_name() -> None:
+def test_plan_accepts_the_planner_by_name() -> None:
     task = gp.load_scene("tabletop_l1").tasks["far_to_near"]
     result = gp.plan(task.start, task.goal, task.scene, planner="casadi", iterations=60)
     assert result.status is gp.PlanStatus.SOLVED

@@ -1,4 +1,4 @@
-"""Nonlinear programs: derivatives reach IPOPT in the right places, and whatever happens inside comes out."""
+"""Nonlinear programs: derivatives reach IPOPT in the right places, and exceptions of callbacks are raised."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = np.ndarray
 
 
 class Quartic(Program):
-    """Least sum of (x - 1)^4 with |x|^2 within bounds; entries of the Jacobian come in reverse order."""
+    """Minimise the sum of (x - 1)^4 with |x|^2 within bounds; the Jacobian's entries are listed in reverse order."""
 
     def __init__(self, n: int, most: float, curved: bool, least: float = -np.inf) -> None:
         self.lower, self.upper = np.full(n, -np.inf), np.full(n, np.inf)
@@ -72,18 +72,18 @@ def test_iterations_end_a_solve() -> None:
     assert (solution.outcome, solution.iterations) == (SolveOutcome.STOPPED, 2)
 
 
-def test_what_cannot_be_is_infeasible() -> None:
+def test_contradictory_bounds_are_infeasible() -> None:
     assert minimise(Quartic(3, -0.5, curved=True, least=-1.0), np.ones(3)).outcome is SolveOutcome.INFEASIBLE
 
 
 @pytest.mark.parametrize("curved", [True, False])
-def test_exceptions_come_through_without_a_word(curved: bool, capfd: pytest.CaptureFixture[str]) -> None:
+def test_exceptions_are_raised_without_output(curved: bool, capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(KeyError, match="inside"):
         minimise(Raising(3, 10.0, curved), np.zeros(3))
     assert capfd.readouterr() == ("", "")
 
 
-def test_interrupts_come_through() -> None:
+def test_interrupts_are_raised() -> None:
     def watch(x: Array, values: Values) -> bool:
         raise KeyboardInterrupt
 
@@ -91,8 +91,8 @@ def test_interrupts_come_through() -> None:
         minimise(Quartic(3, 1.0, curved=True), np.zeros(3), watch)
 
 
-def test_interrupts_that_somebody_swallows_come_through_too() -> None:
-    """CasADi does so when Ctrl-C comes while it is not in a call of ours."""
+def test_swallowed_interrupts_are_raised_too() -> None:
+    """CasADi swallows Ctrl-C when it arrives outside of a callback."""
 
     class Swallowing(Quartic):
         def evaluate(self, x: Array) -> Values:
@@ -114,7 +114,7 @@ def test_interrupts_that_somebody_swallows_come_through_too() -> None:
         signal.signal(signal.SIGINT, before)
 
 
-def test_interrupts_while_casadi_asks_for_shapes_come_through(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupts_during_shape_queries_are_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     made = nlp.callback_class
 
     def interrupted(casadi: Any) -> Any:

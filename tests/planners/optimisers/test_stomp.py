@@ -1,4 +1,4 @@
-"""STOMP: known optima, the laws of its update, ways out of obstacles, limits, and what it must leave alone."""
+"""STOMP: known optima, the laws of its update, leaving obstacles, limits, and fixed end points."""
 
 from __future__ import annotations
 
@@ -10,13 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import (
-    DensityObjective,
-    FunctionProblem,
-    analytic_problems,
-    disc,
-    two_media,
-)
+from graceful_plan.compare.problems.analytic import analytic_problems, disc, two_media
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.exceptions import CostError, NonFiniteError, SettingError, ShapeError
@@ -102,13 +97,13 @@ def test_gets_out_of_an_obstacle() -> None:
     assert path_total(instance.objective, paths[0]) > path_total(instance.objective, shallow)
 
 
-def test_yields_nothing_if_there_is_no_way_out() -> None:
+def test_an_impassable_wall_yields_nothing() -> None:
     wall = _space((-1.0, 0.0), (1.0, 0.0), free=lambda q: np.abs(q[:, 0]) > 0.2)
     assert _improve(_path([-1, 0], [1, 0]), wall, _FREE, iterations=40) == []
 
 
-def test_bends_around_a_jump_of_the_cost_that_has_no_slope() -> None:
-    """A plateau without a gradient anywhere: 0 or 5, and the straight line crosses the 5."""
+def test_paths_bend_around_a_jump_of_the_cost() -> None:
+    """A cost without any gradient: 0 or 5, and the straight line crosses the 5."""
     problem = _space((-2.0, 0.0), (2.0, 0.0))
     objective = DensityObjective(
         density=lambda q: np.where(np.linalg.norm(q - [0.0, -0.3], axis=1) < 0.6, 5.0, 0.0), step=0.03
@@ -194,7 +189,7 @@ def test_a_path_that_leaves_the_limits_comes_back() -> None:
 
 
 @pytest.mark.parametrize("path", [_path([0.5, 0.5]), _path([0.5, 0.5], [0.5, 0.5])])
-def test_nothing_to_do_for_a_path_that_stays(path: Path) -> None:
+def test_a_path_without_length_stays(path: Path) -> None:
     assert _improve(path, _space((0.5, 0.5), (0.5, 0.5)), _FREE) == []
 
 
@@ -253,7 +248,7 @@ def test_an_initial_path_is_joined_to_the_start_and_the_nearest_goal() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, -1.0])
-def test_an_objective_that_breaks_its_contract_is_named(value: float) -> None:
+def test_a_broken_objective_is_named(value: float) -> None:
     objective = DensityObjective(density=lambda q: np.full(len(q), value))
     with pytest.raises(CostError, match=r"DensityObjective: .*>= 0"):
         _improve(Path(np.array(_DETOURS["disc"])), disc().problem, objective)
@@ -300,17 +295,17 @@ def test_weights_sum_to_one_and_those_of_free_paths_are_the_greatest(seed: int, 
     assert np.all(least >= most * (1.0 - 1e-9))
 
 
-def test_weights_are_those_of_the_paper() -> None:
+def test_weights_equal_those_of_the_paper() -> None:
     cost = np.array([[1.0, 3.0, 2.0], [3.0, 1.0, 4.0], [2.0, 2.0, 2.0]])
     at_points = 0.5 * (cost[:, 1:] + cost[:, :-1])
     score = (at_points - at_points.min(axis=0)) / np.ptp(at_points, axis=0).clip(1e-300)
-    score[:, 0] = 0.0  # all cost the same there
+    score[:, 0] = 0.0  # all candidates cost the same at this point
     expected = np.exp(-10.0 * score) / np.exp(-10.0 * score).sum(axis=0)
     np.testing.assert_allclose(weights(_batch(cost), np.eye(2), 10.0), expected)
 
 
-def test_where_all_cost_the_same_all_count_the_same() -> None:
-    """Then the update is the mean of the noise, which is unbiased."""
+def test_equal_costs_give_equal_weights() -> None:
+    """The update is then the mean of the noise, which is unbiased."""
     weight = weights(_batch(np.full((5, 9), 3.0)), np.eye(8), 10.0)
     np.testing.assert_array_equal(weight, np.full((5, 8), 0.2))
 
@@ -321,7 +316,7 @@ def test_blocked_paths_count_less_than_any_that_is_free() -> None:
     weight = weights(_batch(cost, blocked), np.eye(1), 10.0)[:, 0]
     assert weight[0] < weight[1] < weight[2]
     only = weights(_batch(cost, np.ones((3, 2), bool)), np.eye(1), 10.0)[:, 0]
-    assert only[0] > only[2] > only[1]  # where all are blocked the cost decides
+    assert only[0] > only[2] > only[1]  # if all candidates are blocked, the cost decides
 
 
 def test_fewer_blocked_edges_rank_before_lower_costs() -> None:
@@ -360,7 +355,7 @@ def test_improves_the_motion_of_an_arm_and_keeps_it_free_at_the_finest_step() ->
         assert kernels.edges_free(path.q[:-1], path.q[1:], FINE_STEP, 0.002).all()
 
 
-def test_what_only_a_fine_step_sees_blocks_the_first_path() -> None:
+def test_the_first_path_is_checked_at_the_fine_step() -> None:
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
     kernels = compile_scene(task.scene).kernels
     problem = SceneProblem(kernels=kernels, start=task.start, goals=task.goal, check_step=50.0)

@@ -1,4 +1,4 @@
-"""Graph searches: equal to the enumeration of all paths, exact fronts, honest bounds."""
+"""Graph searches: equal to the enumeration of all paths, exact fronts, valid bounds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Edge = tuple[int, int, float, float]
 
 @st.composite
 def graphs(draw: st.DrawFn, whole: bool = True) -> tuple[int, list[Edge]]:
-    """Small graphs, loops and parallel edges among them; whole costs add up without rounding and are often equal."""
+    """Small graphs with loops and parallel edges; integer costs add up without rounding and are often equal."""
     n = draw(st.integers(2, 7))
     node = st.integers(0, n - 1)
     cost = st.integers(0, 6).map(float) if whole else st.floats(0.0, 10.0)
@@ -31,7 +31,7 @@ def of(n: int, edges: list[Edge]) -> tuple[Graph, np.ndarray]:
 
 
 def enumerate_paths(edges: list[Edge], start: int, goals: set[int]) -> Iterator[tuple[float, float]]:
-    """Costs of every simple path, by depth-first search that knows nothing of dominance."""
+    """Return the costs of every simple path, by depth-first search without pruning."""
 
     def extend(node: int, seen: frozenset[int], v: float, s: float) -> Iterator[tuple[float, float]]:
         if node in goals:
@@ -51,7 +51,7 @@ def brute_force_front(edges: list[Edge], start: int, goals: set[int]) -> list[tu
 @pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(graphs(), st.data())
-def test_the_front_is_that_of_all_paths(case, data):
+def test_the_front_equals_that_of_all_paths(case, data):
     n, edges = case
     start = data.draw(st.integers(0, n - 1))
     goals = data.draw(st.sets(st.integers(0, n - 1), min_size=1, max_size=3))
@@ -67,7 +67,7 @@ def test_the_front_of_costs_that_round(case):
     n, edges = case
     graph, cost = of(n, edges)
     found, every = graph.front(cost, 0, [n - 1]).cost, brute_force_front(edges, 0, {n - 1})
-    for point in every:  # a point is there, or one that is as good but for rounding
+    for point in every:  # found, or replaced by one that is equal up to rounding
         assert (found <= np.array(point) * (1.0 + 1e-9) + 1e-300).all(axis=1).any()
     for point in found.tolist():
         assert any(np.allclose(point, other, rtol=1e-9) for other in every)
@@ -75,7 +75,7 @@ def test_the_front_of_costs_that_round(case):
 
 @settings(max_examples=150, deadline=None)
 @given(graphs())
-def test_paths_lead_from_start_to_goal_and_cost_what_is_said(case):
+def test_paths_lead_from_start_to_goal_at_the_stated_cost(case):
     n, edges = case
     graph, cost = of(n, edges)
     found = graph.front(cost, 0, [n - 1])
@@ -104,7 +104,7 @@ def test_cheapest_paths_are_on_the_front_and_none_is_cheaper(case, w):
 
 @settings(max_examples=150, deadline=None)
 @given(graphs(), st.floats(0.0, 1.0))
-def test_epsilon_leaves_out_only_what_it_may(case, epsilon):
+def test_epsilon_fronts_are_within_epsilon(case, epsilon):
     n, edges = case
     graph, cost = of(n, edges)
     every, some = graph.front(cost, 0, [n - 1]).cost, graph.front(cost, 0, [n - 1], epsilon).cost
@@ -114,7 +114,7 @@ def test_epsilon_leaves_out_only_what_it_may(case, epsilon):
 
 
 def test_parts_of_a_front_that_no_weighted_sum_finds():
-    # three parallel ways: (0, 10), (6, 6) above the line between the others, (10, 0)
+    # three parallel edges: (0, 10), (6, 6) above the line between the others, (10, 0)
     graph = Graph(2, [0, 0, 0], [1, 1, 1])
     cost = np.array([[0.0, 10.0], [6.0, 6.0], [10.0, 0.0]])
     assert graph.front(cost, 0, [1]).cost.tolist() == cost.tolist()
@@ -138,7 +138,7 @@ def test_start_at_a_goal_and_no_goal():
 
 
 def doubling(n: int) -> tuple[Graph, np.ndarray]:
-    """A chain of n links, each either so long or so dangerous: none of its 2^n paths dominates another."""
+    """A chain of n links, each either long or dangerous by the same amount: all of its 2^n paths are on the front."""
     tail, price = np.repeat(np.arange(n), 2), 2.0 ** np.repeat(np.arange(n), 2)
     dangerous = np.arange(2 * n) % 2 == 1
     return Graph(n + 1, tail, tail + 1), np.stack([price * ~dangerous, price * dangerous], axis=1)

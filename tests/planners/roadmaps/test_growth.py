@@ -1,4 +1,4 @@
-"""Growing roadmaps on problems without a robot, and the fronts of small ones."""
+"""Growing roadmaps on problems without a robot, and the fronts of small roadmaps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, analytic_problems, saddle
+from graceful_plan.compare.problems.analytic import analytic_problems, saddle
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import path_total
 from graceful_plan.planners.roadmaps.edge_prices import EdgeCosts, Edges, symmetric
@@ -23,7 +24,7 @@ def _columns(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def front_of_roadmap(problem, objective, rng, *, nodes=200, deadline=np.inf) -> list[Path]:
-    """Grow a small roadmap between the start and the goals; the paths of its front, the cheapest first."""
+    """Grow a small roadmap between start and goals; return the paths of its front, the cheapest first."""
     ground = Ground(
         problem=problem,
         impact=objective.states,
@@ -42,7 +43,7 @@ def front_of_roadmap(problem, objective, rng, *, nodes=200, deadline=np.inf) -> 
 
 
 @given(st.integers(1, 40), st.integers(1, 12), st.integers(0, 1000))
-def test_nearest_is_what_a_full_sort_says(n, k, seed):
+def test_nearest_equals_a_full_sort(n, k, seed):
     rng = np.random.default_rng(seed)
     nodes, q = rng.uniform(size=(n, 3)), rng.uniform(size=(7, 3))
     expected = np.argsort(np.linalg.norm(q[:, None] - nodes, axis=2), axis=1)[:, :k]
@@ -100,7 +101,7 @@ def test_paths_are_of_different_kinds():
     case = saddle(scale=3.0)
     paths = front_of_roadmap(case.problem, case.objective, np.random.default_rng(0), nodes=300)
     highest = [path.resampled(0.05).q[:, 1].max() for path in paths]
-    assert min(highest) < 0.4 and max(highest) > 0.7  # straight over the ridge; through the pass
+    assert min(highest) < 0.4 and max(highest) > 0.7  # one over the ridge, one through the pass
 
 
 def test_roadmaps_depend_on_the_generator_alone():
@@ -144,7 +145,7 @@ def test_without_time_nothing_is_added():
     assert front_of_roadmap(instance.problem, instance.objective, np.random.default_rng(0), deadline=late) == []
 
 
-def test_what_is_late_is_left_out_and_the_rest_is_whole():
+def test_a_deadline_leaves_complete_parts():
     asked: list[int] = []
 
     def price(q0: np.ndarray, q1: np.ndarray) -> EdgeCosts:

@@ -1,4 +1,4 @@
-"""RRT* and Informed RRT* in scenes and in the plane; what all planners must do is in `test_planners`."""
+"""RRT* and Informed RRT* in scenes and in the plane. Laws of all planners are in `test_planners`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, disc, free_space, saddle
+from graceful_plan.compare.problems.analytic import disc, free_space, saddle
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
@@ -26,7 +27,7 @@ _FLAT = DensityObjective(density=lambda q: np.zeros(len(q)), w=0.0)
 
 @pytest.fixture(scope="module")
 def query() -> tuple[SceneProblem, SceneObjective]:
-    """A task between configurations that are clear of what the object stands on."""
+    """A problem between configurations that are clear of the surface below the object."""
     task = gp.load_scene("tabletop_l3").tasks["green_to_blue"]
     kernels = compile_scene(task.scene).kernels
     found = gp.plan(task.start, task.goal, task.scene, w=0.0, planner="rrt_connect", iterations=500)
@@ -75,7 +76,7 @@ def test_descents_gain(query: tuple[SceneProblem, SceneObjective]) -> None:
 
 
 def test_descents_leave_the_tree_alone(query: tuple[SceneProblem, SceneObjective]) -> None:
-    """Every path of the tree that was yielded without descents is also found with them."""
+    """The first path is the same with and without descents, and with them the best is at least as good."""
     with_, without = (_solved(RRTStar(descend=descend), *query, iterations=60)[0] for descend in (True, False))
     best = min(path_total(query[1], path) for path in with_)
     assert best <= path_total(query[1], without[-1])
@@ -103,7 +104,7 @@ def test_a_free_straight_line_needs_no_sample(planner: Planner) -> None:
 
 @_PLANNERS
 def test_a_goal_that_cannot_be_reached(planner: Planner) -> None:
-    """All of the budget is spent on a goal in a closed cell; the one outside is found."""
+    """A goal in a closed cell uses the whole budget; the one outside is found."""
 
     def free(q: np.ndarray) -> np.ndarray:
         return np.abs(np.abs(q - 1.0).max(axis=1) - 0.4) > 0.1

@@ -1,4 +1,4 @@
-"""The tree of RRT*: costs are those of its branches whatever was led where, and neighbours are the nearest."""
+"""The tree of RRT*: costs equal the sums along its branches after any rewiring, and neighbours are the nearest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from graceful_plan.planners.trees.star_tree import StarTree
 
 _TOLERANCE = 1e-9
-"""Costs of followers are changed by differences, which round."""
+"""Costs of descendants are updated by differences, which round."""
 
 
 def _tree(goals: int = 1) -> StarTree:
@@ -21,7 +21,7 @@ def _tree(goals: int = 1) -> StarTree:
 
 
 def _steps_changed_at_random(tree: StarTree, n: int, rng: np.random.Generator) -> dict[tuple[int, int], float]:
-    """Add nodes one by one, lead random nodes over random ones; return what every edge was said to cost."""
+    """Add nodes one by one and rewire random nodes; return the given cost of every edge."""
     steps: dict[tuple[int, int], float] = {}
     for _ in range(n):
         parent = int(rng.choice(np.flatnonzero(np.isfinite(tree.cost))))
@@ -52,7 +52,7 @@ def test_costs_are_sums_along_branches(seed: int, n: int, goals: int) -> None:
 
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=10, deadline=None)
-def test_leading_never_makes_anything_dearer(seed: int) -> None:
+def test_rewiring_never_raises_costs(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tree = _tree()
     _steps_changed_at_random(tree, 20, rng)
@@ -75,8 +75,8 @@ def test_goals_are_there_from_the_beginning_and_not_reached() -> None:
     np.testing.assert_array_equal(tree.q[[0, 2]], [[0.0, 1.0], [4.0, 5.0]])
 
 
-def test_nearest_and_neighbours_are_those_of_a_scan() -> None:
-    """More nodes than there is room for at first."""
+def test_nearest_and_neighbours_equal_a_scan() -> None:
+    """More nodes than the initial capacity."""
     rng, tree = np.random.default_rng(0), _tree(2)
     q = rng.normal(size=(2500, 2))
     for part in np.split(q, 5):

@@ -1,4 +1,4 @@
-"""Trees that grow in tool space: steps follow the tool, and paths are found where the straight edge is blocked."""
+"""Trees in tool space: steps move the tool to the target, and paths around blocked straight edges are found."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from graceful_plan.planners.trees.tool_rrt import _SpaceTree, _ToolSpace
 from graceful_plan.query.endpoints.endpoints import Endpoints, find_endpoints
 
 _TASKS = (("desk", "lift_coffee"), ("kitchen_counter", "shelve_jar"), ("tabletop_l3", "near_to_blue"))
-"""The straight edge is blocked in all of them."""
+"""Tasks whose straight edge is blocked."""
 
 
 def _problem(scene_name: str, task_name: str) -> tuple[SceneProblem, gp.Scene]:
@@ -59,13 +59,13 @@ def test_steps_bring_the_tool_nearer_and_are_bounded(space):
     assert ((moved >= space.lower) & (moved <= space.upper)).all() and np.abs(moved - q).max() <= 0.2 + 1e-12
     before, after, there = (space.places(x) for x in (q, moved, goal))
     nearer = np.linalg.norm(after - there, axis=1) < np.linalg.norm(before - there, axis=1)
-    assert nearer.mean() > 0.8  # limits and singular postures are in the way of some
+    assert nearer.mean() > 0.8  # joint limits and singular postures hinder some
 
 
 def test_distances_are_metres_and_scaled_angles(space, scene):
     q = scene.keyframes["ready"]
     turned = q.copy()
-    turned[6] += 0.1  # the tool turns where it is
+    turned[6] += 0.1  # the tool turns in place
     a, b = space.places(np.stack([q, turned]))
     assert np.linalg.norm(a - b) == pytest.approx(0.2 * 0.1, rel=1e-2)
 
@@ -93,7 +93,7 @@ def test_same_seed_same_path():
     np.testing.assert_array_equal(first, again)
 
 
-def test_trees_that_are_full_begin_anew():
+def test_full_trees_restart():
     problem, scene = _problem(*_TASKS[2])
     budget = Budget(iterations=400)
     solved = list(

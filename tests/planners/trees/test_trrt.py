@@ -1,4 +1,4 @@
-"""T-RRT and Bi-TRRT: the laws of the transition test, and that both keep to the valleys."""
+"""T-RRT and Bi-TRRT: laws of the transition test, and both stay in low-cost valleys."""
 
 from __future__ import annotations
 
@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import (
-    DensityObjective,
-    SaddleProblem,
-    disc,
-    mechanical_work,
-    saddle,
-    saddle_density,
-)
+from graceful_plan.compare.problems.analytic import SaddleProblem, disc, saddle, saddle_density
+from graceful_plan.compare.problems.function_problem import DensityObjective, mechanical_work
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import InterruptibleProblem
@@ -37,7 +31,7 @@ def _grow(planner: TRRT, instance: SaddleProblem, iterations: int, seed: int = 0
 
 
 def _plain_rrt(problem, reach: float, goal_bias: float, iterations: int, rng: np.random.Generator) -> np.ndarray:
-    """A textbook RRT, written without the code under test."""
+    """A textbook RRT that uses none of the code under test."""
     nodes = [problem.start]
     for _ in range(iterations):
         if rng.uniform() < goal_bias:
@@ -131,14 +125,14 @@ def test_scaling_the_cost_or_adding_a_constant_changes_nothing(planner, variant:
 
 
 def _first(planner, instance: SaddleProblem, seed: int = 1, **settings: object) -> Path:
-    """The planner's first path; a warm start keeps the number of iterations small."""
+    """Return the planner's first path; a low initial temperature keeps the number of iterations small."""
     built = planner(shortcut=False, initial_temperature=0.01, **settings)
     budget = Budget(iterations=6000)
     return next(built.solve(instance.problem, instance.objective, budget, np.random.default_rng(seed)))
 
 
 def _work(planner, seed: int, **settings: object) -> float:
-    """Mechanical work of the first path, as a multiple of the least possible."""
+    """Return the mechanical work of the first path, relative to the least possible."""
     instance = saddle()
     return mechanical_work(saddle_density, _first(planner, instance, seed, **settings)) / instance.least_work
 

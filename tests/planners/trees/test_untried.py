@@ -1,4 +1,4 @@
-"""Pairs of node and goal: the nearest first, each once."""
+"""Pairs of node and goal: each is tried once, the nearest first."""
 
 from __future__ import annotations
 

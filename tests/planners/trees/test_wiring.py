@@ -1,4 +1,4 @@
-"""How RRT* joins configurations to its tree, beside a brute force that charges and checks every edge."""
+"""Connection of configurations to the tree of RRT*, against brute force over every edge."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan.compare.problems.analytic import DensityObjective, FunctionProblem, disc
+from graceful_plan.compare.problems.analytic import disc
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import probe_objective
 from graceful_plan.planners.interruptible import InterruptibleProblem
@@ -20,7 +21,7 @@ _HILL = DensityObjective(density=lambda q: 3.0 * np.exp(-((q[:, 0] + 1.2) ** 2) 
 
 
 class _Uphill:
-    """Charges for going up the first axis, and twice as much for the second axis: no bound by length is known."""
+    """Costs of going up the first axis, and twice as much along the second: length gives no bound."""
 
     w = 1.0
 
@@ -36,7 +37,7 @@ _OBJECTIVES = pytest.mark.parametrize("objective", [_HILL, _Uphill()], ids=["hil
 
 
 class _Asked(Problem):
-    """Remembers which edges it was asked about."""
+    """Records the edges that are checked."""
 
     def __init__(self, inner: FunctionProblem) -> None:
         self.inner = inner
@@ -64,7 +65,7 @@ def _wiring(
 
 
 def _samples(wiring: TreeConnector, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Configurations that a free edge joins to a node, and these nodes."""
+    """Return configurations with a free edge to a node, and these nodes."""
     problem = wiring.questions.problem
     q = rng.uniform(problem.lower, problem.upper, (8 * n, len(problem.start)))
     near = wiring.tree.nearest(q)
@@ -79,7 +80,7 @@ def _grown(wiring: TreeConnector, rng: np.random.Generator, batches: int = 8, k:
 
 
 def _edge_costs(wiring: TreeConnector, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """What edges cost, infinite if they are not free."""
+    """Return the costs of edges, infinite if blocked."""
     q0, q1 = np.broadcast_arrays(q0, q1)
     questions = wiring.questions
     return np.where(questions.problem.edges_free(q0, q1), edge_totals(questions.objective, q0, q1), np.inf)
@@ -88,7 +89,7 @@ def _edge_costs(wiring: TreeConnector, q0: np.ndarray, q1: np.ndarray) -> np.nda
 @_OBJECTIVES
 @pytest.mark.parametrize("bounded", [False, True])
 @pytest.mark.parametrize("trust", [0.0, 0.5, 1.0])
-def test_costs_are_those_of_free_paths_along_the_tree(objective: BoundObjective, bounded: bool, trust: float) -> None:
+def test_costs_equal_those_of_paths_along_the_tree(objective: BoundObjective, bounded: bool, trust: float) -> None:
     wiring = _grown(_wiring(objective, bounded, trust=trust), np.random.default_rng(0))
     tree, problem = wiring.tree, wiring.questions.problem
     assert len(tree) > 10
@@ -102,7 +103,7 @@ def test_costs_are_those_of_free_paths_along_the_tree(objective: BoundObjective,
 @_OBJECTIVES
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=8, deadline=None)
-def test_the_cheapest_parent_is_chosen_and_nobody_is_left_who_gains(objective: BoundObjective, seed: int) -> None:
+def test_the_cheapest_parent_is_chosen_and_all_rewirings_are_done(objective: BoundObjective, seed: int) -> None:
     rng = np.random.default_rng(seed)
     wiring = _grown(_wiring(objective), rng, batches=3)
     tree, (q, near) = wiring.tree, _samples(wiring, 1, rng)
@@ -116,8 +117,8 @@ def test_the_cheapest_parent_is_chosen_and_nobody_is_left_who_gains(objective: B
 @_OBJECTIVES
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=8, deadline=None)
-def test_an_informed_search_never_leaves_out_what_improves(objective: BoundObjective, seed: int) -> None:
-    """Where the way over a configuration to the goal is cheaper than the best one, it is taken."""
+def test_an_informed_search_never_skips_an_improvement(objective: BoundObjective, seed: int) -> None:
+    """A configuration is added if the path through it is cheaper than the best one."""
     rng = np.random.default_rng(seed)
     wiring = _grown(_wiring(objective, bounded=True), rng, batches=6)
     tree = wiring.tree
@@ -131,7 +132,7 @@ def test_an_informed_search_never_leaves_out_what_improves(objective: BoundObjec
         assert tree.cost[tree.goals].min() <= min(before, over) * (1.0 + 1e-8)
 
 
-def test_an_informed_search_leaves_out_what_cannot_improve() -> None:
+def test_an_informed_search_skips_hopeless_samples() -> None:
     wiring = _wiring(_HILL, bounded=True)
     wiring.tree.lead(1, 0, 4.6)
     aside = np.array([[-2.0, 2.9]])
@@ -139,7 +140,7 @@ def test_an_informed_search_leaves_out_what_cannot_improve() -> None:
     assert len(_wiring(_HILL).join(aside, np.zeros(1, dtype=int), 4, _NO_WAY)) == 1
 
 
-def test_nobody_is_asked_twice_about_an_edge() -> None:
+def test_no_edge_is_checked_twice() -> None:
     problem = _Asked(disc().problem)
     wiring = _wiring(_HILL, problem=problem)
     rng = np.random.default_rng(0)
@@ -159,8 +160,8 @@ def test_joining_nothing_changes_nothing() -> None:
     assert len(wiring.tree) == 2
 
 
-def test_more_nodes_to_be_led_over_a_new_one() -> None:
-    """Whoever is far away is not among the neighbours, but on the best path."""
+def test_distant_nodes_are_rewired_over_a_new_one() -> None:
+    """The distant node is not among the neighbours, but on the best path."""
     problem = FunctionProblem(
         start=np.zeros(2), goals=np.array([[9.0, 0.0]]), lower=np.full(2, -1.0), upper=np.full(2, 10.0)
     )
@@ -187,7 +188,7 @@ def test_guesses_are_exact_where_the_impact_is_the_same_everywhere() -> None:
 
 
 def test_trust_leaves_out_edges() -> None:
-    """The same configurations are joined to the same nodes with fewer questions."""
+    """Trust connects the same configurations to the same nodes with fewer edge checks."""
     asked = []
     for trust in (0.0, 0.5):
         problem = _Asked(disc().problem)

@@ -1,4 +1,4 @@
-"""Rounds of candidates, and the best verified motion of a call: what is tried, in which order, and when a call ends."""
+"""Rounds of candidates and the best verified motion of a call: order of attempts, and the end of a call."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graceful_plan.query.candidates.candidates import rounds
 from graceful_plan.result import Check, PlanStatus, Verdict
 
 LIMIT = 60.0
-"""Seconds for plans that take some tenths of one: `iterations` end them, also on a busy machine."""
+"""Seconds for plans that take some tenths of a second: `iterations` end them, also on a busy machine."""
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_rounds_of_a_time_limit_fill_it(monkeypatch: pytest.MonkeyPatch) -> None
     np.testing.assert_allclose(np.array(given[1:-1]) / given[:-2], 2.0)
 
 
-def test_a_first_round_is_as_long_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_round_has_the_given_length(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "perf_counter", lambda: 0.0)
     assert next(rounds(Budget(1.0, started=0.0), 0.01)).remaining_seconds == pytest.approx(0.01)
 
@@ -111,7 +111,7 @@ def test_misuse_names_the_setting() -> None:
             checked_refine(refine)
 
 
-# --- what is returned -------------------------------------------------------------------------------------------------
+# --- results ----------------------------------------------------------------------------------------------------------
 
 
 def test_without_refinement_the_motion_follows_the_planners_path(task: gp.Task) -> None:
@@ -146,7 +146,7 @@ def test_a_first_motion_is_there_if_all_that_follows_is_refused(task: gp.Task, m
     assert result.status is PlanStatus.SOLVED and result.cost.total == result.stats["first_motion_cost"]
 
 
-def test_what_the_judge_never_passes_is_not_solved_and_says_why(task: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_always_refused_plans_are_unsolved_with_the_reason(task: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
     refusal = Verdict(checks={"mood": Check(passed=False, detail="bad")})
     monkeypatch.setattr(
         answer_module, "judged", lambda motion, request: answer_module.VerifiedMotion(motion=motion, verdict=refusal)
@@ -156,8 +156,8 @@ def test_what_the_judge_never_passes_is_not_solved_and_says_why(task: gp.Task, m
     assert "mood: bad" in result.detail and result.verdict is refusal
 
 
-def test_a_call_keeps_as_much_time_as_its_own_last_steps_took(task: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the judge takes a fifth of the time, a second verdict that would come too late is not begun."""
+def test_the_reserve_is_the_time_of_the_last_steps(task: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If the judge takes a fifth of the time, a second verdict that would be late is not begun."""
     skipped: list[float] = []
     clock, real = time.perf_counter, answer_module.judged
     monkeypatch.setattr(time, "perf_counter", lambda: clock() + sum(skipped))
@@ -172,7 +172,7 @@ def test_a_call_keeps_as_much_time_as_its_own_last_steps_took(task: gp.Task, mon
 
 
 def test_a_callback_that_stops_late_ends_the_call_at_once(task: gp.Task) -> None:
-    """Rounds get longer, and the one that is running is not to be waited for."""
+    """Rounds get longer, and the call must not wait for the current one."""
     told: list[gp.TracePoint] = []
 
     def third(point: gp.TracePoint) -> bool:

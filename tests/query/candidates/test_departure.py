@@ -1,4 +1,4 @@
-"""Plans among those who move: timed costs, waiting, what is refused."""
+"""Plans among moving entities: timed costs, waiting, refused arguments."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def still(task):
 
 
 def passer(trajectory, scene, share, **more):
-    """Somebody who walks through the place of the object, just when it is there and a little later."""
+    """Return a pedestrian who walks through the object's place when it is there and slightly later."""
     t = float(trajectory.t[0] + share * trajectory.duration)
     x, y, _ = scene.data_at(trajectory.at(np.array(t)).q).site(scene.tool).xpos
     times, offset = t + 0.35 + np.array([-2.0, 2.0]), np.array([-2.4, 2.4])
@@ -34,10 +34,10 @@ def crossing(task, still):
     return task.scene.with_moving(passer(still.trajectory, task.scene, 0.5))
 
 
-# --- costs at their times ---------------------------------------------------------------------------------------------
+# --- costs over time --------------------------------------------------------------------------------------------------
 
 
-def test_a_trajectory_meets_them_at_its_times(still, crossing):
+def test_a_trajectory_meets_entities_at_its_times(still, crossing):
     costs = {s: gp.evaluate(still.trajectory, crossing, _OBJECTIVE, start_time=s) for s in (-2.5, 0.0, 2.5)}
     assert costs[0.0].impact_by_entity["person"] > 1.0
     for s in (-2.5, 2.5):
@@ -56,7 +56,7 @@ def test_parts_add_up_for_every_exposure(still, crossing, exposure):
 
 
 @pytest.mark.parametrize("exposure", ["length", "time"])
-def test_nobody_changes_nothing(task, still, exposure):
+def test_no_moving_entities_change_nothing(task, still, exposure):
     objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), exposure=exposure)
     far = gp.MovingEntity("person", "adult", size=[0.2, 0.85], t=[0.0], position=[[30.0, 0.0, 0.85]])
     with_far = gp.evaluate(still.trajectory, task.scene.with_moving(far), objective)
@@ -90,7 +90,7 @@ def test_waits():
 
 
 @pytest.mark.parametrize("exposure", ["length", "time"])
-def test_waiting_pays_when_somebody_crosses(still, crossing, exposure):
+def test_waiting_pays_if_a_pedestrian_crosses(still, crossing, exposure):
     objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), exposure=exposure).bind(crossing)
     now, cost_now = with_best_departure(still.trajectory, objective)
     later, cost_later = with_best_departure(still.trajectory, objective, max_wait=3.0)
@@ -101,7 +101,7 @@ def test_waiting_pays_when_somebody_crosses(still, crossing, exposure):
     assert cost_later == objective.breakdown(later)
 
 
-def test_nobody_waits_for_nothing(task, still):
+def test_no_plan_waits_without_need(task, still):
     gone = passer(still.trajectory, task.scene, 0.5).later(-10.0)
     objective = _OBJECTIVE.bind(task.scene.with_moving(gone))
     trajectory, cost = with_best_departure(still.trajectory, objective, max_wait=3.0)
@@ -150,6 +150,6 @@ def test_waits_of_plans_are_checked(task, crossing, max_wait):
         gp.plan(task.start, task.goal, crossing, max_wait=max_wait)
 
 
-def test_nobody_waits_where_nothing_moves(task):
+def test_no_plan_waits_without_moving_entities(task):
     with pytest.raises(SettingError, match="where nothing moves"):
         gp.plan(task.start, task.goal, task.scene, max_wait=1.0)

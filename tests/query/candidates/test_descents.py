@@ -1,4 +1,4 @@
-"""Motions that descents end with: how far they stay from things."""
+"""Final motions of descents: their clearance."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from sizes import first_quick
 
 
 @pytest.mark.parametrize("name", first_quick(["corner_to_blue", "near_to_blue", "green_to_blue"]))
-def test_a_motion_passes_things_with_room_for_what_a_robot_strays(name: str) -> None:
+def test_motions_keep_the_tracking_clearance(name: str) -> None:
     task = gp.load_scene("tabletop_l3").tasks[name]
     found = gp.plan(task.start, task.goal, task.scene, w=3.0, iterations=30, seed=1)
     clearance = gp.clearance(found.unwrap().sample(0.004).q, task.scene)
-    assert min(clearance[0], clearance[-1]) > 2.0 * TRACKING_CLEARANCE  # there is room
+    assert min(clearance[0], clearance[-1]) > 2.0 * TRACKING_CLEARANCE  # there is space
     assert clearance.min() >= 0.75 * TRACKING_CLEARANCE
 
 
 def _clearance_of_held(scene, q):
-    """Return the least exact distance of what is held from obstacles [m], by configuration."""
+    """Return the least exact distance of the carried object from obstacles [m], by configuration."""
     held, placement = scene.components["carried"].geoms, Placement(scene)
     pairs = [pair for pair in scene.collision_pairs().tolist() if set(pair) & set(held)]
     robot = scene.robot_bodies
@@ -35,13 +35,13 @@ def _clearance_of_held(scene, q):
 
 
 @pytest.mark.parametrize(("scene_name", "name"), [("dining_table", "pass_bottle"), ("kitchen_counter", "move_oil")])
-def test_what_is_held_by_a_long_lever_keeps_more_room(scene_name: str, name: str) -> None:
-    """Vessels that are kept level, too."""
+def test_objects_on_a_long_lever_keep_more_clearance(scene_name: str, name: str) -> None:
+    """Also for vessels that are kept level."""
     task = gp.load_scene(scene_name).tasks[name]
     assert stray(task.scene) > 2.0 * TRACKING_CLEARANCE > TRACKING_CLEARANCE == stray(gp.load_scene("tabletop"))
     found = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=60).unwrap()
     clear = _clearance_of_held(task.scene, found.sample(0.01).q)
-    assert min(clear[0], clear[-1]) > 2.0 * stray(task.scene)  # there is room
+    assert min(clear[0], clear[-1]) > 2.0 * stray(task.scene)  # there is space
     assert min(clear) >= stray(task.scene)
 
 

@@ -1,4 +1,4 @@
-"""Plans by CVaR and worst case: what is chosen, what is refined, laws and misuse."""
+"""Plans by CVaR and worst case: choice, refinement, laws and misuse."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
         found = gp.risk(path, task.scene, bound.objective.impact, level=0.8)
         charged = bound.objective.w * bound.cost_samples(path).weight.sum()
         by_cvar, by_worst = ((preference.total(path) - path.length) / charged for preference in (cvar, worst))
-        # The grid that refinement uses errs towards more spread.
+        # The grid of the refinement overestimates the spread.
         assert found.cvar - 1e-6 <= by_cvar <= found.cvar + step
         assert by_worst == pytest.approx(found.worst, abs=2.0 * step)
 
@@ -99,9 +99,7 @@ def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, pro
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_of_what_was_found_the_best_by_the_measure_is_taken(
-    bound: SceneObjective, problem: SceneProblem, kind: str
-) -> None:
+def test_the_best_candidate_by_the_measure_is_chosen(bound: SceneObjective, problem: SceneProblem, kind: str) -> None:
     preference = Preference(gp.RiskMeasure(kind), bound)
     offered = ways(problem)
     found = preference.search(Offers(*offered), problem, Budget(), np.random.default_rng(0))
@@ -115,7 +113,7 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
 @pytest.mark.long
 @pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
-    """Over several seeds: which valley a plan ends in is chance, with the measure and without."""
+    """Over several seeds, since the homotopy class of a plan is random, with and without the measure."""
     preference = Preference(gp.RiskMeasure(kind), objective.bind(task.scene))
     plain, chosen = [], []
     for seed in range(5):

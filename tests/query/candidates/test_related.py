@@ -1,4 +1,4 @@
-"""Motions for cheaper objectives compete with, and begin, those for costly ones."""
+"""Motions for simpler objectives compete with motions for the full one, and are their initial guesses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def task() -> gp.Task:
         (gp.ImpactCost(consequence="energy"), DROPS),
     ],
 )
-def test_what_is_cheaper(task: gp.Task, impact: gp.ImpactCost, expected: gp.ImpactCost | None) -> None:
+def test_simpler_objectives(task: gp.Task, impact: gp.ImpactCost, expected: gp.ImpactCost | None) -> None:
     found = proxy_objective(Objective(impact=impact, w=0.7).bind(task.scene, search_paces(1.0)))
     assert (None if found is None else found.objective.impact) == expected
     assert found is None or found.objective.w == 0.7
@@ -37,7 +37,7 @@ def test_what_is_cheaper(task: gp.Task, impact: gp.ImpactCost, expected: gp.Impa
 
 @pytest.mark.long
 @pytest.mark.parametrize("impact", first_quick([ARM, gp.ImpactCost(consequence="energy")]))
-def test_a_costly_plan_is_no_worse_than_the_cheap_one_in_its_share(task: gp.Task, impact: gp.ImpactCost) -> None:
+def test_a_full_plan_is_no_worse_than_its_simpler_one(task: gp.Task, impact: gp.ImpactCost) -> None:
     objective = gp.Objective(impact=impact)
     full = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=300, seed=1)
     share = gp.plan(task.start, task.goal, task.scene, iterations=195, seed=1)
@@ -50,7 +50,7 @@ def test_a_costly_plan_is_no_worse_than_the_cheap_one_in_its_share(task: gp.Task
     assert again.trajectory.q.tobytes() == full.trajectory.q.tobytes()
 
 
-def test_a_cost_of_ones_own_begins_with_the_shortest(task: gp.Task) -> None:
+def test_a_custom_cost_starts_from_the_shortest_path(task: gp.Task) -> None:
     class Nothing(gp.Cost):
         name = "nothing"
 
@@ -66,7 +66,7 @@ def test_a_cost_of_ones_own_begins_with_the_shortest(task: gp.Task) -> None:
     assert own.cost.total <= 1.05 * short.cost.total
 
 
-def test_settings_of_the_cheaper_model_are_the_shipped_ones(task: gp.Task) -> None:
+def test_the_simpler_model_has_the_shipped_settings(task: gp.Task) -> None:
     bound = gp.Objective(impact=replace(ARM, own_loss=False)).bind(task.scene)
     found = proxy_objective(bound)
     assert found is not None and found.objective.impact == DROPS

@@ -1,4 +1,4 @@
-"""What is kept of a search."""
+"""Results that are kept of a search."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Starts and goals: every form that users may give, clamping, and the reasons when they cannot be used."""
+"""Starts and goals: all accepted forms, clamping, and reasons for refusal."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_several_goals_keep_their_order_and_index(scene: Scene, start: np.ndarra
     np.testing.assert_array_equal(mixed.q, [scene.keyframes["ready"], start])
 
 
-def test_the_usable_ones_of_many_are_those_that_exact_geometry_accepts(scene: Scene, start: np.ndarray) -> None:
+def test_usable_goals_are_those_accepted_by_exact_geometry(scene: Scene, start: np.ndarray) -> None:
     lower, upper = scene.limits.position.T
     goals = np.random.default_rng(1).uniform(lower - 0.05, upper + 0.05, (300, 7))
     resolved = resolve_goal(goals, scene, start)
@@ -65,7 +65,7 @@ def test_the_usable_ones_of_many_are_those_that_exact_geometry_accepts(scene: Sc
 
 
 def test_of_too_many_goals_the_nearest_are_planned_for(scene: Scene, start: np.ndarray) -> None:
-    """And who runs out of time chooses among those that were looked at: what spheres prove free, from the start."""
+    """If the time ends, the choice is among checked goals: those that spheres prove free, from the start."""
     goals = np.clip(start + np.random.default_rng(2).normal(0.0, 0.3, (3000, 7)), *scene.limits.position.T)
     resolved = resolve_goal(goals, scene, start)
     assert len(resolved.index) == MOST_GOALS and "1000 nearest" in resolved.notes[0]
@@ -91,8 +91,10 @@ def test_of_twenty_thousand_goals_only_the_nearest_are_looked_at(
     assert len(passed_over) > 100 and not exactly_free(goals[passed_over], scene).any()
 
 
-def test_who_is_in_a_hurry_looks_on_until_one_is_usable(scene: Scene, start: np.ndarray, colliding: np.ndarray) -> None:
-    """Of goals that collide but for the last, and of those among which the first are free."""
+def test_without_time_goals_are_checked_up_to_a_usable_one(
+    scene: Scene, start: np.ndarray, colliding: np.ndarray
+) -> None:
+    """Goals that collide except the last one, and goals of which the first are free."""
     goals = np.tile(colliding, (300, 1))
     goals[-1] = scene.keyframes["ready"]
     late = start + np.sign(colliding - start) * np.abs(colliding - scene.keyframes["ready"]).max()
@@ -103,7 +105,7 @@ def test_who_is_in_a_hurry_looks_on_until_one_is_usable(scene: Scene, start: np.
         resolved = resolve_goal(given, scene, start, hurried=lambda: True)
         assert set(range(30)) <= set(resolved.index) and "of 300" in resolved.detail
     assert resolve_goal(several, scene, start).index == (*range(30), 299)
-    # 64 at a time: the collisions of a first look are found, all the others are not looked at.
+    # Batches of 64: collisions of the first batch are found, the others are unchecked.
     goals[:] = colliding
     goals[-1] = start
     assert "235 of 300" in resolve_goal(goals, scene, start, cancelled=lambda: True).detail
@@ -119,8 +121,8 @@ def test_a_goal_among_a_thousand_that_cannot_be_used_is_found(scene: Scene, star
 @pytest.mark.long
 @pytest.mark.parametrize("count", [300, 1000, 20_000])
 @pytest.mark.parametrize("every", [None, 10])
-def test_what_is_usable_of_many_goals_is_planned_for(scene: Scene, start: np.ndarray, count: int, every: int) -> None:
-    """One alone, or a tenth; within which time is measured by the benchmark `hardening`."""
+def test_usable_goals_of_many_are_planned_for(scene: Scene, start: np.ndarray, count: int, every: int) -> None:
+    """A single usable goal, or one in ten; the benchmark `hardening` measures the time."""
     q = np.random.default_rng(1).uniform(*scene.limits.position.T, (2 * count + 1000, 7))
     clearance = gp.clearance(q, scene)
     blocked, clear = q[clearance < -0.05], q[clearance > 0.0]
@@ -132,7 +134,7 @@ def test_what_is_usable_of_many_goals_is_planned_for(scene: Scene, start: np.nda
 
 
 def test_a_set_of_poses_is_tried_from_the_nearest_on(scene: Scene, start: np.ndarray) -> None:
-    """Grasps all around a place: those nearest to the tool give enough, those out of reach say so."""
+    """Grasps all around a place: the nearest ones suffice, and unreachable ones are reported."""
     tool = Placement(scene).place(start).site(scene.tool)
     near, far = tool.xpos + [0.0, 0.0, 0.02], tool.xpos + [0.0, 0.1, 0.05]
     down = [0.0, 1.0, 0.0, 0.0]
@@ -150,7 +152,7 @@ def test_a_set_of_poses_is_tried_from_the_nearest_on(scene: Scene, start: np.nda
     assert len(resolve_goal([beyond, beyond], scene, start).q) == 0
 
 
-def test_a_plan_to_a_set_of_poses_says_which_one_it_reached(scene: Scene, start: np.ndarray) -> None:
+def test_a_plan_to_a_set_of_poses_names_the_reached_one(scene: Scene, start: np.ndarray) -> None:
     tool = Placement(scene).place(start).site(scene.tool)
     poses = [PoseGoal.at(tool.xpos + [0.0, 0.05 * k, 0.1], [0.0, 1.0, 0.0, 0.0], free_yaw=True) for k in (9, 1, 2)]
     result = gp.plan(start, poses, scene, w=0.0, iterations=200)
@@ -168,7 +170,7 @@ def test_a_collision_names_the_pair_and_its_depth(scene: Scene, colliding: np.nd
     assert len(resolved.q) == 0
     names = [name.partition("#")[0] for name in (contact.first, contact.second)]
     assert f"AllowedContact({names[0]!r}, {names[1]!r})" in resolved.detail
-    scene.geoms_named(names[0]), scene.geoms_named(names[1])  # these are names that it takes
+    scene.geoms_named(names[0]), scene.geoms_named(names[1])  # these names are valid
     assert f"{1e3 * contact.depth:.3g} mm" in resolved.detail
 
 
@@ -182,7 +184,7 @@ def test_one_goal_needs_no_number_and_one_contact_no_others(scene: Scene, start:
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_slightly_outside_is_clamped_and_told(scene: Scene, side: int) -> None:
+def test_slight_excess_is_clamped_and_reported(scene: Scene, side: int) -> None:
     q = np.array(scene.keyframes["ready"])
     limit = scene.limits.position[2, side]
     outside = q.copy()
@@ -191,7 +193,7 @@ def test_slightly_outside_is_clamped_and_told(scene: Scene, side: int) -> None:
     resolved = resolve_start(outside, scene)
     assert "panda/joint3" in resolved.notes[0] and "moved onto it" in resolved.notes[0]
     assert ["lower", "upper"][side] in resolved.notes[0]
-    if len(resolved.q):  # if that configuration happens to be free
+    if len(resolved.q):  # if that configuration is free
         np.testing.assert_array_equal(resolved.q, [q])
     else:
         assert state_contacts(q, scene)

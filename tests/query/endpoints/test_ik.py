@@ -1,4 +1,4 @@
-"""Inverse kinematics: what it returns reaches the pose inside the limits; unreachable poses are told as such."""
+"""Inverse kinematics: solutions reach the pose within the limits; unreachable poses are reported."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_same_seed_same_solutions(scene: Scene, start: np.ndarray) -> None:
     np.testing.assert_array_equal(first, again)
 
 
-def test_free_yaw_allows_what_a_full_pose_does_not(scene: Scene, start: np.ndarray) -> None:
+def test_free_yaw_allows_poses_that_a_full_pose_forbids(scene: Scene, start: np.ndarray) -> None:
     X_WT = _tool(scene, _anywhere(scene, 1))
     q = solve_ik(PoseGoal(X_WT, free_yaw=True), scene, start).q[0]
     position, angle = pose_error(PoseGoal(X_WT), _tool(scene, q))
@@ -86,10 +86,10 @@ def test_colliding_solutions_are_dropped_and_counted(scene: Scene, start: np.nda
 
 
 @pytest.mark.parametrize("free_yaw", [False, True])
-def test_mink_is_asked_only_where_no_seed_arrives(
+def test_mink_is_used_only_if_no_seed_converges(
     scene: Scene, start: np.ndarray, free_yaw: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every solution of the core is as exact as doubles allow."""
+    """Every solution of the core is exact to double precision."""
     asked, solve = [], mink.solve_ik
 
     def spy(*args: Any, **settings: Any) -> np.ndarray:
@@ -117,14 +117,14 @@ def test_polishing_ends_nearer_than_the_search(scene: Scene, start: np.ndarray, 
         assert not len(found) or max(solver.errors(found[0])) < 1e-5
 
 
-def test_what_reaches_the_pose_is_not_moved(scene: Scene, start: np.ndarray) -> None:
+def test_seeds_at_the_pose_are_not_moved(scene: Scene, start: np.ndarray) -> None:
     found, ended = PoseSolver(PoseGoal(_tool(scene, start)), scene).polish(start[None], 8)
     np.testing.assert_array_equal(found[0], start)
     np.testing.assert_array_equal(ended[0], start)
 
 
 def test_mink_reaches_poses_within_limits(scene: Scene) -> None:
-    """Where the search brought nothing near: from seeds near a configuration mink comes back to its pose."""
+    """The fallback for failed searches: from seeds near a configuration, mink returns to its pose."""
     rng = np.random.default_rng(0)
     reached = 0
     lower, upper = scene.limits.position.T

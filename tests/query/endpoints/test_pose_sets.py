@@ -1,4 +1,4 @@
-"""Many poses at once: whatever is returned reaches its pose and is free, and one that can be reached is found."""
+"""Many poses at once: every solution reaches its pose and is free, and reachable poses are found."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def _error(goal: PoseGoal, q: np.ndarray, scene: Scene) -> tuple[float, float]:
 
 
 def _around(scene: Scene, start: np.ndarray, n: int, **given: bool) -> list[PoseGoal]:
-    """Return poses about where the tool is: some are in the table, some out of reach."""
+    """Return poses around the tool: some are in the table, some out of reach."""
     rng, tip = np.random.default_rng(0), PoseGoal.from_tool(start, scene).X_WT[:3, 3]
     return [
         PoseGoal.at(tip + rng.normal(0.0, 0.3, 3), np.array([0.0, 1.0, 0.0, 0.0]) + rng.normal(0.0, 0.3, 4), **given)
@@ -46,7 +46,7 @@ def _around(scene: Scene, start: np.ndarray, n: int, **given: bool) -> list[Pose
 
 
 @pytest.mark.parametrize("free_yaw", [False, True])
-def test_what_is_returned_is_at_its_pose_and_free(scene: Scene, start: np.ndarray, free_yaw: bool) -> None:
+def test_solutions_are_at_their_poses_and_free(scene: Scene, start: np.ndarray, free_yaw: bool) -> None:
     goals = _around(scene, start, 100, free_yaw=free_yaw)
     found = reach_poses(goals, scene, start)
     assert 10 < len(found.index) < 100 and (np.diff(found.index) > 0).all()
@@ -70,7 +70,7 @@ def test_hardly_any_is_missed_that_is_found_one_by_one(scene: Scene, start: np.n
     assert len(alone - together) <= 0.2 * len(alone)
 
 
-def test_it_ends_when_told(scene: Scene, start: np.ndarray) -> None:
+def test_solving_can_be_cancelled(scene: Scene, start: np.ndarray) -> None:
     goals = _around(scene, start, 200)
     assert len(reach_poses(goals, scene, start, cancelled=lambda: True).index) == 0
     some, every = (reach_poses(goals, scene, start, hurried=lambda now=now: now).index for now in (True, False))
@@ -78,14 +78,14 @@ def test_it_ends_when_told(scene: Scene, start: np.ndarray) -> None:
     assert len(reach_poses([PoseGoal.at([3.0, 0.0, 0.5])] * 10, scene, start, hurried=lambda: True).index) == 0
 
 
-def test_the_one_that_can_be_reached_is_found_among_those_inside_of_the_table(scene: Scene, start: np.ndarray) -> None:
+def test_the_only_reachable_pose_is_found(scene: Scene, start: np.ndarray) -> None:
     rng, tip = np.random.default_rng(0), PoseGoal.from_tool(start, scene).X_WT[:3, 3]
     goals = [PoseGoal.at([0.55, 0.0, -0.25] + rng.normal(0.0, 0.02, 3), rng.normal(size=4)) for _ in range(300)]
     goals[217] = PoseGoal.at(tip + [0.0, 0.1, 0.05], [0.0, 1.0, 0.0, 0.0])
     assert set(resolve_goal(goals, scene, start).index) == {217}
     result = gp.plan(start, goals, scene, w=0.0, iterations=50)
     assert (result.status, result.goal_index) == (gp.PlanStatus.SOLVED, 217)
-    # Where none was reached together, each is looked at, and what is wrong is told of each.
+    # If the batch reached no pose, each is tried singly and reported with its reason.
     nothing = resolve_goal(goals[:9], scene, start)
     assert not nothing.index and len(nothing.problems) == 9
 

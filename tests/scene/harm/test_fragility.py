@@ -32,7 +32,7 @@ def test_every_shipped_class_has_a_fragility() -> None:
     assert set(table.carried) == set(severity.rows[ITSELF]) == set(CARRIED_CLASSES)
 
 
-def test_what_is_soft_spares_what_falls_on_it() -> None:
+def test_soft_surfaces_spare_falling_objects() -> None:
     table = FragilityTable.shipped()
     assert table.loss("glass", "floor", 0.55) == table.loss("glass", "", 0.55) == pytest.approx(0.5)
     assert table.loss("glass", "textile", 5.5) == pytest.approx(0.5)
@@ -89,4 +89,4 @@ def test_contents_do_not_ask_for_energy() -> None:
     table = FragilityTable({"laptop": Fragility(2.0, 0.3, 0.7)}, Fragility(1.0, 1.0, 0.7))
     assert table.probability("laptop", "contents", 0.0) == 0.3
     assert table.probability("laptop", "carried", 2.0) == pytest.approx(0.5)
-    assert table.probability("vase", "body", 1.0) == pytest.approx(0.5)  # a class that is not listed
+    assert table.probability("vase", "body", 1.0) == pytest.approx(0.5)  # an unlisted class

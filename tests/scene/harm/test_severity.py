@@ -30,7 +30,7 @@ def test_values_of_the_shipped_table(category: str, component: str, severity: fl
     assert _TABLE.severity(category, component) == severity
 
 
-def test_the_shipped_table_is_complete_but_for_what_makes_no_sense() -> None:
+def test_the_shipped_table_lacks_only_meaningless_pairs() -> None:
     missing = {
         (category, c) for category in _TABLE.classes for c in _TABLE.components if c not in _TABLE.rows[category]
     }
@@ -52,7 +52,7 @@ def test_humans_suffer_more_from_worse() -> None:
         assert row["arm_braked"] <= row["arm_collapse"]
 
 
-def test_an_undefined_pair_says_what_is_defined() -> None:
+def test_an_undefined_pair_lists_the_defined_ones() -> None:
     with pytest.raises(SceneError, match=r"'base_coast'.*'table'.*arm_braked.*dry"):
         _TABLE.severity("table", "base_coast")
 
@@ -96,7 +96,7 @@ def _write(folder: Path, text: str) -> Path:
     return file
 
 
-def test_a_table_of_ones_own(tmp_path: Path) -> None:
+def test_a_custom_table(tmp_path: Path) -> None:
     table = SeverityTable.load(_write(tmp_path, _HEAD + "  vase: [1, 20]\n  rug: [null, 1e0]\n"))
     assert table.severity("vase", "heavy") == 20.0
     assert table.severity("rug", "heavy") == 1.0
@@ -119,7 +119,7 @@ def test_a_table_of_ones_own(tmp_path: Path) -> None:
         ("version: 1\nentities: {}\n", 1, "needs the key 'components'"),
     ],
 )
-def test_broken_tables_say_where(tmp_path: Path, text: str, line: int, words: str) -> None:
+def test_errors_of_broken_tables_name_the_place(tmp_path: Path, text: str, line: int, words: str) -> None:
     with pytest.raises(SceneError, match=words) as caught:
         SeverityTable.load(_write(tmp_path, text))
     assert caught.value.line == line
@@ -128,7 +128,7 @@ def test_broken_tables_say_where(tmp_path: Path, text: str, line: int, words: st
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0.0, 1e6), st.sampled_from(_TABLE.classes), st.sampled_from(_TABLE.components))
-def test_an_override_is_what_one_looks_up(value: float, category: str, component: str) -> None:
+def test_overrides_are_returned(value: float, category: str, component: str) -> None:
     changed = _TABLE.with_overrides({category: {component: value}})
     assert changed.severity(category, component) == value
     for other in changed.rows[category]:

@@ -1,4 +1,4 @@
-"""The household scenes: things stand still, ends of tasks are free and harmless, direct ways are neither."""
+"""The household scenes: objects stay at rest, ends of tasks are free and harmless, straight paths are neither."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import graceful_plan as gp
 HOUSEHOLD = ("dining_table", "desk", "kitchen_counter")
 _FOLDER = LIBRARY / "scene" / "scenes"
 _ROOM = 0.02
-"""Distance that robot and object keep from everything at the ends of tasks [m]: twice what covers stick out."""
+"""Clearance of robot and object at the ends of tasks [m]: twice the protrusion of covers."""
 _MILD = 5.0
-"""Severity of what may lie below the object at the ends of a task: no more than moderate."""
+"""Greatest severity below the object at the ends of a task: moderate."""
 
 _OBSTACLES = {
     "dining_table": {"pedestal", "chair", "person_legs", "floor_under_table"},
@@ -26,11 +26,11 @@ _OBSTACLES = {
     "tabletop_l1": {"world"},
     "tabletop_l3": {"world"},
 }
-"""Bodies that collide and are no entities: what is touched there counts nowhere, so that each needs a reason."""
+"""Bodies that collide but are not entities: hits of them do not count, so each needs a reason."""
 _COVERED = {"person_legs", "floor_under_table", "floor_under_desk", "floor_under_trolley"}
-"""Those of them whose reason is that entities cover them."""
+"""Those that are covered by entities."""
 _RAY_STEP = 0.03
-"""Distance of the rays that look for what is not covered [m]."""
+"""Distance between the rays that look for uncovered bodies [m]."""
 
 
 @cache
@@ -48,14 +48,14 @@ def end_of(name: str, task: str, end: str) -> tuple[gp.Task, np.ndarray]:
 
 
 def worst_impact(scene: gp.Scene, q: np.ndarray) -> float:
-    """Greatest P S of object or contents against any entity at any of the configurations, by Algorithm 1."""
+    """Return the greatest P S of object or contents against any entity at any configuration, by Algorithm 1."""
     held = [name != "body" for name in scene.components]
     severity = np.array([[entity.severity[c] for entity in scene.entities.values()] for c in scene.components])
     return float((gp.interaction_probability(q, scene, "box_overlap") * severity)[..., held, :].max())
 
 
 def near_pairs(scene: gp.Scene, data: mujoco.MjData) -> list[list[int]]:
-    """Pairs of geoms that may touch and whose bounding spheres are close."""
+    """Return the pairs of geoms that may touch and whose bounding spheres are close."""
     pairs = scene.collision_pairs()
     apart = np.linalg.norm(data.geom_xpos[pairs[:, 0]] - data.geom_xpos[pairs[:, 1]], axis=1)
     return pairs[apart < scene.model.geom_rbound[pairs].sum(axis=1) + _ROOM].tolist()
@@ -70,7 +70,7 @@ def test_household_scenes_are_bundled() -> None:
 
 @pytest.mark.parametrize("name", HOUSEHOLD)
 def test_nothing_falls_over(name: str) -> None:
-    """After a second under gravity, everything is where it was to within 5 mm and 0.02 rad."""
+    """After a second under gravity, every object has moved by at most 5 mm and 0.02 rad."""
     model = mujoco.MjModel.from_xml_path(str(_FOLDER / f"{name}.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -102,7 +102,7 @@ def test_things_that_move_have_household_masses(name: str) -> None:
 
 @pytest.mark.parametrize("name", HOUSEHOLD)
 def test_the_floor_has_no_part_below_the_furniture(name: str) -> None:
-    """Algorithm 1 looks straight down through everything, so the floor must end where something covers it."""
+    """Algorithm 1 projects straight down through all objects, so the floor must end below furniture."""
     scene = household(name)
     data = scene.data_at(scene.keyframes["ready"])
     support = {"dining_table": ["table"], "desk": ["desk"], "kitchen_counter": ["counter", "trolley"]}[name]
@@ -121,7 +121,7 @@ def collides(model: mujoco.MjModel) -> np.ndarray:
 
 @pytest.mark.parametrize("name", gp.scenes())
 def test_what_collides_is_an_entity_or_known_to_be_none(name: str) -> None:
-    """A new thing that nobody lists would be free to be hit."""
+    """A new body that is not listed could be hit for free."""
     scene = household(name)
     model, listed = scene.model, {g for entity in scene.entities.values() for g in entity.geoms}
     rest = [g for g in np.flatnonzero(collides(model)) if model.geom_bodyid[g] not in scene.robot_bodies]
@@ -129,8 +129,8 @@ def test_what_collides_is_an_entity_or_known_to_be_none(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", HOUSEHOLD)
-def test_entities_cover_what_is_none_because_it_is_covered(name: str) -> None:
-    """Straight from above, that is; what gets there in other ways has touched an entity before."""
+def test_covered_bodies_are_covered_by_entities(name: str) -> None:
+    """Seen straight from above; an object that gets there otherwise has hit an entity before."""
     scene = household(name)
     model, data = scene.model, scene.data_at(scene.keyframes["ready"])
     solid = np.flatnonzero(collides(model)).tolist()
@@ -146,7 +146,7 @@ def test_entities_cover_what_is_none_because_it_is_covered(name: str) -> None:
 
 
 def depth_below(model: mujoco.MjModel, data: mujoco.MjData, xy: tuple[float, float], geom: int) -> float:
-    """Return how far below 3 m a geom is [m]; infinite where it is not."""
+    """Return the depth of a geom below 3 m [m]; infinite outside of its area."""
     at, down = np.array([*xy, 3.0]), np.array([0.0, 0.0, -1.0])
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         depth = mujoco.mj_rayMesh(model, data, geom, at, down)
@@ -156,11 +156,11 @@ def depth_below(model: mujoco.MjModel, data: mujoco.MjData, xy: tuple[float, flo
     return depth if depth >= 0.0 else np.inf
 
 
-# --- what is known about them -----------------------------------------------------------------------------------------
+# --- facts about them -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", HOUSEHOLD)
-def test_whoever_is_there_has_a_class(name: str) -> None:
+def test_all_people_and_pets_have_a_class(name: str) -> None:
     expected = {
         "dining_table": {"adult_head", "adult", "glass", "heirloom"},
         "desk": {"laptop", "phone", "paper", "mains", "pet", "glass"},
@@ -228,7 +228,7 @@ def test_ends_have_room_by_exact_geometry(name: str, task: str, end: str) -> Non
 
 
 @pytest.mark.parametrize(("name", "task", "end"), ENDS)
-def test_ends_are_not_above_what_is_severe(name: str, task: str, end: str) -> None:
+def test_ends_are_not_above_severe_entities(name: str, task: str, end: str) -> None:
     found, q = end_of(name, task, end)
     assert worst_impact(found.scene, q) < _MILD
 
@@ -248,7 +248,7 @@ def test_ready_is_free(name: str) -> None:
 
 @pytest.mark.long
 def test_caution_halves_the_impact_of_three_quarters_of_the_tasks() -> None:
-    """As Algorithm 1 counts it: where things go after a fall, and with them their contents, is harder to avoid."""
+    """By Algorithm 1: landings after a fall, and contents, are harder to avoid."""
     halved = []
     boxes = gp.Objective(impact=gp.ImpactCost(model="box_overlap"))
     for name, task in TASKS:

@@ -95,7 +95,7 @@ def test_limits_and_a_tool_by_its_body(tmp_path: Path) -> None:
         read_scene(_write(tmp_path, text.replace("[-1, 1.5]", "[2, 1]")))
 
 
-def test_what_moves(shelf: Scene) -> None:
+def test_moving_entities_in_files(shelf: Scene) -> None:
     cat, ball = shelf.moving["cat"], shelf.moving["ball"]
     assert (cat.category, cat.is_round, cat.growth, ball.is_round, ball.spread) == ("pet", False, 0.1, True, 0.2)
     np.testing.assert_allclose(cat.at(1.0).position, [1.0, 0.5, 0.1])
@@ -151,7 +151,7 @@ def test_a_robot_may_stand_in_the_world_already(tmp_path: Path) -> None:
     assert [scene.limits.velocity[0], scene.limits.acceleration[0], scene.limits.torque[0]] == [1, 2, 3]
 
 
-def test_a_robot_of_ones_own(tmp_path: Path) -> None:
+def test_a_custom_robot(tmp_path: Path) -> None:
     (tmp_path / "crane.xml").write_text(
         '<mujoco model="crane"><worldbody><body name="base"><joint name="j"/><geom size="0.1"/><site name="tool"/>'
         '</body></worldbody><custom><numeric name="velocity_limit" data="1"/>'
@@ -164,7 +164,7 @@ def test_a_robot_of_ones_own(tmp_path: Path) -> None:
     assert (renamed.joints, renamed.limits.velocity.tolist()) == (("c_j",), [1.0])
 
 
-_BROKEN = {  # what to replace, by what, where the complaint points, its words
+_BROKEN = {  # text to replace, its replacement, place and words of the error
     "version": ("version: 1", "version: 2", "only version 1 of scene files is known"),
     "unknown key": ("fingers: 0.04", "finger: 0.04", "unknown key 'finger'.*valid: version, name, .*fingers"),
     "unknown key deep down": ("class: heirloom,", "klass: heirloom,", "unknown key 'klass'.*valid: class, severity"),
@@ -242,7 +242,7 @@ def test_broken_files_end_in_a_scene_error_with_a_line(case: str, tmp_path: Path
         read_scene(file)
     assert caught.value.file == str(file)
     wrong = 1 + _SCENE[: _SCENE.index(old)].count("\n")
-    # The line itself, or the head of the block that it is in; of the file, if a key is missing.
+    # The line itself, or the head of its block; the file's, if a key is missing.
     block = max(n for n, line in enumerate(_SCENE.splitlines(), start=1) if n <= wrong and line[:1] not in " #")
     assert caught.value.line in ({1} if "needs the key 'world'" in words else set(range(block, wrong + 1)))
 

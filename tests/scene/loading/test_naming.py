@@ -1,4 +1,4 @@
-"""What cannot be a name is refused before MuJoCo sees it: it crashes on None, and ends a text at its first null."""
+"""Invalid names are refused before MuJoCo, which crashes on None and cuts a text at its first null character."""
 
 import subprocess
 import sys
@@ -19,7 +19,7 @@ OTHERS = ["nobody", "#²", "#" + "9" * 5000, "#-1", "名前 🙂"]
 
 
 @pytest.mark.parametrize("name", [*NO_NAMES, None, 5, b"vase", ["vase"]])
-def test_what_no_name_can_be_is_nobodys(name):
+def test_impossible_names_match_nothing(name):
     assert not is_name(name)
     assert lookup(SCENE.model, BODY, name) == -1
 
@@ -31,7 +31,7 @@ def test_names_in_any_script_are_names():
 
 
 @pytest.mark.parametrize("name", NO_NAMES + OTHERS)
-def test_asking_for_somebody_who_is_not_there_is_an_error_of_ours(name):
+def test_missing_names_raise_the_librarys_errors(name):
     for ask in (
         lambda: SCENE.edit(remove=[name]),
         lambda: SCENE.edit(move={name: [1.0, 1.0, 1.0]}),
@@ -59,7 +59,7 @@ def test_a_robot_is_named_by_a_name(given):
         gp.Scene.from_mjcf(text, **{"robot": "r/", "tool": "r/t", **given})
 
 
-def test_what_is_removed_twice_is_gone():
+def test_a_name_may_be_given_twice_for_removal():
     gone = SCENE.edit(remove=[ENTITY, ENTITY])
     assert lookup(gone.model, BODY, ENTITY) == -1
 
@@ -111,6 +111,6 @@ for name, call in calls.items():
 
 
 def test_arguments_of_other_types_are_refused_by_name():
-    """In a process of its own: in this one types are checked before any function sees them, and None used to crash."""
+    """Run in a separate process without type checks: None used to crash there."""
     run = subprocess.run([sys.executable, "-c", ODD], capture_output=True, text=True, check=False, timeout=300)
     assert (run.returncode, run.stdout, run.stderr[-2000:]) == (0, "", "")

@@ -148,7 +148,7 @@ def test_servos_hold_a_posture(panda: mujoco.MjModel) -> None:
     data = mujoco.MjData(panda)
     data.qpos[:7] = data.ctrl[:7] = q
     mujoco.mj_step(panda, data, nstep=1500)
-    assert np.abs(data.qpos[:7] - q).max() < 0.008  # the sag without gravity compensation
+    assert np.abs(data.qpos[:7] - q).max() < 0.008  # sag without gravity compensation
     assert np.abs(data.qvel).max() < 1e-3
 
 
@@ -185,7 +185,7 @@ def test_the_arm_seldom_collides_with_itself(panda: mujoco.MjModel) -> None:
         mujoco.mj_kinematics(panda, data)
         mujoco.mj_collision(panda, data)
         colliding += data.ncon > 0
-    assert 0.04 < colliding / 2000 < 0.12  # 0.08: real folds, not covers that are too fat
+    assert 0.04 < colliding / 2000 < 0.12  # 0.08: real folds, not overly large covers
 
 
 def test_the_geoms_of_the_forearm_hold_all_of_its_published_outline(panda: mujoco.MjModel) -> None:

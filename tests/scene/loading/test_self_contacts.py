@@ -1,4 +1,4 @@
-"""Links of MJCF models whose filters leave out that they touch."""
+"""MJCF models whose contact filters omit contacts between links."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from graceful_plan.judge.exact import exactly_free
 from graceful_plan.scene.loading.self_contacts import touching
 
 FOLDED = [0.0, 2.6, 2.6]
-"""The last link crosses the first."""
+"""The last link crosses the first one."""
 
 
 def _arm(filters: str = 'conaffinity="0"', more: str = "") -> str:
@@ -36,7 +36,7 @@ def _scene(text: str, self_collision: str = "model") -> gp.Scene:
     )
 
 
-def test_filters_that_test_no_link_are_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_filters_that_exclude_all_links_are_reported(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "graceful_plan"):
         scene = _scene(_arm())
     assert "robot 'a'" in caplog.text and "1 pairs" in caplog.text and "self_collision='links'" in caplog.text
@@ -49,14 +49,14 @@ def test_filters_that_test_no_link_are_told(caplog: pytest.LogCaptureFixture) ->
     assert not caplog.records
 
 
-def test_links_are_tested_whatever_the_filters_say() -> None:
+def test_links_are_tested_despite_filters() -> None:
     scene = _scene(_arm(), self_collision="links")
     assert "links that may not touch: 1 pairs; that may:\n  adjacent: a - b, b - c" in scene.describe()
     assert not exactly_free(np.array([FOLDED]), scene).any()
     assert exactly_free(np.array([[0.0, 0.5, 0.0]]), scene).all()
     found = gp.plan([0.0, 0.5, 0.0], FOLDED, scene, w=0.0, time_limit=20.0)
     assert found.status is gp.PlanStatus.INVALID_GOAL
-    # The surroundings are tested as before, and so they are in what is made of the scene.
+    # The surroundings are tested as before, also in scenes derived from this one.
     later = scene.add_box("crate", [0.1] * 3, [0.0, 0.8, 0.3])
     assert len(later.collision_pairs()) == len(scene.collision_pairs()) + 3 == 1 + 3 + 3
 

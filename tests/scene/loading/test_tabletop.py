@@ -1,4 +1,4 @@
-"""The table scenes against the published facts."""
+"""The table scenes against published values."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _VIA = {
     **{f"t{i}_goal": (-0.2, -0.45, 0.55) for i in (1, 2, 3, 4)},
 }
 _ROUNDING = 5e-3
-"""The published joint values have four decimals and come from another inverse kinematics with a loose tolerance."""
+"""Published joint values have four decimals and come from another inverse kinematics with a loose tolerance."""
 
 
 def _published_tool(scene: Scene, q: np.ndarray) -> np.ndarray:
@@ -154,8 +154,8 @@ def test_names_of_scenes() -> None:
 
 
 @pytest.mark.parametrize(("number", "total"), [(1, 3.78), (2, 5.74), (3, 3.95), (4, 1.27)])
-def test_algorithm_1_gives_what_was_recomputed_for_the_published_trajectories(number: int, total: float) -> None:
-    """The carried box, hard boxes, without the table, over the published four samples: lift, via twice, goal."""
+def test_algorithm_1_gives_the_recomputed_values_for_the_published_trajectories(number: int, total: float) -> None:
+    """With the carried box, hard boxes, no table, and the four published samples: lift, via twice, goal."""
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene.with_severity({"table": 0.0})
     stops = [scene.keyframes[name] for name in ("lift", f"t{number}_via", f"t{number}_via", f"t{number}_goal")]
     impact = gp.evaluate(

@@ -1,4 +1,4 @@
-"""Bundled scenes with wheels: things stand still, ends of tasks are free, robots roll in them, walls can be sliced."""
+"""Bundled scenes with bases: objects stay at rest, ends of tasks are free, robots can drive, walls can be sliced."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from graceful_plan.scene.mobile.wheels import KEEP_OUT, rolling_qpos, rolling_sp
 
 _FOLDER = LIBRARY / "scene" / "scenes" / "mobile"
 _ROOM = 0.02
-"""Distance that robot and load keep from everything at the ends of tasks [m]: twice what covers stick out."""
+"""Clearance of robot and load at the ends of tasks [m]: twice the protrusion of covers."""
 _OBSTACLES = {
     "apartment": {"walls", "floor"},
     "hallway": {"walls", "floor"},
     "kitchen": {"walls", "floor"},
     "warehouse_aisle": {"walls", "floor", "dock"},
 }
-"""Bodies that collide and are no entities; the scene files say why."""
+"""Bodies that collide but are not entities; the scene files give the reasons."""
 _WHO_IS_THERE = {
     "apartment": {"child", "pet", "glass", "heirloom", "laptop"},
     "hallway": {"adult", "adult_head", "heirloom"},
@@ -47,7 +47,7 @@ def test_their_names_are_their_own():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_falls_over(name):
-    """After a second under gravity, everything is where it was to within 5 mm and 0.02 rad."""
+    """After a second under gravity, every object has moved by at most 5 mm and 0.02 rad."""
     model = mujoco.MjModel.from_xml_path(str(_FOLDER / f"{name}.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -73,7 +73,7 @@ def test_what_collides_is_an_entity_or_known_to_be_none(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_walls_are_upright_boxes_around_all_keyframes(name):
-    """So that a floor map can be cut out of them, and nobody plans around outside."""
+    """A floor map can be sliced from the walls, and no plan leads outside."""
     model = mobile(name).model
     walls = np.flatnonzero(model.geom_bodyid == model.body("walls").id)
     assert len(walls) >= 4 and (model.geom_type[walls] == mujoco.mjtGeom.mjGEOM_BOX).all()
@@ -108,8 +108,8 @@ def test_ends_have_room_by_exact_geometry(name, task):
 
 
 @pytest.mark.parametrize(("name", "task"), [pair for pair in TASKS if mobile(pair[0]).robot == "jackal/"])
-def test_what_is_carried_stands_on_the_deck(name, task):
-    """A Jackal has no gripper: its load stands a hair above the deck, upright."""
+def test_the_load_stands_on_the_deck(name, task):
+    """A Jackal has no gripper: its load stands slightly above the deck, upright."""
     scene = mobile(name).tasks[task].scene
     if scene.carried is not None:
         data = scene.data_at(mobile(name).tasks[task].start)
@@ -141,4 +141,4 @@ def test_tasks_are_planned(name, task, w):
     result = gp.plan(found.start, found.goal, found.scene, w=w, iterations=5000, seed=1)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
     assert result.verdict.checks["rolling"].passed and result.verdict.checks["drive_limits"].passed
-    assert result.cost.impact > 0.0  # somebody or something is there
+    assert result.cost.impact > 0.0  # a person or object is there

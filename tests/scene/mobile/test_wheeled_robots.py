@@ -1,4 +1,4 @@
-"""Jackal and Fetch against published numbers, and how their simulated versions roll, turn and come to rest."""
+"""Jackal and Fetch against published numbers, and rolling, turning and braking of their simulated versions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FETCH_CHAIN = [  # joint, origin in its parent, axis, range, velocity, accelerat
     ("wrist_roll", (0.1385, 0, 0), "x", None, 2.268, 2.5, 7.4),
 ]
 AHEAD = 0.035
-"""Of the middle of a Jackal's wheels, where it turns about in place [m]."""
+"""Middle of a Jackal's wheels, its pivot for turns in place [m]."""
 TUCKED = (0.35, 1.32, 1.4, -0.2, 1.72, 0.0, 1.66, 0.0)
 _AXES = {"x": 0, "y": 1, "z": 2}
 _WHEEL_INERTIA = {"jackal": 0.0024, "fetch": 0.005}
@@ -63,7 +63,7 @@ def scene_of(robot: str) -> gp.Scene:
 
 
 class Rolling:
-    """A simulated robot, driven at a speed and a rate of turning, on a ramp along x if it is tilted [rad]."""
+    """A simulated robot with commanded speed and turning rate, on a ramp along x if tilted [rad]."""
 
     def __init__(self, robot: str, tilt: float = 0.0) -> None:
         self.base = scene_of(robot).base
@@ -89,11 +89,11 @@ class Rolling:
 
     @property
     def rims(self) -> np.ndarray:
-        """Speed of each wheel's rim [m/s]."""
+        """Return the speed of each wheel's rim [m/s]."""
         return self.data.qvel[self.dofs] * self.base.radius
 
     def constants(self) -> tuple[float, float]:
-        """Deceleration by friction [m/s^2] and drag [1/s] of a base without power, as published for its two robots."""
+        """Friction deceleration [m/s^2] and drag [1/s] of a base without power, as published for both robots."""
         n, r = len(self.dofs), self.base.radius
         rotor = self.model.dof_armature[self.dofs[0]] + _WHEEL_INERTIA[self.robot]
         mass = self.model.body_mass.sum() + n * rotor / r**2
@@ -125,7 +125,7 @@ def test_a_fetch_has_the_published_masses_and_wheels():
     mass = {model.body(b).name.removeprefix("fetch/"): float(model.body_mass[b]) for b in range(1, model.nbody)}
     arm = sum(mass[name] for name, *_ in FETCH_CHAIN[1:])
     assert [mass["base_link"], mass["torso_fixed"], mass["left_wheel"]] == pytest.approx([70.1294, 13.2775, 4.3542])
-    assert mass["torso_lift"] == pytest.approx(10.7796 + 2 * 0.169374, abs=1e-4)  # with its bellows
+    assert mass["torso_lift"] == pytest.approx(10.7796 + 2 * 0.169374, abs=1e-4)  # including the bellows
     assert mass["head_pan"] + mass["head_tilt"] == pytest.approx(3.16, abs=0.01)
     assert arm == pytest.approx(13.20, abs=0.01)
     assert mass["gripper"] + 2 * mass["left_finger"] == pytest.approx(1.68, abs=0.01)
@@ -203,7 +203,7 @@ def test_a_tucked_fetch_touches_nothing():
     assert gp.clearance([0, 0, 0, 0.2, *np.zeros(7)], scene_of("fetch")) > 0.002
 
 
-# --- two versions of one model ----------------------------------------------------------------------------------------
+# --- agreement of both models -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("robot", ["jackal", "fetch"])
@@ -239,7 +239,7 @@ def test_only_robots_that_drive_roll():
         rolling_spec(gp.load_scene("tabletop"))
 
 
-def test_models_that_say_half_of_how_they_drive_are_refused():
+def test_incomplete_drive_descriptions_are_refused():
     spec = ground("jackal")
     spec.delete(next(n for n in spec.numerics if n.name == "jackal/drive/track"))
     with pytest.raises(SceneError, match="needs track"):
@@ -298,7 +298,7 @@ def test_coasting_goes_as_far_as_the_closed_form(robot):
 
 
 @pytest.mark.parametrize(("steeper", "moves"), [(0.9, False), (1.1, True)])
-def test_a_ramp_moves_what_its_friction_does_not_hold(steeper, moves):
+def test_a_steep_ramp_moves_a_base(steeper, moves):
     a, _ = Rolling("jackal").constants()
     level = Rolling("jackal")
     mass = level.model.body_mass.sum()
@@ -311,7 +311,7 @@ def test_a_ramp_moves_what_its_friction_does_not_hold(steeper, moves):
 
 
 def test_a_fetch_pivots_about_a_locked_wheel():
-    """At half of its track, once it has slid to a stop, while the other wheel is driven on."""
+    """At half of its track, after sliding to a stop, while the other wheel is still driven."""
     v, sim = 0.5, Rolling("fetch")
     sim.run(1.0, v=v)
     sim.model.dof_frictionloss[sim.dofs[0]] = 1e4
@@ -319,11 +319,11 @@ def test_a_fetch_pivots_about_a_locked_wheel():
     sim.run(3.0, v=v)
     omega, radius = sim.data.qvel[5], np.hypot(*sim.data.qvel[:2]) / sim.data.qvel[5]
     assert radius == pytest.approx(sim.base.track / 2, rel=0.05)
-    assert omega == pytest.approx(v / sim.base.track, rel=0.05)  # to the left, where it is locked
+    assert omega == pytest.approx(v / sim.base.track, rel=0.05)  # to the left, the locked side
 
 
 @pytest.mark.parametrize("v", [1.0, 2.0])
-def test_a_jackal_with_all_wheels_locked_slides_as_far_as_its_tyres_let_it(v):
+def test_a_jackal_with_all_wheels_locked_slides_by_tyre_friction(v):
     sim = Rolling("jackal")
     for speed in np.linspace(0.0, v, 21):
         sim.run(0.06, v=speed)
@@ -336,7 +336,7 @@ def test_a_jackal_with_all_wheels_locked_slides_as_far_as_its_tyres_let_it(v):
 
 
 def test_a_jackal_with_one_side_locked_spins_to_that_side():
-    """At a radius of 0.14 to 0.24 m, at a rate between those of wheels that slip as in place and that do not."""
+    """At a radius of 0.14 to 0.24 m, at a rate between those of full slip and of no slip."""
     v, sim = 1.5, Rolling("jackal")
     for speed in np.linspace(0.0, v, 21):
         sim.run(0.06, v=speed)
@@ -357,5 +357,5 @@ def test_servos_of_a_fetch_hold_its_arm():
     motors = [sim.model.actuator(f"fetch/{name}").id for name, *_ in FETCH_CHAIN]
     sim.data.qpos[addresses] = sim.data.ctrl[motors] = (0.2, 0.5, -0.3, 0.4, 1.0, 0.0, 0.8, 0.0)
     sim.run(2.0)
-    assert np.abs(sim.data.qpos[addresses] - sim.data.ctrl[motors]).max() < 0.02  # sag: there is no gravcomp
+    assert np.abs(sim.data.qpos[addresses] - sim.data.ctrl[motors]).max() < 0.02  # sag without gravity compensation
     assert np.abs(sim.data.qvel).max() < 0.05

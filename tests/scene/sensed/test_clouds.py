@@ -1,4 +1,4 @@
-"""Point clouds, depth images and height maps as obstacles: what is full, and that motions keep away from it."""
+"""Point clouds, depth images and height maps as obstacles: occupied space, and motions that avoid it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_every_point_is_inside_and_every_cell_has_one(inflation: float) -> None:
     lower, upper = gp.PointCloud(name="seen", points=points, resolution=0.05, inflation=inflation).boxes
     inside = np.all((points[:, None] >= lower + inflation) & (points[:, None] <= upper - inflation), axis=2)
     assert inside.any(axis=1).all()
-    # Every box is near a point: within it, or within the gap between two.
+    # Every box is near a point: within the box, or within the gap between two.
     middle = 0.5 * (lower + upper)
     away = np.abs(points[:, None] - middle) - 0.5 * (upper - lower) + inflation
     assert np.all(away.max(axis=2).min(axis=0) <= 2 * 0.05)
@@ -69,7 +69,7 @@ def test_noise_does_not_make_dust_of_a_table() -> None:
     assert len(gp.PointCloud(name="seen", points=top, resolution=0.02).boxes[0]) < 20
 
 
-def test_points_stand_where_their_frame_is_and_what_was_not_seen_is_not_there() -> None:
+def test_points_follow_their_frame_and_invalid_ones_are_dropped() -> None:
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [1.0, 2.0, 3.0]
     points = [[0.105, 0.005, 0.005], [np.nan, 0.0, 0.0], [0.0, np.inf, 1.0]]
@@ -80,13 +80,13 @@ def test_points_stand_where_their_frame_is_and_what_was_not_seen_is_not_there() 
         assert len(gp.PointCloud(name="seen", points=nothing).boxes[0]) == 0
 
 
-def test_a_depth_image_is_what_a_pinhole_camera_sees() -> None:
-    """A wall half a metre before a camera that looks along x, seen through a pinhole with a given opening."""
+def test_a_depth_image_equals_a_pinhole_camera() -> None:
+    """Return a wall half a metre before a camera that looks along x, through a pinhole with a given opening."""
     X_WC = np.eye(4)
     X_WC[:3, :3] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # x right is -y, y down is -z
     K = [[100.0, 0.0, 49.5], [0.0, 100.0, 24.5], [0.0, 0.0, 1.0]]
     depth = np.full((50, 100), 0.505)
-    depth[:, :50] = 0.0  # nothing seen in the left half
+    depth[:, :50] = 0.0  # no points in the left half
     lower, upper = gp.PointCloud.from_depth("seen", depth, K, X_WC, resolution=0.01).boxes
     np.testing.assert_allclose([lower[:, 0].min(), upper[:, 0].max()], [0.5, 0.51], atol=1e-9)
     np.testing.assert_allclose([lower[:, 1].min(), upper[:, 1].max()], [-0.505 * 0.495, 0.0], atol=0.0101)
@@ -107,7 +107,7 @@ def test_height_maps_are_full_below(heights: np.ndarray) -> None:
 
 
 def test_motions_keep_away_from_every_point(scene: gp.Scene) -> None:
-    """Judged in a scene that has each point as a ball, by exact geometry."""
+    """Verified in a scene that has each point as a ball, by exact geometry."""
     task = scene.tasks["green_to_blue"]
     free = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=200).unwrap()
     place = gp.StateBatch(task.scene, free.at([0.5 * free.duration]).q).tool_poses[0, :3, 3]
@@ -123,7 +123,7 @@ def test_motions_keep_away_from_every_point(scene: gp.Scene) -> None:
 
 
 def test_a_cloud_is_an_entity_like_the_thing_that_was_seen(scene: gp.Scene) -> None:
-    """A tray by the way, as a box and as points all over it: drops hit both with about the same probability."""
+    """A tray near the path, as a box and as points on it: drops hit both with about equal probability."""
     task, half, place = scene.tasks["green_to_blue"], np.array([0.12, 0.15, 0.02]), np.array([0.45, 0.0, 0.3])
     box = gp.StaticBody(name="tray", kind="box", size=half, pose=place, entity="glass")
     points = place + np.random.default_rng(0).uniform(-half, half, (20_000, 3)) * 0.999
@@ -198,7 +198,7 @@ def test_names_are_taken_once_and_boxes_are_not_too_many(scene: gp.Scene) -> Non
         lambda: gp.HeightMap(name="map", heights=[[1.0]], cell=0.1, corner=(0.0, 0.0), bottom=float("nan")),
     ],
 )
-def test_what_no_sensor_saw_is_refused(wrong) -> None:
-    """A height without end, above all, is not one of nothing."""
+def test_impossible_sensor_data_are_refused(wrong) -> None:
+    """In particular, an infinite height must not count as zero."""
     with pytest.raises((gp.GracefulPlanError, TypeCheckError)):
         wrong()

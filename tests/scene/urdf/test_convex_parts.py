@@ -1,4 +1,4 @@
-"""Meshes that their hulls do not fit are divided: the bend of an angle is free, and none of its surface is left out."""
+"""Meshes that differ from their hulls are decomposed: a concave corner is free, and the surface is covered."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def box(low: list[float], high: list[float]) -> Array:
 
 
 def angle() -> Array:
-    """Two legs of 0.4 m, 4 cm thick, one solid."""
+    """Return two legs of 0.4 m, 4 cm thick, as one solid."""
     outline = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.04], [0.04, 0.04], [0.04, 0.4], [0.0, 0.4]])
     low, high = (np.column_stack([outline, np.full(6, z)]) for z in (-0.02, 0.02))
     top = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
@@ -51,7 +51,7 @@ def angle() -> Array:
 
 
 def outside(parts: list[Array], points: Array) -> Array:
-    """Return how far points are outside of the hulls of parts."""
+    """Return the distance of points outside the hulls of parts."""
     spatial = pytest.importorskip("scipy.spatial")
     hulls = [spatial.ConvexHull(part).equations for part in parts]
     return np.min([(points @ planes[:, :3].T + planes[:, 3]).max(axis=1) for planes in hulls], axis=0)
@@ -70,7 +70,7 @@ def test_an_angle_has_parts_that_leave_its_bend_free() -> None:
     assert outside(parts, np.array([[0.2, 0.2, 0.0], [0.1, 0.3, 0.0]])).min() > 0.05
 
 
-def test_what_its_hull_fits_stays_whole() -> None:
+def test_meshes_equal_to_their_hulls_stay_whole() -> None:
     assert convex_parts(box([0, 0, 0], [0.4, 0.1, 0.1]), "box", needed=True) == []
     assert convex_parts(np.zeros((2, 3, 3)), "point", needed=True) == []
 
@@ -92,7 +92,7 @@ def test_a_robot_whose_links_are_apart_is_not_read_again_to_be_divided(
     assert asked == [False]
 
 
-def test_a_robot_passes_what_is_in_a_bend(tmp_path: Path) -> None:
+def test_a_robot_passes_through_a_concave_corner(tmp_path: Path) -> None:
     pytest.importorskip("coacd")
     (tmp_path / "angle.obj").write_bytes(obj_content(angle()))
     file = tmp_path / "crane.urdf"
@@ -107,7 +107,7 @@ def test_a_robot_passes_what_is_in_a_bend(tmp_path: Path) -> None:
     assert gp.clearance([0.7], divided) < 0.0  # a leg is in the way
 
 
-def test_without_the_library_it_says_so(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_without_coacd_the_error_names_it(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setitem(sys.modules, "coacd", None)
     assert convex_parts(angle(), "angle.obj", needed=False) == []
     assert "angle.obj" in caplog.text and ".[urdf]" in caplog.text

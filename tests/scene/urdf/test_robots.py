@@ -1,4 +1,4 @@
-"""Robots as their makers publish them, from packages that `make test-robots` installs: they load, and move."""
+"""Published robot models, from packages that `make test-robots` installs, can be loaded and planned for."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from graceful_plan.judge.exact import Judge
 DATA = Path(sysconfig.get_path("purelib")) / "cmeel.prefix" / "share"
 MJCF = Path(os.environ.get("ROBOT_WHEELS") or sysconfig.get_path("purelib"))
 pytestmark = pytest.mark.long
-# Of 200 configurations that exact geometry calls free, the kernels call so at least this share; of 6 queries so many.
+# The least share of 200 exactly free configurations that kernels call free, and the least number of 6 solved queries.
 ROBOTS = [
     ("panda_description/urdf/panda.urdf", "panda_hand_tcp", 0.85, 6),
     ("ur_description/urdf/ur5_robot.urdf", "tool0", 0.8, 2),  # the upper arm passes the base at 6 mm, closer than hulls
@@ -53,7 +53,7 @@ def test_a_published_fetch_moves_its_arm_at_a_table() -> None:
     with pytest.raises(SceneError, match=r"'../stls/fetch'.*folder=DIR"):
         gp.Scene.from_mjcf(file, robot="robot0:", tool="robot0:grip", velocity=[1.0] * 11, acceleration=[3.0] * 11)
     spec = mujoco.MjSpec.from_file(str(file))
-    for k in range(3):  # its base stands still
+    for k in range(3):  # its base is fixed
         spec.delete(spec.joint(f"robot0:slide{k}"))
     scene = gp.Scene.from_mjcf(
         spec, robot="robot0:", tool="robot0:grip", velocity=[0.1] + [1.0] * 7, acceleration=[0.5] + [3.0] * 7
@@ -75,7 +75,7 @@ def _moves(scene: gp.Scene, called: float, solved: int) -> None:
     free = q[[k for k in range(len(q)) if k not in touched]][:200]
     assert np.mean(compile_scene(scene).kernels.free(free)) >= called
     queries = free[:12].reshape(6, 2, -1)
-    # Iterations end what finds nothing; the time is for a busy machine.
+    # Iterations end hopeless searches; the time limit is for a busy machine.
     given = {"iterations": 20_000, "time_limit": 30.0, "callback": lambda _: True}
     results = [gp.plan(a, b, scene, w=0.0, **given) for a, b in queries]
     assert sum(result.status is gp.PlanStatus.SOLVED for result in results) >= solved

@@ -1,4 +1,4 @@
-"""Robots from URDF: limits, meshes, frames, grippers, what may touch, and that motions are planned with them."""
+"""Robots from URDF: limits, meshes, frames, grippers, allowed contacts, and planned motions."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_fingers_that_mimic_follow(arm: gp.Scene) -> None:
     assert by_name.home_qpos[by_name.model.joint("arm/grip").qposadr[0]] == pytest.approx(0.03)
 
 
-def test_what_may_touch(arm: gp.Scene) -> None:
+def test_allowed_contacts(arm: gp.Scene) -> None:
     pairs = {frozenset((c.first, c.second)) for c in arm.allowed_contacts}
     neighbours = {("foot", "trunk"), ("trunk", "boom"), ("boom", "flange"), ("flange", "left"), ("flange", "right")}
     for a, b in neighbours - {("foot", "trunk")}:
@@ -142,7 +142,7 @@ def test_joints_without_limits_take_the_short_way_round(arm: gp.Scene, start: fl
     assert np.all((result.trajectory.q[:, 0] >= low) & (result.trajectory.q[:, 0] <= high))
 
 
-def test_motions_are_planned_among_what_stands_around() -> None:
+def test_motions_are_planned_among_obstacles() -> None:
     post = '<body name="post" pos="0.6 0 0.4"><geom type="box" size="0.05 0.05 0.4"/></body>'
     world = f"<mujoco><worldbody>{post}</worldbody></mujoco>"
     scene = gp.Scene.from_urdf(ARM, tool="tip", acceleration=4.0, world=world, entities={"post": "glass"})
@@ -204,7 +204,7 @@ def test_packages_are_not_left(tmp_path: Path) -> None:
 
 
 def test_collada_needs_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with suppress(ImportError):  # it looks for the other one when it is imported, and never again
+    with suppress(ImportError):  # trimesh looks for the library only on its first import
         importlib.import_module("trimesh.exchange.load")
     file = tmp_path / "a.dae"
     file.write_text("<COLLADA/>")
@@ -234,7 +234,7 @@ def test_collada_needs_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (ARM.replace('ixx="0.01"', 'ixx="nan"'), "not finite"),
     ],
 )
-def test_broken_files_say_what_is_wrong(text: str, told: str) -> None:
+def test_errors_of_broken_files_name_the_problem(text: str, told: str) -> None:
     with pytest.raises(SceneError, match=told):
         gp.Scene.from_urdf(text, tool="tip", acceleration=4.0)
 

@@ -1,6 +1,6 @@
 """A local server with the OpenAI-compatible interface, for tests without a language model.
 
-`guesses` answers from words in names alone, with the shipped rows of the guessed classes.
+`guesses` answers by words in names, with the shipped rows of the guessed classes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ WORDS = {
     "floor": ("floor", "stairs", "ramp"),
     "table": ("table", "counter", "desk", "shelf", "cabinet", "console", "sideboard"),
 }
-"""Words in names, by the class that they are taken for; the first class with one of them, else "robust"."""
+"""Words in names, by class; the first class with a match is used, else "robust"."""
 
 Answer = tuple[int, Mapping[str, str], bytes]
 """Status, headers and body."""
@@ -39,10 +39,10 @@ Replies = Callable[[dict[str, Any]], Answer]
 
 
 class ModelServer:
-    """Serves on a port of its own while it is in a `with` statement.
+    """Serves on a free port while it is in a `with` statement.
 
     Args:
-        replies: What it answers to the document of a request.
+        replies: Function from the document of a request to the answer.
     """
 
     def __init__(self, replies: Replies) -> None:
@@ -78,7 +78,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.owner.headers.append(dict(self.headers))
         self.owner.paths.append(self.path)
         status, headers, answer = self.owner.replies(self.owner.asked[-1])
-        with contextlib.suppress(OSError):  # who asked may not have waited
+        with contextlib.suppress(OSError):  # the client may have stopped waiting
             self.send_response(status)
             for name, value in headers.items():
                 self.send_header(name, value)
@@ -86,24 +86,24 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(answer)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing."""
+        """Log nothing."""
 
 
 def said(text: str) -> Answer:
-    """Return an answer of a model that says some text."""
+    """Return an answer of a model with this text."""
     document = {"choices": [{"index": 0, "message": {"role": "assistant", "content": text}, "finish_reason": "stop"}]}
     return 200, {"Content-Type": "application/json"}, json.dumps(document).encode()
 
 
 def asked_about(document: Mapping[str, Any]) -> list[str]:
-    """Return the entities that a request is about."""
+    """Return the entities in a request."""
     content = document["messages"][1]["content"]
     text = content if isinstance(content, str) else content[0]["text"]
     return list(json.loads(text)["entities asked about"])
 
 
 def rows(names: Sequence[str]) -> dict[str, Any]:
-    """Return what words in names make one guess, in the form of an answer."""
+    """Return guesses by words in names, in the form of an answer."""
     severity, fragility = SeverityTable.shipped(), FragilityTable.shipped()
     found = {}
     for name in names:
@@ -120,5 +120,5 @@ def rows(names: Sequence[str]) -> dict[str, Any]:
 
 
 def guesses(document: dict[str, Any]) -> Answer:
-    """Answer with what words in names make one guess."""
+    """Answer with guesses by words in names."""
     return said(json.dumps({"entities": rows(asked_about(document))}))

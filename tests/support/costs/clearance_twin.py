@@ -14,7 +14,7 @@ Array = np.ndarray
 
 
 class ClearanceTwin:
-    """Distances between every sphere and everything that it may hit.
+    """Distances between every sphere and all obstacles and spheres that it may touch.
 
     Args:
         robot: Links and spheres.
@@ -33,11 +33,11 @@ class ClearanceTwin:
 
     @property
     def n_self(self) -> int:
-        """How many of the pairs, the last ones, are of two spheres of the robot."""
+        """Number of pairs of two robot spheres; they come last."""
         return len(self.first)
 
     def distances(self, q: Array) -> Array:
-        """Signed distance of every pair [n, pair], at configurations [n, nq]."""
+        """Return the signed distance of every pair [n, pair], at configurations [n, nq]."""
         centre, radius = self.centres(q), self.robot.sphere[:, 3].astype(np.float64)
         outside = np.full((len(q), len(self.sphere)), np.inf)
         for i in range(len(self.world.kind)):
@@ -48,7 +48,7 @@ class ClearanceTwin:
         return np.concatenate([outside, apart - radius[self.first] - radius[self.second]], axis=1)
 
     def distance(self, q: Array, pair: Array) -> Array:
-        """Signed distance of one pair each [n], at configurations [n, nq]."""
+        """Return the signed distance of one pair each [n], at configurations [n, nq]."""
         centre, radius = self.centres(q), self.robot.sphere[:, 3].astype(np.float64)
         rows, result = np.arange(len(q)), np.empty(len(q))
         own = pair >= len(self.sphere)
@@ -61,7 +61,7 @@ class ClearanceTwin:
         return result
 
     def centres(self, q: Array) -> Array:
-        """Centres of the spheres in W [n, sphere, 3]."""
+        """Return the centres of the spheres in W [n, sphere, 3]."""
         poses = np.empty((len(q), len(self.robot.parent), 4, 4))
         for link, (parent, joint) in enumerate(zip(self.robot.parent, self.robot.joint, strict=True)):
             poses[:, link] = self.robot.X_PL[link] if parent < 0 else poses[:, parent] @ self.robot.X_PL[link]
@@ -89,12 +89,12 @@ class ClearanceTwin:
 
 
 def _beyond(excess: Array) -> Array:
-    """Distance from a product of intervals, by how far each coordinate lies outside of its own."""
+    """Return the distance from a product of intervals, given by how much each coordinate is outside its interval."""
     return np.linalg.norm(np.maximum(excess, 0.0), axis=-1) + np.minimum(excess.max(axis=-1), 0.0)
 
 
 def _moved(position: Array, slide: bool) -> Array:
-    """Poses [n, 4, 4] of a joint along or about z."""
+    """Return the poses [n, 4, 4] of a joint along or about z."""
     X = np.tile(np.eye(4), (len(position), 1, 1))
     if slide:
         X[:, 2, 3] = position

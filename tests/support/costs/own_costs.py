@@ -1,4 +1,4 @@
-"""Costs of one's own, for tests: smooth ones with and without a gradient, and one that asks for velocities."""
+"""Custom costs for tests: smooth ones with and without a gradient, and one that depends on velocities."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Bowl(gp.Cost):
-    """Half the squared distance from a posture; told or not told of its gradient."""
+    """Half the squared distance from a posture, with or without its gradient."""
 
     centre: float = 0.3
     told: bool = True
@@ -39,7 +39,7 @@ class Height(gp.Cost):
 
 @dataclass(frozen=True)
 class Haste(gp.Cost):
-    """Squared speed of each joint, more so far from zero: depends on velocities and on where the robot is."""
+    """Squared speed of each joint, weighted by its distance from zero: depends on velocities and configuration."""
 
     def state(self, batch: gp.StateBatch) -> Float[Array, " n"]:
         """Return the value."""
@@ -52,7 +52,7 @@ class Haste(gp.Cost):
 
 @dataclass(frozen=True)
 class Crosswise(gp.Cost):
-    """A motion cost: joints cost differently, and more so where the first one is turned."""
+    """A motion cost in which joints differ, and which grows as the first one turns."""
 
     def state(self, batch: gp.StateBatch) -> Float[Array, " n"]:
         """Return the density."""

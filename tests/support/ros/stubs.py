@@ -1,4 +1,4 @@
-"""As much of ROS 2 as the examples use: messages with the fields that they have there, and no others."""
+"""Stubs of the parts of ROS 2 that the examples use: messages with exactly the same fields."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class GetPlanningScene:
 
 @dataclass
 class Robot:
-    """What answers on the other side: the state of the joints, a controller, and MoveIt."""
+    """The remote side: joint states, a controller, and MoveIt."""
 
     state: Any = None
     there: bool = True
@@ -79,7 +79,7 @@ class Robot:
 
 
 def done(value: Any) -> Any:
-    """Return a future that is done."""
+    """Return a finished future."""
     return SimpleNamespace(result=lambda: value)
 
 

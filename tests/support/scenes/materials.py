@@ -1,4 +1,4 @@
-"""Materials of the bundled scenes: how they are to bounce and roll, and how they do."""
+"""Materials of the bundled scenes: specified and measured restitution and rolling resistance."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from failbench.recording.contact_query import ContactQuery
 
 GRAVITY = 9.81
 HEIGHTS = (0.1, 0.3, 0.8)
-"""Heights of the fall [m]; the asked restitution is that at the second."""
+"""Heights of the fall [m]; the specified restitution is that at the second."""
 RADIUS = 0.035
-"""Of the sphere and of the cylinder [m]: that of a bottle."""
+"""Radius of the sphere and of the cylinder [m]: that of a bottle."""
 _SPEED, _SECONDS = 0.5, 1.0
 _SUNK = 0.002
-"""Lowering by which objects touch their support [m]."""
+"""Lowering at which objects touch their support [m]."""
 _SOLID = 1.5
-"""Inertia of a rolling solid cylinder over that of one that slides."""
+"""Inertia of a rolling solid cylinder over that of a sliding one."""
 
 Array = np.ndarray
 
 
 class Asked(NamedTuple):
-    """How a material is to behave on wood. All are assumptions; docs/failbench.md says from what."""
+    """Specified behaviour of a material on wood. All are assumptions; see docs/failbench.md."""
 
     restitution: float
     """Speed after over speed before the impact of a fall from 0.3 m."""
@@ -49,16 +49,16 @@ MATERIALS: Mapping[str, Asked] = MappingProxyType(
         "paper": Asked(0.0, 0.0005),
     }
 )
-"""The default classes of the scenes of which things are made that can be moved."""
+"""Default classes of the scenes' movable objects."""
 
 
 class Measured(NamedTuple):
-    """How it behaves."""
+    """Measured behaviour."""
 
     restitution: tuple[float, ...]
-    """One for each of `HEIGHTS`."""
+    """One value for each of `HEIGHTS`."""
     rolling: float
-    """As asked."""
+    """As in the specification."""
 
 
 def measure(scene: str, material: str, *, on: str = "wood") -> Measured:
@@ -69,7 +69,7 @@ def measure(scene: str, material: str, *, on: str = "wood") -> Measured:
 
 
 def of(scene: str) -> dict[str, Asked]:
-    """Return those of the materials that a scene has, by name."""
+    """Return the materials of a scene, by name."""
     spec = suite.scene(scene).spec
     return {name: asked for name, asked in MATERIALS.items() if spec.find_default(name) is not None}
 
@@ -78,7 +78,7 @@ HEADER = ("material", "e asked", *(f"e, {height:g} m" for height in HEIGHTS), "l
 
 
 def rows(scene: str) -> Iterator[tuple[str, ...]]:
-    """Measure all materials of a scene, one row of a table each, after `HEADER`."""
+    """Measure all materials of a scene; rows of a table, after `HEADER`."""
     for name, asked in of(scene).items():
         found = measure(scene, name)
         arms = (f"{1e3 * arm:.2f} mm" for arm in (asked.rolling, found.rolling))
@@ -86,11 +86,11 @@ def rows(scene: str) -> Iterator[tuple[str, ...]]:
 
 
 def restitution(model: mujoco.MjModel, height: float) -> float:
-    """Drop a sphere [m] and return the root of rebound over height: the effective coefficient of restitution."""
+    """Drop a sphere [m] and return sqrt(rebound height / height): the effective coefficient of restitution."""
     data = mujoco.MjData(model)
     data.qpos[2] = RADIUS + height
     fall = np.sqrt(2.0 * height / GRAVITY)
-    places = np.zeros(int(3.5 * fall / model.opt.timestep))  # it is up again after three times the fall, if e = 1
+    places = np.zeros(int(3.5 * fall / model.opt.timestep))  # with e = 1 it is up again after three times the fall
     for i in range(len(places)):
         mujoco.mj_step(model, data)
         places[i] = data.qpos[2]
@@ -99,7 +99,7 @@ def restitution(model: mujoco.MjModel, height: float) -> float:
 
 
 def rolling(model: mujoco.MjModel) -> float:
-    """Let a solid cylinder roll and return the lever arm of what slows it down [m]."""
+    """Let a solid cylinder roll and return the lever arm of the rolling resistance [m]."""
     data = mujoco.MjData(model)
     data.qpos[2:] = [RADIUS, np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]  # its axis along -y
     data.qvel[0], data.qvel[5] = _SPEED, -_SPEED / RADIUS
@@ -132,7 +132,7 @@ def _model(source: mujoco.MjSpec, material: str, support: str, kind: str) -> muj
 
 
 def alone(world: failbench.World, body: int) -> mujoco.MjModel:
-    """Return a model of one free body on a plane that touches as what supports it does."""
+    """Return a model of one free body on a plane with the contact parameters of its support."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(name="plane", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
     source = world.scene.spec.copy()

@@ -26,7 +26,7 @@ from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from support.sweeps.ray_nodes import RayNodes
 
 FAULTS = ("gripper_failure", "loose_joint", "noise", "power_loss")
-"""One of each category."""
+"""One fault of each category."""
 
 
 class Trial:
@@ -66,7 +66,7 @@ class Trial:
             assert _content(folder / "ray_in_peace") == self.expected, "Ray makes other bytes than local processes"
 
     def run(self, kills: int) -> None:
-        """Kill that many processes, over as many sweeps as that takes."""
+        """Kill a number of processes, over as many sweeps as needed."""
         while self.kills.total() < kills:
             self._sweep(kills)
             self.sweeps += 1
@@ -89,7 +89,7 @@ class Trial:
         )
 
     def _sweep(self, kills: int) -> None:
-        """Do one sweep to its end, through kills."""
+        """Complete one sweep despite kills."""
         while True:
             driver = self._start("fire")
             while driver.poll() is None:
@@ -99,13 +99,13 @@ class Trial:
                     driver.wait()
             if driver.returncode == 0:
                 return
-            # A chunk whose worker was killed three times counts as failed, which a driver says at its end; resuming
-            # tries it again.
+            # A chunk whose worker was killed three times counts as failed, and the driver reports it; resuming tries it
+            # again.
             assert driver.returncode in (-signal.SIGKILL, 1), f"the driver failed: {driver.returncode}"
             self.gave_up += driver.returncode == 1
 
     def _kill_someone(self, driver: subprocess.Popen[bytes]) -> None:
-        """Kill the driver, a worker or a node at some moment, unless the driver ends before."""
+        """Kill the driver, a worker or a node at a random moment, unless the driver ends first."""
         who = self.random.choice(self.victims)
         until = time.monotonic() + self.random.uniform(0.0, 0.6 * self.seconds)
         victims: list[int] = []
@@ -151,7 +151,7 @@ def _content(folder: Path) -> dict[str, bytes]:
 
 
 def _workers(driver: int) -> list[int]:
-    """Return the processes that do chunks for a driver."""
+    """Return the processes that work on chunks for a driver."""
     found = []
     children = Path(f"/proc/{driver}/task/{driver}/children")
     for child in children.read_text().split() if children.exists() else ():

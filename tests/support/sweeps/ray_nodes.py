@@ -11,11 +11,11 @@ from typing import Any
 
 
 class RayNodes:
-    """A head that does no work, and nodes that do. Use it in a `with` statement.
+    """A head that does no work, and worker nodes. Use it in a `with` statement.
 
     Args:
-        count: How many nodes.
-        cpus: Workers of each.
+        count: Number of nodes.
+        cpus: Workers per node.
     """
 
     def __init__(self, count: int = 2, cpus: int = 1) -> None:
@@ -38,15 +38,15 @@ class RayNodes:
 
     @property
     def address(self) -> str:
-        """Where drivers connect."""
+        """Address for drivers."""
         return self._cluster.address
 
     def busy(self) -> list[int]:
-        """Return the processes that do chunks at this moment."""
+        """Return the processes that work on chunks now."""
         return [pid for node in self._nodes for pid in _children(_raylet(node)) if b"_attempt" in _command(pid)]
 
     def seconds(self) -> float:
-        """Return the CPU time that the processes of the cluster that live have taken, without drivers [s]."""
+        """Return the CPU time of the running processes of the cluster, without drivers [s]."""
         servers = [
             info.process.pid
             for node in (self._cluster.head_node, *self._nodes)
@@ -56,12 +56,12 @@ class RayNodes:
         return sum(process_seconds(pid) for server in servers for pid in (server, *_children(server)))
 
     def kill_node(self, chosen: random.Random) -> None:
-        """Kill everything of a node at once, and let another one join."""
+        """Kill all processes of a node at once, and start another node."""
         node = chosen.choice(self._nodes)
         self._nodes.remove(node)
         workers = _children(_raylet(node))
         self._cluster.remove_node(node, allow_graceful=False)
-        for pid in workers:  # a machine that dies takes them with it
+        for pid in workers:  # a dying machine ends them, too
             if _command(pid).startswith(b"ray::"):
                 os.kill(pid, signal.SIGKILL)
         self._nodes.append(self._cluster.add_node(num_cpus=self.cpus))
@@ -88,7 +88,7 @@ def _command(pid: int) -> bytes:
 
 
 def process_seconds(pid: int) -> float:
-    """Return the CPU time that a process has taken [s]; 0 if it is gone."""
+    """Return the CPU time of a process [s]; 0 if it has ended."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     except OSError:

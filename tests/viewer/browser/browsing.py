@@ -1,4 +1,4 @@
-"""What somebody does with a page of the viewer, in a browser that is driven by selenium."""
+"""Actions on a page of the viewer, in a browser driven by selenium."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import io
 import time
 
 _PATIENCE = 90.0
-"""Seconds after which a test gives up: the picture is drawn without a graphics card."""
+"""Seconds after which a test fails. Rendering is slow without a graphics card."""
 
 
 def state(viewer):
@@ -19,7 +19,7 @@ def text(browser):
 
 
 def until(condition):
-    """Wait until something is true, and return what it is."""
+    """Wait until a condition is truthy, and return its value."""
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         if found := condition():
@@ -29,7 +29,7 @@ def until(condition):
 
 
 def press(find):
-    """Click on the first element that is found and in sight, as soon as the page lets it be clicked."""
+    """Click on the first matching visible element as soon as the page allows it."""
     from selenium.common.exceptions import WebDriverException
 
     def pressed():
@@ -38,7 +38,7 @@ def press(find):
                 if one.is_displayed():
                     one.click()
                     return True
-            except WebDriverException:  # a busy page has drawn it anew, or something lies over it for a moment
+            except WebDriverException:  # the page has redrawn the element, or another one covers it briefly
                 continue
         return False
 
@@ -55,7 +55,7 @@ def tick(browser, label):
 
 
 def enter(browser, label, value, number=1):
-    """Type a value into a field behind a label."""
+    """Type a value into the field after a label."""
     from selenium.webdriver.common.keys import Keys
 
     path = f"(//*[normalize-space(text())='{label}']/following::input[@type='text'])[{number}]"
@@ -70,7 +70,7 @@ def errors(browser):
 
 
 def picture(browser):
-    """The canvas as an array; not what lies over it."""
+    """Return the canvas as an array, without overlays."""
     import matplotlib.image
 
     canvas = browser.find_element("tag name", "canvas")
@@ -78,7 +78,7 @@ def picture(browser):
 
 
 def choose(browser, label, option):
-    """Choose from the list behind a label that is in sight; the same label may be on tabs that are not."""
+    """Choose an option from the visible list after a label; hidden tabs may have the same label."""
     path = f"//*[normalize-space(text())='{label}']/following::input[1]"
     listed = f"//*[@role='option' and normalize-space(.)='{option}']"
 
@@ -95,7 +95,7 @@ def choose(browser, label, option):
 
 
 def media(browser, *, width, dark):
-    """Look with so many pixels across, on light or dark paper."""
+    """Set the width in pixels, and light or dark mode."""
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     paper = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}

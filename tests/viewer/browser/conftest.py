@@ -1,4 +1,4 @@
-"""A browser without a window, where there is one; else the tests that need it are skipped."""
+"""A headless browser, if installed; otherwise the tests that need it are skipped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ARGUMENTS = (
     "--no-sandbox",
     "--disable-dev-shm-usage",
     "--window-size=1100,720",
-    # WebGL by the processor, where there is no graphics card.
+    # WebGL in software, if there is no graphics card.
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
@@ -36,7 +36,7 @@ def browser_parts():
 
 @pytest.fixture(scope="module")
 def browser(browser_parts):
-    """Yield a browser that is driven by selenium."""
+    """Yield a browser driven by selenium."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
@@ -52,7 +52,7 @@ def browser(browser_parts):
 
 @pytest.fixture(scope="module")
 def page(viewer, browser):
-    """Return the browser at the page of the file's own `viewer`, with a motion on it."""
+    """Return the browser at the page of the file's `viewer`, with a motion on it."""
     browser.get(viewer.url)
     until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
     return browser

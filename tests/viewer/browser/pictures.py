@@ -1,7 +1,7 @@
-"""Pictures of pages beside stored ones: what is there has to be there again, not every pixel.
+"""Comparison of pages with stored pictures: the same content is required, not the same pixels.
 
-A picture is made small, so that fonts and how edges are drawn matter little. Of each patch of the stored one, the new
-one has to have something alike nearby: a panel whose lines are a little higher passes, one without its chart does not.
+Pictures are shrunk, so fonts and antialiasing matter little. For each patch of the stored picture, the new one must
+have a similar patch nearby: a panel with slightly shifted lines passes, a missing chart does not.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 STORED = Path(__file__).parent / "stored"
 SIZE = (275, 180)
-"""Width and height of what is stored: a quarter of a window of 1100 x 720."""
+"""Width and height of stored pictures: a quarter of a window of 1100 x 720."""
 _PATCH, _STEP, _NEARBY = 10, 5, 4
-"""Width of a patch, from one to the next, and how far a patch may have moved [pixels of what is stored]."""
+"""Size of a patch, distance between patches, and allowed shift of a patch [pixels of the stored picture]."""
 UNLIKE = 0.09
-"""Mean difference of the colours of a patch that is something else, in [0, 1]."""
+"""Mean colour difference above which a patch counts as different, in [0, 1]."""
 
 
 def small(picture):
-    """Make a picture as small as stored ones are: each pixel is the mean of those that it stands for; in [0, 1]."""
+    """Shrink a picture to the size of stored ones, by averaging; values in [0, 1]."""
     from PIL import Image
 
     image = Image.fromarray(np.round(255.0 * picture[..., :3]).astype(np.uint8))
@@ -29,7 +29,7 @@ def small(picture):
 
 
 def differences(stored, seen):
-    """How unlike what is nearest each patch of the stored picture is, in [0, 1], with rows and columns of patches."""
+    """Return the least difference of each patch of the stored picture from patches nearby, in [0, 1] [row, column]."""
     stored, wide = _smooth(stored), np.pad(_smooth(seen), ((_NEARBY, _NEARBY), (_NEARBY, _NEARBY), (0, 0)), mode="edge")
     height, width, _ = stored.shape
     least = np.full(((height - _PATCH) // _STEP + 1, (width - _PATCH) // _STEP + 1), np.inf)
@@ -42,15 +42,15 @@ def differences(stored, seen):
 
 
 def unlike(stored, seen):
-    """The greatest of the differences, both ways: what is missing counts as much as what is there besides."""
+    """Return the greatest difference in both directions: missing and additional content count alike."""
     return max(float(differences(*pair).max()) for pair in ((stored, seen), (seen, stored)))
 
 
 def compared(name, picture, folder):
-    """Compare with a stored picture, and leave what was seen in a folder.
+    """Compare with a stored picture, and save the new one in a folder.
 
     Returns:
-        How unlike they are, and where what was seen is: to be looked at, and stored if it is right.
+        The difference, and the path of the new picture: inspect it, and store it if it is right.
     """
     from PIL import Image
 
@@ -69,6 +69,6 @@ def load(name):
 
 
 def _smooth(picture):
-    """Mean of each pixel and its neighbours."""
+    """Return the mean of each pixel and its neighbours."""
     padded = np.pad(picture, ((1, 1), (1, 1), (0, 0)), mode="edge")
     return sliding_window_view(padded, (3, 3), axis=(0, 1)).mean(axis=(3, 4))

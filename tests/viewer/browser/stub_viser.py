@@ -1,4 +1,4 @@
-"""viser as far as a page needs it, without a server: notes what is sent, and knows what a browser makes of it."""
+"""A stub of viser without a server: it records messages, and knows how a browser would react to them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import contextlib
 from types import SimpleNamespace
 
 USER = object()
-"""The browser that somebody is at."""
+"""The browser of a user."""
 
 
 class Handle:
-    """Something on the page. What is assigned to it is sent; once it is removed, that is an error, as in viser."""
+    """An element of the page. Assignments are sent; after its removal they are errors, as in viser."""
 
     def __init__(self, server, kind, name, **given):
         vars(self).update(_server=server, _kind=kind, _name=name, _gone=False, _acts=[], **given)
@@ -44,7 +44,7 @@ class Handle:
             act(SimpleNamespace(client=client, target=self, phase="end"))
 
     def enter(self, value):
-        """Set a value, as somebody at a browser does."""
+        """Set a value, as a user does in the browser."""
         vars(self)["value"] = value
         self._act(USER)
 
@@ -52,7 +52,7 @@ class Handle:
         self._act(USER)
 
     def drag(self, place):
-        """Drag it somewhere and let go."""
+        """Drag the element to a position and release it."""
         vars(self)["position"] = place
         self._act(USER)
 
@@ -67,7 +67,7 @@ class Handle:
 
 
 class Gui:
-    """Makes elements of the panel; the first thing that is given to most of them is what they are called."""
+    """Makes elements of the panel; the first argument of most of them is the label."""
 
     def __init__(self, server):
         vars(self).update(_server=server, main_panel=SimpleNamespace(dock_right=lambda: 0, set_width=lambda _: 0))
@@ -106,7 +106,7 @@ class Gui:
 
 
 class Space:
-    """Makes nodes of the scene; one of the same name as another takes its place."""
+    """Makes nodes of the scene; a node replaces an earlier one of the same name."""
 
     def __init__(self, server):
         vars(self).update(_server=server)
@@ -119,7 +119,7 @@ class Space:
 
 
 class ViserServer:
-    """Keeps what is sent to browsers, none of which has drawn anything yet."""
+    """Records what is sent to browsers that have not drawn anything yet."""
 
     def __init__(self, **_):
         self.sent, self.handles, self.watch = [], [], lambda *_: None
@@ -136,10 +136,10 @@ class ViserServer:
         self.sent.append((what, handle, name))
 
     def errors(self):
-        """What a browser says if all of it comes between two of its frames.
+        """Return the browser's errors if all messages arrive between two frames.
 
-        As viser's client does it, elements are added and taken away at once, and what is written to those of the panel
-        is applied afterwards, to what is there then.
+        As in viser's client, elements are added and removed at once, and updates of panel elements are applied
+        afterwards, to the elements that still exist.
         """
         there, late = set(), []
         for what, handle, name in self.sent:
@@ -150,7 +150,7 @@ class ViserServer:
         return [f"{handle._name}.{name}" for handle, name in late if handle not in there]
 
     def only(self, kind, name):
-        """The handle with this name that is on the page."""
+        """Return the element of this name on the page."""
         (found,) = (one for one in self.handles if (one._kind, one._name, one._gone) == (kind, name, False))
         return found
 

@@ -15,7 +15,7 @@ import graceful_plan as gp
 
 pytestmark = [
     pytest.mark.long,
-    # Sockets of driver and server that are closed by the garbage collector are no finding.
+    # Sockets of driver and server that the garbage collector closes are harmless.
     pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
 
@@ -28,7 +28,7 @@ def viewer(browser_parts):
 
 @pytest.mark.usefixtures("browser_parts")
 def test_the_guide_runs(capsys, monkeypatch):
-    # So many iterations instead of a second, which is not the same on a busy machine.
+    # Iterations instead of a second, which may be too short on a busy machine.
     monkeypatch.setattr(gp, "plan", functools.partial(gp.plan, iterations=300))
     (snippet,) = re.findall(
         r"^```python\n(.*?)^```", (ROOT / "docs" / "viewer.md").read_text(), re.MULTILINE | re.DOTALL
@@ -73,7 +73,7 @@ def test_a_typed_goal_is_reached(page, viewer):
 
 
 def seen_at(viewer, point):
-    """Pixel of the canvas at which a point in W is."""
+    """Return the pixel of the canvas at which a point in W is drawn."""
     (client,) = viewer._page.server.get_clients().values()
     camera = client.camera
     w, x, y, z = camera.wxyz
@@ -116,7 +116,7 @@ def test_the_goal_is_dragged_by_its_handle(page, viewer):
 
 
 def test_a_gripper_failure_at_half_time_shows_predicted_and_observed_harm(page, viewer):
-    if state(viewer).motion is None:  # the handle was dragged to where nothing can be reached
+    if state(viewer).motion is None:  # the handle was dragged to an unreachable place
         state(viewer).ask(state(viewer).question.weighted(1.0))
         until(lambda: state(viewer).worker.idle)
     click(page, "Failure")
@@ -164,7 +164,7 @@ def test_motions_are_kept_in_sight(page, viewer):
     assert errors(page) == []
 
 
-def test_it_plays_and_pauses(page, viewer):
+def test_the_page_plays_and_pauses(page, viewer):
     if viewer._page.player.playing:
         click(page, "Pause")
         until(lambda: not viewer._page.player.playing)
@@ -196,7 +196,7 @@ def test_a_base_that_drives_is_shown_and_fails(browser):
         browser.get(viewer.url)
         until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
         times = np.linspace(0.0, state(viewer).duration, 20).round(2).tolist()
-        moving = next(t for t in times if state(viewer).at(t).going_on is not None)  # it may stand for a moment
+        moving = next(t for t in times if state(viewer).at(t).going_on is not None)  # it may rest at some times
         enter(browser, "Time [s]", moving)
         until(lambda: state(viewer).at(viewer._page.player.t).going_on is not None)
         click(browser, "Failure")

@@ -1,4 +1,4 @@
-"""The page without a browser and without viser: what it sends, when, and what a browser would make of it."""
+"""The page without browser and viser: its messages, their times, and the reaction of a browser."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.shown import shown_motion
 
 _LONG = 60.0
-"""Seconds after which a test gives up."""
+"""Seconds after which a test fails."""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def question():
 
 
 def moving(question, label, bend):
-    """A motion from start to goal that nobody planned."""
+    """Return a motion from start to goal without planning."""
     middle = 0.5 * (question.start + question.goal) + bend
     scene = question.scene
     trajectory = gp.retime(gp.Path(np.stack([question.start, middle, question.goal])), scene.limits, scene.joints)
@@ -43,7 +43,7 @@ def moving(question, label, bend):
 
 @pytest.fixture(scope="module")
 def motions(question):
-    """An answer to every weight below 1, and another one."""
+    """Two answers to every weight below 1."""
     ordinary = moving(question, ORDINARY, 0.0)
     return [
         PlanAnswer(question=question, chosen=moving(question, CHOSEN, bend), ordinary=ordinary, said=("", ""))
@@ -52,7 +52,7 @@ def motions(question):
 
 
 class Desk:
-    """A page of which nobody plans: answers are ready, and come when they may."""
+    """A page without a planner: prepared answers arrive when the test allows it."""
 
     def __init__(self, question, motions):
         self.go, self.found, self.motions = threading.Event(), True, motions
@@ -70,7 +70,7 @@ class Desk:
         return replace(answer.among(question), question=question)
 
     def type(self, which, *places):
-        """Type places into the field of "start" or "goal", and wait until the last one is asked for."""
+        """Type places into the field of "start" or "goal", and wait until the last one is requested."""
         before = self.page.state.question
         for place in places:
             getattr(self.c, which).enter(place)
@@ -81,14 +81,14 @@ class Desk:
         assert self.page.state.worker.wait(_LONG)
 
     def place(self, name):
-        """Where a part of the scene is drawn."""
+        """Return the pose at which a part of the scene is drawn."""
         k = [part.name for part in parts(self.page.state.question.scene)].index(name)
         return self.server.only("scene", f"/scene/{k}").position
 
 
 @contextmanager
 def opened(question, motions):
-    """A page with its first answer, in a program where viser is the stub."""
+    """A page with its first answer; viser is the stub."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, "viser", stub_viser)
         desk = Desk(question, motions)
@@ -108,7 +108,7 @@ def desk(question, motions):
 
 
 def session(desk):
-    """All that may come to somebody's mind while it plays."""
+    """Use every control while the motion plays."""
     c, question = desk.c, desk.page.state.question
     c.play.click()
     for w in (0.1, 1.2, 1.3, 0.0, 1.0):
@@ -136,13 +136,13 @@ def session(desk):
 
 
 class Watched(NamedTuple):
-    """What was seen of a session."""
+    """Records of a session."""
 
     server: Any
     alone: list[tuple[str, Any, str]]
-    """What was sent by somebody who did not hold the lock."""
+    """Messages sent without the lock."""
     shapes: set[tuple[int, ...]]
-    """Of the chart, whenever something of it changed: series, data, and lengths of the data."""
+    """Of the chart after each change: series, data, and lengths of the data."""
 
 
 @pytest.fixture(scope="module")
@@ -162,14 +162,14 @@ def watched(question, motions):
         yield Watched(desk.server, alone, shapes)
 
 
-def test_a_browser_never_hears_of_what_is_gone(watched):
-    """Also one that is so slow that everything comes to it at once, as one did that was drawing."""
+def test_no_message_refers_to_a_removed_element(watched):
+    """Also for a slow browser that receives all messages at once, as one did while it was drawing."""
     assert watched.server.errors() == [] and watched.server.complaints == []
     assert sum(handle._name == "chart" for handle in watched.server.handles) == 1
 
 
-def test_whoever_writes_holds_the_lock(watched):
-    """The player's thread, the planner's and those of browsers: none writes while another one replaces things."""
+def test_every_writer_holds_the_lock(watched):
+    """Threads of player, planner and browsers: none writes while another one replaces elements."""
     assert watched.alone == []
 
 
@@ -179,7 +179,7 @@ def test_the_chart_has_as_many_series_as_data_at_any_time(watched):
 
 
 def test_a_chart_that_is_replaced_while_it_plays_would_be_noticed(desk):
-    """That is what the page did once: the browser said 'Tried to update non-existent component'."""
+    """The page used to do that once: the browser reported 'Tried to update non-existent component'."""
     desk.page.stage.set_chart(desk.page.state.motion)
     chart = desk.server.only("gui", "chart")
     chart.remove()
@@ -205,8 +205,8 @@ def test_the_chart_is_of_the_motion_that_is_shown(desk):
     np.testing.assert_allclose(drawn, 0.5 * motion.duration, atol=1e-5)
 
 
-def test_what_is_moved_stays_where_it_was_put_while_the_answer_is_awaited(desk):
-    """The motion of before goes on playing; it once took the thing back to where it had been."""
+def test_a_moved_entity_stays_in_place_until_the_answer(desk):
+    """The previous motion keeps playing; it used to move the object back."""
     desk.c.entity.enter("red1")
     desk.c.move.enter(True)
     there = desk.page.state.question.entity_pose("red1")[:3, 3] + [0.02, 0.01, 0.0]
@@ -222,7 +222,7 @@ def test_what_is_moved_stays_where_it_was_put_while_the_answer_is_awaited(desk):
     np.testing.assert_allclose(desk.place("red1"), there, atol=1e-6)
 
 
-def test_without_a_motion_nothing_is_said_of_one(desk):
+def test_without_a_motion_there_is_no_text_about_it(desk):
     desk.page.player.seek(0.5 * desk.page.state.duration)
     far = desk.server.only("scene", "/footprint/near")
     assert far.visible and "Impact of a failure now" in desk.c.now_text.content
@@ -236,7 +236,7 @@ def test_without_a_motion_nothing_is_said_of_one(desk):
     assert np.abs(begun - start).max() > 0.01
 
 
-def test_a_thing_that_cannot_be_moved_has_its_handle_where_it_is(desk, monkeypatch):
+def test_a_refused_move_resets_the_handle(desk, monkeypatch):
     def refuse(*_):
         raise gp.GracefulPlanError("it hangs on something else")
 
@@ -250,7 +250,7 @@ def test_a_thing_that_cannot_be_moved_has_its_handle_where_it_is(desk, monkeypat
 
 
 def test_half_of_a_number_is_no_start(desk):
-    """It once was refused, and the field was put back while the rest was typed."""
+    """Such input used to be refused, and the field was reset while the user was typing."""
     x, y, z = desk.page.state.question.handle_pose(desk.page.state.question.start)[:3, 3].tolist()
     desk.type("start", (x, y, 0.0), (x, y, z + 0.04))
     found = desk.page.state.question
@@ -262,7 +262,7 @@ def test_half_of_a_number_is_no_start(desk):
     assert "out of reach" in said
 
 
-def test_who_comes_while_two_scenes_stand_side_by_side_sees_both(desk):
+def test_a_new_browser_sees_both_scenes_side_by_side(desk):
     alone = np.array(desk.server.initial_camera.look_at)
     desk.server.client.camera.position, desk.server.client.camera.look_at = np.ones(3), np.zeros(3)
     desk.c.other.enter("beside it")

@@ -1,4 +1,4 @@
-"""How pictures are compared: what another machine draws otherwise passes, what is missing does not."""
+"""Comparison of pictures: rendering differences of machines pass, missing content does not."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pictures import SIZE, STORED, UNLIKE, load, unlike
 
 NAMES = sorted(file.stem for file in STORED.glob("*.png"))
 ROBOT, CHART = (slice(58, 94), slice(85, 127)), (slice(82, 132), slice(188, 270))
-"""Where these are in the picture "arm"."""
+"""Places of robot and chart in the picture "arm"."""
 
 
 @pytest.fixture(scope="module")
@@ -30,12 +30,12 @@ def test_other_fonts_and_edges_pass(arm):
 
 
 @pytest.mark.parametrize("place", [ROBOT, CHART])
-def test_what_is_missing_or_too_much_is_noticed(arm, place):
+def test_missing_and_additional_content_is_noticed(arm, place):
     without = arm.copy()
     without[place] = arm[place][0, 0]
     assert unlike(arm, without) > 1.5 * UNLIKE
 
 
 def test_other_pictures_are_others():
-    first, second, _ = map(load, NAMES)  # both of the arm, one with a failure
+    first, second, _ = map(load, NAMES)  # both show the arm, one with a failure
     assert unlike(first, second) > 1.5 * UNLIKE

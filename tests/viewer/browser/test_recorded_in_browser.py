@@ -1,4 +1,4 @@
-"""Rollouts of a dataset on the page: found by fault, shown again, predicted harm beside what was observed."""
+"""Recorded rollouts on the page: found by fault, replayed, predicted harm next to observed harm."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def viewer(browser_parts, tmp_path_factory):
 
 
 def harm(page):
-    """Harm on the page: predicted and observed."""
+    """Return the harm on the page, predicted and observed."""
     found = until(lambda: re.search(r"all\s+([\d.]+)\s+([\d.]+)", text(page)))
     return float(found[1]), float(found[2])
 

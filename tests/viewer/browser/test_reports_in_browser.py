@@ -1,4 +1,4 @@
-"""Pages of `tune` and `bench` in a browser: the 3-D view is drawn, nothing is too wide, both papers, no errors."""
+"""Pages of `tune` and `bench` in a browser: the 3-D view is drawn, the layout fits, light and dark mode, no errors."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def pages(browser_parts, tmp_path_factory):
-    """Both reports, on disk."""
+    """Write both reports."""
     folder = tmp_path_factory.mktemp("reports")
     tune = ["tune", "tabletop", "lift_to_goal", "--iterations", "300", "--validate", "2", "--out", str(folder / "tune")]
     suite = folder / "suite.yaml"
     suite.write_text("version: 1\nproblems: [{scene: tabletop, tasks: [lift_to_goal]}]\n")
     bench = ["bench", "--suite", str(suite), "--planners", *gp.PLANNERS, "--seeds", "1", "--processes", "0"]
     assert cli.main(tune) in (cli.DONE, cli.FAILED)
-    # On a busy machine no planner may be done in a twentieth of a second: what nobody solves has no motion to show.
+    # On a busy machine no planner may solve a problem in 0.05 s, and then no motion can be shown.
     limits = (limit for limit in ("0.05", "0.5", "5") if compared(bench, limit, folder) == cli.DONE)
     return {"tune": folder / "tune" / "front.html", "bench": folder / next(limits) / "report.html"}
 

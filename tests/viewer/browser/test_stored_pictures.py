@@ -1,7 +1,7 @@
-"""The page beside stored pictures of it: nothing that was to be seen is missing, in whatever font and however rendered.
+"""The page against stored pictures: no visible content is missing, for any font and rendering.
 
-Motions are given, not planned, so that the pictures are the same on every machine. If a page looks otherwise for a
-reason, look at the picture that the failing test names and put it into the folder `stored`.
+Motions are given, not planned, so the pictures are the same on every machine. If a page changes for a good reason,
+inspect the picture that the failing test names and put it into the folder `stored`.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
 _STILL = 1e-3
-"""Mean difference of two pictures one after the other, of a page on which nothing happens any more."""
+"""Mean difference of two successive pictures of a page at rest."""
 
 
 def given(scene, *configurations):
-    """A motion through configurations."""
+    """Return a motion through configurations."""
     path = gp.Path(np.stack([np.asarray(q, dtype=float) for q in configurations]))
     return gp.retime(path, scene.limits, scene.joints)
 
@@ -38,7 +38,7 @@ def arm(browser_parts):
     goal = np.atleast_2d(np.asarray(task.goal, dtype=float))[0]
     motion = given(task.scene, task.start, 0.5 * (task.start + goal) + 0.1, goal)
     with gp.view(motion, task, port=8440) as viewer:
-        viewer._page._asked_first = True  # so that nothing is planned
+        viewer._page._asked_first = True  # nothing is planned
         viewer._page.player.seek(0.5 * motion.duration)
         yield viewer._page
 
@@ -55,7 +55,7 @@ def base(browser_parts):
 
 
 def page_of(browser, shown):
-    """A picture of the whole page, once nothing moves any more."""
+    """Return a picture of the whole page at rest."""
     media(browser, width=1100, dark=False)
     size = {"width": 1100, "height": 720, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
@@ -64,7 +64,7 @@ def page_of(browser, shown):
         until(lambda: "Impact by entity" in text(browser))
         time.sleep(2.0)
     for button in browser.find_elements("css selector", "[class*=Notification-closeButton]"):
-        button.click()  # that there is no graphics card
+        button.click()  # notice about the missing graphics card
     last = [taken(browser)]
 
     def still():
@@ -106,14 +106,14 @@ def test_a_page_without_it_is_noticed(arm, browser, tmp_path, what):
 
 
 def robot_of(shown):
-    """Nodes of the robot's parts."""
+    """Return the nodes of the robot's parts."""
     scene = shown.stage._scene
     for part, frame in zip(scene._drawn, scene._frames, strict=True):
         if any(name in part.name for name in ("link", "hand", "finger")):
             yield frame
 
 
-def test_a_failure_with_what_it_has_hit(arm, browser, tmp_path):
+def test_a_failure_with_its_hits(arm, browser, tmp_path):
     with arm.lock:
         replay = arm.state.fail(Failure(fault="gripper_failure", moment=0.5))
         arm._draw()

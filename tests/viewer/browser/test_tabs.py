@@ -1,4 +1,4 @@
-"""Several browsers at the same page, and what somebody does while it plays: nothing is lost or complained of."""
+"""Several browsers at the same page, used while the motion plays: nothing is lost, and there are no errors."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_two_tabs_show_the_same_and_one_is_closed_while_a_plan_runs(page, viewer
 
 
 def test_a_start_is_typed_digit_by_digit(page, viewer):
-    """Half of a number may be a place that the tool cannot have: it is not taken away from under the fingers."""
+    """A partly typed number may be unreachable: the field must not be reset."""
     before = state(viewer).question
     there = before.handle_pose(before.start)[:3, 3] + [0.0, 0.0, 0.04]
     enter(page, "Start [m]", round(float(there[2]), 3), number=3)

@@ -70,7 +70,7 @@ class EdgeCosts:
 
     @cached_property
     def first_entries(self) -> Int[Array, " priced"]:
-        """First entry of each edge that has any."""
+        """Index of the first entry of each edge that has entries."""
         return np.flatnonzero(np.diff(self.edge, prepend=-1))
 
 

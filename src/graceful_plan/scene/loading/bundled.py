@@ -36,9 +36,16 @@ def load_scene(name_or_path: str | Path) -> Scene:
         UnsupportedError: If the model has unsupported features.
     """
     path = path_of(name_or_path)
-    if path.suffix in (".yaml", ".yml"):
-        return read_scene(path)
+    return read_scene(path) if path.suffix in (".yaml", ".yml") else read_bundled(str(name_or_path))
+
+
+def read_bundled(name: str) -> Scene:
+    """Read a bundled scene from its file.
+
+    Raises:
+        UnknownNameError: If there is no bundled scene of that name.
+    """
     for folder in (_FOLDER, _MOBILE):
-        if str(name_or_path) in _names(folder):
-            return read_scene(folder / f"{name_or_path}.yaml")
-    raise UnknownNameError("scene", str(name_or_path), (*scenes(), *mobile_scenes()))
+        if name in _names(folder):
+            return read_scene(folder / f"{name}.yaml")
+    raise UnknownNameError("scene", name, (*scenes(), *mobile_scenes()))

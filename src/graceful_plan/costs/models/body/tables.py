@@ -11,7 +11,9 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.compile import body_frames, compile_scene, link_geoms
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.frames import body_frames
+from graceful_plan.core.link_groups import link_geoms
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 

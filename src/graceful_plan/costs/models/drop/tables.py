@@ -14,7 +14,8 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.compile import PLANE_EXTENT, compile_scene, reference_data
+from graceful_plan.core.compile import PLANE_EXTENT, compile_scene
+from graceful_plan.core.frames import reference_data
 from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.costs.models.drop.crowds import simplified
 from graceful_plan.costs.models.drop.parts import groups

@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.compile import compile_scene, reference_data
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.frames import reference_data
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.scene.elements import Granular
 from graceful_plan.scene.per_scene import per_layout, per_scene
