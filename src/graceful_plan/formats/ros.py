@@ -24,13 +24,17 @@ Names = Mapping[str, str] | Callable[[str], str]
 NANO = 1_000_000_000
 
 
-def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
+def to_message(
+    samples: TimedSamples, names: Names | None = None, *, frame: str = "", accelerations: bool = False
+) -> dict[str, Any]:
     """Return the message as a dictionary of its fields.
 
     Args:
         samples: The samples; the first one gets time 0.
         names: Maps joint names here to names in the message; by default they are equal.
         frame: `header.frame_id`.
+        accelerations: Whether to send accelerations. Without them, controllers interpolate by cubics, as trajectories
+            do.
 
     Raises:
         UnknownNameError: If `names` is a mapping that lacks a joint.
@@ -45,7 +49,7 @@ def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str 
         {
             "positions": q,
             "velocities": qd,
-            "accelerations": qdd,
+            "accelerations": qdd if accelerations else [],
             "effort": [],
             "time_from_start": {"sec": time // NANO, "nanosec": time % NANO},
         }
@@ -186,7 +190,8 @@ def _cubic(t: Float[Array, " time"], q: Float[Array, "time nq"], qd: Float[Array
     if len(t) == 1:
         return np.zeros_like(q)
     h = np.diff(t)[:, None]
-    mean = np.diff(q, axis=0) / h
-    begins = (6.0 * mean - 4.0 * qd[:-1] - 2.0 * qd[1:]) / h
-    last = (-6.0 * mean[-1] + 2.0 * qd[-2] + 4.0 * qd[-1]) / h[-1]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # Trajectory refuses times that do not increase
+        mean = np.diff(q, axis=0) / h
+        begins = (6.0 * mean - 4.0 * qd[:-1] - 2.0 * qd[1:]) / h
+        last = (-6.0 * mean[-1] + 2.0 * qd[-2] + 4.0 * qd[-1]) / h[-1]
     return np.concatenate([begins, last[None]])

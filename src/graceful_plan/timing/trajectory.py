@@ -251,22 +251,34 @@ class Trajectory:
         """Read the output of `to_parquet`. Raises the errors of `from_json`, and MissingArrow without pyarrow."""
         return cls(*parquet_file.from_parquet(file))
 
-    def to_ros(self, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
+    def to_ros(self, names: Names | None = None, *, frame: str = "", accelerations: bool = False) -> dict[str, Any]:
         """Return a trajectory_msgs/JointTrajectory as a dictionary of its fields; ROS is not needed.
+
+        The points have positions and velocities, so a controller interpolates by the cubics of this trajectory.
 
         Args:
             names: Maps joint names here to joint names in ROS: a mapping or a function; by default they are equal.
             frame: `header.frame_id`.
+            accelerations: Whether the points have accelerations as well. Controllers then interpolate by quintics.
+                These differ from this trajectory where its acceleration jumps, and exceed the limits of acceleration
+                there, by up to 75 % between full acceleration and full braking.
 
         Raises:
             UnknownNameError: If a mapping lacks a joint.
             SettingError: If two joints would get the same name, or samples are less than a nanosecond apart.
         """
-        return ros.to_message(self._in_nanoseconds, names, frame=frame)
+        return ros.to_message(self._in_nanoseconds, names, frame=frame, accelerations=accelerations)
 
-    def to_ros_yaml(self, file: str | FilePath | None = None, *, names: Names | None = None, frame: str = "") -> str:
+    def to_ros_yaml(
+        self,
+        file: str | FilePath | None = None,
+        *,
+        names: Names | None = None,
+        frame: str = "",
+        accelerations: bool = False,
+    ) -> str:
         """Return the message of `to_ros` as YAML for the command line of ROS 2; write it to `file` if given."""
-        return _written(ros.to_yaml(self.to_ros(names, frame=frame)), file)
+        return _written(ros.to_yaml(self.to_ros(names, frame=frame, accelerations=accelerations)), file)
 
     @classmethod
     def from_ros(cls, source: Any, joints: Sequence[str] | None = None, names: Names | None = None) -> Trajectory:
