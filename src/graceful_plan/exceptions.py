@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import pickle
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -20,7 +22,32 @@ def read_error_reason(error: OSError | ValueError) -> str:
 
 
 class GracefulPlanError(Exception):
-    """Base class of all errors that this library raises deliberately."""
+    """Base class of all errors that this library raises deliberately.
+
+    Errors can be pickled, so they reach the caller from another process. Attributes that cannot be pickled, such as a
+    cost with a lambda, arrive as text.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The default calls the class with the message, but constructors take other arguments.
+        return _restored, (type(self), self.args, {name: _picklable(value) for name, value in vars(self).items()})
+
+
+def _restored(kind: type[GracefulPlanError], args: tuple[Any, ...], attributes: Mapping[str, Any]) -> GracefulPlanError:
+    """Return an error without calling its constructor."""
+    error = kind.__new__(kind, *args)
+    super(GracefulPlanError, error).__init__(*args)
+    vars(error).update(attributes)
+    return error
+
+
+def _picklable(value: object) -> object:
+    """Return a value, or its text if it cannot be pickled."""
+    try:
+        pickle.dumps(value)
+    except Exception:  # classes raise anything
+        return repr(value)
+    return value
 
 
 class UnknownNameError(GracefulPlanError, KeyError):

@@ -62,7 +62,7 @@ class Observation:
     objects: Float[Array, "entity xyz"]
     q_desired: Float[Array, " nq"]
     qd_desired: Float[Array, " nq"]
-    images: Mapping[str, UInt8[Array, "height width 3"]] = field(default_factory=lambda: MappingProxyType({}))
+    images: Mapping[str, UInt8[Array, "height width 3"]] = field(default_factory=dict)
 
     @property
     def vector(self) -> Float[Array, " n"]:

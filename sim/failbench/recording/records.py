@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
@@ -99,5 +98,5 @@ class Rollout:
     left_support: tuple[str, ...] = ()
     spilled: float = 0.0
     dropped: bool = False
-    poses: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+    poses: Mapping[str, Array] = field(default_factory=dict)
     state: Array | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, final
@@ -60,6 +61,10 @@ class Annotation:
         row = {name: check_severity(f"severity of {name}", value) for name, value in self.severity.items()}
         object.__setattr__(self, "severity", MappingProxyType(row))
 
+    def __reduce__(self) -> tuple[partial[Annotation], tuple[()]]:
+        # Read-only mappings cannot be pickled.
+        return partial(Annotation, **{**vars(self), "severity": dict(self.severity)}), ()
+
 
 @final
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +87,9 @@ class Annotations:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", MappingProxyType(dict(self.rows)))
+
+    def __reduce__(self) -> tuple[partial[Annotations], tuple[()]]:
+        return partial(Annotations, **{**vars(self), "rows": dict(self.rows)}), ()
 
     def to_document(self) -> dict[str, Any]:
         """Return the content of the file as a dictionary."""
