@@ -167,7 +167,7 @@ def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: Wor
     if isinstance(motion, PlanResult):
         motion = motion.unwrap()
     if not isinstance(motion, Trajectory):
-        path = motion if isinstance(motion, Path) else Path(np.asarray(motion, dtype=float))
+        path = motion if isinstance(motion, Path) else Path(motion)
         motion = retime(path, world.scene.limits, world.scene.joints)
     if motion.duration > LONGEST:
         raise SettingError("duration of the trajectory", motion.duration, f"at most {LONGEST:g} s")

@@ -22,6 +22,7 @@ from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
 from graceful_plan.formats.samples import text_of
+from graceful_plan.path import plain_numbers
 
 _SCHEMA = "failbench.sweep"
 _VERSION = 1
@@ -112,6 +113,7 @@ class Sweep:
     settings: SimSettings = SimSettings()
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         names = [motion.name for motion in self.motions]
         if not names or len(set(names)) < len(names):
             raise SettingError("motions", names, "at least one, all of different names")

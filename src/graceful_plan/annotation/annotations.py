@@ -13,7 +13,7 @@ import yaml
 
 from graceful_plan.annotation.questions import MOST_FRAGILITY, entity_classes
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.regular_file import path_of
 from graceful_plan.scene.elements import EntityAnnotation
 from graceful_plan.scene.harm.fragility import FragilityTable
@@ -54,6 +54,7 @@ class Annotation:
     reason: str = ""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (is_real(self.fragility) and 0.0 < self.fragility <= MOST_FRAGILITY):
             raise SettingError("fragility", self.fragility, f"a number above 0 and at most {MOST_FRAGILITY:g}")
         if not (is_real(self.significance) and 0.0 <= self.significance <= 1.0):

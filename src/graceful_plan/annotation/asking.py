@@ -9,6 +9,7 @@ from graceful_plan.annotation.answers import read_answer
 from graceful_plan.annotation.endpoint import Endpoint
 from graceful_plan.annotation.questions import complaint, question
 from graceful_plan.exceptions import AnnotationError, SceneError, SettingError
+from graceful_plan.path import is_whole
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.entity_views import entity_views
 
@@ -51,7 +52,7 @@ def annotate(
         SceneError: If the scene has no entities.
     """
     server = Endpoint(url=endpoint, model=model, key_variable=key_variable, timeout=timeout)
-    if isinstance(together, bool) or not isinstance(together, int) or together < 1:
+    if not is_whole(together) or together < 1:
         raise SettingError("together", together, "a whole number of at least 1")
     names = list(scene.entities)
     if not names:

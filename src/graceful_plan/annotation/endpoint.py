@@ -19,6 +19,7 @@ from urllib.parse import SplitResult, urlsplit, urlunsplit
 
 from graceful_plan._version import __version__
 from graceful_plan.exceptions import EndpointError, SettingError
+from graceful_plan.path import is_real, plain_numbers
 
 MAX_ANSWER = 2_000_000
 """Maximum size of an answer [bytes]."""
@@ -50,10 +51,11 @@ class Endpoint:
     timeout: float = 60.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         parts = _split(self.url)
         if not isinstance(self.model, str) or not self.model.strip():
             raise SettingError("model", self.model, "the name of a model")
-        if isinstance(self.timeout, bool) or not isinstance(self.timeout, int | float) or not 0 < self.timeout < 1e6:
+        if not is_real(self.timeout) or not 0 < self.timeout < 1e6:
             raise SettingError("timeout", self.timeout, "seconds above 0, below a million")
         if self.key_variable is not None:
             if not isinstance(self.key_variable, str) or not self.key_variable.isidentifier():

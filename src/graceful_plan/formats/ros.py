@@ -15,7 +15,7 @@ import yaml
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 from graceful_plan.formats.samples import TimedSamples, text_of
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_whole
 
 Array = np.ndarray
 Names = Mapping[str, str] | Callable[[str], str]
@@ -166,8 +166,7 @@ def _columns(label: str, given: list[str], wanted: Sequence[str]) -> list[int]:
 
 def _seconds(label: str, duration: Any) -> float:
     sec, nano = (_field(label, duration, key) for key in ("sec", "nanosec"))
-    whole = all(isinstance(x, int | np.integer) and not isinstance(x, bool) for x in (sec, nano))
-    if not whole or not (0 <= sec < 2**31 and 0 <= nano < NANO):
+    if not (is_whole(sec) and is_whole(nano) and 0 <= sec < 2**31 and 0 <= nano < NANO):
         raise FormatError(label, "sec and nanosec of time_from_start have to be whole numbers, nanosec below a second")
     return (int(sec) * NANO + int(nano)) / NANO
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
 from graceful_plan.scene.edit import StaticBody, moved, removed
@@ -243,10 +243,10 @@ class Scene(SceneFacts):
             tool=prefix + TOOL,
             entities=entities,
             severity=severity,
-            fingers=held_still(robot, chain, fingers) if isinstance(fingers, int | float) else fingers,
+            fingers=held_still(robot, chain, fingers) if is_real(fingers) else fingers,
             limits=limits,
             velocity=velocities(chain) if velocity is None else velocity,
-            acceleration=[acceleration] * len(chain) if isinstance(acceleration, int | float) else acceleration,
+            acceleration=[acceleration] * len(chain) if is_real(acceleration) else acceleration,
             keyframes={**states, **(keyframes or {})},
             allowed_contacts=(*touches.contacts, *disabled, *allowed_contacts),
             name=robot.name,

@@ -32,6 +32,7 @@ from typing import Any
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.problem_files import load_problems
 from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, UnknownNameError, read_error_reason
+from graceful_plan.path import plain_numbers
 from graceful_plan.regular_file import open_regular, path_of, read_content
 from graceful_plan.scene.loading.bundled import load_scene, scenes
 from graceful_plan.yaml_file import Block, read_yaml
@@ -102,6 +103,7 @@ class Suite:
     best_known: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         names = [problem.name for problem in self.problems]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:

@@ -23,7 +23,7 @@ from graceful_plan.mobile.floor.files.map_server import FARTHEST, RESOLUTIONS, r
 from graceful_plan.mobile.floor.files.moving_ai import read_moving_ai, write_moving_ai
 from graceful_plan.mobile.floor.furnishing import furnished
 from graceful_plan.mobile.floor.slicing import sliced
-from graceful_plan.path import finite_array, is_real
+from graceful_plan.path import finite_array, is_real, plain_numbers
 from graceful_plan.regular_file import path_of
 from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.scene import Scene
@@ -68,6 +68,7 @@ class OccupancyGrid:
     name: str = "floor"
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         try:
             given = np.asarray(self.occupancy)
         except ValueError:
