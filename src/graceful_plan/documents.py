@@ -15,6 +15,7 @@ from graceful_plan.path import Path, finite_array
 from graceful_plan.regular_file import path_of
 from graceful_plan.result import CostBreakdown, PlanResult, Verdict
 from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.untrusted_json import parse_json
 
 _READERS: Mapping[str, Callable[[str | FilePath], Trajectory]] = {
     ".csv": Trajectory.from_csv,
@@ -117,15 +118,15 @@ def read_motion(file: str | FilePath) -> Path | Trajectory:
     """
     other = _READERS.get(path_of(file).suffix)
     try:
-        return _motion(json.loads(text_of(file, lambda _: False, "JSON")[1])) if other is None else other(file)
+        if other is not None:
+            return other(file)
+        return _motion(parse_json(text_of(file, lambda _: False, "JSON")[1], str(file)))
     except FormatError as error:
         raise FormatError(str(file), error.problem) from None
     except MissingArrow:
         raise
     except GracefulPlanError as error:
         raise FormatError(str(file), str(error)) from None
-    except (ValueError, RecursionError) as error:
-        raise FormatError(str(file), f"not JSON: {error}") from None
 
 
 def write_motion(trajectory: Trajectory, file: FilePath) -> None:

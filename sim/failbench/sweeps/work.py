@@ -23,6 +23,7 @@ from graceful_plan import Scene, Trajectory
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
 from graceful_plan.formats.samples import text_of
 from graceful_plan.path import plain_numbers
+from graceful_plan.untrusted_json import parse_json
 
 _SCHEMA = "failbench.sweep"
 _VERSION = 1
@@ -216,13 +217,11 @@ class Sweep:
             FormatError: If the file cannot be read or holds no such document, or a setting is out of its range.
         """
         try:
-            return cls.from_document(json.loads(text_of(file, lambda _: False, "JSON")[1]), str(file))
+            return cls.from_document(parse_json(text_of(file, lambda _: False, "JSON")[1], str(file)), str(file))
         except FormatError as error:
             raise FormatError(str(file), error.problem) from None
         except GracefulPlanError as error:
             raise FormatError(str(file), str(error)) from None
-        except (ValueError, RecursionError) as error:
-            raise FormatError(str(file), f"not JSON: {error}") from None
 
     @property
     def question(self) -> dict[str, Any]:

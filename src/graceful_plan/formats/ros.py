@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from graceful_plan import untrusted_yaml
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 from graceful_plan.formats.samples import TimedSamples, text_of
@@ -127,11 +128,10 @@ def _opened(source: Any) -> tuple[str, Any]:
     """Return the label of a message in errors, and the message."""
     if not isinstance(source, str | Path):
         return "message", source
-    label, text = text_of(source, lambda text: "\n" in text or text.lstrip().startswith("{"), "YAML")
-    try:
-        return label, yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise FormatError(label, f"not YAML: {error}") from None
+    label, text = text_of(
+        source, lambda text: "\n" in text or text.lstrip().startswith("{"), "YAML", untrusted_yaml.MOST_BYTES
+    )
+    return label, untrusted_yaml.parse_yaml_values(text, label)
 
 
 def _field(label: str, message: Any, name: str) -> Any:

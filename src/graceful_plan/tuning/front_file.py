@@ -16,6 +16,7 @@ from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, PlanStatus, Verdict
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.tuning.points import ParetoPoint, front_of
+from graceful_plan.untrusted_json import parse_json
 
 _SCHEMA = {"schema": "graceful_plan.pareto_front", "version": 1}
 _KEYS = {"scene", "status", "detail", "stats", "points"}
@@ -66,11 +67,7 @@ def read_front(source: str | FilePath) -> FrontParts:
         FormatError: If the document is not a front.
     """
     name, text = text_of(source, lambda text: text.lstrip().startswith("{"), "JSON")
-    try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(name, f"not JSON: {error}") from None
-    return _FrontReader(name).front(document)
+    return _FrontReader(name).front(parse_json(text, name))
 
 
 @final
