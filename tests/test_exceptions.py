@@ -16,7 +16,15 @@ import pytest
 import failbench
 import graceful_plan as gp
 from failbench.recording.healthy import HealthyHarm
-from graceful_plan.exceptions import CostError, GracefulPlanError, UnknownNameError
+from graceful_plan.exceptions import (
+    CostError,
+    FormatError,
+    GracefulPlanError,
+    SettingError,
+    UnknownNameError,
+    names_file,
+    naming,
+)
 from graceful_plan.result import PlanningFailed, PlanResult, PlanStatus
 
 _OPTIONAL = {"gymnasium", "matplotlib", "pyarrow", "ray", "selenium", "viser"}
@@ -115,6 +123,41 @@ def test_a_failed_plan_in_a_pool_loses_no_other_job():
         with pytest.raises(UnknownNameError, match="'lift'; valid: push"):
             jobs[2].result()
         assert [jobs[k].result() for k in (0, 3, 4)] == [0, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("source", "named"),
+    [
+        (Path("folder") / "arm.urdf", True),
+        ("folder/arm.urdf", True),
+        ("folder/", True),
+        ("<mujoco/>", False),
+        ("{}", False),
+        ("a,b\n1,2", False),
+        ("", False),
+        (None, False),
+        (3, False),
+    ],
+)
+def test_errors_name_the_file_unless_it_is_its_own_text(source, named):
+    @names_file
+    def read(file):
+        raise SettingError("speed", 3.0, "less")
+
+    with pytest.raises(SettingError) as caught:
+        read(file=source)
+    with pytest.raises(SettingError) as again:
+        read(source)
+    said = str(caught.value)
+    assert said == str(again.value) == (f"{source}: " if named else "") + "speed = 3.0, expected less"
+    assert caught.value.value == 3.0 and str(pickle.loads(pickle.dumps(caught.value))) == said
+
+
+def test_errors_that_name_the_file_are_left_alone():
+    error = FormatError("folder/arm.urdf", "broken")
+    with pytest.raises(FormatError) as caught, naming("folder/arm.urdf"):
+        raise error
+    assert caught.value is error and str(error) == "folder/arm.urdf: broken"
 
 
 def test_exceptions_of_callers_survive_as_well():

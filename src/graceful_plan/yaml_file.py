@@ -15,7 +15,7 @@ from typing import ClassVar, TypeVar, final
 
 import yaml
 
-from graceful_plan.exceptions import READ_ERRORS, SceneError, read_error_reason
+from graceful_plan.exceptions import READ_ERRORS, SceneError, names_file, read_error_reason
 from graceful_plan.regular_file import path_of, read_content
 
 MAX_BYTES = 1_000_000
@@ -166,6 +166,7 @@ class YamlTable(ABC):
         return found
 
     @classmethod
+    @names_file
     def load(cls: type[T], file: str | Path) -> T:
         """Read a YAML file with the same layout as the shipped one.
 

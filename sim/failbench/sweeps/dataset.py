@@ -58,7 +58,7 @@ class Dataset:
         """The sweep that made the dataset."""
         from failbench.sweeps.work import Sweep
 
-        return Sweep.from_document(self.manifest["sweep"])
+        return Sweep.from_document(self.manifest["sweep"], f"sweep of {MANIFEST}")
 
 
 def check_arrow() -> None:

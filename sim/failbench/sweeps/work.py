@@ -20,7 +20,7 @@ from failbench.simulated.world import SimSettings, World, build_world
 from failbench.surroundings.registry import Disturbance, disturbances, scene_with_intruder
 from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory
-from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
+from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError, naming
 from graceful_plan.formats.samples import text_of
 from graceful_plan.path import plain_numbers
 from graceful_plan.untrusted_json import parse_json
@@ -191,6 +191,11 @@ class Sweep:
             FormatError: If it is not such a document, or of another version.
             SettingError: If a setting is out of its range.
         """
+        with naming(source):
+            return cls._read(document, source)
+
+    @classmethod
+    def _read(cls, document: Any, source: str) -> Sweep:
         own = {field.name for field in fields(cls)}
         _check_keys(source, document, {"schema", "version", *own})
         for key, value in (("schema", _SCHEMA), ("version", _VERSION)):

@@ -12,7 +12,7 @@ from typing import Any, final
 import yaml
 
 from graceful_plan.annotation.questions import MOST_FRAGILITY, entity_classes
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import SettingError, UnknownNameError, names_file
 from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.regular_file import path_of
 from graceful_plan.scene.elements import EntityAnnotation
@@ -115,6 +115,7 @@ class Annotations:
         Path(file).write_text(_HEAD + text, encoding="utf-8")
 
     @classmethod
+    @names_file
     def load(cls, file: str | Path, table: SeverityTable | None = None) -> Annotations:
         """Read a YAML file written by `save`; severities may be missing.
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import final
 
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import SettingError, UnknownNameError, names_file
 from graceful_plan.path import is_real
 from graceful_plan.regular_file import path_of
 from graceful_plan.yaml_file import Block, read_yaml
@@ -127,6 +127,7 @@ class FaultPrior:
         return _preset(name, degree)
 
     @classmethod
+    @names_file
     def load(cls, file: str | Path, name: str | None = None, *, degree: str = "severe") -> FaultPrior:
         """Read a prior from a YAML file laid out like `faults.yaml`.
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import SceneError, SettingError
+from graceful_plan.exceptions import SceneError, SettingError, names_file
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
@@ -81,6 +81,7 @@ class Scene(SceneFacts):
     # --- constructors -------------------------------------------------------------------------------------------------
 
     @classmethod
+    @names_file
     def from_mjcf(
         cls,
         source: str | Path | mujoco.MjSpec,
@@ -176,6 +177,7 @@ class Scene(SceneFacts):
         return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
 
     @classmethod
+    @names_file
     def from_urdf(
         cls,
         source: str | Path,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.exceptions import SettingError, ShapeError, names_file
 from graceful_plan.formats import csv_text, json_text, parquet_file, ros
 from graceful_plan.formats.ros import Names
 from graceful_plan.formats.samples import TimedSamples
@@ -219,6 +219,7 @@ class Trajectory:
         return _written(json_text.to_json(self._samples), file)
 
     @classmethod
+    @names_file
     def from_json(cls, source: str | FilePath) -> Trajectory:
         """Read the output of `to_json`, from a file or from JSON text (a string that starts with a brace).
 
@@ -235,6 +236,7 @@ class Trajectory:
         return _written(csv_text.to_csv(self._samples), file)
 
     @classmethod
+    @names_file
     def from_csv(cls, source: str | FilePath) -> Trajectory:
         """Read the output of `to_csv`, from a file or from CSV text (a string with a line break).
 
@@ -247,6 +249,7 @@ class Trajectory:
         parquet_file.to_parquet(self._samples, file)
 
     @classmethod
+    @names_file
     def from_parquet(cls, file: str | FilePath) -> Trajectory:
         """Read the output of `to_parquet`. Raises the errors of `from_json`, and MissingArrow without pyarrow."""
         return cls(*parquet_file.from_parquet(file))
@@ -281,6 +284,7 @@ class Trajectory:
         return _written(ros.to_yaml(self.to_ros(names, frame=frame, accelerations=accelerations)), file)
 
     @classmethod
+    @names_file
     def from_ros(cls, source: Any, joints: Sequence[str] | None = None, names: Names | None = None) -> Trajectory:
         """Read a trajectory_msgs/JointTrajectory, for example from another planner.
 

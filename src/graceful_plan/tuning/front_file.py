@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 from typing import Any, NamedTuple, final
 
 from graceful_plan import documents
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, naming
 from graceful_plan.formats.samples import text_of
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, PlanStatus, Verdict
@@ -101,6 +101,10 @@ class _FrontReader:
 
     def _point(self, place: str, value: Any) -> ParetoPoint:
         self._keys(place, value, _POINT)
+        with naming(f"{self.name} at {place}"):
+            return self._read_point(place, value)
+
+    def _read_point(self, place: str, value: Any) -> ParetoPoint:
         return ParetoPoint(
             path=Path(finite_array(f"{place}.path", value["path"], ndim=2)),
             trajectory=Trajectory.from_json(json.dumps(value["trajectory"])),

@@ -15,7 +15,14 @@ from pathlib import Path
 from graceful_plan.compare.problems.motion_problem import Obstacle, ProblemFile
 from graceful_plan.compare.problems.plain_values import Value
 from graceful_plan.compare.problems.problem_formats import moveit_problem, robometrics_problems, vamp_problems
-from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, UnknownNameError, read_error_reason
+from graceful_plan.exceptions import (
+    READ_ERRORS,
+    FormatError,
+    SettingError,
+    UnknownNameError,
+    names_file,
+    read_error_reason,
+)
 from graceful_plan.path import is_real
 from graceful_plan.regular_file import path_of, read_content
 from graceful_plan.untrusted_json import parse_json
@@ -31,6 +38,7 @@ _WIDEST = 0.04
 _REQUEST = re.compile(r"request_?(\d+)\.ya?ml")
 
 
+@names_file
 def load_problems(
     path: str | Path, *, groups: Sequence[str] | None = None, fingers: float = _WIDEST
 ) -> tuple[ProblemFile, ...]:

@@ -31,7 +31,14 @@ from typing import Any
 
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.problem_files import load_problems
-from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, UnknownNameError, read_error_reason
+from graceful_plan.exceptions import (
+    READ_ERRORS,
+    FormatError,
+    SettingError,
+    UnknownNameError,
+    names_file,
+    read_error_reason,
+)
 from graceful_plan.path import plain_numbers
 from graceful_plan.regular_file import open_regular, path_of, read_content
 from graceful_plan.scene.loading.bundled import load_scene, scenes
@@ -120,6 +127,7 @@ def suites() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in _FOLDER.glob("*.yaml")))
 
 
+@names_file
 def load_suite(source: str | Path) -> Suite:
     """Load a suite: a bundled one by name, a suite file (.yaml with `problems` and `version`), or problem files.
 
