@@ -209,7 +209,8 @@ class Scene(SceneFacts):
             tool: Link whose frame is that of the tool. The joints between the base and the tool are planned.
             acceleration: Limit of each planned joint, or one for all [rad/s2 or m/s2]; URDF has none.
             packages: Folders to resolve `package://`: packages, folders that contain packages, or folders by package
-                name. The folders above the file are searched as well.
+                name. The folders above the file are searched as well. Meshes by other paths are read from there, from
+                the folder of the file, and from the ROS package that it is in; all others are refused.
             srdf: SRDF file or text, for link pairs that may touch, and group states as keyframes.
             world: MJCF of the surroundings, as in `from_mjcf`.
             pose: Of the robot's root link in W, 4 x 4.
