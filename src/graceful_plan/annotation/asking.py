@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from graceful_plan.annotation.annotations import Annotation, Annotations
 from graceful_plan.annotation.answers import read_answer
@@ -71,7 +72,16 @@ def _asked(
     messages = question(scene, names, views)
     answer = server.ask(messages)
     try:
-        return read_answer(answer, names, scene.notes.severity)
+        return _read(server, answer, names, scene)
     except AnnotationError as error:
         again = complaint(answer[:_REPEATED], error.problems)
-    return read_answer(server.ask([*messages, *again]), names, scene.notes.severity)
+    return _read(server, server.ask([*messages, *again]), names, scene)
+
+
+def _read(server: Endpoint, answer: str, names: Sequence[str], scene: Scene) -> dict[str, Annotation]:
+    """Read an answer; no text that is kept or shown contains the key."""
+    try:
+        rows = read_answer(answer, names, scene.notes.severity)
+    except AnnotationError as error:
+        raise AnnotationError(map(server.without_key, error.problems)) from None
+    return {name: replace(row, reason=server.without_key(row.reason)) for name, row in rows.items()}
