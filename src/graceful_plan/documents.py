@@ -87,18 +87,6 @@ def result_document(result: PlanResult) -> dict[str, Any]:
     }
 
 
-def error_document(command: str, error: BaseException, exit_code: int) -> dict[str, Any]:
-    """Return the error of a failed command as a document, for programs that parse its output."""
-    return {
-        "schema": "graceful_plan.error",
-        "version": 1,
-        "command": command,
-        "error": type(error).__name__,
-        "message": str(error),
-        "exit_code": exit_code,
-    }
-
-
 def path_document(path: Path) -> dict[str, Any]:
     """Return a path as a document in the format of `read_motion`."""
     return {**_PATH_SCHEMA, "q": path.q.tolist()}
