@@ -16,7 +16,7 @@ from failbench.policies.mlp import Mlp
 from failbench.sweeps import dataset
 from graceful_plan import untrusted_json
 from graceful_plan.exceptions import FormatError
-from graceful_plan.formats import parquet_file
+from graceful_plan.formats import csv_text, parquet_file
 from graceful_plan.formats.npz_file import read_arrays
 from graceful_plan.mobile.floor.files import moving_ai
 
@@ -132,6 +132,14 @@ def test_json_of_very_many_values_is_refused(monkeypatch: pytest.MonkeyPatch) ->
     for text in ("[" + "[]," * 100 + "[]]", b"[" + b"1," * 100 + b"1]"):
         with pytest.raises(FormatError, match="more than 100 values"):
             untrusted_json.parse_json(text, "a")
+
+
+def test_csv_of_too_many_cells_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = gp.Trajectory(np.arange(3.0), *np.zeros((3, 3, 1)), ("a",)).to_csv()
+    assert len(gp.Trajectory.from_csv(text)) == 3
+    monkeypatch.setattr(csv_text, "MOST_CELLS", 15)
+    with pytest.raises(FormatError, match="more than 15 numbers"):
+        gp.Trajectory.from_csv(text)
 
 
 def test_a_file_of_too_many_scenarios_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
