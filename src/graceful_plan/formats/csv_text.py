@@ -11,7 +11,6 @@ import numpy as np
 from graceful_plan.exceptions import FormatError
 from graceful_plan.formats.samples import UNITS, TimedSamples, from_columns, text_of
 
-
 MOST_CELLS = 10_000_000
 """Largest number of cells to read; Python needs some 60 bytes for the text of each."""
 
