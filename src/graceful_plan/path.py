@@ -35,7 +35,7 @@ def is_real(value: object) -> TypeGuard[float]:
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Return whether a value is an integer, also one of NumPy; True and False are not."""
+    """Return whether a value is a Python or NumPy integer; True and False are not."""
     return isinstance(value, numbers.Integral) and not isinstance(value, bool | np.bool_)
 
 

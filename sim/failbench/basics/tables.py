@@ -104,7 +104,7 @@ def check_rows(rows: Any, first: int, count: int, source: str) -> None:
 
 
 def _problem(columns: tuple[Column, ...], row: Any) -> str | None:
-    """Return what is wrong with a row; columns added in later versions may be missing."""
+    """Return the defect of a row, None without one; columns added in later versions may be missing."""
     if not isinstance(row, dict):
         return "not a mapping"
     names = {column.name for column in columns}
