@@ -90,7 +90,10 @@ def _inside(folder: Path, inside: str) -> Iterable[Path]:
 
 def _is_inside(place: Path, folder: Path) -> bool:
     """Return whether a path, with symbolic links followed, is in a folder."""
-    return place.resolve().is_relative_to(folder.resolve())
+    try:
+        return place.resolve().is_relative_to(folder.resolve())
+    except READ_ERRORS:  # for example a null character in the name
+        return False
 
 
 def _own_package(folder: Path) -> list[Path]:
