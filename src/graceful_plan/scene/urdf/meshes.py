@@ -41,6 +41,8 @@ def found_mesh(name: str, folder: Path | None, packages: Sequence[Path] | Mappin
     rest = unquote(rest)
     if kind not in ("package", "file", ""):
         raise SceneError(f"the mesh {name[:200]!r} is not a file, which may be package://, file:// or a path")
+    if "\0" in rest:
+        raise SceneError(f"the mesh {name[:200]!r} was not found: no file has a null character in its name")
     if kind == "package":
         package, _, inside = rest.partition("/")
         above = [] if folder is None else list(folder.parents)
@@ -90,10 +92,7 @@ def _inside(folder: Path, inside: str) -> Iterable[Path]:
 
 def _is_inside(place: Path, folder: Path) -> bool:
     """Return whether a path, with symbolic links followed, is in a folder."""
-    try:
-        return place.resolve().is_relative_to(folder.resolve())
-    except READ_ERRORS:  # for example a null character in the name
-        return False
+    return place.resolve().is_relative_to(folder.resolve())
 
 
 def _own_package(folder: Path) -> list[Path]:
