@@ -78,8 +78,8 @@ class _Events:
             raise self._error(event, f"nested deeper than {MOST_DEPTH} levels")
         if getattr(event, "anchor", None) is not None:
             raise self._error(event, "anchors and aliases are not read")
-        if getattr(event, "tag", None) is not None:
-            raise self._error(event, f"the tag {event.tag} is not read")
+        if (tag := getattr(event, "tag", None)) is not None:
+            raise self._error(event, f"the tag {tag} is not read")
         if isinstance(event, yaml.ScalarEvent):
             return event.value if event.style else _scalar(event.value)
         if isinstance(event, yaml.SequenceStartEvent):

@@ -249,7 +249,9 @@ class Scene(SceneFacts):
             fingers=held_still(robot, chain, fingers) if is_real(fingers) else fingers,
             limits=limits,
             velocity=velocities(chain) if velocity is None else velocity,
-            acceleration=[acceleration] * len(chain) if is_real(acceleration) else acceleration,
+            acceleration=[acceleration] * len(chain)
+            if isinstance(acceleration, int | float | np.number)
+            else acceleration,
             keyframes={**states, **(keyframes or {})},
             allowed_contacts=(*touches.contacts, *disabled, *allowed_contacts),
             name=robot.name,

@@ -11,6 +11,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.suite import Suite, load_suite
 from graceful_plan.compare.runs import workers
@@ -201,7 +203,7 @@ def settle(
 ) -> Settings:
     """Return settings with defaults from the suite. Arguments as in `compare`."""
     loaded = suite if isinstance(suite, Suite) else load_suite(suite)
-    if is_whole(seeds) or isinstance(seeds, bool):
+    if isinstance(seeds, int | np.integer):
         if isinstance(seeds, bool) or seeds < 1:
             raise SettingError("seeds", seeds, "a number of seeds >= 1, or a list of seeds")
         seeds = range(int(seeds))

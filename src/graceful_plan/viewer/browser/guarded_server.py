@@ -55,10 +55,10 @@ class _Guard:
         self.serve, self.listening, self.used = serve, listening, False
 
     def __call__(self, *args: Any, **settings: Any) -> Any:
-        process = settings.get("process_request")
-        if str(getattr(process, "__module__", "")).partition(".")[0] == "viser":  # other threads may serve as well
+        module = str(getattr(settings.get("process_request"), "__module__", ""))
+        if module.partition(".")[0] == "viser":  # other threads may serve as well
             self.used = True
-            settings["process_request"] = partial(_checked, process, self.listening)
+            settings["process_request"] = partial(_checked, settings["process_request"], self.listening)
         return self.serve(*args, **settings)
 
 
