@@ -6,10 +6,11 @@ first calls, or at random.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any, Protocol
 
 import jaxtyping
@@ -27,11 +28,23 @@ _in_full = jaxtyping.jaxtyped
 class _Test:
     number = 0
     """Number of tests begun."""
+    paused = False
+    """Whether no call is checked."""
 
 
 def begin_test() -> None:
     """Check the first calls of every function again."""
     _Test.number += 1
+
+
+@contextlib.contextmanager
+def paused() -> Generator[None]:
+    """Check no calls, for tests of arguments that the annotations do not mention but functions accept or refuse."""
+    _Test.paused = True
+    try:
+        yield
+    finally:
+        _Test.paused = False
 
 
 class _Decorator(Protocol):
@@ -66,7 +79,7 @@ def _function(typechecker: Callable[..., Any], function: Callable[..., Any]) -> 
         if test != _Test.number:
             test, calls = _Test.number, 0
         calls += 1
-        if calls > FIRST and calls % EVERY:
+        if _Test.paused or (calls > FIRST and calls % EVERY):
             return function(*args, **kwargs)
         checked = checked or _checked(typechecker, function)
         return checked(*args, **kwargs)

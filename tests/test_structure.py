@@ -31,7 +31,18 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 HARNESS = ROOT / "sim" / "failbench"
 HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
-BASICS = {"_version", "array_types", "exceptions", "disk_cache", "lazy_imports", "path", "regular_file", "yaml_file"}
+BASICS = {
+    "_version",
+    "array_types",
+    "exceptions",
+    "disk_cache",
+    "lazy_imports",
+    "path",
+    "regular_file",
+    "untrusted_json",
+    "untrusted_yaml",
+    "yaml_file",
+}
 """Modules at the root that every package may use."""
 FLOORS = (
     {"basics"},

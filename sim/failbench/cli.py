@@ -9,8 +9,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from graceful_plan import GracefulPlanError
+from graceful_plan.tools.ending import Interrupts, complain
 from graceful_plan.tools.parsing import DONE, FAILED, INTERRUPTED, MISUSE, Parser, UsageError, program
 
 __all__ = ["DONE", "FAILED", "INTERRUPTED", "MISUSE", "main", "parser"]
@@ -24,27 +26,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     name, as_json, args = NAME, "--json" in words, None
     if words == ["--version"]:  # before the imports of the simulation
         program(NAME, ABOUT).parse_args(words)
-    try:
-        args = parser().parse_args(words)
-        name = f"{NAME} {args.command}"
-        print(args.run(args).shown(args.json))
-        return DONE
-    except BrokenPipeError:
-        # The reader closed the pipe, as `head` does; this prevents a second error at shutdown.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
-    except UsageError as error:
-        print(error.usage, file=sys.stderr)
-        return _complain(name, error, MISUSE, as_json)
-    except (GracefulPlanError, OSError, ImportError) as error:
-        return _complain(name, error, _code(error), as_json)
-    except KeyboardInterrupt:
-        from failbench.sweeps.sweep import JOURNAL
+    with Interrupts() as interrupts:
+        try:
+            args = parser().parse_args(words)
+            name = f"{NAME} {args.command}"
+            print(args.run(args).shown(args.json))
+            return DONE
+        except BrokenPipeError:
+            # The reader closed the pipe, as `head` does; this prevents a second error at shutdown.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return DONE
+        except UsageError as error:
+            return complain(name, error, MISUSE, as_json=as_json, before=error.usage)
+        except BaseException as error:
+            if interrupts.caused(error):
+                said = _interrupted(getattr(args, "folder", None))
+                return complain(name, KeyboardInterrupt(said), INTERRUPTED, as_json=as_json)
+            if isinstance(error, GracefulPlanError | OSError | ImportError):
+                return complain(name, error, _code(error), as_json=as_json)
+            raise
 
-        folder = getattr(args, "folder", None)
-        begun = folder is not None and (folder / JOURNAL).exists()
-        said = "interrupted" + (f"; to continue: failbench resume {folder}" if begun else "")
-        return _complain(name, KeyboardInterrupt(said), INTERRUPTED, as_json)
+
+def _interrupted(folder: Path | None) -> str:
+    """Return the message of an interrupted command, which may have begun a sweep in a folder."""
+    if folder is None:
+        return "interrupted"
+    from failbench.sweeps.sweep import JOURNAL
+
+    begun = (folder / JOURNAL).exists()
+    return "interrupted" + (f"; to continue: failbench resume {folder}" if begun else "")
 
 
 def _code(error: BaseException) -> int:
@@ -52,16 +62,6 @@ def _code(error: BaseException) -> int:
     from graceful_plan import PlanningFailed
 
     return FAILED if isinstance(error, SweepFailed | PlanningFailed) else MISUSE
-
-
-def _complain(name: str, error: BaseException, code: int, as_json: bool) -> int:
-    """Print an error on standard error, and with JSON output also as a document on standard output."""
-    print(f"{name}: {error}", file=sys.stderr)
-    if as_json:
-        from graceful_plan import documents
-
-        print(documents.to_json(documents.error_document(name, error, code)))
-    return code
 
 
 def parser() -> Parser:

@@ -14,7 +14,7 @@ from failbench.fault.fault import DEGREES, SURROUNDINGS, Fault
 from failbench.fault.registry import faults
 from failbench.simulated.gripper import find_gripper
 from failbench.surroundings.registry import disturbances
-from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.exceptions import UnknownNameError, names_file
 from graceful_plan.yaml_file import Block, read_yaml
 
 _FILE = Path(__file__).parent / "scenarios.yaml"
@@ -159,6 +159,7 @@ def _tasks(scene_name: str) -> dict[str, frozenset[str]]:
     return found
 
 
+@names_file
 def read_file(file: Path) -> Mapping[str, _Family]:
     """Read families from a YAML file laid out like `scenarios.yaml`.
 

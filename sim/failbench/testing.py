@@ -32,6 +32,7 @@ from failbench.simulated.world import build_world
 from failbench.surroundings.registry import disturbances, scene_with_intruder
 from graceful_plan import GracefulPlanError, load_scene
 from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.path import is_real
 from graceful_plan.testing import ContractError
 
 Array = np.ndarray
@@ -117,7 +118,7 @@ def _check_amounts(amounts: object) -> Findings:
         yield f"AMOUNTS has the degrees {', '.join(map(str, amounts))}, expected {', '.join(DEGREES)}"
         return
     values = [amounts[degree] for degree in DEGREES]
-    if not all(isinstance(value, int | float) and math.isfinite(value) for value in values):
+    if not all(is_real(value) and math.isfinite(value) for value in values):
         yield f"AMOUNTS are {values}, expected finite numbers"
         return
     steps = np.diff(values)

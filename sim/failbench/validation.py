@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import NamedTuple
 
 import mujoco
@@ -273,7 +272,7 @@ def _report(
 def _counted(healthy: HealthyHarm, scene: Scene, fragility: FragilityTable, *, own: bool) -> HealthyHarm:
     """Return the healthy harm by the same rule as for failures."""
     found = impact_by_entity(healthy, scene, fragility, own=own)
-    return replace(healthy, by_entity=MappingProxyType({name: x for name, x in found.items() if x > 0.0}))
+    return replace(healthy, by_entity={name: x for name, x in found.items() if x > 0.0})
 
 
 def _shares(

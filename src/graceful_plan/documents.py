@@ -15,6 +15,7 @@ from graceful_plan.path import Path, finite_array
 from graceful_plan.regular_file import path_of
 from graceful_plan.result import CostBreakdown, PlanResult, Verdict
 from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.untrusted_json import parse_json
 
 _READERS: Mapping[str, Callable[[str | FilePath], Trajectory]] = {
     ".csv": Trajectory.from_csv,
@@ -86,18 +87,6 @@ def result_document(result: PlanResult) -> dict[str, Any]:
     }
 
 
-def error_document(command: str, error: BaseException, exit_code: int) -> dict[str, Any]:
-    """Return the error of a failed command as a document, for programs that parse its output."""
-    return {
-        "schema": "graceful_plan.error",
-        "version": 1,
-        "command": command,
-        "error": type(error).__name__,
-        "message": str(error),
-        "exit_code": exit_code,
-    }
-
-
 def path_document(path: Path) -> dict[str, Any]:
     """Return a path as a document in the format of `read_motion`."""
     return {**_PATH_SCHEMA, "q": path.q.tolist()}
@@ -117,15 +106,15 @@ def read_motion(file: str | FilePath) -> Path | Trajectory:
     """
     other = _READERS.get(path_of(file).suffix)
     try:
-        return _motion(json.loads(text_of(file, lambda _: False, "JSON")[1])) if other is None else other(file)
+        if other is not None:
+            return other(file)
+        return _motion(parse_json(text_of(file, lambda _: False, "JSON")[1], str(file)))
     except FormatError as error:
         raise FormatError(str(file), error.problem) from None
     except MissingArrow:
         raise
     except GracefulPlanError as error:
         raise FormatError(str(file), str(error)) from None
-    except (ValueError, RecursionError) as error:
-        raise FormatError(str(file), f"not JSON: {error}") from None
 
 
 def write_motion(trajectory: Trajectory, file: FilePath) -> None:

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import pickle
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import contextmanager
+from functools import wraps
+from inspect import signature
+from os import PathLike
+from os.path import basename
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -20,7 +30,69 @@ def read_error_reason(error: OSError | ValueError) -> str:
 
 
 class GracefulPlanError(Exception):
-    """Base class of all errors that this library raises deliberately."""
+    """Base class of all errors that this library raises deliberately.
+
+    Errors can be pickled, so they reach the caller from another process. Attributes that cannot be pickled, such as a
+    cost with a lambda, arrive as text.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The default calls the class with the message, but constructors take other arguments.
+        return _restored, (type(self), self.args, {name: _picklable(value) for name, value in vars(self).items()})
+
+
+def _restored(kind: type[GracefulPlanError], args: tuple[Any, ...], attributes: Mapping[str, Any]) -> GracefulPlanError:
+    """Return an error without calling its constructor."""
+    error = kind.__new__(kind, *args)
+    super(GracefulPlanError, error).__init__(*args)
+    vars(error).update(attributes)
+    return error
+
+
+def _picklable(value: object) -> object:
+    """Return a value, or its text if it cannot be pickled."""
+    try:
+        pickle.dumps(value)
+    except Exception:  # classes raise anything
+        return repr(value)
+    return value
+
+
+@contextmanager
+def naming(source: object) -> Generator[None]:
+    """Add the name of a file to errors of this library that do not mention it.
+
+    Args:
+        source: The file, or its content as text, which is not added.
+    """
+    try:
+        yield
+    except GracefulPlanError as error:
+        name = _file_name(source)
+        if name and name not in str(error):
+            error.args = (f"{source}: {error}", *error.args[1:])
+        raise
+
+
+def names_file(function: Callable[P, T]) -> Callable[P, T]:
+    """Add the name of the file, the first argument after a class, to errors of a function that do not mention it."""
+    names = list(signature(function).parameters)
+    place = 1 if names[0] in ("cls", "self") else 0
+
+    @wraps(function)
+    def named(*args: P.args, **kwargs: P.kwargs) -> T:
+        with naming(args[place] if len(args) > place else kwargs.get(names[place])):
+            return function(*args, **kwargs)
+
+    return named
+
+
+def _file_name(source: object) -> str:
+    """Return the last part of the name of a file; "" for the content of a file or anything else."""
+    if isinstance(source, PathLike):
+        return basename(str(source).rstrip("/"))
+    is_content = isinstance(source, str) and ("\n" in source or source.lstrip()[:1] in ("", "<", "{", "["))
+    return basename(source.rstrip("/")) if isinstance(source, str) and not is_content else ""
 
 
 class UnknownNameError(GracefulPlanError, KeyError):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numbers
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,10 @@ MOST_POINTS = 10_000_000
 """Maximum number of samples of a path or trajectory: about a gigabyte per array for ten joints."""
 
 
+_NO_REAL_NUMBERS = "cSUmMV"
+"""Kinds of NumPy types that NumPy itself would convert to numbers, complex ones without their imaginary part."""
+
+
 def is_real(value: object) -> TypeGuard[float]:
     """Return whether a value is a real number that fits a float; infinity and NaN are, True and False are not."""
     if not isinstance(value, numbers.Real) or isinstance(value, bool | np.bool_):
@@ -30,6 +34,39 @@ def is_real(value: object) -> TypeGuard[float]:
     return True
 
 
+def is_whole(value: object) -> TypeGuard[int]:
+    """Return whether a value is a Python or NumPy integer; True and False are not."""
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool | np.bool_)
+
+
+def plain_numbers(settings: Any) -> None:
+    """Convert NumPy numbers in the fields of a frozen dataclass to Python numbers; call it first in `__post_init__`.
+
+    Otherwise a single-precision setting would lower the precision of results, and results could not become JSON.
+    """
+    for field in fields(settings):
+        value = getattr(settings, field.name, None)
+        if (plain := _plain(value)) is not value:
+            object.__setattr__(settings, field.name, plain)
+
+
+def _plain(value: object) -> object:
+    """Return a value with Python numbers in place of NumPy numbers; the value itself if it has none."""
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if is_whole(value):
+        return value if isinstance(value, int) else int(value)
+    if isinstance(value, np.floating):
+        return float(value)
+    if type(value) is tuple:
+        items = tuple(_plain(item) for item in value)
+        return value if all(a is b for a, b in zip(items, value, strict=True)) else items
+    if isinstance(value, dict):
+        rows = {key: _plain(item) for key, item in value.items()}
+        return value if all(rows[key] is value[key] for key in rows) else rows
+    return value
+
+
 def real_array(name: str, value: object) -> Float[Array, "..."]:
     """Return `value` as a float64 array; non-finite numbers are allowed, and masked entries become NaN.
 
@@ -37,9 +74,12 @@ def real_array(name: str, value: object) -> Float[Array, "..."]:
         ShapeError: If it is ragged, or holds anything but numbers.
     """
     try:
-        if isinstance(value, np.ma.MaskedArray):
-            value = np.ma.filled(value.astype(np.float64), np.nan)
-        return np.asarray(value, dtype=np.float64)
+        array = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+        if array.dtype.kind in _NO_REAL_NUMBERS:
+            raise TypeError(f"not {array.dtype.name}")
+        if isinstance(array, np.ma.MaskedArray):
+            return np.ma.filled(array.astype(np.float64), np.nan)
+        return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(name, (), f"numbers in a rectangular array ({error})") from None
 

@@ -1,6 +1,8 @@
 import base64
+import contextlib
 import json
 import re
+import socket
 import struct
 import threading
 
@@ -254,3 +256,81 @@ def test_the_guide_annotate_md_runs(server, tmp_path, monkeypatch):
         assert "https://models.example/v1" in snippet or "endpoint" not in snippet
         exec(compile(snippet.replace("https://models.example/v1", server.url), "annotate.md", "exec"), known)
     assert isinstance(known["said"], Annotations) and server.asked
+
+
+@pytest.fixture
+def trickling():
+    """Start servers on a socket that send a text byte by byte, as slowly that all of it takes minutes."""
+    listening, stop = [], threading.Event()
+
+    def serve(listener, text, slow_from):
+        with contextlib.suppress(OSError):
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(65_536)
+                connection.sendall(text[:slow_from])
+                for byte in text[slow_from:]:
+                    if stop.wait(0.05):
+                        return
+                    connection.sendall(bytes([byte]))
+
+    def start(text, slow_from):
+        listener = socket.create_server(("127.0.0.1", 0))
+        listening.append(listener)
+        threading.Thread(target=serve, args=(listener, text, slow_from), daemon=True).start()
+        return f"http://127.0.0.1:{listener.getsockname()[1]}/v1"
+
+    yield start
+    stop.set()
+    for listener in listening:
+        listener.close()
+
+
+@pytest.mark.parametrize("part", ["status", "header", "body", "chunks", "refusal"])
+def test_a_server_that_trickles_is_not_waited_for(room, trickling, part):
+    long = b"X-Long: " + b"x" * 5000 + b"\r\n"
+    head = b"HTTP/1.1 500 Broken\r\n" if part == "refusal" else b"HTTP/1.1 200 OK\r\n"
+    body = b"Content-Length: 5000\r\n\r\n" + b" " * 5000
+    if part == "chunks":
+        body = b"Transfer-Encoding: chunked\r\n\r\n" + b"1\r\n \r\n" * 5000
+    slow_from = {"status": 3, "header": len(head) + 20}.get(part, len(head) + len(long) + 30)
+    url = trickling(head + long + body, slow_from)
+    said = "HTTP 500 Broken$" if part == "refusal" else r"no answer within 0\.3 s"
+    with pytest.raises(EndpointError, match=said):
+        gp.annotate(room, "stub", endpoint=url, pictures=False, timeout=0.3)
+
+
+def escaped(text, again=0):
+    """Write every character as JSON escapes it, once or several times over."""
+    return "".join("\\" * 2**again + f"u{ord(c):04X}" for c in text)
+
+
+@pytest.mark.parametrize("times", [0, 1, 2])
+def test_an_escaped_key_is_not_kept(room, server, monkeypatch, tmp_path, times):
+    monkeypatch.setenv("SOME_KEY", KEY)
+
+    def telling(document):
+        found = {name: {**row, "reason": "REASON"} for name, row in rows(asked_about(document)).items()}
+        status, headers, body = said(json.dumps({"entities": found}))
+        return status, headers, body.replace(b"REASON", escaped(KEY, times).encode())
+
+    server.replies = telling
+    found = ask(room, server, key_variable="SOME_KEY")
+    assert all("***" in row.reason for row in found.rows.values())
+    found.save(tmp_path / "a.yaml")
+    for text in ((tmp_path / "a.yaml").read_text(), repr(found), str(found.to_document())):
+        assert KEY not in text and KEY not in text.encode().decode("unicode_escape")
+
+
+@pytest.mark.parametrize("times", [0, 1, 2])
+def test_an_escaped_key_is_not_shown_in_errors(room, server, monkeypatch, times):
+    monkeypatch.setenv("SOME_KEY", KEY)
+    _, headers, body = said('{"entities": {"NAME": 3}}')
+    server.replies = lambda _: (200, headers, body.replace(b"NAME", escaped(KEY, times).encode()))
+    with pytest.raises(AnnotationError) as caught:
+        ask(room, server, key_variable="SOME_KEY")
+    server.replies = lambda _: (500, {}, escaped(KEY).encode())
+    with pytest.raises(EndpointError) as refused:
+        ask(room, server, key_variable="SOME_KEY")
+    for text in (str(caught.value), str(refused.value)):
+        assert "***" in text and KEY not in text and KEY not in text.encode().decode("unicode_escape")

@@ -275,3 +275,15 @@ def test_cubics_that_overshoot_beyond_all_bounds_are_refused(ask):
     wild = gp.Trajectory(np.array([0.0, 0.1, 0.2]), q, qd, np.zeros_like(q), task.scene.joints)
     with pytest.raises(SettingError, match="1000"):
         ask(wild, task.scene)
+
+
+def test_a_trajectory_with_its_joints_in_another_order_is_refused():
+    task = gp.load_scene("tabletop").tasks["lift_to_goal"]
+    scene = task.scene
+    motion = gp.retime(gp.Path(np.array([task.start, task.start + 0.1])), scene.limits, scene.joints)
+    turned = gp.Trajectory(motion.t, *(x[:, ::-1] for x in (motion.q, motion.qd, motion.qdd)), scene.joints[::-1])
+    for judged in (gp.evaluate, gp.explain, gp.risk):
+        with pytest.raises(SettingError, match="the order of the scene"):
+            judged(turned, scene)
+    other = gp.Trajectory(motion.t, motion.q, motion.qd, motion.qdd, tuple(f"joint{k}" for k in range(7)))
+    assert gp.evaluate(other, scene) == gp.evaluate(motion, scene)

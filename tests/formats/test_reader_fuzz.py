@@ -57,7 +57,7 @@ def test_a_text_that_no_file_can_hold_is_refused() -> None:
             )
 
 
-@pytest.mark.parametrize("mesh", ["x" * 10_000, "%00.obj", "absent.obj"])
+@pytest.mark.parametrize("mesh", ["x" * 10_000, "%00.obj", "package://a/%00.obj", "absent.obj"])
 def test_a_mesh_that_no_file_can_be_is_refused(mesh: str, tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     collision = f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision>'

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import LIBRARY
 
+import graceful_plan as gp
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError, TooLargeError
 from graceful_plan.scene.loading.weighing import mesh_weight
 from graceful_plan.scene.model_parts import check_numbers, check_supported
@@ -500,3 +501,19 @@ def test_meshes_of_mujoco_count_what_their_heads_say():
     assert mesh_weight(head + bytes(4 * (30 + 90 + 40 + 15)), ".msh") == 15
     assert mesh_weight(np.array([2**30, 0, 0, -5], dtype="<i4").tobytes() + bytes(24), ".msh") <= 3
     assert mesh_weight(b"short", ".msh") == 0
+
+
+@pytest.mark.parametrize("encoding", ["utf-7", "utf-16", "latin-1", "cp1252", "nonsense", "x" * 1000])
+def test_other_encodings_than_that_of_mujoco_are_refused(encoding, tmp_path):
+    text = f'<?xml version="1.0" encoding="{encoding}"?><mujoco/>'
+    with pytest.raises(SceneError, match="encoding"):
+        gp.Scene.from_mjcf(text, robot="arm/", tool="tool")
+    (tmp_path / "a.xml").write_text(text)
+    with pytest.raises(SceneError, match=r"a\.xml:1: the encoding"):
+        gp.Scene.from_mjcf(tmp_path / "a.xml", robot="arm/", tool="tool")
+
+
+def test_text_in_another_encoding_than_utf_8_is_refused(tmp_path):
+    (tmp_path / "a.xml").write_bytes("<mujoco model='é'/>".encode("utf-16"))
+    with pytest.raises(SceneError, match=r"a\.xml"):
+        gp.Scene.from_mjcf(tmp_path / "a.xml", robot="arm/", tool="tool")

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 
 
 @dataclass(frozen=True)
@@ -16,6 +16,7 @@ class AtTime:
     time: float
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (is_real(self.time) and math.isfinite(self.time) and self.time >= 0.0):
             raise SettingError("time", self.time, "a finite time >= 0 s")
 
@@ -31,6 +32,7 @@ class AtFraction:
     fraction: float
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not 0.0 <= self.fraction <= 1.0:
             raise SettingError("fraction", self.fraction, "0 <= fraction <= 1")
 
@@ -47,6 +49,7 @@ class Uniform:
     last: float = 1.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not 0.0 <= self.first <= self.last <= 1.0:
             raise SettingError("first, last", (self.first, self.last), "0 <= first <= last <= 1")
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, real_array
 
 Array = np.ndarray
 
@@ -247,7 +247,7 @@ def cluster_bootstrap(
         confidence: Probability that the interval covers the true value.
     """
     check_confidence(confidence)
-    y, labels = np.asarray(values, dtype=float), np.asarray(clusters)
+    y, labels = real_array("values", values), np.asarray(clusters)
     if labels.shape != y.shape[:1] or not len(y):
         raise ShapeError("clusters", labels.shape, f"({len(y)},), a cluster for each of at least one value")
     drawn = [float(statistic(y[rows])) for rows in cluster_draws(labels, resamples, seed)]

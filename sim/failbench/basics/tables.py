@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from graceful_plan.exceptions import FormatError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -72,6 +76,79 @@ CONTACTS = (
 )
 
 TABLES = {"rollouts": ROLLOUTS, "contacts": CONTACTS}
+
+
+def check_rows(rows: Any, first: int, count: int, source: str) -> None:
+    """Check the rows of consecutive rollouts, as `run_chunk` returns them, before they become part of a dataset.
+
+    Args:
+        rows: Rows by table.
+        first: Number of the first rollout.
+        count: Number of rollouts.
+        source: Name of the file that they come from, for errors.
+
+    Raises:
+        FormatError: If rows are missing, or a row lacks a column or has a value of another type.
+    """
+    if not isinstance(rows, dict) or set(rows) != set(TABLES) or not all(isinstance(x, list) for x in rows.values()):
+        raise FormatError(source, f"damaged: rows have to be lists by table: {', '.join(TABLES)}")
+    for table, found in rows.items():
+        for k, row in enumerate(found):
+            if (problem := _problem(TABLES[table], row)) is not None:
+                raise FormatError(source, f"damaged: row {k} of {table}, rollouts from {first}: {problem}")
+    numbers, known = [row["rollout"] for row in rows["rollouts"]], range(first, first + count)
+    if numbers != list(known):
+        raise FormatError(source, f"damaged: {len(numbers)} rows for the {count} rollouts from {first}")
+    if any(row["rollout"] not in known for row in rows["contacts"]):
+        raise FormatError(source, f"damaged: contacts of other rollouts than the {count} from {first}")
+
+
+def _problem(columns: tuple[Column, ...], row: Any) -> str | None:
+    """Return the defect of a row, None without one; columns added in later versions may be missing."""
+    if not isinstance(row, dict):
+        return "not a mapping"
+    names = {column.name for column in columns}
+    if unknown := row.keys() - names:
+        return f"unknown column {min(unknown)[:40]!r}"
+    if missing := names - row.keys() - ADDED.keys():
+        return f"no {min(missing)}"
+    wrong = (column for column in columns if column.name in row and not _fits(column, row[column.name]))
+    return next((f"{column.name} is not of the type {column.type}" for column in wrong), None)
+
+
+def _fits(column: Column, value: Any) -> bool:
+    if value is None:
+        return column.type in ("double", "bool", "list<double>") or column.name == "task"
+    return _TYPES[column.type](value)
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
+
+
+def _are_numbers(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_number, value))
+
+
+def _is_pose(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and value.keys() == {"name", "wxyz_xyz"}
+        and isinstance(value["name"], str)
+        and isinstance(value["wxyz_xyz"], list)
+        and all(x is None or _is_number(x) for x in value["wxyz_xyz"])
+    )
+
+
+_TYPES: dict[str, Callable[[Any], bool]] = {
+    "int64": lambda value: type(value) is int and -(2**63) <= value < 2**63,
+    "double": _is_number,
+    "bool": lambda value: isinstance(value, bool),
+    "string": lambda value: isinstance(value, str),
+    "list<string>": lambda value: isinstance(value, list) and all(isinstance(x, str) for x in value),
+    "list<double>": _are_numbers,
+    "poses": lambda value: isinstance(value, list) and all(map(_is_pose, value)),
+}
 
 
 def arrow_schema(table: str, version: int = VERSION) -> pa.Schema:

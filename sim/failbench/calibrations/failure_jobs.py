@@ -19,6 +19,7 @@ from failbench.rollouts.sampling import MOST, check_whole
 from graceful_plan import GracefulPlanError, Path, Scene, Task, Trajectory
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.path import plain_numbers
 
 Array = np.ndarray
 
@@ -236,6 +237,7 @@ class FailureSettings:
     variation: Variation | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         check_whole("n", self.n, 1, MOST)
         check_whole("repeats", self.repeats, 1, MOST)
 

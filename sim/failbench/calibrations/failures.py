@@ -29,6 +29,7 @@ from graceful_plan.costs.cost import AHEAD
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import FormatError, SettingError
 from graceful_plan.formats.npz_file import read_arrays
+from graceful_plan.untrusted_json import parse_json
 
 Array = np.ndarray
 
@@ -225,7 +226,7 @@ def read_failures(file: str | FilePath) -> list[Failures]:
     """
     data: dict[str, Any] = dict(read_arrays(file))
     try:
-        document = json.loads(str(data["about"]))
+        document = parse_json(str(data["about"]), str(file))
         if (document["schema"], document["version"]) != (_SCHEMA, _VERSION):
             raise FormatError(str(file), f"not {_SCHEMA} of version {_VERSION}")
         return [

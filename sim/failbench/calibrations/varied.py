@@ -13,6 +13,7 @@ import numpy as np
 from failbench.rollouts.execution import Execution
 from failbench.simulated.world import World
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 
 _RESTITUTION = (0.017, 0.193, 0.266, 0.351, 0.460, 0.529, 0.611, 0.694)
 """Restitution of a sphere that falls 0.3 m, for each of `_DAMPING`, by `restitution` of
@@ -38,6 +39,7 @@ class Variation:
     spin: float = 0.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if self.restitution is not None:
             low, high = self.restitution
             if not _RESTITUTION[0] <= low <= high <= _RESTITUTION[-1]:

@@ -11,6 +11,7 @@ from typing import ClassVar
 from failbench.basics.onset import Onset, Uniform
 from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 
 DEGREES = ("minor", "moderate", "severe", "critical")
 
@@ -67,6 +68,7 @@ class Fault(ABC):
     """Time between calls of `apply` while the fault lasts [s]: 0 for every step; None for a single call."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if self.degree not in DEGREES:
             raise SettingError("degree", self.degree, f"one of {', '.join(DEGREES)}")
         if not (math.isfinite(self.ramp) and self.ramp >= 0.0):

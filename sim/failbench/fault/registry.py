@@ -26,6 +26,7 @@ from failbench.fault.power import BatteryDegradation, PowerLoss, VoltageDrop
 from failbench.fault.reaction import ProtectiveStop
 from failbench.fault.sensor import BiasDrift, ControlDelay, DeadZone, Dropout, Noise, ScaleError
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+from graceful_plan.path import is_real, is_whole
 
 __all__ = [
     "CATEGORIES",
@@ -196,9 +197,7 @@ def _onset(document: Any) -> Onset:
 def _checked(name: str, value: Any, default: Any) -> Any:
     """Return a setting converted to the type of its default; raise SettingError if it has another type."""
     if name == "rates":
-        if not isinstance(value, list | tuple) or any(
-            isinstance(x, bool) or not isinstance(x, int | float) for x in value
-        ):
+        if not isinstance(value, list | tuple) or not all(is_real(x) for x in value):
             raise SettingError(name, value, "a list of numbers")
         return tuple(float(x) for x in value)
     if isinstance(default, tuple):
@@ -212,11 +211,11 @@ def _checked(name: str, value: Any, default: Any) -> Any:
             raise SettingError(name, value, "true or false" if isinstance(default, bool) else "a text")
         return value
     if isinstance(default, int):
-        if isinstance(value, bool) or not isinstance(value, int):
+        if not is_whole(value):
             raise SettingError(name, value, "a whole number")
-        return value
+        return int(value)
     if default is None or isinstance(default, float):
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not is_real(value):
             raise SettingError(name, value, "a number")
         return float(value)
     return value

@@ -18,6 +18,7 @@ from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import drop_kernel
 from graceful_plan.costs.models.drop.network import LEAST, looks
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
+from graceful_plan.path import plain_numbers
 
 Array = np.ndarray
 
@@ -42,6 +43,7 @@ class DropData:
     processes: int = 1
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         check_whole("scenes", self.scenes, 2, MOST)
         check_whole("rollouts", self.rollouts, 1, MOST)
         check_whole("seed", self.seed, 0, MOST)

@@ -17,6 +17,7 @@ from graceful_plan.array_types import Float, Int
 from graceful_plan.costs.models.drop.network import LOOKS, MOST_HIDDEN, STATE_FEATURES, DropNetwork, fade, squash
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 
 Array = np.ndarray
 
@@ -46,6 +47,7 @@ class Training:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not 1 <= self.hidden <= MOST_HIDDEN:
             raise SettingError("hidden", self.hidden, f"between 1 and {MOST_HIDDEN}")
         if not 0.0 < self.bound <= 20.0:

@@ -31,6 +31,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.control.diff_drive_controller import Tracking
 from graceful_plan.mobile.control.drive_state import DriveCommand, DriveState
+from graceful_plan.path import real_array
 
 Array = np.ndarray
 
@@ -155,16 +156,16 @@ def _course(
     if isinstance(motion, PlanResult):
         motion = motion.unwrap()
     if isinstance(motion, Trajectory):
-        q0 = motion.q[0] if start is None else np.asarray(start, dtype=float)
+        q0 = motion.q[0] if start is None else real_array("start", start)
         if isinstance(controller, Tracking):
             return q0, timed(motion, TIMESTEP, motion.duration + SETTLES if seconds is None else seconds)
         return q0, untimed(motion, TIMESTEP, seconds)
-    path = np.asarray(motion, dtype=float)
+    path = real_array("motion", motion)
     if path.ndim != 2 or path.shape[1] < 2 or not len(path) or not np.isfinite(path).all():
         raise SettingError("motion", path.shape, "a trajectory, or places on the floor (n, 2)")
     course = Course(None, path[:, :2], 20.0 if seconds is None else seconds)
     check_course(controller, course)
-    q0 = scene.home_qpos[list(scene.qpos_adr)] if start is None else np.asarray(start, dtype=float)
+    q0 = scene.home_qpos[list(scene.qpos_adr)] if start is None else real_array("start", start)
     if start is None:
         ahead = path[min(1, len(path) - 1), :2] - path[0, :2]
         q0[:3] = *path[0, :2], math.atan2(ahead[1], ahead[0])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import FormatError, ShapeError
+from graceful_plan.exceptions import FormatError, ShapeError, names_file
 from graceful_plan.formats.npz_file import read_arrays
 
 Array = np.ndarray
@@ -62,6 +62,7 @@ class Mlp:
         np.savez(file, **arrays)
 
     @classmethod
+    @names_file
     def load(cls, file: FilePath) -> Mlp:
         """Read a file written by `save`, without executing any of it.
 

@@ -17,6 +17,7 @@ from failbench.policies.task import PolicyTask
 from graceful_plan import GracefulPlanError
 from graceful_plan.array_types import Float, UInt8
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.path import real_array
 
 Array = np.ndarray
 
@@ -62,7 +63,7 @@ class Observation:
     objects: Float[Array, "entity xyz"]
     q_desired: Float[Array, " nq"]
     qd_desired: Float[Array, " nq"]
-    images: Mapping[str, UInt8[Array, "height width 3"]] = field(default_factory=lambda: MappingProxyType({}))
+    images: Mapping[str, UInt8[Array, "height width 3"]] = field(default_factory=dict)
 
     @property
     def vector(self) -> Float[Array, " n"]:
@@ -138,7 +139,7 @@ def checked_action(action: ArrayLike, task: PolicyTask, kind: str) -> Float[Arra
         PolicyError: If the action has the wrong shape, or is not finite.
     """
     try:
-        found = np.asarray(action, dtype=float)
+        found = real_array("action", action)
     except (TypeError, ValueError) as error:
         raise PolicyError("of the user", f"its action is not an array of numbers: {error}") from error
     size = action_size(task, kind)

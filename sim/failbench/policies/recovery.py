@@ -22,7 +22,7 @@ from failbench.policies.task import PolicyTask
 from graceful_plan import GracefulPlanError
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 
 Array = np.ndarray
 
@@ -82,6 +82,7 @@ class StopOnFailure(Recovery):
     brakes: bool = True
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (is_real(self.deceleration) and 0.0 < self.deceleration < np.inf):
             raise SettingError("deceleration", self.deceleration, "a finite number > 0")
         if not isinstance(self.brakes, bool):
@@ -126,6 +127,7 @@ class ReplanOnFailure(Recovery):
     following: float = 0.25
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (is_real(self.time_limit) and 0.0 <= self.time_limit < np.inf):
             raise SettingError("time_limit", self.time_limit, "a finite time >= 0 s")
         for name in ("tolerance", "following"):

@@ -18,7 +18,7 @@ from failbench.simulated.states import STATE
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, is_whole, plain_numbers
 from graceful_plan.scene.placement import Placement
 
 Array = np.ndarray
@@ -62,6 +62,7 @@ class PolicySettings:
     simulation: SimSettings = SimSettings()
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not isinstance(self.simulation, SimSettings):
             raise SettingError("simulation", self.simulation, "SimSettings")
         steps = self.period / self.simulation.timestep if is_real(self.period) and 0.0 < self.period <= LONGEST else 0.0
@@ -76,7 +77,7 @@ class PolicySettings:
             raise SettingError("speed", self.speed, "0 < speed <= 1")
         if not (_is_pair(self.reach) and all(is_real(x) and math.isfinite(x) and x > 0.0 for x in self.reach)):
             raise SettingError("reach", self.reach, "a distance [m] and an angle [rad], both > 0")
-        if not (_is_pair(self.size) and all(isinstance(n, int) and 1 <= n <= 4096 for n in self.size)):
+        if not (_is_pair(self.size) and all(is_whole(n) and 1 <= n <= 4096 for n in self.size)):
             raise SettingError("size", self.size, "height and width in pixels, 1 to 4096")
         cameras = self.cameras
         if not isinstance(cameras, tuple | list) or not all(isinstance(name, str) for name in cameras):

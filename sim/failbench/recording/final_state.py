@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -66,7 +65,7 @@ class FinalState:
             "tipped": tuple(self._names[i] for i in np.flatnonzero(tilt > TIPPED)),
             "left_support": tuple(left),
             "dropped": out_of_place and not _neighbours(stands, carried) & self._pads,
-            "poses": MappingProxyType(poses),
+            "poses": poses,
         }
 
     def _look(self, qpos: Float[Array, " qpos"]) -> tuple[Int[Array, "contact 2"], Float[Array, " xyz"] | None]:

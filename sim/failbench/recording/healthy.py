@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,8 +52,8 @@ class HealthyHarm:
     dropped: bool = False
     events: tuple[ContactEvent, ...] = ()
     landings: tuple[ContactEvent, ...] = ()
-    poured: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    by_entity: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    poured: Mapping[str, float] = field(default_factory=dict)
+    by_entity: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def harm(self) -> float:
@@ -157,8 +156,8 @@ def healthy_harm(world: World, run: HealthySteps, *, touched: bool, allowed: fro
         dropped=bool(found.get("dropped", False)),
         events=ordered,
         landings=landings,
-        poured=MappingProxyType(poured),
-        by_entity=MappingProxyType(_shares(hits, scene)),
+        poured=poured,
+        by_entity=_shares(hits, scene),
     )
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
 from failbench.fault.fault import Fault
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_whole, plain_numbers
 
 Array = np.ndarray
 
@@ -32,9 +32,10 @@ class Job:
     weight: float = 1.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not isinstance(self.fault, Fault):
             raise SettingError("fault", self.fault, "a failbench.Fault")
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
+        if not is_whole(self.seed) or self.seed < 0:
             raise SettingError("seed", self.seed, "a whole number, at least 0")
         for name, value in (("onset", self.onset), ("weight", self.weight)):
             if not (math.isfinite(value) and value >= 0.0):
@@ -99,5 +100,5 @@ class Rollout:
     left_support: tuple[str, ...] = ()
     spilled: float = 0.0
     dropped: bool = False
-    poses: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+    poses: Mapping[str, Array] = field(default_factory=dict)
     state: Array | None = None

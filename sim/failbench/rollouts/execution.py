@@ -20,6 +20,7 @@ from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import real_array
 
 Array = np.ndarray
 
@@ -162,7 +163,7 @@ def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: Wor
     if isinstance(motion, PlanResult):
         motion = motion.unwrap()
     if not isinstance(motion, Trajectory):
-        path = motion if isinstance(motion, Path) else Path(np.asarray(motion, dtype=float))
+        path = motion if isinstance(motion, Path) else Path(real_array("motion", motion))
         motion = retime(path, world.scene.limits, world.scene.joints)
     if motion.duration > LONGEST:
         raise SettingError("duration of the trajectory", motion.duration, f"at most {LONGEST:g} s")

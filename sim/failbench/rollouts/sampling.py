@@ -17,6 +17,7 @@ from failbench.fault.fault import Fault
 from failbench.recording.records import Job
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_whole
 
 Array = np.ndarray
 
@@ -83,7 +84,7 @@ def make_jobs(
 
 def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
     """Raise SettingError unless `value` is a whole number from `least` to `most`."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+    if not is_whole(value) or value < least:
         raise SettingError(name, value, f"a whole number, at least {least}")
     if most is not None and value > most:
         raise SettingError(name, value, f"a whole number, at most {most}")

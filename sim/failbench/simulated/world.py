@@ -26,6 +26,7 @@ from failbench.simulated.servos import actuator_of, tuned_robot
 from graceful_plan import MovingEntity, Scene
 from graceful_plan.array_types import Int
 from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.roles import free_joint
 
 Array = np.ndarray
@@ -60,6 +61,7 @@ class SimSettings:
     people: str = "walk"
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not 1e-4 <= self.timestep <= 0.01:
             raise SettingError("timestep", self.timestep, "between 0.0001 and 0.01 s")
         for name, value, valid in (

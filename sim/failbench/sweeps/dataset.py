@@ -20,7 +20,9 @@ from failbench.basics.chunks import Rows
 from failbench.basics.errors import MissingExtra
 from failbench.basics.tables import TABLES, VERSION, arrow_schema
 from graceful_plan.exceptions import FormatError
+from graceful_plan.formats.parquet_file import read_bounded
 from graceful_plan.regular_file import path_of, read_content
+from graceful_plan.untrusted_json import parse_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
 MANIFEST = "manifest.json"
 PART_ROWS = 5_000
 """Greatest number of rows in a written part; they are kept in memory until it is written, some 30 kB each."""
-_MOST_ROWS = 100_000
-"""Greatest number of rows in a part that is read, since many equal rows fit into a tiny file."""
 
 _SCHEMA = "failbench.dataset"
 _TEMPORARY = ".unfinished-"
@@ -58,7 +58,7 @@ class Dataset:
         """The sweep that made the dataset."""
         from failbench.sweeps.work import Sweep
 
-        return Sweep.from_document(self.manifest["sweep"])
+        return Sweep.from_document(self.manifest["sweep"], f"sweep of {MANIFEST}")
 
 
 def check_arrow() -> None:
@@ -133,13 +133,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     file = folder / MANIFEST
     try:
-        manifest = json.loads(read_content(file))
+        manifest = parse_json(read_content(file), str(file))
     except FileNotFoundError:
         raise FormatError(str(file), "missing: not a dataset, or an unfinished one") from None
     except OSError as error:
         raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
-        raise FormatError(str(file), f"damaged: {error}") from None
     if not isinstance(manifest, dict) or manifest.get("schema") != _SCHEMA:
         raise FormatError(str(file), "not a manifest of a dataset")
     if manifest.get("version") not in range(1, VERSION + 1):
@@ -249,7 +247,6 @@ def _files(folder: Path) -> Iterator[Path]:
 
 def _read_part(file: Path, part: Mapping[str, Any], version: int) -> pa.Table:
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
         content = read_content(file)
@@ -259,14 +256,12 @@ def _read_part(file: Path, part: Mapping[str, Any], version: int) -> pa.Table:
         raise FormatError(str(file), f"damaged: {len(content)} bytes, {part['bytes']} were written")
     if hashlib.sha256(content).hexdigest() != part["sha256"]:
         raise FormatError(str(file), "damaged: its checksum does not match")
+    expected = arrow_schema(file.parent.name, version)
+    refusal = f"wrong columns for {file.parent.name}"
     # Parse exactly the bytes that were checked.
-    try:
-        rows = pq.read_metadata(pa.BufferReader(content)).num_rows
-        read = pq.read_table(pa.BufferReader(content)) if rows == part["rows"] <= _MOST_ROWS else None
-    except (pa.ArrowException, OSError) as error:
-        raise FormatError(str(file), f"not Parquet: {error}") from None
-    if read is None or not read.schema.equals(arrow_schema(file.parent.name, version)):
-        raise FormatError(str(file), f"wrong columns or number of rows for {file.parent.name}")
+    read = read_bounded(content, str(file), lambda found: None if found.equals(expected) else refusal)
+    if read.num_rows != part["rows"]:
+        raise FormatError(str(file), f"{read.num_rows} rows, {part['rows']} were written")
     schema = arrow_schema(file.parent.name)
     for place, name in enumerate(schema.names):
         if name not in read.schema.names:

@@ -16,6 +16,7 @@ from typing import Protocol, cast, runtime_checkable
 from failbench.basics.chunks import Chunk, ChunkOutcome, Work, attempt
 from failbench.basics.errors import WorkerError
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_whole, plain_numbers
 
 MAX_KILLS = 3
 """Number of worker deaths after which a chunk counts as failed."""
@@ -37,9 +38,9 @@ class Executor(Protocol):
 
 def checked_workers(workers: int) -> int:
     """Return the number of workers; 0 means one per core."""
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
+    if not is_whole(workers) or workers < 0:
         raise SettingError("workers", workers, "a whole number, at least 0 (0: one for each core)")
-    return workers or len(os.sched_getaffinity(0))
+    return int(workers) or len(os.sched_getaffinity(0))
 
 
 def died(chunk: Chunk, kills: int, how: str) -> ChunkOutcome:
@@ -58,6 +59,7 @@ class LocalExecutor:
     workers: int = 0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         checked_workers(self.workers)
 
     def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[ChunkOutcome]:

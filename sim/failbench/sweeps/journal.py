@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import sqlite3
 import zlib
 from collections.abc import Generator, Mapping
@@ -16,14 +17,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+from urllib.parse import quote
 
-from failbench.basics.chunks import Chunk, ChunkOutcome, Rows
+from failbench.basics.chunks import Chunk, ChunkOutcome
 from failbench.basics.errors import SweepBusy
 from graceful_plan.exceptions import FormatError, read_error_reason
 from graceful_plan.regular_file import check_regular
+from graceful_plan.untrusted_json import parse_json
 
 _SCHEMA = "failbench.journal"
 _VERSION = 1
+_MOST_BYTES = 2**26
+"""Largest size of the rows of a chunk as JSON [bytes]; a rollout has some 30 kB."""
 _TABLES = (
     "CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT",
     "CREATE TABLE chunks (id INTEGER PRIMARY KEY, name TEXT NOT NULL, rows BLOB, error TEXT NOT NULL) STRICT",
@@ -47,9 +52,13 @@ class SweepJournal:
 
     def __init__(self, file: Path) -> None:
         self.file = file
+        self.read_only = file.exists() and not os.access(file.parent, os.W_OK)
+        """Whether the folder cannot be written, so that nothing can be recorded."""
         with self._errors():
             check_regular(file)
-            self._database = sqlite3.connect(file, timeout=0.0, isolation_level=None)
+            # SQLite cannot keep a write-ahead log in such a folder, not even an empty one.
+            name = f"file:{quote(str(file.resolve()))}?immutable=1" if self.read_only else file
+            self._database = sqlite3.connect(name, timeout=0.0, isolation_level=None, uri=self.read_only)
         try:
             with self._errors():
                 self._open()
@@ -58,25 +67,34 @@ class SweepJournal:
             raise
 
     def _open(self) -> None:
-        self._database.execute("PRAGMA locking_mode=EXCLUSIVE")
-        if self._database.execute("PRAGMA journal_mode=WAL").fetchone() != ("wal",):
-            raise FormatError(str(self.file), "a write-ahead log is not possible there")
-        self._database.execute("PRAGMA synchronous=FULL")
-        self._database.execute("BEGIN IMMEDIATE")  # takes the lock, which is then kept
-        self._database.execute("COMMIT")
+        if self.read_only:
+            log = self.file.with_name(f"{self.file.name}-wal")
+            if log.exists() and log.stat().st_size:
+                raise FormatError(str(self.file), f"its folder cannot be written, and {log.name} is not yet part of it")
+        else:
+            self._lock()
         problems = self._database.execute("PRAGMA quick_check(1)").fetchone()
         if problems != ("ok",):
             raise FormatError(str(self.file), f"damaged: {problems[0]}")
-        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
-        self.begun = bool(tables)
+        # The statements are compared, because other tables may hold other types, and triggers run on every change.
+        found = {sql for (sql,) in self._database.execute("SELECT sql FROM sqlite_schema WHERE sql IS NOT NULL")}
+        self.begun = bool(found)
         """Whether the journal contains a sweep."""
-        if self.begun and tables != {"about", "chunks"}:
+        if self.begun and found != set(_TABLES):
             raise FormatError(str(self.file), "a database, but not a journal of a sweep")
         if self.begun and (self._about("schema"), self._about("version")) != (_SCHEMA, _VERSION):
             found = f"{self._about('schema')} version {self._about('version')}"
             raise FormatError(str(self.file), f"{found}; this version reads {_SCHEMA} version {_VERSION}")
         if self.begun and self._about("sha256") != _checksum(self._about("about")):
             raise FormatError(str(self.file), "damaged: the sweep's description does not match its checksum")
+
+    def _lock(self) -> None:
+        self._database.execute("PRAGMA locking_mode=EXCLUSIVE")
+        if self._database.execute("PRAGMA journal_mode=WAL").fetchone() != ("wal",):
+            raise FormatError(str(self.file), "a write-ahead log is not possible there")
+        self._database.execute("PRAGMA synchronous=FULL")
+        self._database.execute("BEGIN IMMEDIATE")  # takes the lock, which is then kept
+        self._database.execute("COMMIT")
 
     def __enter__(self) -> SweepJournal:
         return self
@@ -129,21 +147,31 @@ class SweepJournal:
             found = self._database.execute("SELECT id, error FROM chunks WHERE rows IS NULL ORDER BY id")
             return dict(found.fetchall())
 
-    def rows(self, chunk: Chunk) -> Rows:
-        """Return the rows of a finished chunk.
+    def rows(self, chunk: Chunk) -> Any:
+        """Return the rows of a finished chunk, as they were recorded; `check_rows` checks them.
 
         Raises:
             KeyError: If the chunk is not finished.
+            FormatError: If they are damaged or too large.
         """
         with self._errors():
-            found = self._database.execute("SELECT rows FROM chunks WHERE id = ?", (chunk.index,)).fetchone()
+            found = self._database.execute("SELECT length(rows) FROM chunks WHERE id = ?", (chunk.index,)).fetchone()
             if found is None or found[0] is None:
                 raise KeyError(chunk.name)
-            return json.loads(zlib.decompress(found[0]))
+            if found[0] > _MOST_BYTES:
+                raise FormatError(str(self.file), f"the rows of {chunk.name} are larger than {_MOST_BYTES} bytes")
+            (packed,) = self._database.execute("SELECT rows FROM chunks WHERE id = ?", (chunk.index,)).fetchone()
+            unpack = zlib.decompressobj()
+            text = unpack.decompress(packed, _MOST_BYTES)
+            if not unpack.eof:
+                raise FormatError(
+                    str(self.file), f"the rows of {chunk.name} are cut, or larger than {_MOST_BYTES} bytes"
+                )
+            return parse_json(text, str(self.file))
 
     def _about(self, key: str) -> Any:
         found = self._database.execute("SELECT value FROM about WHERE key = ?", (key,)).fetchone()
-        return None if found is None else json.loads(found[0])
+        return None if found is None else parse_json(found[0], str(self.file))
 
     @contextmanager
     def _transaction(self) -> Generator[None]:
@@ -167,5 +195,5 @@ class SweepJournal:
             raise FormatError(str(self.file), f"cannot be used: {error}") from None
         except OSError as error:
             raise FormatError(str(self.file), read_error_reason(error)) from None
-        except (sqlite3.DatabaseError, zlib.error, json.JSONDecodeError, UnicodeDecodeError) as error:
+        except (sqlite3.DatabaseError, zlib.error, UnicodeDecodeError) as error:
             raise FormatError(str(self.file), f"damaged, or not a journal of a sweep: {error}") from None

@@ -18,6 +18,7 @@ from failbench.basics.chunks import Chunk, ChunkOutcome, Work, attempt
 from failbench.basics.errors import MissingExtra, WorkerError
 from failbench.basics.versions import versions
 from failbench.sweeps.executors import MAX_KILLS, checked_workers, died
+from graceful_plan.path import plain_numbers
 
 _AHEAD = 2
 """Chunks submitted per worker, so that none waits for the driver."""
@@ -41,6 +42,7 @@ class RayExecutor:
     address: str | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         checked_workers(self.workers)
 
     def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[ChunkOutcome]:

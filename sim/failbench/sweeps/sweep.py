@@ -18,14 +18,15 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from failbench.basics.chunks import Chunk
+from failbench.basics.chunks import Chunk, Rows
 from failbench.basics.errors import ExecutionRefused, SweepFailed
+from failbench.basics.tables import check_rows
 from failbench.basics.versions import versions
 from failbench.fault.registry import to_document
 from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.card import write_card
-from failbench.sweeps.dataset import check_arrow, write_dataset
+from failbench.sweeps.dataset import check_arrow, read_dataset, write_dataset
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion, execution_of, fault_of, own_file, run_chunk
@@ -192,16 +193,39 @@ def _finish(journal: SweepJournal, folder: Path, executor: Executor | None, call
     sweep = Sweep.from_document(about["sweep"], str(journal.file))
     done = journal.done()
     todo = [chunk for chunk in sweep.chunks if chunk.index not in done]
+    if todo and journal.read_only:
+        raise FormatError(str(folder), f"cannot be written, and {len(todo)} of {len(sweep.chunks)} chunks are not done")
     if todo:
         _check_circumstances(journal, sweep)
         _do(sweep, todo, journal, executor or LocalExecutor(), callback)
     errors = journal.errors()
     if errors:
         raise SweepFailed(folder, list(errors.values()), len(sweep.chunks))
-    rows = (journal.rows(chunk) for chunk in sweep.chunks)
+    if journal.read_only:
+        return _finished(journal, folder, sweep)
+    rows = (_rows(journal, sweep, chunk) for chunk in sweep.chunks)
     manifest = write_dataset(folder, rows, {"sweep": about["sweep"], "versions": about["versions"]})
     write_card(folder, sweep, manifest)
     return Generated(folder=folder, manifest=manifest, healthy=_healthy(journal, sweep))
+
+
+def _finished(journal: SweepJournal, folder: Path, sweep: Sweep) -> Generated:
+    """Return the complete sweep of a folder that cannot be written.
+
+    Raises:
+        FormatError: If its dataset is missing or damaged, or of another sweep.
+    """
+    manifest = dict(read_dataset(folder).manifest)
+    if manifest["sweep"] != journal.about["sweep"]:
+        raise FormatError(str(folder), "cannot be written, and its dataset is of another sweep than its journal")
+    return Generated(folder=folder, manifest=manifest, healthy=_healthy(journal, sweep))
+
+
+def _rows(journal: SweepJournal, sweep: Sweep, chunk: Chunk) -> Rows:
+    """Return the checked rows of a finished chunk."""
+    rows = journal.rows(chunk)
+    check_rows(rows, sweep.first_rollout(chunk), chunk.last - chunk.first, str(journal.file))
+    return rows
 
 
 def _healthy(journal: SweepJournal, sweep: Sweep) -> dict[str, tuple[float, float]]:
@@ -210,7 +234,7 @@ def _healthy(journal: SweepJournal, sweep: Sweep) -> dict[str, tuple[float, floa
     for chunk in sweep.chunks:
         name = sweep.motions[chunk.motion].name
         if name not in found:
-            row = journal.rows(chunk)["rollouts"][0]
+            row = _rows(journal, sweep, chunk)["rollouts"][0]
             found[name] = row.get("healthy_harm") or 0.0, row.get("healthy_spilled") or 0.0
     return {name: both for name, both in found.items() if any(both)}
 

@@ -20,8 +20,10 @@ from failbench.simulated.world import SimSettings, World, build_world
 from failbench.surroundings.registry import Disturbance, disturbances, scene_with_intruder
 from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory
-from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
+from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError, naming
 from graceful_plan.formats.samples import text_of
+from graceful_plan.path import plain_numbers
+from graceful_plan.untrusted_json import parse_json
 
 _SCHEMA = "failbench.sweep"
 _VERSION = 1
@@ -112,6 +114,7 @@ class Sweep:
     settings: SimSettings = SimSettings()
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         names = [motion.name for motion in self.motions]
         if not names or len(set(names)) < len(names):
             raise SettingError("motions", names, "at least one, all of different names")
@@ -188,6 +191,11 @@ class Sweep:
             FormatError: If it is not such a document, or of another version.
             SettingError: If a setting is out of its range.
         """
+        with naming(source):
+            return cls._read(document, source)
+
+    @classmethod
+    def _read(cls, document: Any, source: str) -> Sweep:
         own = {field.name for field in fields(cls)}
         _check_keys(source, document, {"schema", "version", *own})
         for key, value in (("schema", _SCHEMA), ("version", _VERSION)):
@@ -214,13 +222,11 @@ class Sweep:
             FormatError: If the file cannot be read or holds no such document, or a setting is out of its range.
         """
         try:
-            return cls.from_document(json.loads(text_of(file, lambda _: False, "JSON")[1]), str(file))
+            return cls.from_document(parse_json(text_of(file, lambda _: False, "JSON")[1], str(file)), str(file))
         except FormatError as error:
             raise FormatError(str(file), error.problem) from None
         except GracefulPlanError as error:
             raise FormatError(str(file), str(error)) from None
-        except (ValueError, RecursionError) as error:
-            raise FormatError(str(file), f"not JSON: {error}") from None
 
     @property
     def question(self) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from failbench.rollouts.sampling import check_whole
 from failbench.rollouts.single import rollout_steps
 from failbench.simulated.states import warnings_counted_only
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 
 Array = np.ndarray
 Rows = dict[str, list[dict[str, Any]]]
@@ -46,6 +47,7 @@ class Sampling:
     camera: str | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         check_whole("every", self.every, 1)
         check_whole("images", self.images, 0)
         if self.images % self.every:

@@ -44,7 +44,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import Objective
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import Path, finite_array, is_real
+from graceful_plan.path import Path, finite_array, is_real, plain_numbers, real_array
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -77,6 +77,7 @@ class RiskMeasure:
     level: float = 0.9
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if self.kind not in MEASURES:
             raise UnknownNameError("risk measure", str(self.kind), MEASURES)
         check_level(self.level)
@@ -152,7 +153,7 @@ class Risk:
         Raises:
             SettingError: If it is NaN.
         """
-        limit = np.asarray(impact, dtype=np.float64)
+        limit = real_array("impact", impact)
         if np.any(np.isnan(limit)):
             raise SettingError("impact", impact, "numbers")
         at_most = np.append(0.0, np.cumsum(self.probability))

@@ -24,7 +24,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, real_array
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -151,7 +151,7 @@ def severity_sensitivity(
 
 
 def _motion(path: Path | Trajectory | ArrayLike) -> Path | Trajectory | Array:
-    return path if isinstance(path, Path | Trajectory) else np.asarray(path, dtype=float)
+    return path if isinstance(path, Path | Trajectory) else real_array("path", path)
 
 
 def sensitivity_to(

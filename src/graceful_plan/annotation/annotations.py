@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, final
@@ -11,8 +12,8 @@ from typing import Any, final
 import yaml
 
 from graceful_plan.annotation.questions import MOST_FRAGILITY, entity_classes
-from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import is_real
+from graceful_plan.exceptions import SettingError, UnknownNameError, names_file
+from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.regular_file import path_of
 from graceful_plan.scene.elements import EntityAnnotation
 from graceful_plan.scene.harm.fragility import FragilityTable
@@ -53,12 +54,17 @@ class Annotation:
     reason: str = ""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (is_real(self.fragility) and 0.0 < self.fragility <= MOST_FRAGILITY):
             raise SettingError("fragility", self.fragility, f"a number above 0 and at most {MOST_FRAGILITY:g}")
         if not (is_real(self.significance) and 0.0 <= self.significance <= 1.0):
             raise SettingError("significance", self.significance, "a number from 0 to 1")
         row = {name: check_severity(f"severity of {name}", value) for name, value in self.severity.items()}
         object.__setattr__(self, "severity", MappingProxyType(row))
+
+    def __reduce__(self) -> tuple[partial[Annotation], tuple[()]]:
+        # Read-only mappings cannot be pickled.
+        return partial(Annotation, **{**vars(self), "severity": dict(self.severity)}), ()
 
 
 @final
@@ -83,6 +89,9 @@ class Annotations:
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", MappingProxyType(dict(self.rows)))
 
+    def __reduce__(self) -> tuple[partial[Annotations], tuple[()]]:
+        return partial(Annotations, **{**vars(self), "rows": dict(self.rows)}), ()
+
     def to_document(self) -> dict[str, Any]:
         """Return the content of the file as a dictionary."""
         rows = {
@@ -106,6 +115,7 @@ class Annotations:
         Path(file).write_text(_HEAD + text, encoding="utf-8")
 
     @classmethod
+    @names_file
     def load(cls, file: str | Path, table: SeverityTable | None = None) -> Annotations:
         """Read a YAML file written by `save`; severities may be missing.
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from graceful_plan.annotation.annotations import Annotation, Annotations
 from graceful_plan.annotation.answers import read_answer
 from graceful_plan.annotation.endpoint import Endpoint
 from graceful_plan.annotation.questions import complaint, question
 from graceful_plan.exceptions import AnnotationError, SceneError, SettingError
+from graceful_plan.path import is_whole
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.entity_views import entity_views
 
@@ -51,7 +53,7 @@ def annotate(
         SceneError: If the scene has no entities.
     """
     server = Endpoint(url=endpoint, model=model, key_variable=key_variable, timeout=timeout)
-    if isinstance(together, bool) or not isinstance(together, int) or together < 1:
+    if not is_whole(together) or together < 1:
         raise SettingError("together", together, "a whole number of at least 1")
     names = list(scene.entities)
     if not names:
@@ -70,7 +72,16 @@ def _asked(
     messages = question(scene, names, views)
     answer = server.ask(messages)
     try:
-        return read_answer(answer, names, scene.notes.severity)
+        return _read(server, answer, names, scene)
     except AnnotationError as error:
         again = complaint(answer[:_REPEATED], error.problems)
-    return read_answer(server.ask([*messages, *again]), names, scene.notes.severity)
+    return _read(server, server.ask([*messages, *again]), names, scene)
+
+
+def _read(server: Endpoint, answer: str, names: Sequence[str], scene: Scene) -> dict[str, Annotation]:
+    """Read an answer; no text that is kept or shown contains the key."""
+    try:
+        rows = read_answer(answer, names, scene.notes.severity)
+    except AnnotationError as error:
+        raise AnnotationError(map(server.without_key, error.problems)) from None
+    return {name: replace(row, reason=server.without_key(row.reason)) for name, row in rows.items()}

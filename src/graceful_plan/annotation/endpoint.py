@@ -6,19 +6,25 @@ read from an environment variable at each request; no object, message or file co
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import re
+import socket
+import ssl
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from http.client import HTTPException, HTTPResponse
+from functools import partial
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from typing import Any, final
 from urllib.parse import SplitResult, urlsplit, urlunsplit
 
 from graceful_plan._version import __version__
 from graceful_plan.exceptions import EndpointError, SettingError
+from graceful_plan.path import is_real, plain_numbers
 
 MAX_ANSWER = 2_000_000
 """Maximum size of an answer [bytes]."""
@@ -50,10 +56,11 @@ class Endpoint:
     timeout: float = 60.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         parts = _split(self.url)
         if not isinstance(self.model, str) or not self.model.strip():
             raise SettingError("model", self.model, "the name of a model")
-        if isinstance(self.timeout, bool) or not isinstance(self.timeout, int | float) or not 0 < self.timeout < 1e6:
+        if not is_real(self.timeout) or not 0 < self.timeout < 1e6:
             raise SettingError("timeout", self.timeout, "seconds above 0, below a million")
         if self.key_variable is not None:
             if not isinstance(self.key_variable, str) or not self.key_variable.isidentifier():
@@ -83,14 +90,18 @@ class Endpoint:
             headers["Authorization"] = f"Bearer {key}"
         request = urllib.request.Request(url, json.dumps(document).encode(), headers, method="POST")
         try:
-            with _opener(parts).open(request, timeout=self.timeout) as response:
+            with _opener(parts, time.monotonic() + self.timeout).open(request, timeout=self.timeout) as response:
                 content = self._bounded(response)
         except urllib.error.HTTPError as error:
             with error:
                 raise EndpointError(self.name, _refusal(error, key)) from None
         except (OSError, HTTPException, ValueError) as error:
             raise EndpointError(self.name, _without(_reason(error, self.timeout), key)) from None
-        return self._said(_without(content.decode("utf-8", "replace"), key))
+        return _without(self._said(_without(content.decode("utf-8", "replace"), key)), key)
+
+    def without_key(self, text: str) -> str:
+        """Remove the key from a text that was decoded from an answer: there, it may have been escaped once more."""
+        return _without(text, self._key())
 
     def _key(self) -> str:
         if self.key_variable is None:
@@ -102,14 +113,12 @@ class Endpoint:
         return key
 
     def _bounded(self, response: HTTPResponse) -> bytes:
-        """Read a response with limits on time and size."""
-        until, content = time.monotonic() + self.timeout, b""
+        """Read a response with a limit on its size."""
+        content = b""
         while part := response.read1(65_536):
             content += part
             if len(content) > MAX_ANSWER:
                 raise EndpointError(self.name, f"the answer is longer than {MAX_ANSWER} bytes")
-            if time.monotonic() > until:
-                raise TimeoutError
         return content
 
     def _said(self, text: str) -> str:
@@ -149,12 +158,66 @@ def _split(url: object) -> SplitResult:
     return parts
 
 
-def _opener(parts: SplitResult) -> urllib.request.OpenerDirector:
+class _TimedFile(io.RawIOBase):
+    """Reads from a socket until a moment: the timeout of a socket holds for each read, and a server can trickle."""
+
+    def __init__(self, sock: socket.socket, until: float) -> None:
+        self._socket, self._until, self._file = sock, until, sock.makefile("rb", buffering=0)
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any, /) -> int | None:
+        remaining = self._until - time.monotonic()
+        if remaining <= 0.0:
+            raise TimeoutError
+        self._socket.settimeout(remaining)
+        return self._file.readinto(buffer)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
+class _TimedResponse(HTTPResponse):
+    """A response whose headers and body arrive before a moment, or not at all."""
+
+    def __init__(self, sock: socket.socket, *args: Any, until: float, **settings: Any) -> None:
+        super().__init__(sock, *args, **settings)
+        self.fp.close()
+        self.fp = io.BufferedReader(_TimedFile(sock, until))
+
+
+class _Handler(urllib.request.AbstractHTTPHandler):
+    """Opens HTTP and HTTPS.
+
+    Args:
+        until: Moment by which a response has to be there, on the monotonic clock [s].
+    """
+
+    def __init__(self, until: float) -> None:
+        super().__init__()
+        self.until = until
+
+    def http_open(self, request: urllib.request.Request) -> HTTPResponse:
+        return self.do_open(partial(self._connection, HTTPConnection), request)
+
+    def https_open(self, request: urllib.request.Request) -> HTTPResponse:
+        return self.do_open(partial(self._connection, HTTPSConnection), request, context=ssl.create_default_context())
+
+    http_request = https_request = urllib.request.AbstractHTTPHandler.do_request_
+
+    def _connection(self, kind: type[HTTPConnection], host: str, **settings: Any) -> HTTPConnection:
+        connection = kind(host, **settings)
+        connection.response_class = partial(_TimedResponse, until=self.until)  # type: ignore[assignment]
+        return connection
+
+
+def _opener(parts: SplitResult, until: float) -> urllib.request.OpenerDirector:
     """Return an opener for HTTP and HTTPS that opens no files and follows no redirections."""
     opener = urllib.request.OpenerDirector()
     handlers: list[urllib.request.BaseHandler] = [
-        urllib.request.HTTPHandler(),
-        urllib.request.HTTPSHandler(),
+        _Handler(until),
         urllib.request.HTTPDefaultErrorHandler(),
         urllib.request.HTTPErrorProcessor(),
     ]
@@ -183,8 +246,11 @@ def _reason(error: Exception, timeout: float) -> str:
 
 
 def _without(text: str, key: str) -> str:
-    """Remove the key from a response."""
-    return text.replace(key, _HIDDEN) if key else text
+    """Remove the key from a response, also if characters of it are escaped as in JSON, once or several times."""
+    if not key:
+        return text
+    pattern = "".join(rf"(?:{re.escape(c)}|\\+u00(?i:{ord(c):02x}))" for c in key)
+    return re.sub(pattern, _HIDDEN, text)
 
 
 def _shown(text: str) -> str:

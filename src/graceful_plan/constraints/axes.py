@@ -13,7 +13,7 @@ from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers, real_array
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule, Vector, checked_frame
 from graceful_plan.scene.scene import Scene
@@ -40,6 +40,7 @@ class AxisWithin(Constraint):
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name in ("axis", "direction"):
             object.__setattr__(self, name, _unit(name, getattr(self, name)))
         _check_angle("angle", self.angle)
@@ -74,6 +75,7 @@ class Upright(Constraint):
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         _check_angle("max_tilt", self.max_tilt)
 
     def rule(self, scene: Scene) -> AxisRule:
@@ -125,7 +127,7 @@ def _check_angle(name: str, angle: float) -> None:
 
 
 def _unit(name: str, value: Vector) -> Vector:
-    array = np.asarray(value, dtype=float)
+    array = real_array(name, value)
     length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
     if not (np.isfinite(length) and length > 0.0):
         raise SettingError(name, value, "three finite numbers, not all 0")

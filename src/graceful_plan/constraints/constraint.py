@@ -13,7 +13,8 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import Contract, StateBatch
-from graceful_plan.exceptions import CostError
+from graceful_plan.exceptions import CostError, ShapeError
+from graceful_plan.path import real_array
 from graceful_plan.scene.rules.rules import CustomRule, Rule
 from graceful_plan.scene.scene import Scene
 
@@ -68,7 +69,10 @@ def checked_residual(constraint: Constraint, batch: StateBatch) -> Float[Array, 
     Raises:
         CostError: If it returns the wrong shape, a NaN or an infinity.
     """
-    value = np.asarray(constraint.residual(batch), dtype=np.float64)
+    try:
+        value = real_array("residual()", constraint.residual(batch))
+    except ShapeError as error:
+        raise CostError(constraint, str(error)) from None
     if value.shape != (len(batch),):
         raise CostError(
             constraint, f"residual() returned shape {value.shape} for {len(batch)} states, expected ({len(batch)},)"
@@ -83,7 +87,7 @@ def residual_gradient(constraint: Constraint, batch: StateBatch) -> Float[Array,
     """Return the gradient of a residual, by central differences if the constraint has none."""
     own = constraint.gradient(batch)
     if own is not None:
-        return np.asarray(own, dtype=np.float64)
+        return real_array("gradient()", own)
     n, nq = batch.q.shape
     nudges = _NUDGE * np.concatenate([np.eye(nq), -np.eye(nq)])
     around = StateBatch(batch.scene, (batch.q[:, None] + nudges).reshape(-1, nq))

@@ -16,7 +16,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.scene.rules.rules import AxisRule, ContentsRule
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 from graceful_plan.scene.scene import Scene
@@ -55,6 +55,7 @@ class KeepContents(SpecificForceConstraint):
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (is_real(self.share) and 0.0 < self.share <= 1.0):
             raise SettingError("share", self.share, "above 0 and at most 1")
 

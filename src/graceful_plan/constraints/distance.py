@@ -14,6 +14,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.rules.rules import DistanceRule
 from graceful_plan.scene.scene import Scene
@@ -38,6 +39,7 @@ class KeepDistance(Constraint):
     metres: float
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (np.isfinite(self.metres) and self.metres > 0.0):
             raise SettingError("metres", self.metres, "a finite distance above 0 m")
 

@@ -31,7 +31,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.grip import Grip, find_grip
 from graceful_plan.scene.rules.rules import AxisRule, GripRule
@@ -69,6 +69,7 @@ class GraspHolds(SpecificForceConstraint):
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name, value in (("friction", self.friction), ("force", self.force)):
             if value is not None and not (is_real(value) and 0.0 < value < np.inf):
                 raise SettingError(name, value, "a finite number above 0")

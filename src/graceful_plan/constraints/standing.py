@@ -22,7 +22,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.rules import AxisRule, StandsRule
 from graceful_plan.scene.scene import Scene
@@ -58,6 +58,7 @@ class KeepStanding(SpecificForceConstraint):
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name in ("height", "support", "friction"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0.0):

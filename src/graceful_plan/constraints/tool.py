@@ -12,7 +12,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import finite_array, is_real
+from graceful_plan.path import finite_array, is_real, plain_numbers
 from graceful_plan.scene.rules.rules import BoxRule, SpeedRule, Vector
 from graceful_plan.scene.scene import Scene
 
@@ -78,6 +78,7 @@ class ToolSpeed(Constraint):
     within: float = 0.3
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name in ("limit", "within"):
             value = getattr(self, name)
             if not (is_real(value) and 0.0 < value < np.inf):

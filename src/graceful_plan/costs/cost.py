@@ -20,6 +20,7 @@ from graceful_plan.core.compile import CompiledScene, compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.clearance_target import kernels_for_target
 from graceful_plan.exceptions import CostError, SettingError, ShapeError
+from graceful_plan.path import real_array
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -269,7 +270,10 @@ def checked_state(cost: Cost, batch: StateBatch) -> Float[Array, " n"]:
         CostError: If it returns the wrong shape or a negative number.
         NonFiniteCostError: If it returns a NaN or an infinity.
     """
-    value = np.asarray(cost.state(batch), dtype=np.float64)
+    try:
+        value = real_array("state()", cost.state(batch))
+    except ShapeError as error:
+        raise CostError(cost, str(error)) from None
     if value.shape != (len(batch),):
         raise CostError(cost, f"state() returned shape {value.shape} for {len(batch)} states, expected ({len(batch)},)")
     if not np.all(np.isfinite(value)):

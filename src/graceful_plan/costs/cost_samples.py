@@ -42,7 +42,11 @@ def trajectory_batch(
         trajectory: The trajectory.
         t: Times on the clock of the trajectory.
         times: The same times on the clock of the scene's predictions, if known.
+
+    Raises:
+        SettingError: If the trajectory has the joints of the scene in another order.
     """
+    _check_order(trajectory.joints, scene.joints)
     state = trajectory.at(t)
     found = moving_batch(scene, state.q, state.qd, times)
 
@@ -52,6 +56,15 @@ def trajectory_batch(
         return later
 
     return StateBatch(scene, found.q, found.direction, found.speed, times, ahead)
+
+
+def _check_order(joints: tuple[str, ...], expected: tuple[str, ...]) -> None:
+    """Refuse columns of the scene's joints in another order; names of other programs are accepted."""
+    if joints != expected and sorted(joints) == sorted(expected):
+        valid = (
+            f"the order of the scene: {', '.join(expected)}; Trajectory.from_ros(message, scene.joints) sorts columns"
+        )
+        raise SettingError("joints of the trajectory", joints, valid)
 
 
 def _check_size(*parts: Float[Array, "..."]) -> None:

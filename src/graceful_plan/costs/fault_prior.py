@@ -25,7 +25,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import final
 
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import SettingError, UnknownNameError, names_file
+from graceful_plan.path import is_real
 from graceful_plan.regular_file import path_of
 from graceful_plan.yaml_file import Block, read_yaml
 
@@ -92,12 +93,15 @@ class FaultPrior:
         for fault, rate in self.rates.items():
             if fault not in self.effects:
                 raise UnknownNameError("fault", fault, self.effects)
-            if not _is_number(rate) or not 0.0 <= rate < math.inf:
+            if not is_real(rate) or not 0.0 <= rate < math.inf:
                 raise SettingError(f"rate of {fault}", rate, "a finite number of at least 0 [1/h]")
         if not 0.0 < sum(self.rates.values()) < math.inf:
             raise SettingError("rates", dict(self.rates), "a positive one at least, and a finite sum [1/h]")
         rates = {fault: float(self.rates[fault]) for fault in self.effects if fault in self.rates}
-        effects = {fault: MappingProxyType(dict(row)) for fault, row in self.effects.items()}
+        effects = {
+            fault: MappingProxyType({name: float(share) for name, share in row.items()})
+            for fault, row in self.effects.items()
+        }
         object.__setattr__(self, "rates", MappingProxyType(rates))
         object.__setattr__(self, "effects", MappingProxyType(effects))
 
@@ -123,6 +127,7 @@ class FaultPrior:
         return _preset(name, degree)
 
     @classmethod
+    @names_file
     def load(cls, file: str | Path, name: str | None = None, *, degree: str = "severe") -> FaultPrior:
         """Read a prior from a YAML file laid out like `faults.yaml`.
 
@@ -217,15 +222,11 @@ def presets() -> tuple[str, ...]:
     return tuple(_shipped_rates())
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _check_effects(fault: str, row: Mapping[str, float]) -> None:
     for generator, share in row.items():
         if generator not in GENERATORS:
             raise UnknownNameError("generator", generator, GENERATORS)
-        if not _is_number(share) or not 0.0 <= share <= 1.0:
+        if not is_real(share) or not 0.0 <= share <= 1.0:
             raise SettingError(f"effect of {fault} like {generator}", share, "a probability")
     if math.fsum(row.get(generator, 0.0) for generator in ARM) > 1.0 + _ROUNDING:
         raise SettingError(f"effects of {fault}", dict(row), f"a sum of at most 1 over {', '.join(ARM)}")

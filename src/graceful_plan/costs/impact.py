@@ -20,6 +20,7 @@ from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.costs.models.published.box_overlap import BoxOverlap
 from graceful_plan.costs.native_model import NativeModel, OwnLoss, moving_model
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.scene import Scene
@@ -71,6 +72,7 @@ class ImpactCost(Cost):
     own_loss: bool = True
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if isinstance(self.model, str) and self.model not in MODELS:
             raise UnknownNameError("interaction model", self.model, MODELS)
         if not isinstance(self.model, str | InteractionModel):

@@ -29,7 +29,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.slopes import CostSlopes
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import Path, is_real
+from graceful_plan.path import Path, is_real, plain_numbers
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
@@ -86,6 +86,7 @@ class Objective:
     exposure: str = "time"
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (is_real(self.w) and 0.0 <= self.w <= MAX_WEIGHT):
             raise SettingError("w", self.w, f"a number from 0 to {MAX_WEIGHT:g}")
         if self.exposure not in EXPOSURES:

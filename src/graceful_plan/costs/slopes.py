@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import Cost, StateBatch, checked_state, moving_batch
-from graceful_plan.exceptions import CostError
+from graceful_plan.exceptions import CostError, ShapeError
+from graceful_plan.path import real_array
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -99,7 +100,10 @@ class CostSlopes:
 
 
 def _checked(cost: Cost, gradient: ArrayLike, q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-    array = np.asarray(gradient, dtype=np.float64)
+    try:
+        array = real_array("gradient()", gradient)
+    except ShapeError as error:
+        raise CostError(cost, str(error)) from None
     if array.shape != q.shape:
         raise CostError(cost, f"gradient() returned shape {array.shape} for {len(q)} states, expected {q.shape}")
     if not np.all(np.isfinite(array)):

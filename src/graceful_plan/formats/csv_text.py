@@ -11,6 +11,9 @@ import numpy as np
 from graceful_plan.exceptions import FormatError
 from graceful_plan.formats.samples import UNITS, TimedSamples, from_columns, text_of
 
+MOST_CELLS = 10_000_000
+"""Largest number of cells to read; Python needs some 60 bytes for the text of each."""
+
 
 def to_csv(samples: TimedSamples) -> str:
     """Return the samples as CSV text."""
@@ -30,6 +33,8 @@ def from_csv(source: str | Path) -> TimedSamples:
         FormatError: If the text is not such a table; the message names the line.
     """
     name, text = text_of(source, lambda text: "\n" in text, "CSV")
+    if text.count(",") + text.count("\n") > MOST_CELLS:
+        raise FormatError(name, f"has more than {MOST_CELLS} numbers")
     try:
         rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
     except csv.Error as error:

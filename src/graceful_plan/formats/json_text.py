@@ -10,6 +10,7 @@ from typing import Any
 from graceful_plan.exceptions import FormatError
 from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, text_of
 from graceful_plan.path import finite_array
+from graceful_plan.untrusted_json import parse_json
 
 
 def to_json(samples: TimedSamples) -> str:
@@ -28,10 +29,7 @@ def from_json(source: str | Path) -> TimedSamples:
         NonFiniteError: If a number is NaN or infinite.
     """
     name, text = text_of(source, lambda text: text.lstrip().startswith("{"), "JSON")
-    try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(name, f"not JSON: {error}") from None
+    document = parse_json(text, name)
     _check(name, document)
     t, q, qd, qdd = (finite_array(key, document[key], ndim=1 if key == "t" else 2) for key in UNITS)
     return TimedSamples(t, q, qd, qdd, tuple(document["joints"]))

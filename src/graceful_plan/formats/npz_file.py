@@ -19,6 +19,8 @@ Array = np.ndarray
 
 MOST_BYTES = 2**30
 """Largest total size of the arrays of a file [bytes]."""
+_KINDS = "biufSU"
+"""Types of arrays that are read: truth values, real numbers and texts."""
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _BROKEN = (
     *READ_ERRORS,
@@ -67,6 +69,8 @@ def _size(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
         head: IO[Any] = content
         shape, _, dtype = _HEADERS[npy.read_magic(head)](head)
         size = math.prod(shape) * dtype.itemsize
-        if dtype.hasobject or min(shape, default=0) < 0 or size > member.file_size:
+        if dtype.kind not in _KINDS:
+            raise ValueError(f"{member.filename} has values of type {dtype}")
+        if min(shape, default=0) < 0 or size > member.file_size:
             raise ValueError(f"{member.filename} has {member.file_size} bytes for {dtype} {shape}")
         return size

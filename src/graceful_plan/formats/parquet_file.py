@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,8 +13,13 @@ from graceful_plan.exceptions import READ_ERRORS, FormatError, GracefulPlanError
 from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, from_columns
 from graceful_plan.regular_file import path_of, read_content
 
-MOST_NUMBERS = 2**27
-"""Largest number of rows times columns to read: a small file can hold huge runs of equal numbers."""
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MOST_VALUES = 2**24
+"""Largest number of values to read: a small file can hold huge runs of equal numbers."""
+MOST_BYTES = 2**28
+"""Largest size of the values to read [bytes]: a small file can hold one long text many times."""
 _KEYS = {b"schema": SCHEMA.encode(), b"version": str(VERSION).encode()}
 
 
@@ -55,30 +62,80 @@ def from_parquet(file: str | Path) -> TimedSamples:
         FormatError: If the file cannot be read, or has another format, version or unit.
     """
     check_arrow()
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     path = path_of(file)
     try:
         content = read_content(path)
     except READ_ERRORS as error:
         raise FormatError(str(file), read_error_reason(error)) from None
-    try:
-        said = pq.read_metadata(pa.BufferReader(content))
-        if said.num_rows * said.num_columns > MOST_NUMBERS:
-            raise FormatError(str(file), f"{said.num_rows} rows of {said.num_columns} columns are too many")
-        table = pq.read_table(pa.BufferReader(content))
-    except (pa.ArrowException, OSError) as error:
-        raise FormatError(str(file), f"not Parquet: {error}") from None
-    found = table.schema.metadata or {}
+    table = read_bounded(content, str(file), _problem)
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if column.null_count:
+            raise FormatError(str(file), f"column {name!r} has to hold numbers, but has nulls")
+    values = [column.to_numpy() for column in table.columns]
+    return from_columns(str(file), table.column_names, np.column_stack(values) if values else np.empty((0, 0)))
+
+
+def _problem(schema: pa.Schema) -> str | None:
+    """Return why columns are not those of a trajectory; None if they are."""
+    import pyarrow as pa
+
+    found = schema.metadata or {}
     for key, value in _KEYS.items():
         if found.get(key) != value:
             said = (found.get(key) or b"missing").decode(errors="replace")
-            raise FormatError(str(file), f"{key.decode()} is {said}, this version reads {value.decode()}")
-    for name, values in zip(table.column_names, table.columns, strict=True):
-        field = table.schema.field(name)
+            return f"{key.decode()} is {said}, this version reads {value.decode()}"
+    for field in schema:
         unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
-        if field.type != pa.float64() or unit != UNITS.get(name.partition(" ")[0]) or values.null_count:
-            raise FormatError(str(file), f"column {name!r} has to hold numbers, with its unit: {UNITS}")
-    values = [column.to_numpy() for column in table.columns]
-    return from_columns(str(file), table.column_names, np.column_stack(values) if values else np.empty((0, 0)))
+        if field.type != pa.float64() or unit != UNITS.get(field.name.partition(" ")[0]):
+            return f"column {field.name!r} has to hold numbers, with its unit: {UNITS}"
+    return None
+
+
+def read_bounded(content: bytes, source: str, problem: Callable[[pa.Schema], str | None]) -> pa.Table:
+    """Read untrusted Parquet; columns and sizes are checked before any values are read.
+
+    Args:
+        content: Content of the file.
+        source: Name of the file, for errors.
+        problem: Returns why a schema is refused; None if it is accepted.
+
+    Raises:
+        FormatError: If it is not Parquet, its schema is refused, or its values exceed `MOST_VALUES` or `MOST_BYTES`.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        said, schema = pq.read_metadata(pa.BufferReader(content)), pq.read_schema(pa.BufferReader(content))
+        if (refusal := problem(schema)) is not None:
+            raise FormatError(source, refusal)
+        groups = [said.row_group(i) for i in range(said.num_row_groups)]
+        columns = [group.column(k) for group in groups for k in range(group.num_columns)]
+        count, size = sum(c.num_values for c in columns), sum(c.total_uncompressed_size for c in columns)
+        if count > MOST_VALUES or size > MOST_BYTES or said.num_rows * max(1, said.num_columns) > MOST_VALUES:
+            raise FormatError(source, f"{said.num_rows} rows of {said.num_columns} columns are too many")
+        leaves = (said.schema.column(k) for k in range(len(said.schema)))
+        if texts := [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]:
+            packed = pq.read_table(pa.BufferReader(content), read_dictionary=texts)
+            if sum(_unpacked(chunk) for column in packed.columns for chunk in column.chunks) > MOST_BYTES:
+                raise FormatError(source, f"its texts have more than {MOST_BYTES} bytes")
+        return pq.read_table(pa.BufferReader(content))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(source, f"not Parquet: {error}") from None
+
+
+def _unpacked(array: pa.Array) -> int:
+    """Return the size of an array whose texts are written out instead of looked up in a dictionary [bytes]."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    if pa.types.is_dictionary(array.type):
+        lengths = pc.fill_null(pc.binary_length(array.dictionary), 0).to_numpy(zero_copy_only=False)
+        return int(lengths[array.indices.drop_null().to_numpy(zero_copy_only=False)].sum())
+    if pa.types.is_list(array.type):
+        return _unpacked(array.flatten())
+    if pa.types.is_struct(array.type):
+        return sum(map(_unpacked, array.flatten()))
+    return array.nbytes

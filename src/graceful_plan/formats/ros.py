@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from graceful_plan import untrusted_yaml
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 from graceful_plan.formats.samples import TimedSamples, text_of
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_whole
 
 Array = np.ndarray
 Names = Mapping[str, str] | Callable[[str], str]
@@ -24,13 +25,17 @@ Names = Mapping[str, str] | Callable[[str], str]
 NANO = 1_000_000_000
 
 
-def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
+def to_message(
+    samples: TimedSamples, names: Names | None = None, *, frame: str = "", accelerations: bool = False
+) -> dict[str, Any]:
     """Return the message as a dictionary of its fields.
 
     Args:
         samples: The samples; the first one gets time 0.
         names: Maps joint names here to names in the message; by default they are equal.
         frame: `header.frame_id`.
+        accelerations: Whether to send accelerations. Without them, controllers interpolate by cubics, as trajectories
+            do.
 
     Raises:
         UnknownNameError: If `names` is a mapping that lacks a joint.
@@ -45,7 +50,7 @@ def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str 
         {
             "positions": q,
             "velocities": qd,
-            "accelerations": qdd,
+            "accelerations": qdd if accelerations else [],
             "effort": [],
             "time_from_start": {"sec": time // NANO, "nanosec": time % NANO},
         }
@@ -123,11 +128,10 @@ def _opened(source: Any) -> tuple[str, Any]:
     """Return the label of a message in errors, and the message."""
     if not isinstance(source, str | Path):
         return "message", source
-    label, text = text_of(source, lambda text: "\n" in text or text.lstrip().startswith("{"), "YAML")
-    try:
-        return label, yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise FormatError(label, f"not YAML: {error}") from None
+    label, text = text_of(
+        source, lambda text: "\n" in text or text.lstrip().startswith("{"), "YAML", untrusted_yaml.MOST_BYTES
+    )
+    return label, untrusted_yaml.parse_yaml_values(text, label)
 
 
 def _field(label: str, message: Any, name: str) -> Any:
@@ -162,8 +166,7 @@ def _columns(label: str, given: list[str], wanted: Sequence[str]) -> list[int]:
 
 def _seconds(label: str, duration: Any) -> float:
     sec, nano = (_field(label, duration, key) for key in ("sec", "nanosec"))
-    whole = all(isinstance(x, int | np.integer) and not isinstance(x, bool) for x in (sec, nano))
-    if not whole or not (0 <= sec < 2**31 and 0 <= nano < NANO):
+    if not (is_whole(sec) and is_whole(nano) and 0 <= sec < 2**31 and 0 <= nano < NANO):
         raise FormatError(label, "sec and nanosec of time_from_start have to be whole numbers, nanosec below a second")
     return (int(sec) * NANO + int(nano)) / NANO
 
@@ -186,7 +189,8 @@ def _cubic(t: Float[Array, " time"], q: Float[Array, "time nq"], qd: Float[Array
     if len(t) == 1:
         return np.zeros_like(q)
     h = np.diff(t)[:, None]
-    mean = np.diff(q, axis=0) / h
-    begins = (6.0 * mean - 4.0 * qd[:-1] - 2.0 * qd[1:]) / h
-    last = (-6.0 * mean[-1] + 2.0 * qd[-2] + 4.0 * qd[-1]) / h[-1]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # Trajectory refuses times that do not increase
+        mean = np.diff(q, axis=0) / h
+        begins = (6.0 * mean - 4.0 * qd[:-1] - 2.0 * qd[1:]) / h
+        last = (-6.0 * mean[-1] + 2.0 * qd[-2] + 4.0 * qd[-1]) / h[-1]
     return np.concatenate([begins, last[None]])

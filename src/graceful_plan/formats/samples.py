@@ -10,7 +10,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
-from graceful_plan.regular_file import path_of, read_content
+from graceful_plan.regular_file import MOST_BYTES, path_of, read_content
 
 Array = np.ndarray
 
@@ -51,22 +51,25 @@ def from_columns(source: str, names: list[str], table: Float[Array, "time column
     return TimedSamples(table[:, 0], q, qd, qdd, joints)
 
 
-def text_of(source: str | Path, is_text: Callable[[str], bool], kind: str) -> tuple[str, str]:
+def text_of(source: str | Path, is_text: Callable[[str], bool], kind: str, most: int = MOST_BYTES) -> tuple[str, str]:
     """Return the label of a source in errors, and its text.
 
     Args:
         source: A file, or the text itself.
         is_text: Returns whether a string is the text itself rather than a file name.
         kind: Name of the format for messages, such as "JSON".
+        most: Largest size of a file or text [bytes].
 
     Raises:
-        FormatError: If the file cannot be read, or is not text.
+        FormatError: If the file cannot be read, is not text, or is too large.
     """
     if isinstance(source, str) and is_text(source):
+        if len(source) > most:
+            raise FormatError(f"{kind} text", f"{len(source)} characters, at most {most} are read")
         return f"{kind} text", source
     path = path_of(source)
     try:
-        content = read_content(path)
+        content = read_content(path, most)
     except READ_ERRORS as error:
         raise FormatError(str(source), read_error_reason(error)) from None
     try:

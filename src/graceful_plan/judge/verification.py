@@ -24,7 +24,7 @@ from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.reference_cost import reference_cost
 from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.judge.second_opinion import opinion_of_fcl
-from graceful_plan.path import Path, finite_array, is_real
+from graceful_plan.path import Path, finite_array, is_real, plain_numbers
 from graceful_plan.result import Check, CostBreakdown, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.rules.rules import Ruled, default_rules
@@ -62,6 +62,7 @@ class VerificationSettings:
     everywhere: bool = False
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         _check_step(self.step)
 
 

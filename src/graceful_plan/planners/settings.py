@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, is_whole
 
 MOST = 2**31 - 1
 """Largest integer of the core."""
@@ -47,7 +47,7 @@ def count(name: str, value: int, least: int = 1, most: int = MOST) -> None:
     Raises:
         SettingError: If it is not; with the name of the setting.
     """
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+    if not is_whole(value) or value < least:
         raise SettingError(name, value, f"an integer >= {least}")
     if value > most:
         raise SettingError(name, value, f"an integer <= {most}")

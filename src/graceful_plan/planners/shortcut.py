@@ -19,7 +19,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.settings import count, fraction, positive
@@ -147,6 +147,7 @@ class Shortcut:
     """Length of the shortest stretches, as a fraction of the path; the longest stretch is the whole path."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         count("candidates", self.candidates)
         count("patience", self.patience)
         fraction("least_gain", self.least_gain)

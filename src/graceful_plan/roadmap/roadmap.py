@@ -68,6 +68,17 @@ class Roadmap:
     def __len__(self) -> int:
         return len(self.q)
 
+    def __reduce__(self) -> Any:
+        """Refuse pickling.
+
+        Raises:
+            TypeError: Always; the message says why.
+        """
+        raise TypeError(
+            f"a Roadmap refers to its scene {self.scene.name!r}, which cannot be pickled; load the scene and build the"
+            " roadmap in each process: the same seed without a time limit gives the same roadmap"
+        )
+
     @classmethod
     def build(
         cls,

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
-from graceful_plan.path import finite_array
+from graceful_plan.exceptions import SceneError, SettingError, ShapeError, UnknownNameError, UnsupportedError
+from graceful_plan.path import finite_array, plain_numbers, real_array
 from graceful_plan.scene.loading.naming import check_new
 from graceful_plan.scene.model_parts import find
 from graceful_plan.scene.roles import free_joint, rigid_pose
@@ -54,6 +54,7 @@ class StaticBody:
     entity: str | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if self.kind not in (*_KINDS, "mesh"):
             raise UnknownNameError("kind of solid", self.kind, (*_KINDS, "mesh"))
 
@@ -69,8 +70,8 @@ class StaticBody:
             return
         kind, sizes = _KINDS[self.kind]
         try:
-            size = np.atleast_1d(np.asarray(self.size, dtype=float))
-        except (TypeError, ValueError):
+            size = np.atleast_1d(real_array("size", self.size))
+        except ShapeError:
             raise SettingError(f"size of {self.name}", self.size, f"{sizes} lengths above 0") from None
         add_primitive(spec, self.name, kind, finite_array(f"size of {self.name}", size, ndim=1, last=sizes), self.pose)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
@@ -96,6 +96,7 @@ class Liquid:
     """Temperature [degrees Celsius] from which a splash scalds."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         _check_positive("volume", self.volume)
         if not (is_real(self.temperature) and -50.0 <= self.temperature <= 400.0):
             raise SettingError("temperature", self.temperature, "degrees Celsius between -50 and 400")
@@ -124,6 +125,7 @@ class Granular:
     component_class: ClassVar[str] = "dry"
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         _check_positive("volume", self.volume)
 
 
@@ -158,6 +160,9 @@ class EntityAnnotation:
 
     category: str
     severity: float | Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        plain_numbers(self)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, ShapeError
-from graceful_plan.path import finite_array, is_real
+from graceful_plan.path import finite_array, is_real, plain_numbers
 from graceful_plan.scene.loading.naming import is_name
 from graceful_plan.scene.screening import MAX_EXTENT
 
@@ -110,6 +110,7 @@ class MovingEntity:
         }
         for field, value in values.items():
             object.__setattr__(self, field, value)
+        plain_numbers(self)
 
     @property
     def is_round(self) -> bool:

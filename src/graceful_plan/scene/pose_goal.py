@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, plain_numbers
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 
@@ -45,6 +45,7 @@ class PoseGoal:
     free_yaw: bool = False
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         X = finite_array("X_WT", self.X_WT, ndim=2)
         if X.shape != (4, 4):
             raise ShapeError("X_WT", X.shape, "(4, 4)")

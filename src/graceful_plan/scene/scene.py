@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import SceneError, SettingError
-from graceful_plan.path import finite_array
+from graceful_plan.exceptions import SceneError, SettingError, names_file
+from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
 from graceful_plan.scene.edit import StaticBody, moved, removed
@@ -81,6 +81,7 @@ class Scene(SceneFacts):
     # --- constructors -------------------------------------------------------------------------------------------------
 
     @classmethod
+    @names_file
     def from_mjcf(
         cls,
         source: str | Path | mujoco.MjSpec,
@@ -176,6 +177,7 @@ class Scene(SceneFacts):
         return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
 
     @classmethod
+    @names_file
     def from_urdf(
         cls,
         source: str | Path,
@@ -207,7 +209,8 @@ class Scene(SceneFacts):
             tool: Link whose frame is that of the tool. The joints between the base and the tool are planned.
             acceleration: Limit of each planned joint, or one for all [rad/s2 or m/s2]; URDF has none.
             packages: Folders to resolve `package://`: packages, folders that contain packages, or folders by package
-                name. The folders above the file are searched as well.
+                name. The folders above the file are searched as well. Meshes by other paths are read from there, from
+                the folder of the file, and from the ROS package that it is in; all others are refused.
             srdf: SRDF file or text, for link pairs that may touch, and group states as keyframes.
             world: MJCF of the surroundings, as in `from_mjcf`.
             pose: Of the robot's root link in W, 4 x 4.
@@ -243,10 +246,12 @@ class Scene(SceneFacts):
             tool=prefix + TOOL,
             entities=entities,
             severity=severity,
-            fingers=held_still(robot, chain, fingers) if isinstance(fingers, int | float) else fingers,
+            fingers=held_still(robot, chain, fingers) if is_real(fingers) else fingers,
             limits=limits,
             velocity=velocities(chain) if velocity is None else velocity,
-            acceleration=[acceleration] * len(chain) if isinstance(acceleration, int | float) else acceleration,
+            acceleration=[acceleration] * len(chain)
+            if isinstance(acceleration, int | float | np.number)
+            else acceleration,
             keyframes={**states, **(keyframes or {})},
             allowed_contacts=(*touches.contacts, *disabled, *allowed_contacts),
             name=robot.name,

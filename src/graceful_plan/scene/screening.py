@@ -290,7 +290,8 @@ class _XmlReader:
     def __init__(self, screen: _Screen, name: str, replicas: int) -> None:
         self.screen, self.name = screen, name
         self.replicas = [replicas]
-        self.parser = expat.ParserCreate()
+        self.parser = expat.ParserCreate("utf-8")  # as MuJoCo reads it, whatever the file declares
+        self.parser.XmlDeclHandler = self.declaration
         self.parser.StartElementHandler = self.start
         self.parser.EndElementHandler = self.end
         self.parser.StartDoctypeDeclHandler = lambda *_: self.refuse("a document type declaration is not allowed")
@@ -302,6 +303,10 @@ class _XmlReader:
         except expat.ExpatError as error:
             reason = f"broken XML: {expat.ErrorString(error.code)}"
             raise SceneError(reason, file=self.name, line=error.lineno) from None
+
+    def declaration(self, version: str, encoding: str | None, standalone: int) -> None:
+        if encoding is not None and encoding.lower() not in ("utf-8", "utf8", "us-ascii"):
+            self.refuse(f"the encoding {encoding[:40]!r} is not read, only UTF-8")
 
     def refuse(self, message: str) -> NoReturn:
         raise SceneError(message, file=self.name, line=self.parser.CurrentLineNumber)

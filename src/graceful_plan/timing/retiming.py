@@ -139,7 +139,7 @@ def _check_corners(path: Path, deviation: float | Float[Array, " corner"]) -> No
 
 def _check_limits(limits: Limits, joints: tuple[str, ...]) -> None:
     for name in ("velocity", "acceleration"):
-        value = np.asarray(getattr(limits, name))
+        value = real_array(f"limits.{name}", getattr(limits, name))
         if value.shape != (len(joints),):
             raise ShapeError(f"limits.{name}", value.shape, f"({len(joints)},)")
         bad = np.flatnonzero(~((value > 0.0) & (np.isfinite(value) | (name == "velocity"))))

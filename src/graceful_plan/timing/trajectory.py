@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.exceptions import SettingError, ShapeError, names_file
 from graceful_plan.formats import csv_text, json_text, parquet_file, ros
 from graceful_plan.formats.ros import Names
 from graceful_plan.formats.samples import TimedSamples
@@ -219,6 +219,7 @@ class Trajectory:
         return _written(json_text.to_json(self._samples), file)
 
     @classmethod
+    @names_file
     def from_json(cls, source: str | FilePath) -> Trajectory:
         """Read the output of `to_json`, from a file or from JSON text (a string that starts with a brace).
 
@@ -235,6 +236,7 @@ class Trajectory:
         return _written(csv_text.to_csv(self._samples), file)
 
     @classmethod
+    @names_file
     def from_csv(cls, source: str | FilePath) -> Trajectory:
         """Read the output of `to_csv`, from a file or from CSV text (a string with a line break).
 
@@ -247,28 +249,42 @@ class Trajectory:
         parquet_file.to_parquet(self._samples, file)
 
     @classmethod
+    @names_file
     def from_parquet(cls, file: str | FilePath) -> Trajectory:
         """Read the output of `to_parquet`. Raises the errors of `from_json`, and MissingArrow without pyarrow."""
         return cls(*parquet_file.from_parquet(file))
 
-    def to_ros(self, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
+    def to_ros(self, names: Names | None = None, *, frame: str = "", accelerations: bool = False) -> dict[str, Any]:
         """Return a trajectory_msgs/JointTrajectory as a dictionary of its fields; ROS is not needed.
+
+        The points have positions and velocities, so a controller interpolates by the cubics of this trajectory.
 
         Args:
             names: Maps joint names here to joint names in ROS: a mapping or a function; by default they are equal.
             frame: `header.frame_id`.
+            accelerations: Whether the points have accelerations as well. Controllers then interpolate by quintics.
+                These differ from this trajectory where its acceleration jumps, and exceed the limits of acceleration
+                there, by up to 75 % between full acceleration and full braking.
 
         Raises:
             UnknownNameError: If a mapping lacks a joint.
             SettingError: If two joints would get the same name, or samples are less than a nanosecond apart.
         """
-        return ros.to_message(self._in_nanoseconds, names, frame=frame)
+        return ros.to_message(self._in_nanoseconds, names, frame=frame, accelerations=accelerations)
 
-    def to_ros_yaml(self, file: str | FilePath | None = None, *, names: Names | None = None, frame: str = "") -> str:
+    def to_ros_yaml(
+        self,
+        file: str | FilePath | None = None,
+        *,
+        names: Names | None = None,
+        frame: str = "",
+        accelerations: bool = False,
+    ) -> str:
         """Return the message of `to_ros` as YAML for the command line of ROS 2; write it to `file` if given."""
-        return _written(ros.to_yaml(self.to_ros(names, frame=frame)), file)
+        return _written(ros.to_yaml(self.to_ros(names, frame=frame, accelerations=accelerations)), file)
 
     @classmethod
+    @names_file
     def from_ros(cls, source: Any, joints: Sequence[str] | None = None, names: Names | None = None) -> Trajectory:
         """Read a trajectory_msgs/JointTrajectory, for example from another planner.
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
-from graceful_plan.tools.console import add_command, add_time_limit, check_folder, note, show
+from graceful_plan.tools.console import add_command, add_time_limit, check_folder, show
+from graceful_plan.tools.ending import note
 from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import RunCounter
 

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 
 from graceful_plan.exceptions import GracefulPlanError
+from graceful_plan.tools.ending import Interrupts, complain
 from graceful_plan.tools.parsing import DONE, FAILED, INTERRUPTED, MISUSE, Parser, UsageError, program
 
 __all__ = ["DONE", "FAILED", "INTERRUPTED", "MISUSE", "main", "parser"]
@@ -24,26 +25,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     name, as_json = NAME, "--json" in words
     if words == ["--version"]:  # before the slow imports of the planners
         program(NAME, ABOUT).parse_args(words)
-    try:
-        args = parser().parse_args(words)
-        name = f"{NAME} {args.command}"
-        return args.run(args)
-    except UsageError as error:
-        return _complain(name, error, MISUSE, as_json, before=error.usage)
-    except BrokenPipeError:
-        # The reader closed the pipe, as `head` does. This avoids a second error at shutdown.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
-    except (GracefulPlanError, OSError) as error:
-        return _complain(name, error, MISUSE, as_json)
-    except KeyboardInterrupt:
-        return _complain(name, KeyboardInterrupt("interrupted"), INTERRUPTED, as_json)
-
-
-def _complain(name: str, error: BaseException, code: int, as_json: bool, before: str = "") -> int:
-    from graceful_plan.tools.console import complain
-
-    return complain(name, error, code, as_json=as_json, before=before)
+    with Interrupts() as interrupts:
+        try:
+            args = parser().parse_args(words)
+            name = f"{NAME} {args.command}"
+            return args.run(args)
+        except UsageError as error:
+            return complain(name, error, MISUSE, as_json=as_json, before=error.usage)
+        except BrokenPipeError:
+            # The reader closed the pipe, as `head` does. This avoids a second error at shutdown.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return DONE
+        except BaseException as error:
+            if interrupts.caused(error):
+                return complain(name, KeyboardInterrupt("interrupted"), INTERRUPTED, as_json=as_json)
+            if isinstance(error, GracefulPlanError | OSError):
+                return complain(name, error, MISUSE, as_json=as_json)
+            raise
 
 
 def parser() -> Parser:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import errno
 import os
-import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path as FilePath
@@ -221,26 +220,3 @@ def sentence(result: gp.PlanResult) -> str:
 def show(args: argparse.Namespace, document: Any, text: str) -> None:
     """Print the document with `--json`, else the text."""
     print(documents.to_json(document) if args.json else text, flush=True)
-
-
-def complain(command: str, error: BaseException, code: int, *, as_json: bool, before: str = "") -> int:
-    """Print an error on standard error, and with `--json` as a document on standard output.
-
-    Args:
-        command: Program and command.
-        error: The error.
-        code: Exit code, which is returned.
-        as_json: Whether `--json` was given.
-        before: Text to print first.
-    """
-    if before:
-        note(before)
-    note(f"{command}: {error}")
-    if as_json:
-        print(documents.to_json(documents.error_document(command, error, code)))
-    return code
-
-
-def note(text: str) -> None:
-    """Print a line on standard error."""
-    print(text, file=sys.stderr)

@@ -16,11 +16,11 @@ from graceful_plan.tools.console import (
     blamed_on,
     check_file,
     chosen_task,
-    complain,
     joint_values,
     motion_in,
     show,
 )
+from graceful_plan.tools.ending import complain
 from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import ProgressLine
 

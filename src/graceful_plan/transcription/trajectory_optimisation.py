@@ -21,7 +21,7 @@ from graceful_plan.costs.cost import Cost
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.verification import verify
-from graceful_plan.path import Path, finite_array
+from graceful_plan.path import Path, finite_array, is_whole
 from graceful_plan.planners.optimisers.nlp import SolveOutcome, Values, minimise
 from graceful_plan.planners.planner import Budget
 from graceful_plan.result import Verdict
@@ -346,5 +346,5 @@ def _check(*, w: float, duration: float | None, margin: float, intervals: int, i
     if not np.isfinite(margin):
         raise SettingError("margin", margin, "a finite distance [m]")
     for name, value, least in (("intervals", intervals, 2), ("iterations", iterations, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        if not is_whole(value) or value < least:
             raise SettingError(name, value, f"an integer >= {least}")

@@ -10,12 +10,13 @@ from pathlib import Path as FilePath
 from typing import Any, NamedTuple, final
 
 from graceful_plan import documents
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, naming
 from graceful_plan.formats.samples import text_of
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, PlanStatus, Verdict
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.tuning.points import ParetoPoint, front_of
+from graceful_plan.untrusted_json import parse_json
 
 _SCHEMA = {"schema": "graceful_plan.pareto_front", "version": 1}
 _KEYS = {"scene", "status", "detail", "stats", "points"}
@@ -66,11 +67,7 @@ def read_front(source: str | FilePath) -> FrontParts:
         FormatError: If the document is not a front.
     """
     name, text = text_of(source, lambda text: text.lstrip().startswith("{"), "JSON")
-    try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(name, f"not JSON: {error}") from None
-    return _FrontReader(name).front(document)
+    return _FrontReader(name).front(parse_json(text, name))
 
 
 @final
@@ -104,6 +101,10 @@ class _FrontReader:
 
     def _point(self, place: str, value: Any) -> ParetoPoint:
         self._keys(place, value, _POINT)
+        with naming(f"{self.name} at {place}"):
+            return self._read_point(place, value)
+
+    def _read_point(self, place: str, value: Any) -> ParetoPoint:
         return ParetoPoint(
             path=Path(finite_array(f"{place}.path", value["path"], ndim=2)),
             trajectory=Trajectory.from_json(json.dumps(value["trajectory"])),

@@ -22,7 +22,7 @@ from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, is_whole
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -122,7 +122,7 @@ def pareto(
     check_no_base(scene, "pareto()")
     solver, rng = checked_planner(planner), checked_seed(seed)
     limit = checked_time_limit(10.0 if time_limit is None and iterations is None else time_limit, iterations)
-    if not (isinstance(points, int | np.integer) and not isinstance(points, bool) and 2 <= points <= MOST_POINTS):
+    if not (is_whole(points) and 2 <= points <= MOST_POINTS):
         raise SettingError("points", points, f"a whole number from 2 to {MOST_POINTS}")
     wanted = checked_objective(objective, None)
 

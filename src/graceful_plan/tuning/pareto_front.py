@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import SettingError, names_file
 from graceful_plan.path import finite_array
 from graceful_plan.result import PlanStatus
 from graceful_plan.tuning.front_file import FrontParts, front_text, read_front
@@ -183,6 +183,7 @@ class ParetoFront:
         self.to_json(file)
 
     @classmethod
+    @names_file
     def load(cls, source: str | FilePath) -> ParetoFront:
         """Read a front written by `save` or `to_json`, from a file or JSON text (a string that starts with a brace).
 

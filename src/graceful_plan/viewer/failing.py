@@ -20,6 +20,7 @@ from graceful_plan.costs.models.mixture.mixture import FailureMixture
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.mobile.coast.coast import Coast
 from graceful_plan.mobile.coast.constants import CoastSettings
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.poses import Poses
 from graceful_plan.viewer.recorded import RecordedRollouts
@@ -60,6 +61,7 @@ class Failure:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not 0.0 <= self.moment <= 1.0:
             raise SettingError("moment", self.moment, "a share of the motion, in [0, 1]")
         if self.degree not in DEGREES:

@@ -69,7 +69,7 @@ def test_damage_elsewhere_is_refused_with_its_line(tmp_path):
     [
         (b"hello\n", "no journal of a comparison"),
         (b"my notes, without an end", "no journal of a comparison"),
-        (b'{"schema": "graceful_plan.bench", oops\n', ":1: damaged"),
+        (b'{"schema": "graceful_plan.bench", oops\n', ":1: not JSON"),
         (b"{}\n", "no journal of a comparison"),
         (b'{"schema": "graceful_plan.bench", "version": 99}\n', "version 99; this version reads 1 to 3"),
         (b'{"schema": "graceful_plan.bench", "version": true}\n', "version True; this version reads 1 to 3"),

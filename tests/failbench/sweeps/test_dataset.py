@@ -141,7 +141,7 @@ def test_a_manifest_that_was_touched_is_refused(folder):
     whole = file.read_text()
     for change, message in (
         (whole.replace('"seed": 7', '"seed": 8'), "its checksum does not match"),
-        (whole[:-20], "damaged: "),
+        (whole[:-20], "not JSON: "),
         ("[]", "not a manifest of a dataset"),
         (whole.replace("failbench.dataset", "failbench.cake"), "not a manifest of a dataset"),
         (whole.replace(f'"version": {VERSION}', '"version": 99'), f"version 99; this version reads 1 to {VERSION}"),

@@ -2,6 +2,7 @@ import re
 import sqlite3
 import subprocess
 import sys
+import zlib
 
 import fake_work
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from failbench.basics.chunks import ChunkOutcome
 from failbench.basics.errors import SweepBusy
+from failbench.sweeps import journal as journal_module
 from failbench.sweeps.journal import SweepJournal
 from graceful_plan.exceptions import FormatError
 
@@ -188,3 +190,69 @@ with journal.SweepJournal(Path({str(file)!r})) as opened:
     with SweepJournal(file) as journal:
         assert not journal.begun
         journal.begin(ABOUT)
+
+
+def _put(file, packed):
+    with sqlite3.connect(file) as database:
+        database.execute("INSERT INTO chunks VALUES (0, 'a', ?, '')", (packed,))
+    database.close()
+
+
+def test_a_bomb_is_refused_before_it_is_unpacked(begun, monkeypatch):
+    _put(begun, zlib.compress(b"[" + b" " * 1_000_000 + b"]", 9))
+    with SweepJournal(begun) as journal:
+        assert journal.rows(CHUNKS[0]) == []
+        monkeypatch.setattr(journal_module, "_MOST_BYTES", 999_999)
+        with pytest.raises(FormatError, match=r"journal\.sqlite: the rows of .* larger than 999999 bytes"):
+            journal.rows(CHUNKS[0])
+        monkeypatch.setattr(journal_module, "_MOST_BYTES", 100)
+        with pytest.raises(FormatError, match=r"are larger than 100 bytes"):
+            journal.rows(CHUNKS[0])
+
+
+@pytest.mark.parametrize("text", [b"[" * 100_000, b"\xff", b"[1,", b""])
+def test_rows_that_are_no_json_are_refused(begun, text):
+    _put(begun, zlib.compress(text))
+    with SweepJournal(begun) as journal, pytest.raises(FormatError, match=r"journal\.sqlite: "):
+        journal.rows(CHUNKS[0])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "CREATE TRIGGER more AFTER INSERT ON chunks BEGIN DELETE FROM about; END",
+        "CREATE VIEW more AS SELECT * FROM about",
+        "CREATE TABLE more (a)",
+        "DROP TABLE chunks",
+        "DROP TABLE about; CREATE TABLE about (key, value); INSERT INTO about VALUES ('schema', 1)",
+    ],
+)
+def test_a_database_with_other_tables_or_triggers_is_refused(begun, change):
+    with sqlite3.connect(begun) as database:
+        database.executescript(change)
+    database.close()
+    with pytest.raises(FormatError, match="not a journal of a sweep"):
+        SweepJournal(begun)
+
+
+def test_a_deeply_nested_description_is_refused(begun):
+    with sqlite3.connect(begun) as database:
+        database.execute("UPDATE about SET value = ? WHERE key = 'about'", ("[" * 100_000,))
+    database.close()
+    with pytest.raises(FormatError, match=r"journal\.sqlite: not JSON"):
+        SweepJournal(begun)
+
+
+def test_a_journal_in_a_folder_that_cannot_be_written_is_read(file, monkeypatch):
+    with SweepJournal(file) as journal:
+        journal.begin(ABOUT)
+        journal.record(done(1))
+    before = sorted(file.parent.iterdir())
+    monkeypatch.setattr(journal_module.os, "access", lambda *_: False)
+    with SweepJournal(file) as journal:
+        assert journal.read_only and journal.about == ABOUT and journal.done() == {1}
+        assert journal.rows(CHUNKS[1]) == fake_work.rows(CHUNKS[1])
+    assert sorted(file.parent.iterdir()) == before
+    file.with_name("journal.sqlite-wal").write_bytes(b"1")
+    with pytest.raises(FormatError, match=r"journal\.sqlite-wal"):
+        SweepJournal(file)

@@ -181,6 +181,55 @@ def test_packages_may_have_other_names_than_their_folders(tmp_path: Path) -> Non
             found_mesh("package://pack/cube.stl", None, named)
 
 
+def test_meshes_outside_of_the_folder_are_read_only_if_allowed(tmp_path: Path) -> None:
+    package = tmp_path / "package"
+    (package / "urdf").mkdir(parents=True)
+    (package / "urdf" / "inside.stl").write_bytes(_binary(CUBE[FACES]))
+    (package / "beside.stl").write_bytes(_binary(CUBE[FACES]))
+    (tmp_path / "outside.stl").write_bytes(_binary(CUBE[FACES]))
+    (package / "urdf" / "link.stl").symlink_to(tmp_path / "outside.stl")
+    file = package / "urdf" / "arm.urdf"
+
+    def read(mesh: str, *packages: Path) -> gp.Scene:
+        file.write_text(ARM.replace('<box size="0.4 0.06 0.06"/>', f'<mesh filename="{mesh}"/>'))
+        return gp.Scene.from_urdf(file, tool="tip", acceleration=4.0, packages=packages)
+
+    read("inside.stl")
+    read(f"file://{package}/urdf/inside.stl")
+    outside = "../../outside.stl", f"{tmp_path}/outside.stl", f"file://{tmp_path}/outside.stl", "link.stl"
+    for mesh in (*outside, "../beside.stl"):
+        with pytest.raises(SceneError, match=r"arm\.urdf: .*outside of the folder.*packages=\[FOLDER\]"):
+            read(mesh)
+    read("../beside.stl", package)
+    (package / "package.xml").write_text("<package/>")
+    read("../beside.stl")
+    for mesh in outside:
+        with pytest.raises(SceneError, match="outside of the folder"):
+            read(mesh)
+        read(mesh, tmp_path)
+    for mesh in ("http://host/outside.stl", "file://outside.stl"):
+        with pytest.raises(SceneError, match=r"file"):
+            read(mesh, tmp_path)
+
+
+def test_meshes_of_a_text_come_from_packages_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cube.stl").write_bytes(_binary(CUBE[FACES]))
+    monkeypatch.chdir(tmp_path)
+    for mesh in ("cube.stl", str(tmp_path / "cube.stl")):
+        text = ARM.replace('<box size="0.4 0.06 0.06"/>', f'<mesh filename="{mesh}"/>')
+        with pytest.raises(SceneError, match=r"outside|packages="):
+            gp.Scene.from_urdf(text, tool="tip", acceleration=4.0)
+        gp.Scene.from_urdf(text, tool="tip", acceleration=4.0, packages=[tmp_path])
+
+
+def test_errors_of_meshes_name_them(tmp_path: Path) -> None:
+    (tmp_path / "odd part.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    text = ARM.replace('<box size="0.4 0.06 0.06"/>', '<mesh filename="odd%20part.obj"/>')
+    (tmp_path / "arm.urdf").write_text(text)
+    with pytest.raises(SceneError, match=r"arm\.urdf: .*odd.*part"):
+        gp.Scene.from_urdf(tmp_path / "arm.urdf", tool="tip", acceleration=4.0)
+
+
 def test_limits_beyond_all_places_are_refused() -> None:
     text = ARM.replace('lower="0" upper="0.2"', 'lower="-1e308" upper="1e308"')
     with pytest.raises(SceneError, match=r"'arm/reach'.*1e\+308"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from browsing import until
 import graceful_plan as gp
 from graceful_plan.viewer import state as state_module
 from graceful_plan.viewer.browser import handles
+from graceful_plan.viewer.browser import page as page_module
 from graceful_plan.viewer.browser.page import Page
 from graceful_plan.viewer.question import CHOSEN, ORDINARY, PlanAnswer, Question
 from graceful_plan.viewer.shapes import parts
@@ -90,7 +90,7 @@ class Desk:
 def opened(question, motions):
     """A page with its first answer; viser is the stub."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "viser", stub_viser)
+        patch.setattr(page_module, "guarded_server", stub_viser.ViserServer)
         desk = Desk(question, motions)
         patch.setattr(state_module, "answered", desk.answered)
         patch.setattr(handles, "_PAUSE", 0.05)

@@ -11,6 +11,7 @@ import numpy as np
 from failbench.fault.fault import Fault
 from failbench.policies.gym.faulting import drawn_fault
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import real_array
 
 Array = np.ndarray
 
@@ -39,7 +40,7 @@ class WithFaults(gymnasium.Wrapper[Any, Array, Any, Array], gymnasium.utils.Reco
             raise SettingError("faults", tuple(faults), "at least one failbench.Fault, and nothing else")
         if not 0.0 <= healthy <= 1.0:
             raise SettingError("healthy", healthy, "a share in [0, 1]")
-        weights = np.ones(len(faults)) if shares is None else np.asarray(shares, dtype=float)
+        weights = np.ones(len(faults)) if shares is None else real_array("shares", shares)
         if weights.shape != (len(faults),) or not (
             np.isfinite(weights).all() and (weights >= 0).all() and weights.any()
         ):

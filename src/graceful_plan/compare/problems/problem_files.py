@@ -8,32 +8,37 @@ Pickled files are never loaded, because unpickling runs their author's code.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
 from graceful_plan.compare.problems.motion_problem import Obstacle, ProblemFile
 from graceful_plan.compare.problems.plain_values import Value
 from graceful_plan.compare.problems.problem_formats import moveit_problem, robometrics_problems, vamp_problems
-from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, UnknownNameError, read_error_reason
+from graceful_plan.exceptions import (
+    READ_ERRORS,
+    FormatError,
+    SettingError,
+    UnknownNameError,
+    names_file,
+    read_error_reason,
+)
 from graceful_plan.path import is_real
 from graceful_plan.regular_file import path_of, read_content
+from graceful_plan.untrusted_json import parse_json
+from graceful_plan.untrusted_yaml import MOST_BYTES, parse_yaml_values
 
 __all__ = ["Obstacle", "ProblemFile", "load_problems"]
 
 MAX_BYTES = 200_000_000
-MAX_DEPTH = 24
+"""Largest size of a JSON file [bytes]."""
 MAX_FILES = 20_000
 _WIDEST = 0.04
 """Greatest opening of each finger [m]."""
 _REQUEST = re.compile(r"request_?(\d+)\.ya?ml")
-# libyaml is ten times as fast, if PyYAML was built with it.
-_Loader: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
+@names_file
 def load_problems(
     path: str | Path, *, groups: Sequence[str] | None = None, fingers: float = _WIDEST
 ) -> tuple[ProblemFile, ...]:
@@ -99,9 +104,9 @@ def _has_requests(folder: Path) -> bool:
     return any(_REQUEST.fullmatch(file.name) for file in folder.iterdir())
 
 
-def _read_text(file: Path) -> str:
+def _read_text(file: Path, most: int) -> str:
     try:
-        text = read_content(file, MAX_BYTES).decode("utf-8")
+        text = read_content(file, most).decode("utf-8")
     except UnicodeDecodeError as error:
         raise FormatError(str(file), f"is not UTF-8: {error.reason}") from None
     except READ_ERRORS as error:
@@ -112,31 +117,8 @@ def _read_text(file: Path) -> str:
 
 
 def _read_yaml(file: Path) -> Value:
-    text = _read_text(file)
-    try:
-        _screen(text, file)
-        return Value(str(file), "", yaml.load(text, Loader=_Loader))
-    except yaml.MarkedYAMLError as error:
-        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise FormatError(str(file), f"broken YAML{line}: {error.problem or error.context}") from None
-    except (yaml.YAMLError, ValueError, OverflowError) as error:
-        raise FormatError(str(file), f"broken YAML: {' '.join(str(error).split())}") from None
-
-
-def _screen(text: str, file: Path) -> None:
-    """Refuse anchors, which may expand exponentially, and nesting deep enough to overflow libyaml's stack."""
-    depth = 0
-    for event in yaml.parse(text, Loader=_Loader):
-        if getattr(event, "anchor", None) is not None:
-            raise FormatError(str(file), f"anchors and aliases are not read (line {event.start_mark.line + 1})")
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > MAX_DEPTH:
-            raise FormatError(str(file), f"nested deeper than {MAX_DEPTH} levels (line {event.start_mark.line + 1})")
+    return Value(str(file), "", parse_yaml_values(_read_text(file, MOST_BYTES), str(file)))
 
 
 def _read_json(file: Path) -> Value:
-    text = _read_text(file)
-    try:
-        return Value(str(file), "", json.loads(text))
-    except (ValueError, RecursionError) as error:
-        raise FormatError(str(file), f"broken JSON: {error}") from None
+    return Value(str(file), "", parse_json(_read_text(file, MAX_BYTES), str(file)))

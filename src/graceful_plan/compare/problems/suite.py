@@ -31,7 +31,15 @@ from typing import Any
 
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.problem_files import load_problems
-from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, UnknownNameError, read_error_reason
+from graceful_plan.exceptions import (
+    READ_ERRORS,
+    FormatError,
+    SettingError,
+    UnknownNameError,
+    names_file,
+    read_error_reason,
+)
+from graceful_plan.path import plain_numbers
 from graceful_plan.regular_file import open_regular, path_of, read_content
 from graceful_plan.scene.loading.bundled import load_scene, scenes
 from graceful_plan.yaml_file import Block, read_yaml
@@ -102,6 +110,7 @@ class Suite:
     best_known: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         names = [problem.name for problem in self.problems]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
@@ -118,6 +127,7 @@ def suites() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in _FOLDER.glob("*.yaml")))
 
 
+@names_file
 def load_suite(source: str | Path) -> Suite:
     """Load a suite: a bundled one by name, a suite file (.yaml with `problems` and `version`), or problem files.
 

@@ -27,6 +27,7 @@ from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.scene import Task
 from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.untrusted_json import parse_json
 
 SCHEMA = 2
 _COST_TOLERANCE = 1e-6
@@ -122,7 +123,7 @@ class BestMotions:
             StaleBestMotion: If the format is wrong.
         """
         try:
-            data = json.loads(read_content(file))
+            data = parse_json(read_content(file), file.name)
             if data.pop("schema") != SCHEMA or data.pop("w") != self.w:
                 raise StaleBestMotion(file.name, "another schema or weight")
             runs = tuple(Attempt(**run) for run in data.pop("runs"))
@@ -241,7 +242,7 @@ class BestMotions:
 
 def _weight(file: Path) -> float:
     try:
-        return float(json.loads(read_content(file))["w"])
+        return float(parse_json(read_content(file), file.name)["w"])
     except _BROKEN as error:
         raise StaleBestMotion(file.name, f"{type(error).__name__}: {error}") from error
 

@@ -11,6 +11,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.suite import Suite, load_suite
 from graceful_plan.compare.runs import workers
@@ -21,6 +23,7 @@ from graceful_plan.compare.runs.planner_specs import PlannerSpec, read_planners
 from graceful_plan.compare.runs.records import Run
 from graceful_plan.compare.runs.runner import PlannerJob
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_whole, plain_numbers
 from graceful_plan.regular_file import path_of
 
 Progress = Callable[[int, int, Run | None], None]
@@ -48,7 +51,8 @@ class Settings:
     processes: int = 1
 
     def __post_init__(self) -> None:
-        whole = all(isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0 for seed in self.seeds)
+        plain_numbers(self)
+        whole = all(is_whole(seed) and seed >= 0 for seed in self.seeds)
         if not (self.seeds and whole) or len(set(self.seeds)) < len(self.seeds):
             raise SettingError("seeds", self.seeds, "at least one whole number >= 0, none twice")
         if not (math.isfinite(self.seconds) and self.seconds > 0.0):
@@ -199,10 +203,10 @@ def settle(
 ) -> Settings:
     """Return settings with defaults from the suite. Arguments as in `compare`."""
     loaded = suite if isinstance(suite, Suite) else load_suite(suite)
-    if isinstance(seeds, int):
+    if isinstance(seeds, int | np.integer):
         if isinstance(seeds, bool) or seeds < 1:
             raise SettingError("seeds", seeds, "a number of seeds >= 1, or a list of seeds")
-        seeds = range(seeds)
+        seeds = range(int(seeds))
     return Settings(
         suite=loaded,
         planners=read_planners(planners),

@@ -20,6 +20,7 @@ from typing import Any
 from graceful_plan.compare.runs.records import Run
 from graceful_plan.exceptions import READ_ERRORS, FormatError, GracefulPlanError, read_error_reason
 from graceful_plan.regular_file import check_regular, read_content
+from graceful_plan.untrusted_json import parse_json
 
 NAME = "journal.jsonl"
 VERSION = 3
@@ -199,10 +200,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _document(line: bytes, where: str) -> Any:
-    try:
-        return json.loads(line)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(where, f"damaged: {error}") from None
+    return parse_json(line, where)
 
 
 def differences(there: Any, here: Any, name: str = "") -> Iterator[str]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from graceful_plan.compare.runs.best_motions import BestMotions
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import SettingError, names_file
 from graceful_plan.regular_file import path_of
 from graceful_plan.yaml_file import read_yaml
 
@@ -16,6 +16,7 @@ NAME = "best_known.yaml"
 _VERSION = 1
 
 
+@names_file
 def read_known(file: str | Path, w: float | None = None) -> dict[str, float]:
     """Read best-known total costs by problem.
 

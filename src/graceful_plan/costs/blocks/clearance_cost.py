@@ -13,6 +13,7 @@ from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.blocks.native_cost import NativeCost
 from graceful_plan.costs.clearance_target import SURROUNDINGS, kernels_for_target
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.scene import Scene
 
 
@@ -39,6 +40,7 @@ class ClearanceCost(NativeCost):
     to: str = SURROUNDINGS
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not 0.0 < self.distance < np.inf:
             raise SettingError("distance", self.distance, "a finite number > 0 [m]")
 

@@ -14,6 +14,7 @@ from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.blocks.native_cost import NativeCost
 from graceful_plan.costs.models.body.tables import body_tables
 from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
+from graceful_plan.path import plain_numbers, real_array
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
@@ -47,12 +48,13 @@ class JointCost(NativeCost):
     scale: float | tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if self.centre is not None:
-            object.__setattr__(self, "centre", tuple(float(c) for c in self.centre))
+            object.__setattr__(self, "centre", tuple(real_array("centre", self.centre).tolist()))
             if not np.isfinite(self.centre).all():
                 raise SettingError("centre", self.centre, "finite positions, one per joint")
         if self.scale is not None:
-            scale = np.asarray(self.scale, dtype=np.float64)
+            scale = real_array("scale", self.scale)
             object.__setattr__(self, "scale", tuple(scale.tolist()) if scale.ndim else float(scale))
             if not (np.isfinite(scale) & (scale > 0.0)).all():
                 raise SettingError("scale", self.scale, "a finite number > 0, or one per joint")
@@ -95,7 +97,7 @@ class EnergyCost(NativeCost):
 
     def __post_init__(self) -> None:
         if self.torque is not None:
-            object.__setattr__(self, "torque", tuple(float(t) for t in self.torque))
+            object.__setattr__(self, "torque", tuple(real_array("torque", self.torque).tolist()))
             if not all(np.isfinite(t) and t > 0.0 for t in self.torque):
                 raise SettingError("torque", self.torque, "finite numbers > 0, one per joint")
 
@@ -144,6 +146,7 @@ class PoseCost(NativeCost):
     angle: float | None = 0.5
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name in ("distance", "angle"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
@@ -192,6 +195,7 @@ class ManipulabilityCost(NativeCost):
     least: float = 0.05
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not 0.0 < self.least < np.inf:
             raise SettingError("least", self.least, "a finite number > 0")
 

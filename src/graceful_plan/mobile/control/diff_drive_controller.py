@@ -10,7 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.control.drive_state import DriveCommand, DriveState, check_numbers, wrapped
-from graceful_plan.path import finite_array, is_real
+from graceful_plan.path import finite_array, is_real, plain_numbers
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
@@ -89,6 +89,7 @@ class Pivot:
     back_acceleration: float | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for field in fields(self):
             value, above = getattr(self, field.name), field.name.endswith("acceleration")
             if value is None and field.name.startswith("back_"):
@@ -147,6 +148,7 @@ class Tracking:
     slant: float = 0.15
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         check_numbers(self, ("k_x", "k_y", "k_h", "k_rate", "k_integral", "alpha", "lead", "share", "slant"))
 
     def command(self, state: DriveState, wanted: DriveState) -> DriveCommand:

@@ -41,7 +41,7 @@ from graceful_plan.mobile.control.drive_state import (
     checked_places,
     checked_state,
 )
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, is_whole, plain_numbers
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
@@ -94,6 +94,7 @@ class DWA:
     rates: int = 15
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         check_numbers(self, ("heading", "velocity", "path", "clearance", "impact", "margin", "ahead", "tolerance"))
         check_numbers(self, ("most_impact",), finite=False)
         check_numbers(self, ("near",), above=True)
@@ -108,7 +109,7 @@ class DWA:
             raise SettingError("DWA.window", self.window, "a finite time of at least the period")
         for name in ("speeds", "rates"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 2 <= value <= 1000:
+            if not (is_whole(value) and 2 <= value <= 1000):
                 raise SettingError(f"DWA.{name}", value, "a whole number between 2 and 1000")
 
     def bind(self, scene: Scene, coast: CoastSettings | None = None) -> DynamicWindow:

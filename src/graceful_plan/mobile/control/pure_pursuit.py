@@ -20,6 +20,7 @@ from graceful_plan.mobile.control.drive_state import (
     checked_state,
     wrapped,
 )
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
@@ -45,6 +46,7 @@ class PurePursuit:
     in_place: float = 1.2
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         check_numbers(self, ("seconds", "nearest", "speed", "in_place"), above=True, finite=False)
 
     def command(self, state: DriveState, path: Float[Array, "n 2"], base: DiffDrive) -> DriveCommand:

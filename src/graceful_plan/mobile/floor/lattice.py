@@ -25,7 +25,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.mobile.floor.reeds_shepp import Curves, Steering
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, plain_numbers
 
 Array = np.ndarray
 
@@ -67,6 +67,7 @@ class LatticeSettings:
     """Time limit [s], > 0; the clock is read every 2048 expansions."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         object.__setattr__(self, "inflations", tuple(self.inflations))
         checks = {
             "headings": (self.headings >= 8 and self.headings % 4 == 0, "a multiple of 4, from 8 on"),

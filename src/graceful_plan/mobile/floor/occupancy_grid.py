@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core import _native
-from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.exceptions import SettingError, ShapeError, names_file
 from graceful_plan.mobile.floor.files.map_server import FARTHEST, RESOLUTIONS, read_map_server, write_map_server
 from graceful_plan.mobile.floor.files.moving_ai import read_moving_ai, write_moving_ai
 from graceful_plan.mobile.floor.furnishing import furnished
 from graceful_plan.mobile.floor.slicing import sliced
-from graceful_plan.path import finite_array, is_real
+from graceful_plan.path import finite_array, is_real, plain_numbers
 from graceful_plan.regular_file import path_of
 from graceful_plan.scene.edit import StaticBody
 from graceful_plan.scene.scene import Scene
@@ -68,6 +68,7 @@ class OccupancyGrid:
     name: str = "floor"
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         try:
             given = np.asarray(self.occupancy)
         except ValueError:
@@ -104,6 +105,7 @@ class OccupancyGrid:
     # --- construction -------------------------------------------------------------------------------------------------
 
     @classmethod
+    @names_file
     def from_map_server(cls, file: str | Path, image: str | Path | None = None) -> OccupancyGrid:
         """Read a map of the ROS map_server: a YAML file, and the PGM or PNG that it names.
 
@@ -118,6 +120,7 @@ class OccupancyGrid:
         return cls(occupancy=read.occupancy, resolution=read.resolution, origin=read.origin, name=_name_of(file))
 
     @classmethod
+    @names_file
     def from_moving_ai(cls, file: str | Path, resolution: float = 1.0) -> OccupancyGrid:
         """Read a .map file of the MovingAI benchmarks; "." "G" and "S" are free, and its first row is the uppermost.
 

@@ -17,7 +17,7 @@ from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.planners.bases_only import of_a_base
 from graceful_plan.mobile.planners.postures import postures
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.native import native_space, run_slice
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.settings import count, positive
@@ -52,6 +52,7 @@ class DriveLattice(Planner):
     moves_arm: bool = True
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         count("max_nodes", self.max_nodes, 100)
         if not isinstance(self.moves_arm, bool):
             raise SettingError("moves_arm", self.moves_arm, "True or False")

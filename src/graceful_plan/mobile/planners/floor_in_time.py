@@ -36,7 +36,7 @@ from graceful_plan.mobile.floor.timed_paths import (
 from graceful_plan.mobile.planners.bases_only import of_a_base
 from graceful_plan.mobile.planners.footprint import floor_around, footprint, near_entities, turns_and_straights
 from graceful_plan.mobile.planners.postures import BASE
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import positive
@@ -92,6 +92,7 @@ class FloorInTime(Planner):
     late: float = 8.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name in ("cell", "around", "late"):
             positive(name, getattr(self, name))
 

@@ -22,7 +22,7 @@ from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.mobile.planners.bases_only import of_a_base
 from graceful_plan.mobile.planners.footprint import floor_around, footprint, near_entities, radii, turns_and_straights
 from graceful_plan.mobile.planners.postures import BASE, postures
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.settings import positive
 from graceful_plan.planners.start_at_goal import handle_start_at_goal
@@ -58,6 +58,7 @@ class FloorThetaStar(Planner):
     around: float = 8.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive("resolution", self.resolution)
         positive("around", self.around)
 

@@ -23,7 +23,7 @@ import numpy as np
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.planners.bases_only import of_a_base
 from graceful_plan.mobile.planners.postures import BASE, postures
-from graceful_plan.path import Path
+from graceful_plan.path import Path, is_whole, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.ompl.kind import Kind, set_growth
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
@@ -44,6 +44,7 @@ class PoseSpace:
     around: float = 5.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive("radius", self.radius)
         positive("around", self.around)
 
@@ -68,6 +69,7 @@ class ReedsSheppRRT(Planner):
     goal_bias: float = 0.05
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive("range", self.range)
         fraction("goal_bias", self.goal_bias)
 
@@ -111,6 +113,7 @@ class ReedsSheppRRTStar(Planner):
     rewire_factor: float = 1.1
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive("range", self.range)
         fraction("goal_bias", self.goal_bias)
         positive("rewire_factor", self.rewire_factor)
@@ -151,7 +154,8 @@ class ReedsSheppPRM(Planner):
     neighbours: int = 10
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.neighbours, int) and self.neighbours >= 1):
+        plain_numbers(self)
+        if not (is_whole(self.neighbours) and self.neighbours >= 1):
             raise SettingError("neighbours", self.neighbours, "a whole number, at least 1")
 
     @handle_start_at_goal

@@ -24,7 +24,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.core import _native
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import count, positive_fraction
@@ -59,6 +59,7 @@ class Anytime(Planner):
     scouts: bool = True
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive_fraction("range", self.range)
         positive_fraction("spacing", self.spacing)
         count("challengers", self.challengers)

@@ -13,7 +13,7 @@ import numpy as np
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.anytime.anytime import Anytime
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.optimisers.optimiser import joined_to_ends
@@ -55,6 +55,7 @@ class Auto(Planner):
     search: Anytime = field(default_factory=Anytime)
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         count("workers", self.workers)
         if not isinstance(self.search, Anytime):
             raise SettingError("search", self.search, "an Anytime")

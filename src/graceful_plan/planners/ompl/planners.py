@@ -19,7 +19,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.ompl.kind import Kind, set_growth
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
@@ -47,6 +47,7 @@ class RRT(Planner):
     """Whether to shortcut the path until the budget ends."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive("range", self.range)
         fraction("goal_bias", self.goal_bias)
 
@@ -79,6 +80,7 @@ class BITStar(Planner):
     """Factor on the least number of neighbours, e (1 + 1/d) ln n (OMPL's default)."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         count("samples_per_batch", self.samples_per_batch)
         positive("rewire_factor", self.rewire_factor)
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.optimisers.covariant import Descent
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
@@ -84,6 +84,7 @@ class CHOMP(Optimiser):
     bend: float | None = 0.15
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         count("edges", self.edges, 2)
         count("memory", self.memory)
         count("stage_iterations", self.stage_iterations)

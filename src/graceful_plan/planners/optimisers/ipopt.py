@@ -21,7 +21,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
 from graceful_plan.planners.optimisers.nlp import Values, minimise
@@ -76,6 +76,7 @@ class CasADi(Optimiser):
     bend: float | None = 0.15
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         count("edges", self.edges, 2)
         count("stage_iterations", self.stage_iterations)
         count("solve_iterations", self.solve_iterations)

@@ -27,7 +27,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.rollouts import Rollouts, finely_checked, weights
@@ -75,6 +75,7 @@ class STOMP(Optimiser):
     reaches: tuple[float, ...] = (1.0, 0.5, 0.25, 0.12)
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         count("points", self.points)
         count("rollouts", self.rollouts)
         count("elites", self.elites, 0)

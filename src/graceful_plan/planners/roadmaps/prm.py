@@ -17,7 +17,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.array_types import Int
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.informed import InformedSampler, probe_objective
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
@@ -66,6 +66,7 @@ class PRM(Planner):
     """Whether to shortcut the path until the budget ends."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         count("neighbours", self.neighbours)
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)
@@ -109,6 +110,7 @@ class PRMStar(Planner):
     """Whether to shortcut the best path for a few rounds between two searches."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive("factor", self.factor)
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)

@@ -11,7 +11,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import positive
@@ -124,6 +124,7 @@ class TransitionTrees(Planner):
     """Whether to shortcut the path, by total cost, until the budget ends."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive("range", self.range)
         if not self.refinement_ratio >= 0.0:
             raise SettingError("refinement_ratio", self.refinement_ratio, "a number >= 0, or infinity")

@@ -13,7 +13,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.core import _native
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
@@ -44,6 +44,7 @@ class RRTConnect(Planner):
     shortcut: Shortcut | None = Shortcut()
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive_fraction("range", self.range)
         count("max_nodes", self.max_nodes, 10)
 

@@ -24,7 +24,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.informed import InformedSampler, probe_objective
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.native_descents import NativeDescents
@@ -74,6 +74,7 @@ class _StarTrees(Planner):
     """Whether each better path also descends along the gradient of J, if there is a native one."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name in ("range", "rewire_factor"):
             positive(name, getattr(self, name))
         for name in ("goal_bias", "path_bias", "trust"):

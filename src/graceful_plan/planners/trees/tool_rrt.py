@@ -21,7 +21,7 @@ import numpy as np
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.core.tool_motion import missing_twist, steps_inside, tool_jacobian
-from graceful_plan.path import Path
+from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -68,6 +68,7 @@ class ToolRRT(Planner):
     shortcut: Shortcut | None = Shortcut()
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         positive("step", self.step)
         positive("lever", self.lever)
         count("steps", self.steps)

@@ -20,6 +20,7 @@ from typing import Literal, final
 import numpy as np
 
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 from graceful_plan.planners.interruptible import InterruptibleProblem
 from graceful_plan.planners.settings import count, positive
 
@@ -47,6 +48,7 @@ class TransitionSettings:
     """devaurs: T grows by exp(rate) with each rejection."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if self.variant not in ("jaillet", "devaurs"):
             raise SettingError("variant", self.variant, "'jaillet' or 'devaurs'")
         positive("initial_temperature", self.initial_temperature)

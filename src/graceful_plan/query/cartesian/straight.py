@@ -20,6 +20,7 @@ from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
 from graceful_plan.exceptions import RetimingError, SettingError
 from graceful_plan.judge.straightness import straightness
+from graceful_plan.path import is_real
 from graceful_plan.planners.motion_descent import time_price
 from graceful_plan.query.arguments import checked_objective, checked_seed, checked_speed
 from graceful_plan.query.candidates.motions import Motion
@@ -124,7 +125,7 @@ def plan_cartesian(
 
 
 def _positive(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not 0.0 < value < np.inf:
+    if not (is_real(value) and 0.0 < value < np.inf):
         raise SettingError(name, value, "a finite number > 0")
     return float(value)
 

@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import final
 
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.elements import CARRIED_CLASSES
 from graceful_plan.yaml_file import Block, YamlTable
 
@@ -40,6 +41,7 @@ class Fragility:
     hardness: float = 1.0
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name, value, valid in (
             ("median", self.median, 0.0 < self.median < math.inf),
             ("spread", self.spread, 0.0 < self.spread < math.inf),

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, final
 
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
+from graceful_plan.path import is_real
 from graceful_plan.yaml_file import Block, YamlTable
 
 ITSELF = "carried"
@@ -39,11 +40,7 @@ class SeverityTable(YamlTable):
     components: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        for category, row in self.rows.items():
-            for component, value in row.items():
-                self._check_component(component)
-                check_severity(f"severity of {component} against {category}", value)
-        frozen = {category: MappingProxyType(dict(row)) for category, row in self.rows.items()}
+        frozen = {category: MappingProxyType(self._checked(category, row)) for category, row in self.rows.items()}
         object.__setattr__(self, "rows", MappingProxyType(frozen))
 
     def __reduce__(self) -> tuple[type[SeverityTable], tuple[dict[str, dict[str, float]], tuple[str, ...]]]:
@@ -104,6 +101,11 @@ class SeverityTable(YamlTable):
         if not isinstance(category, str) or category not in self.rows:
             raise UnknownNameError("entity class", category, self.rows)
 
+    def _checked(self, category: str, row: Mapping[str, float]) -> dict[str, float]:
+        for component in row:
+            self._check_component(component)
+        return {name: check_severity(f"severity of {name} against {category}", value) for name, value in row.items()}
+
     def _check_component(self, component: str) -> None:
         if component not in self.components:
             raise UnknownNameError("component class", component, self.components)
@@ -126,6 +128,6 @@ def check_severity(name: str, value: object) -> float:
     Raises:
         SettingError: If it is not a number from 0 to `MAX_SEVERITY`.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= MAX_SEVERITY:
+    if not (is_real(value) and 0 <= value <= MAX_SEVERITY):
         raise SettingError(name, value, f"a finite number of at least 0 and at most {MAX_SEVERITY:g}")
     return float(value)

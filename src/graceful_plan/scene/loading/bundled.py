@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.exceptions import UnknownNameError, names_file
 from graceful_plan.regular_file import path_of
 from graceful_plan.scene.loading.file import read_scene
 from graceful_plan.scene.scene import Scene
@@ -27,6 +27,7 @@ def _names(folder: Path) -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in folder.glob("*.yaml")))
 
 
+@names_file
 def load_scene(name_or_path: str | Path) -> Scene:
     """Load a bundled scene by name, or any scene file by its path (ending in .yaml or .yml).
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real, plain_numbers
 
 
 @dataclass(frozen=True)
@@ -26,9 +27,10 @@ class BasePose:
     yaw: float | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name in ("x", "y", "yaw"):
             value = getattr(self, name)
             if value is None and name == "yaw":
                 continue
-            if isinstance(value, bool) or not (isinstance(value, int | float) and math.isfinite(value)):
+            if not (is_real(value) and math.isfinite(value)):
                 raise SettingError(f"BasePose.{name}", value, "a finite number")

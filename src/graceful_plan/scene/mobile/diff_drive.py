@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 
 _LEAST, _MOST = 1e-4, 1e3
 """Range of all quantities of a base, and of `wheel_max` times the radius."""
@@ -63,6 +63,7 @@ class DiffDrive:
     rotor: float = 0.1
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         for name in ("joints", "wheels"):
             given = getattr(self, name)
             if isinstance(given, str) or not isinstance(given, Iterable):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import finite_array, is_real, real_array
+from graceful_plan.path import finite_array, is_real, plain_numbers, real_array
 from graceful_plan.scene.roles import rigid_pose
 from graceful_plan.scene.sensed.boxes import FARTHEST, add_boxes, check_width, closed, joined
 
@@ -52,6 +52,7 @@ class PointCloud:
     entity: str | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         points = real_array(f"points of {self.name}", self.points)
         if points.ndim != 2 or points.shape[1] != 3:
             raise ShapeError(f"points of {self.name}", points.shape, "(n, 3)")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import finite_array, is_real, real_array
+from graceful_plan.path import finite_array, is_real, plain_numbers, real_array
 from graceful_plan.scene.sensed.boxes import FARTHEST, add_boxes, check_width, joined
 
 Array = np.ndarray
@@ -47,6 +47,7 @@ class HeightMap:
     entity: str | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         heights = real_array(f"heights of {self.name}", self.heights)
         if heights.ndim != 2:
             raise ShapeError(f"heights of {self.name}", heights.shape, "(along x, along y)")

@@ -29,13 +29,20 @@ def found_mesh(name: str, folder: Path | None, packages: Sequence[Path] | Mappin
         name: "package://PACKAGE/FILE", "file:///FILE", or a path relative to the URDF's folder.
         folder: Folder of the URDF, if it is a file.
         packages: Folders that are or contain packages, or package folders by package name. The folders above the URDF
-            are searched as well.
+            are searched for packages as well.
+
+    Returns:
+        A file in a package, in the folder of the URDF or its package, or in `packages`; others are not read.
 
     Raises:
         SceneError: If there is no such file; the message says what to give.
     """
     kind, _, rest = name.rpartition("://")
     rest = unquote(rest)
+    if kind not in ("package", "file", ""):
+        raise SceneError(f"the mesh {name[:200]!r} is not a file, which may be package://, file:// or a path")
+    if "\0" in rest:
+        raise SceneError(f"the mesh {name[:200]!r} was not found: no file has a null character in its name")
     if kind == "package":
         package, _, inside = rest.partition("/")
         above = [] if folder is None else list(folder.parents)
@@ -47,8 +54,17 @@ def found_mesh(name: str, folder: Path | None, packages: Sequence[Path] | Mappin
             wanted = "packages=[folder that has this package in it]"
         tried += [place for root in above for place in _places(root, package, inside)]
     else:
-        tried = [Path(rest)] if kind == "file" or folder is None else [folder / rest]
-        wanted = "the file there"
+        given = list(packages.values() if isinstance(packages, Mapping) else packages)
+        starts, allowed = ([], given) if folder is None else ([folder], [folder, *_own_package(folder), *given])
+        tried = [start / rest for start in [*starts, *given] if kind != "file" or Path(rest).is_absolute()]
+        outside = [place for place in tried if not any(_is_inside(place, root) for root in allowed)]
+        if tried and len(outside) == len(tried):
+            raise SceneError(
+                f"the mesh {name[:200]!r} is outside of the folder of the URDF and of its package; allow its folder by"
+                " packages=[FOLDER]"
+            )
+        tried = [place for place in tried if place not in outside]
+        wanted = "the file there" if allowed else "packages=[folder of the meshes]"
     for place in tried:
         if _is_file(place):
             return place
@@ -70,8 +86,18 @@ def _places(root: Path, package: str, inside: str) -> Iterable[Path]:
 
 def _inside(folder: Path, inside: str) -> Iterable[Path]:
     place = folder / inside
-    if place.resolve().is_relative_to(folder.resolve()):
+    if _is_inside(place, folder):
         yield place
+
+
+def _is_inside(place: Path, folder: Path) -> bool:
+    """Return whether a path, with symbolic links followed, is in a folder."""
+    return place.resolve().is_relative_to(folder.resolve())
+
+
+def _own_package(folder: Path) -> list[Path]:
+    """Return the folder of the ROS package that contains a folder; none if it is in no package."""
+    return [above for above in (folder, *folder.parents) if _is_file(above / "package.xml")][:1]
 
 
 def mesh_content(file: Path) -> tuple[bytes, str]:

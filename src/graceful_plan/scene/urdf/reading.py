@@ -37,6 +37,7 @@ _SETTINGS = {
     "boundinertia": str(_LEAST_INERTIA),
 }
 """Attributes of MuJoCo's compiler element."""
+_ODD = re.compile(r"[^A-Za-z0-9_.-]")
 _PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[\w.-]+(?=[\s=/>])")
 _MOST_PREFIXES = 20
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -106,6 +107,7 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
     Args:
         source: A file, or its text if it starts with "<".
         packages: Folders to resolve `package://`: packages, folders that contain packages, or folders by package name.
+            Meshes are read only from there, from the folder of the file, and from the ROS package that it is in.
         decompose: Whether to divide meshes far from convex into parts; with None, only if the library is installed.
 
     Raises:
@@ -129,7 +131,8 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
         if weight > _MOST_OF_MESHES:
             raise SceneError(f"with the mesh {name[:200]!r} there are more than {_MOST_OF_MESHES} vertices and faces")
         found = _in_parts(content, ending, name, decompose)
-        parts[name] = [f"mesh{k}_{i}{ending}" for i, (_, ending) in enumerate(found)]
+        stem = _ODD.sub("_", Path(name).stem)[:60]  # for errors of MuJoCo
+        parts[name] = [f"mesh{k}_{i}_{stem}{ending}" for i, (_, ending) in enumerate(found)]
         assets |= zip(parts[name], (content for content, _ in found), strict=True)
     for link in root.iterfind("link"):
         for visual in link.findall("visual"):

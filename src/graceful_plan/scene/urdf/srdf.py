@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from graceful_plan.exceptions import SceneError
+from graceful_plan.exceptions import SceneError, names_file
 from graceful_plan.scene.elements import AllowedContact
 from graceful_plan.scene.urdf.reading import UrdfRobot, parsed_robot
 
@@ -40,6 +40,7 @@ class Srdf:
         return {name: [state[joint] for joint in joints] for name, state in whole.items()}
 
 
+@names_file
 def read_srdf(source: str | Path) -> Srdf:
     """Read an SRDF, from a file or text.
 

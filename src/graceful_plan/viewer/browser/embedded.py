@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from graceful_plan.viewer.browser.cameras import Cameras
 from graceful_plan.viewer.browser.controls import GHOST
 from graceful_plan.viewer.browser.drawn_scene import DrawnScene
+from graceful_plan.viewer.browser.guarded_server import guarded_server
 from graceful_plan.viewer.browser.plans import DrawnPlans
 from graceful_plan.viewer.question import PlanAnswer
 
@@ -31,12 +31,11 @@ def embedded(answer: PlanAnswer) -> str:
     It contains viser's client, 0.8 MB; a scene without meshes adds some 0.1 MB. The text `{darkMode:false}` in it may
     be replaced by `{darkMode:true}`.
     """
-    viser: Any = importlib.import_module("viser")
-    with contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's messages on the terminal
-        server = viser.ViserServer(host=_HOST, port=_PORT, verbose=False)
-        try:
-            return _recorded(server, answer)
-        finally:
+    server = guarded_server(host=_HOST, port=_PORT)
+    try:
+        return _recorded(server, answer)
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's message on the terminal
             server.stop()
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import importlib
 import io
 import logging
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.viewer.browser import words
 from graceful_plan.viewer.browser.controls import build
 from graceful_plan.viewer.browser.first_picture import when_drawn
+from graceful_plan.viewer.browser.guarded_server import guarded_server
 from graceful_plan.viewer.browser.handles import Change, Handles
 from graceful_plan.viewer.browser.player import Player
 from graceful_plan.viewer.browser.stage import DrawnStage
@@ -54,9 +54,7 @@ class Page:
         dark: bool = False,
         rollouts: RecordedRollouts | None = None,
     ) -> None:
-        viser: Any = importlib.import_module("viser")
-        with contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's messages on the terminal
-            self.server: Any = viser.ViserServer(host=host, port=port, label="graceful_plan", verbose=False)
+        self.server: Any = guarded_server(host=host, port=port, label="graceful_plan")
         self.state = ViewerState(question, self._answered, self._not_answered, answer)
         # Also held while drawing, so that a drawing shows a single answer.
         self.lock = self.state.lock

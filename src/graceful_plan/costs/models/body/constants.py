@@ -13,6 +13,7 @@ from typing import final
 from graceful_plan.costs.models.body.tables import ROWS
 from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 from graceful_plan.yaml_file import Block, YamlTable
 
 GENERATORS = ("collapse", "joint", "stuck", "stray")
@@ -46,6 +47,7 @@ class Margin:
     """Scale of the logistic distribution around `offset` [m]."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not math.isfinite(self.offset):
             raise SettingError("offset", self.offset, "a finite number")
         if not 0.0 < self.spread < math.inf:
@@ -69,6 +71,7 @@ class Margins:
     """Depth from which penetration counts [m]."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not 0.0 <= self.stop_gain < math.inf:
             raise SettingError("stop_gain", self.stop_gain, "at least 0")
         if not math.isfinite(self.stop_tolerance) or self.stop_tolerance < 0.0:
@@ -106,6 +109,7 @@ class BodySettings(YamlTable):
     stray: Margins
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         values = {name: getattr(self, name) for name in MOTION}
         check_ranges(values, positive=_POSITIVE, not_negative=_NOT_NEGATIVE)
         if not (self.steps == int(self.steps) and 0 <= self.steps <= 64):

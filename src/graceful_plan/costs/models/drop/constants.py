@@ -13,6 +13,7 @@ from typing import final
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 from graceful_plan.yaml_file import Block, YamlTable
 
 SHARED = (
@@ -84,6 +85,7 @@ class DropConstants:
     """tk: additional lateral reach if the object does not stay where it lands [size]."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         values = {constant.name: getattr(self, constant.name) for constant in fields(self)}
         check_ranges(values, positive=_POSITIVE, not_negative=_NOT_NEGATIVE)
         if not 0.0 <= self.catch <= 1.0:

@@ -31,6 +31,7 @@ from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, DropTables
 from graceful_plan.exceptions import FormatError, ShapeError
 from graceful_plan.formats.npz_file import read_arrays
 from graceful_plan.regular_file import path_of
+from graceful_plan.untrusted_json import parse_json
 
 Array = np.ndarray
 
@@ -179,7 +180,7 @@ def _shipped() -> DropNetwork:
 
 def _read(file: Path) -> DropNetwork:
     data = read_arrays(file, _MOST_BYTES)
-    header = json.loads(str(data["header"]))
+    header = parse_json(str(data["header"]), str(file))
     arrays = {name: np.asarray(data[name], dtype=np.float64) for name in _ARRAYS}
     expected: dict[str, object] = {
         "schema": _SCHEMA,

@@ -31,6 +31,7 @@ from graceful_plan.costs.models.moving.position_samples import PLACES, check_pla
 from graceful_plan.costs.models.spill.constants import SpillSettings, StopSettings
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.scene import Scene
@@ -78,6 +79,7 @@ class FailureMixture(NativeModel):
     damage: FragilityTable | None = None
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         check_places(self.places)
         if not isinstance(self.faults, str | FaultPrior):
             raise SettingError("faults", self.faults, "a FaultPrior or the name of a preset")

@@ -18,6 +18,7 @@ from graceful_plan.costs.models.failing_base import FailingBase, failing_base
 from graceful_plan.costs.models.moving.drops import moving_arm, moving_drop, moving_table
 from graceful_plan.costs.models.moving.kernel import moving_kernels
 from graceful_plan.costs.models.moving.position_samples import PLACES, check_places
+from graceful_plan.path import plain_numbers
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.scene import Scene
 
@@ -65,6 +66,7 @@ class MovingModel:
     places: int = PLACES
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         check_places(self.places)
 
     def sources(

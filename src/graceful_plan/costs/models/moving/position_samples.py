@@ -10,6 +10,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_whole
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -24,7 +25,7 @@ _GOLDEN, _STRIDE = np.pi * (3.0 - np.sqrt(5.0)), 7
 
 def check_places(places: int) -> None:
     """Raise SettingError unless `places` is a supported number of sample positions."""
-    if not (isinstance(places, int) and 4 <= places <= PLACES and places % 2 == 0 and places % _STRIDE):
+    if not (is_whole(places) and 4 <= places <= PLACES and places % 2 == 0 and places % _STRIDE):
         raise SettingError("places", places, f"an even number from 4 to {PLACES}, and no multiple of {_STRIDE}")
 
 

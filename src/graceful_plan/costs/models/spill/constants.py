@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import final
 
 from graceful_plan.costs.models.ranges import check_ranges
+from graceful_plan.path import plain_numbers
 from graceful_plan.yaml_file import Block, YamlTable
 
 USES = ("dropped", "held")
@@ -55,6 +56,7 @@ class SpillConstants:
     """us: standard deviation of that speed [m/s]."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         values = {constant.name: getattr(self, constant.name) for constant in fields(self)}
         check_ranges(values, positive=_POSITIVE, not_negative=values.keys() - {"soft_speed"})
 
@@ -85,6 +87,7 @@ class StopSettings(YamlTable):
     level."""
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         values = {name: getattr(self, name) for name in _STOP}
         check_ranges(values, positive=("deceleration", "response", "spread"), not_negative={"amplification"})
 

@@ -23,7 +23,8 @@ Array = np.ndarray
 _FREE = b".GS"
 _KNOWN = b".GS@OTW"
 _MOST_HEAD = 4096
-_MOST_SCENARIOS = 1_000_000
+_MOST_SCENARIOS = 100_000
+"""Largest number of scenarios of a file, read in a second; those of the benchmarks have up to some 10,000."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,10 @@ def read_scenarios(file: str | Path) -> list[MovingAIScenario]:
     """
     file = path_of(file)
     found = []
-    for number, line in enumerate(_content(file, 200 * _MOST_SCENARIOS).splitlines(), start=1):
+    lines = _content(file, 200 * _MOST_SCENARIOS).splitlines()
+    if len(lines) > _MOST_SCENARIOS + 1:
+        raise FormatError(str(file), f"has more than {_MOST_SCENARIOS} scenarios")
+    for number, line in enumerate(lines, start=1):
         words = line.split()
         if not words or words[0] == b"version":
             continue
