@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from failbench.basics.chunks import Rows
 from failbench.basics.errors import MissingExtra
 from failbench.basics.tables import TABLES, VERSION, arrow_schema
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import READ_ERRORS, FormatError, read_error_reason
 from graceful_plan.formats.parquet_file import read_bounded
 from graceful_plan.regular_file import path_of, read_content
 from graceful_plan.untrusted_json import parse_json
@@ -136,8 +136,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         manifest = parse_json(read_content(file), str(file))
     except FileNotFoundError:
         raise FormatError(str(file), "missing: not a dataset, or an unfinished one") from None
-    except OSError as error:
-        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+    except FormatError:
+        raise
+    except READ_ERRORS as error:
+        raise FormatError(str(file), read_error_reason(error)) from None
     if not isinstance(manifest, dict) or manifest.get("schema") != _SCHEMA:
         raise FormatError(str(file), "not a manifest of a dataset")
     if manifest.get("version") not in range(1, VERSION + 1):

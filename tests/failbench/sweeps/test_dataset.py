@@ -265,3 +265,9 @@ def test_the_document_lists_the_columns():
         (own,) = [part for part in section if part.startswith(f"`{table}`")]
         rows = re.findall(r"^\| `(\w+)` \| ([^|]*) \| ([^|]*) \| ([^|]*) \|$", own, flags=re.MULTILINE)
         assert [tuple(cell.strip() for cell in row) for row in rows] == [tuple(column) for column in columns]
+
+
+@pytest.mark.parametrize("name", ["a\0b", "\ud800"])
+def test_a_folder_that_cannot_exist_is_refused(name):
+    with pytest.raises(FormatError):
+        read_dataset(name)
