@@ -214,7 +214,7 @@ def card_of(folder: Path) -> str:
     """Write the card of a dataset, and check that a README.md of another origin is disk_cache."""
     manifest, file = read_manifest(sealed(folder)), folder / "README.md"
     before = file.read_bytes() if file.is_file() else b""
-    write_card(folder, Sweep.from_document(manifest["sweep"]), manifest)
+    write_card(folder, Sweep.from_document(manifest["sweep"], "manifest.json"), manifest)
     if before and b"made by failbench generate" not in before and file.read_bytes() != before:
         raise AssertionError("the card took the place of a file of somebody else")
     return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
@@ -304,7 +304,8 @@ READERS: Mapping[str, Reader] = {
         lambda f: RecordedRollouts(f / "sweep", 1.0).worst_first(),
     ),
     "rollouts to trace": Reader(
-        ("sweep/manifest.json",), lambda f: chosen(Sweep.from_document(read_manifest(f / "sweep")["sweep"]), None)
+        ("sweep/manifest.json",),
+        lambda f: chosen(Sweep.from_document(read_manifest(f / "sweep")["sweep"], "manifest.json"), None),
     ),
     "scene to look at": Reader(("desk.yaml", "desk.xml"), lambda f: asked(f / "desk.yaml")[0].start),
     "map of map_server": Reader(("floor.yaml", "floor.pgm"), lambda f: floor_of(f / "floor.yaml")),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from failbench.rollouts.sampling import check_whole
 from failbench.sweeps.card import CARD, write_own
-from failbench.sweeps.dataset import check_arrow, read_manifest
+from failbench.sweeps.dataset import MANIFEST, check_arrow, read_manifest
 from failbench.sweeps.work import Sweep, execution_of, jobs_of
 from failbench.traces.trace import Sampling, trace
 from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, read_error_reason
@@ -112,7 +112,7 @@ def write_traces(
     check_arrow()
     kept = Sampling() if sampling is None else sampling
     manifest, output = read_manifest(Path(dataset)), Path(output)
-    sweep = Sweep.from_document(manifest["sweep"])
+    sweep = Sweep.from_document(manifest["sweep"], f"sweep of {MANIFEST}")
     numbers = chosen(sweep, rollouts)
     make_folder(output)
     counts: dict[str, int] = dict.fromkeys(TABLES, 0)
