@@ -277,7 +277,7 @@ def test_hits_can_be_smeared(carrying: gp.Scene, faults: str, rounding: float) -
 def test_objectives_that_cannot_be_smeared_are_refused(carrying: gp.Scene) -> None:
     for impact in (
         gp.ImpactCost("box_overlap"),
-        gp.ImpactCost(consequence="energy"),
+        gp.ImpactCost("box_overlap", consequence="energy"),
     ):
         assert gp.Objective(impact=impact).bind(carrying).widened(0.1) is None
     for metres in (0.0, -1.0, np.nan, np.inf):

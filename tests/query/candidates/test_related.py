@@ -25,7 +25,8 @@ def task() -> gp.Task:
     [
         (gp.ImpactCost(), None),
         (ARM, DROPS),
-        (gp.ImpactCost(consequence="energy"), DROPS),
+        (gp.ImpactCost(consequence="energy"), None),
+        (gp.ImpactCost("box_overlap", consequence="energy"), DROPS),
     ],
 )
 def test_simpler_objectives(task: gp.Task, impact: gp.ImpactCost, expected: gp.ImpactCost | None) -> None:
@@ -36,7 +37,7 @@ def test_simpler_objectives(task: gp.Task, impact: gp.ImpactCost, expected: gp.I
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("impact", first_quick([ARM, gp.ImpactCost(consequence="energy")]))
+@pytest.mark.parametrize("impact", first_quick([ARM, gp.ImpactCost("box_overlap", consequence="energy")]))
 def test_a_full_plan_is_no_worse_than_its_simpler_one(task: gp.Task, impact: gp.ImpactCost) -> None:
     objective = gp.Objective(impact=impact)
     full = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=300, seed=1)
