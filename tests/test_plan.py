@@ -264,7 +264,7 @@ def test_two_plans_at_once(task):
     results = {}
 
     def work(seed):
-        results[seed] = _quick(task, iterations=400, seed=seed)
+        results[seed] = _quick(task, iterations=150, seed=seed)
 
     threads = [threading.Thread(target=work, args=(seed,)) for seed in (1, 2)]
     for thread in threads:
@@ -272,7 +272,7 @@ def test_two_plans_at_once(task):
     for thread in threads:
         thread.join()
     for seed, result in results.items():
-        again = _quick(task, iterations=400, seed=seed)
+        again = _quick(task, iterations=150, seed=seed)
         np.testing.assert_array_equal(result.path.q, again.path.q)
 
 

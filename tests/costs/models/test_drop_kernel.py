@@ -175,11 +175,11 @@ def test_planners_run_on_the_drop_model():
     objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), w=2.0).bind(task.scene)
     problem = SceneProblem(kernels=compile_scene(task.scene).kernels, start=task.start, goals=np.atleast_2d(task.goal))
     assert type(native_space(problem, objective)).__name__ == "SceneSpace"
-    native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=1500)
+    native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=500)
     assert native.path is not None
     assert native.cost.total == pytest.approx(objective.breakdown(native.trajectory).total, rel=1e-9)
     # A plan that ignores impact costs more under this objective.
-    ordinary = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=1500)
+    ordinary = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500)
     assert ordinary.path is not None and objective.breakdown(ordinary.trajectory).total > 1.05 * native.cost.total
 
 
