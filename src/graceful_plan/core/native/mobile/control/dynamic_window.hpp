@@ -304,7 +304,8 @@ class DynamicWindow {
     const double v = scene.v[0] + (scene.v[1] - scene.v[0]) * i / (kSpeeds - 1);
     const double omega = scene.omega[0] + (scene.omega[1] - scene.omega[0]) * j / (kRates - 1);
     for (const double time : {set_.period, 0.5 * set_.horizon}) {
-      if (!coasting_.hits(moved(at, v, omega, time), scene.all.shape, {scene.all.severity.data()}, scene.work)) continue;
+      if (!coasting_.hits(moved(at, v, omega, time), scene.all.shape, {scene.all.severity.data()}, scene.work))
+        continue;
       for (size_t e = 0; e < scene.all.severity.size(); ++e) known += 0.5 * scene.all.severity[e] * scene.work.hit[e];
     }
     return known;
