@@ -20,6 +20,7 @@ from graceful_plan.constraints.grasp import GraspHolds as GraspHolds
 from graceful_plan.constraints.standing import KeepStanding as KeepStanding
 from graceful_plan.constraints.tool import ToolSpeed as ToolSpeed
 from graceful_plan.constraints.tool import ToolWithin as ToolWithin
+from graceful_plan.constraints.torque import TorqueWithin as TorqueWithin
 from graceful_plan.costs.blocks.clearance_cost import ClearanceCost as ClearanceCost
 from graceful_plan.costs.cost import Cost as Cost
 from graceful_plan.costs.cost import StateBatch as StateBatch

@@ -64,13 +64,14 @@ class Verdict:
     """Checks of the independent judge, by name.
 
     The motion is always verified, its cost only if there is a check "cost": `plan` has it recomputed for Algorithm 1,
-    `ImpactCost("box_overlap")`, and for no other model. The check "passing_by" of a base that comes near moving
-    entities only warns: it relies on a prediction, and people give way.
+    `ImpactCost("box_overlap")`, and for no other model. The check "passing_by" of a robot that comes near
+    moving entities only warns: it relies on a prediction, and people give way. So does "torque", unless the constraint
+    `TorqueWithin` asks for it: payloads and masses of models are often rough, and many drives bear overload for a while.
     """
 
     checks: Mapping[str, Check] = field(default_factory=dict)
 
-    WARNS: ClassVar[frozenset[str]] = frozenset({"passing_by"})
+    WARNS: ClassVar[frozenset[str]] = frozenset({"passing_by", "torque"})
 
     @property
     def passed(self) -> bool:

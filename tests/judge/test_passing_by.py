@@ -60,10 +60,69 @@ def test_corners_of_a_turning_base_hit_entities_beside_it():
     assert passing_check(turning, at([[0.0, 0.7, 0.85]])).passed
 
 
-def test_only_verdicts_of_bases_among_moving_entities_have_the_check():
+def test_only_verdicts_among_moving_entities_have_the_check():
     trajectory = straight()
     assert "passing_by" not in gp.verify(trajectory, SCENE).checks
     assert "passing_by" in gp.verify(trajectory, at([[2.0, 0.8, 0.85]])).checks
+    path = gp.Path(trajectory.q[[0, -1]])
+    assert "passing_by" not in gp.verify(path, at([[2.0, 0.8, 0.85]])).checks
+
+
+ARM = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="arm/base">
+      <geom type="cylinder" size=".1 .2" pos="0 0 .2"/>
+      <body name="arm/link" pos="0 0 .5">
+        <joint name="arm/turn" type="hinge" axis="0 0 1" range="-3 3"/>
+        <geom type="capsule" fromto="0 0 0 .8 0 0" size=".03" mass="1"/>
+        <site name="arm/tip" pos=".8 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+def arm_among(*entities):
+    arm = gp.Scene.from_mjcf(ARM, robot="arm/", tool="arm/tip", velocity=[2.0], acceleration=[20.0])
+    return arm.with_moving(*entities)
+
+
+def adult(position, t=(0.0,)):
+    return gp.MovingEntity("ann", "adult", size=[0.25, 0.85], t=list(t), position=position)
+
+
+def test_an_arm_that_sweeps_through_an_entity_is_warned_about_by_depth_name_and_time():
+    scene = arm_among(adult([[0.9 * np.cos(0.8), 0.9 * np.sin(0.8), 0.85]]))
+    trajectory = gp.retime(gp.Path(np.array([[0.0], [1.6]])), scene.limits, scene.joints)
+    verdict = gp.verify(trajectory, scene)
+    assert verdict.passed and verdict.warnings == ("passing_by",)
+    check = verdict.checks["passing_by"]
+    assert check.worst == pytest.approx(0.1 - 0.25 - 0.03, abs=2e-3) and "'ann'" in check.detail
+    # The first contact is where the link, seen from the base, is tangent to the entity.
+    first = trajectory.t[np.argmax(trajectory.q[:, 0] > 0.8 - np.arcsin(0.28 / 0.9))]
+    assert check.first == pytest.approx(first, abs=0.05)
+
+
+def test_an_arm_meets_an_entity_only_where_it_is_at_that_time():
+    place, away = [0.9 * np.cos(0.8), 0.9 * np.sin(0.8), 0.85], [3.0, 3.0, 0.85]
+    scene = arm_among(adult([place, away, away], (0.0, 0.01, 9.0)))
+    trajectory = gp.retime(gp.Path(np.array([[0.0], [1.6]])), scene.limits, scene.joints)
+    assert gp.verify(trajectory, scene).warnings == ()
+
+
+def test_an_entity_may_walk_into_the_fixed_pedestal_of_an_arm():
+    scene = arm_among(adult([[-0.3, 0.0, 0.85]]))
+    trajectory = gp.retime(gp.Path(np.array([[0.0], [1.6]])), scene.limits, scene.joints)
+    assert gp.verify(trajectory, scene).warnings == ()
+
+
+def test_a_plan_through_an_entity_is_solved_with_a_warning():
+    scene = arm_among(adult([[0.9 * np.cos(0.8), 0.9 * np.sin(0.8), 0.85]]))
+    result = gp.plan([0.0], [1.6], scene, iterations=10)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert result.verdict.warnings == ("passing_by",) and "'ann'" in result.detail
 
 
 def dense_passing(motion, scene):

@@ -97,7 +97,7 @@ def test_a_good_trajectory_passes(scene: Scene) -> None:
     assert verdict.passed, verdict.failures
     assert set(verdict.checks) == {
         "collision", "position_limits", "velocity_limits", "acceleration_limits", "consistency", "rest", "start",
-        "goal", "cost", "second_opinion",
+        "goal", "cost", "second_opinion", "torque",
     }  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import final
 
 import numpy as np
@@ -22,13 +22,14 @@ from graceful_plan.constraints.specific_force import (
     resting_in,
 )
 from graceful_plan.constraints.speed import speed_limits
+from graceful_plan.constraints.torque import torque_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.path import Path
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.grip import find_grip
-from graceful_plan.scene.rules.rules import CustomRule, SpeedRule
+from graceful_plan.scene.rules.rules import CustomRule, SpeedRule, TorqueRule
 from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import Curve
@@ -64,7 +65,7 @@ class SceneConstraints:
             if not isinstance(constraint, Constraint):
                 raise SettingError("constraints", constraint, "graceful_plan.Constraint objects, such as Upright()")
         rules = [(constraint, constraint.rule(scene)) for constraint in self.constraints]
-        self.custom = tuple(constraint for constraint, rule in rules if isinstance(rule, CustomRule))
+        self.custom = tuple(constraint for constraint, rule in rules if isinstance(rule, CustomRule | TorqueRule))
         """Constraints that only Python can check."""
         self.keepers = tuple(c for c in self.constraints if isinstance(c, KeepContents))
         carrying = self._carrying(share)
@@ -75,6 +76,7 @@ class SceneConstraints:
         self.level = any(isinstance(felt, SpecificForceCone) for felt in self.felt)
         """Whether a constraint keeps part of the carried object level."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
+        self._torques = tuple(rule for _, rule in rules if isinstance(rule, TorqueRule))
         resting = [rule for c in carrying for rule in resting_in(scene, c)]
         self._bounds = bounds_of(scene, [*(rule for _, rule in rules), *resting])
         self.kernels: Kernels = bounded_kernels(scene, self._bounds)
@@ -194,10 +196,11 @@ class SceneConstraints:
         return tuple(tuple(felt_in(self.scene, c) for c in self._carrying(share)) for share in shares)
 
     def restraint(self, slower: Restraint | None = None) -> Restraint | None:
-        """Return the other limits on path acceleration and speed: of the caller, the tool and the base."""
+        """Return the other limits on path acceleration and speed: of the caller, tool, drives and base."""
         own: list[Restraint] = [] if slower is None else [slower]
         if self._speeds:
             own.append(lambda grid: speed_limits(self._speeds, self.scene, grid))
+        own += [partial(torque_limits, rule, self.scene) for rule in self._torques]
         if (limits_of_base := base_limits(self.scene)) is not None:
             own.append(limits_of_base)
         return (lambda grid: np.concatenate([limits(grid) for limits in own], axis=1)) if own else None

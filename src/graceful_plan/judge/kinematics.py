@@ -59,6 +59,7 @@ class Kinematics:
     | axes   | columns: a point on each joint's axis [m] and its direction, at 0              | nq 4 2  |
     | geoms  | frames of the model's geoms                                                    |         |
     | held   | of the tool site, and of the body of the carried object if there is one        |         |
+    | bodies | link of each body of the model                                                 | body    |
     """
 
     slides: Bool[Array, " nq"]
@@ -66,6 +67,7 @@ class Kinematics:
     axes: Float[Array, "nq 4 2"]
     geoms: Frames
     held: Frames
+    bodies: Int[Array, " body"]
 
     def links(self, q: Float[Array, "n nq"]) -> Iterator[Float[Array, "n 4 4"]]:
         """Yield the rigid motion of each link in W relative to all planned joints at 0, from link 0 to link nq."""
@@ -123,6 +125,7 @@ def kinematics(scene: Scene) -> Kinematics:
         axes=np.stack([np.column_stack([anchor, ones]), np.column_stack([axis, 0.0 * ones])], axis=2),
         geoms=Frames(link=link[model.geom_bodyid], X_WF=_matrices(data.geom_xpos, data.geom_xmat)),
         held=held,
+        bodies=link,
     )
 
 

@@ -1,7 +1,8 @@
-"""Checks that a mobile robot does not drive into moving entities at their predicted positions, with exact geometry.
+"""Checks that a robot does not move into moving entities at their predicted positions, with exact geometry.
 
 Only times at which the robot moves count, whether it drives, turns in place or moves its arm: while it stands still,
-entities may walk into it. The spread of the predicted positions is part of the impact, not of this check.
+entities may walk into it, and into links that no planned joint moves at any time. The spread of the predicted positions
+is part of the impact, not of this check.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.judge.kinematics import kinematics
+from graceful_plan.judge.motion_samples import motion_samples
 from graceful_plan.result import Check
 from graceful_plan.scene.edit import StaticBody
-from graceful_plan.scene.model_parts import colliding_geoms
+from graceful_plan.scene.model_parts import colliding_geoms, subtree
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
@@ -27,8 +29,9 @@ Array = np.ndarray
 _STANDING = 0.01
 """Speed of every joint below which a robot stands still [m/s or rad/s]."""
 _STEP = 0.02
-"""Largest displacement of robot and entities between two evaluated times [m]."""
+"""Largest displacement of any point of the robot, and of the entities, between two evaluated times [m]."""
 _MOST = 20_000
+"""Largest number of times at which entities are evaluated."""
 _FAR = 1.0
 """Clearance beyond which it is not measured [m]."""
 _PARTS = 4
@@ -71,7 +74,7 @@ def passing_check(motion: Trajectory, scene: Scene) -> Check:
     overlaps = np.flatnonzero(pairs.least < 0.0)
     by_time = overlaps[np.argsort(pairs.row[overlaps], kind="stable")].tolist()
     first = next(k for k in by_time if measure(k) < 0.0)
-    detail = f"drives into {whom!r}: {1e3 * worst:.3g} mm"
+    detail = f"{'moves' if scene.base is None else 'drives'} into {whom!r}: {1e3 * worst:.3g} mm"
     return Check(worst=worst, first=float(t[rows[pairs.row[first]]]), detail=detail)
 
 
@@ -182,14 +185,17 @@ def _covers(scene: Scene) -> _Covers:
 def _times(motion: Trajectory, scene: Scene) -> Float[Array, " n"]:
     """Return times dense enough that neither robot nor entities move far between them [s]."""
     walks = max(entity.top_speed for entity in scene.moving.values())
-    drives = float(np.linalg.norm(motion.qd[:, :2], axis=1).max(initial=0.0))
-    n = int(np.clip(np.ceil(motion.duration * (walks + drives) / _STEP), 1, _MOST))
-    return motion.t[0] + motion.duration * np.linspace(0.0, 1.0, n + 1)
+    n = int(np.clip(np.ceil(motion.duration * walks / _STEP), 1, _MOST))
+    even = motion.t[0] + motion.duration * np.linspace(0.0, 1.0, n + 1)
+    return np.union1d(even, motion_samples(motion, scene, _STEP).at)
 
 
 def _robot_geoms(scene: Scene) -> tuple[int, ...]:
-    bodies = scene.robot_bodies | ({scene.model.body(scene.carried.body).id} if scene.carried is not None else set())
-    return colliding_geoms(scene.model, bodies)
+    """Return the ids of the colliding geoms that planned joints move."""
+    carried = set() if scene.carried is None else subtree(scene.model, scene.model.body(scene.carried.body).id)
+    bodies = scene.robot_bodies | carried
+    link = kinematics(scene).geoms.link
+    return tuple(geom for geom in colliding_geoms(scene.model, bodies) if link[geom] > 0)
 
 
 @per_scene

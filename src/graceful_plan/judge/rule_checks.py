@@ -18,6 +18,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.judge import _pendulum
 from graceful_plan.judge.kinematics import cross_matrix, kinematics
 from graceful_plan.judge.preparation import own_placement
+from graceful_plan.judge.torque_check import MANY, torque_check
 from graceful_plan.path import Path
 from graceful_plan.result import Check
 from graceful_plan.scene.rules.rules import (
@@ -27,10 +28,12 @@ from graceful_plan.scene.rules.rules import (
     ContentsRule,
     CustomRule,
     DistanceRule,
+    FrameRule,
     GripRule,
     Rule,
     SpeedRule,
     StandsRule,
+    TorqueRule,
 )
 from graceful_plan.scene.rules.vessel import Vessel
 from graceful_plan.scene.scene import Scene
@@ -118,11 +121,14 @@ def rule_checks(motion: Path | Trajectory, scene: Scene, rules: Iterable[Rule]) 
         while key in checks:
             again += 1
             key = f"{name}_{again}"
-        checks[key] = _check(rule, frames)
+        if isinstance(rule, TorqueRule):
+            checks[key] = torque_check(motion, scene, rule.share, MANY)
+        else:
+            checks[key] = _check(rule, frames)
     return checks
 
 
-def _check(rule: Rule, frames: FrameMotion) -> Check:
+def _check(rule: FrameRule, frames: FrameMotion) -> Check:
     if isinstance(rule, AxisRule):
         angle = _angle(_along(frames.poses[rule.frame], np.array(rule.axis)), np.array(rule.direction))
         return _limit(angle, frames.at, rule.angle + _ANGLE, "angle [rad]")

@@ -24,6 +24,7 @@ from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.reference_cost import reference_cost
 from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.judge.second_opinion import opinion_of_fcl
+from graceful_plan.judge.torque_check import torque_check
 from graceful_plan.path import Path, finite_array, is_real, plain_numbers
 from graceful_plan.result import Check, CostBreakdown, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
@@ -106,10 +107,10 @@ def verify(
 
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
-        "consistency" and "rest"; "contents" if they have to stay in a vessel, and one for each other constraint, such
-        as "upright"; for bases "rolling", "drive_limits" and, with moving entities, "passing_by", which only warns;
-        and "start", "goal", "cost", "second_opinion" if requested. Without "cost", the verdict does not cover the cost
-        of the motion.
+        "consistency" and "rest", and "torque" if a joint has a torque limit, which only warns; "contents" if they have to stay in a vessel, and one for each other constraint, such
+        as "upright"; for bases "rolling" and "drive_limits"; with moving entities, for trajectories, "passing_by",
+        which only warns; and "start", "goal", "cost", "second_opinion" if requested. Without "cost", the verdict does
+        not cover the cost of the motion.
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.
@@ -137,10 +138,12 @@ def verify(
         }
     if isinstance(motion, Trajectory):
         checks |= _dynamics(motion, scene)
+        if np.isfinite(scene.limits.torque).any():
+            checks["torque"] = torque_check(motion, scene)
     if scene.base is not None:
         checks |= drive_checks(motion, scene.base)
-        if scene.moving and isinstance(motion, Trajectory):
-            checks["passing_by"] = passing_check(motion, scene)
+    if scene.moving and isinstance(motion, Trajectory) and not too_long:
+        checks["passing_by"] = passing_check(motion, scene)
     end = motion.t[[0, -1]] if isinstance(motion, Trajectory) else (0.0, float(np.sum(motion.segment_lengths)))
     if start is not None:
         starts = finite_array("start", start, ndim=1, last=nq)[None]

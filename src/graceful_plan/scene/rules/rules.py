@@ -109,6 +109,15 @@ class StandsRule:
 
 
 @final
+@dataclass(frozen=True, kw_only=True)
+class TorqueRule:
+    """The torques of the joints stay within a fraction `share` of the scene's limits."""
+
+    name: str
+    share: float
+
+
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CustomRule:
     """A user-defined constraint on configurations: `residual` [n, nq] -> [n] is at most 0."""
@@ -118,7 +127,8 @@ class CustomRule:
     told: Callable[[float], str]
 
 
-Rule = AxisRule | BoxRule | DistanceRule | SpeedRule | ContentsRule | GripRule | StandsRule | CustomRule
+FrameRule = AxisRule | BoxRule | DistanceRule | SpeedRule | ContentsRule | GripRule | StandsRule | CustomRule
+Rule = FrameRule | TorqueRule
 
 
 @runtime_checkable
