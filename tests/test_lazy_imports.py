@@ -90,3 +90,21 @@ def test_type_checkers_know_the_names_and_refuse_others(tmp_path):
     said = subprocess.run(checker, capture_output=True, text=True, check=False).stdout
     assert 'Type of "gp.load_scene" is "(name_or_path: str | Path) -> Scene"' in said
     assert '"plam" is not a known attribute of module "graceful_plan"' in said
+
+
+@pytest.mark.long
+def test_planning_for_a_base_imports_nothing_while_the_clock_runs():
+    code = """
+import sys, time, types
+sys.path.insert(0, "tests")
+import graceful_plan as gp
+from hall import hall
+plan, scene, known = gp.plan, hall(), []
+def perf_counter():
+    known.append(set(sys.modules))
+    return time.perf_counter()
+sys.modules["graceful_plan.plan"].time = types.SimpleNamespace(perf_counter=perf_counter)
+plan("west", "east", scene, w=0.0, iterations=1)
+print(*(name for name in set(sys.modules) - known[0] if name.startswith("graceful_plan")))
+"""
+    assert fresh(code) == []

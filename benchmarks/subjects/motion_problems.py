@@ -23,6 +23,7 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.endpoints.endpoints import ways_out
 from graceful_plan.query.endpoints.goals import resolve_goal, resolve_start
+from graceful_plan.query.endpoints.travel import Travel
 
 Array = np.ndarray
 
@@ -163,7 +164,7 @@ def _search_problem(problem: ProblemFile) -> SceneProblem | None:
     goals = resolve_goal(problem.goal, scene, problem.start).q
     if not len(start) or not len(goals):
         return None
-    ends = ways_out(start[0], goals, SceneConstraints(scene, ()), np.random.default_rng(0))
+    ends = ways_out(Travel(start[0]), goals, SceneConstraints(scene, ()), np.random.default_rng(0))
     if isinstance(ends, gp.PlanResult):
         return None
     return SceneProblem(

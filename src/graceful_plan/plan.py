@@ -27,6 +27,7 @@ from graceful_plan.query.arguments import (
     checked_risk,
     checked_seed,
     checked_speed,
+    checked_start_tolerance,
     checked_stop,
     checked_time_limit,
     checked_verification,
@@ -39,7 +40,8 @@ from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
-from graceful_plan.query.endpoints.goals import Goal, poses_of
+from graceful_plan.query.endpoints.goals import Goal, poses_of, start_configuration
+from graceful_plan.query.endpoints.real_start import START_TOLERANCE, real_start
 from graceful_plan.query.request import Request, Stop
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
@@ -69,6 +71,7 @@ def plan(
     speed: float = 1.0,
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
+    start_tolerance: float = START_TOLERANCE,
     constraints: Iterable[Constraint] | None = None,
     verification: VerificationSettings | None = None,
     callback: Callback | None = None,
@@ -102,6 +105,9 @@ def plan(
             along a path. The best path by the measure is then selected and refined by it (see `prefer`).
         max_wait: Longest wait before the motion starts [s], in a scene with moving entities (see `departure`). The
             trajectory then begins with a stretch at rest.
+        start_tolerance: Distance outside of a limit at which a joint may start [rad or m]; a tenth of it is the depth
+            of a contact in which the robot may start [m]. The motion then begins with a verified piece that leads back
+            inside, and `detail` says so.
         constraints: Constraints along the motion, in addition to collision. Default: those that the scene declares,
             and that the contents of a carried vessel stay in it (`KeepContents`). An empty list turns all off.
         verification: Resolution of the judge; default: checks at most 2 mm apart, with exact geometry where bounding
@@ -117,13 +123,14 @@ def plan(
     Raises:
         GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside their range.
     """
+    chosen = driving_planner(checked_planner(planner), scene)  # imports what bases need, which takes 0.2 s
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
     bound = checked_objective(objective, w).bind(scene, search_paces(share))  # compiles the scene
     asked = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
     compiled = time.perf_counter() - started
     request = Request(
-        planner=driving_planner(checked_planner(planner), scene),
+        planner=chosen,
         objective=bound,
         constraints=asked,
         preference=None if measure.kind == "expectation" or bound.w == 0.0 else Preference(measure, bound),
@@ -136,6 +143,7 @@ def plan(
     )
     rng, limit = checked_seed(seed), checked_time_limit(time_limit, iterations)
     budget = Budget(limit, iterations, checked_cancelled(cancelled), started)
+    real = real_start(start_configuration(start, scene), asked, checked_start_tolerance(start_tolerance), share)
     if passed := checked_via(via, scene):
         settings = {"planner": planner, "objective": bound.objective, "stop": stop, "refine": refine, "seed": seed}
         leg = partial(
@@ -147,8 +155,13 @@ def plan(
             cancelled=budget.cancelled,
             **settings,
         )
-        return plan_through((start, passed, goal), leg, request, budget, seed)
-    ends = find_endpoints(start, goal, asked, rng, seed=seed, cancelled=budget.cancelled, late=budget.is_late)
+        return real.completed(plan_through((real.q, passed, goal), leg, request, budget, seed), request)
+    try:
+        ends = find_endpoints(
+            real.q, goal, asked, rng, objective=bound, seed=seed, cancelled=budget.cancelled, late=budget.is_late
+        )
+    except NonFiniteCostError as error:
+        return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     notes = [*_compiled(compiled, limit), *(grasp_warnings(scene) if constraints is None else ())]
     if (driving := base_planning(scene)) is not None and not isinstance(ends, PlanResult):
         ends = driving.ends(ends)
@@ -159,7 +172,7 @@ def plan(
         best = BestVerified(request, ends, budget)
         for motion in candidates(request, ends, budget, rng, best):
             best.consider(motion)
-        result = best.result()
+        result = real.completed(best.result(), request)
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     result = _with_notes(result, [*notes, *ends.notes, *_waived(asked)])

@@ -137,7 +137,7 @@ def test_missed_and_misordered_poses_are_found(scene):
 
 def test_stages_take_the_configurations_that_make_the_way_short(scene):
     pose = gp.PoseGoal.from_tool(scene.keyframes["above_blue"], scene)
-    stages = find_stages("right", [pose], "left", scene, 0)
+    stages = find_stages("right", [pose], "left", gp.Objective().bind(scene), 0)
     chosen = stages.chosen()
     lengths = [np.linalg.norm(q - chosen[0]) + np.linalg.norm(chosen[2] - q) for q in stages.usable[1]]
     np.testing.assert_array_equal(chosen[1], stages.usable[1][int(np.argmin(lengths))])

@@ -77,10 +77,12 @@ class Core:
         seed: Reals,
         X_WG: Reals,
         free_yaw: Integers,
+        radius: Reals,
         X_LT: Reals,
         lower: Reals,
         upper: Reals,
         held: Integers,
+        ease: Reals,
         iterations: int,
         patience: int,
     ) -> tuple[Reals, Reals]: ...

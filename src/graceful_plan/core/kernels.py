@@ -135,6 +135,8 @@ class Kernels:
         iterations: int,
         patience: int,
         held: slice = slice(0),
+        radius: Float[Array, "n 2"] | None = None,
+        ease: Float[Array, " nq"] | None = None,
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n 6"]]:
         """Move each seed towards its tool pose by damped least squares, within the position limits.
 
@@ -148,10 +150,12 @@ class Kernels:
             iterations: Largest number of iterations for each seed.
             patience: Number of iterations within which at least 30 % of the error must vanish.
             held: Joints that do not move.
+            radius: Distance [m] and angle [rad] from the pose that are near enough, for each seed; 0 by default.
+            ease: In (0, 1], how far a joint moves compared with others of the same effect; 1 by default.
 
         Returns:
-            The final configurations, and the twist that takes the tool from there to the pose: translation [m] and
-            rotation vector [rad], both in W.
+            The final configurations, and the twist that takes the tool from there to the pose, or to the nearest one
+            that is near enough: translation [m] and rotation vector [rad], both in W.
         """
         kept = np.zeros(self.nq, dtype=np.int32)
         kept[held] = 1
@@ -160,10 +164,12 @@ class Kernels:
             seed=self.rows("seeds", seeds)[0],
             X_WG=reals(X_WG[:, :3]),
             free_yaw=_integers(free_yaw),
+            radius=reals(np.zeros((len(X_WG), 2)) if radius is None else radius),
             X_LT=reals(robot.X_LT),
             lower=reals(robot.lower),
             upper=reals(robot.upper),
             held=kept,
+            ease=reals(np.ones(self.nq) if ease is None else ease),
             iterations=iterations,
             patience=patience,
         )

@@ -35,7 +35,7 @@ _NEAR = 0.05
 _FEW, _BLOCK = 32, 4096
 """Number of configurations below which poses are computed one by one, and the block size above."""
 _GRAZE = 1e-6
-"""Penetration of an object into its support up to which a contact counts as rounding, anywhere on the path [m]."""
+"""Depth up to which a contact counts as rounding [m]."""
 
 
 class Touch(NamedTuple):
@@ -108,9 +108,8 @@ class Judge:
 
     def is_violation(self, touch: Touch, *, at_end: bool) -> bool:
         """Tell whether a touch is a collision, given whether it is in the contact stretch at an end of the path."""
-        if not self._ends[touch.first, touch.second]:
-            return True
-        return -touch.distance > (DEEPEST_SUPPORT if at_end else _GRAZE)
+        stands = at_end and self._ends[touch.first, touch.second]
+        return -touch.distance > (DEEPEST_SUPPORT if stands else _GRAZE)
 
     def violations(self, touches: list[Touch], samples: int) -> list[Touch]:
         """Return the touches that are collisions: allowed pairs may touch in one unbroken stretch at either end."""

@@ -55,7 +55,13 @@ def passing(
 def _error(one: Float[Array, " nq"] | PoseGoal, scene: Scene) -> Callable[[Float[Array, " nq"]], float]:
     """Return a function that computes the error of a configuration relative to the tolerance."""
     if not isinstance(one, PoseGoal):
-        return lambda q: float(np.abs(q - one).max()) / NEAR
+
+        def of_configuration(q: Float[Array, " nq"]) -> float:
+            away = q - one
+            turned = np.remainder(away + np.pi, 2.0 * np.pi) - np.pi
+            return float(np.abs(np.where(scene.endless, turned, away)).max()) / NEAR
+
+        return of_configuration
     placement = own_placement(scene)
 
     def of_pose(q: Float[Array, " nq"]) -> float:

@@ -44,6 +44,8 @@ _ROUNDINGS = 32.0
 """Rounding error of a piece's acceleration times the square of its duration, in roundings of positions."""
 _OVERRATED, _SECONDS_EACH = 3.0, 0.004
 """Typical ratio of the reach of a joint to its levers; time between two samples for constraints [s]."""
+GRAZING_SHARE = 0.1
+"""Largest depth of a contact at the start of a motion, as a share of the tolerance of the start [m per rad or m]."""
 COST_TOLERANCE = 0.01
 """Relative tolerance; two integrations of a discontinuous impact differ by less at the steps in use."""
 
@@ -86,6 +88,7 @@ def verify(
     step: float = STEP,
     clearance: ClearanceBound | None = None,
     second_opinion: bool = False,
+    start_tolerance: float = 0.0,
 ) -> Verdict:
     """Check a path or a trajectory.
 
@@ -104,6 +107,9 @@ def verify(
         clearance: Lower bound that proves configurations free, such as `compile_scene(scene).kernels.clearance`. Exact
             geometry then checks only configurations that it does not prove free, and a few others. Default: all.
         second_opinion: Whether python-fcl also checks for collisions, every 10 steps.
+        start_tolerance: Distance outside of its limits at which a joint may start [rad or m], if it moves no farther
+            out. `GRAZING_SHARE` of it is the depth of a contact in which the motion may start [m], if it gets no
+            deeper until it ends for good.
 
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
@@ -128,12 +134,13 @@ def verify(
     too_long = _too_long(motion, scene, step)
     if too_long:
         at = motion.t if isinstance(motion, Trajectory) else np.append(0.0, np.cumsum(motion.segment_lengths))
-        checks = {"collision": too_long, "position_limits": _position(MotionSamples.of(motion.q, at), motion, scene)}
+        samples = MotionSamples.of(motion.q, at)
+        checks = {"collision": too_long, "position_limits": _position(samples, motion, scene, start_tolerance)}
     else:
         violations, samples = motion_violations(motion, scene, step, clearance)
         checks = {
-            "collision": _collision(violations, samples, scene),
-            "position_limits": _position(samples, motion, scene),
+            "collision": _collision(_without_left(violations, GRAZING_SHARE * start_tolerance), samples, scene),
+            "position_limits": _position(samples, motion, scene, start_tolerance),
             **rule_checks(motion, scene, rules),
         }
     if isinstance(motion, Trajectory):
@@ -195,8 +202,26 @@ def _collision(violations: list[Touch], samples: MotionSamples, scene: Scene) ->
     )
 
 
-def _position(samples: MotionSamples, motion: Path | Trajectory, scene: Scene) -> Check:
+def _without_left(violations: list[Touch], deepest: float) -> list[Touch]:
+    """Return the collisions without contacts at the start, up to a depth [m], that the motion leaves."""
+    left: list[Touch] = []
+    for pair in {(touch.first, touch.second) for touch in violations if touch.sample == 0}:
+        mine = [touch for touch in violations if (touch.first, touch.second) == pair]
+        begun = max(-touch.distance for touch in mine if touch.sample == 0)
+        unbroken = {touch.sample for touch in mine} == set(range(mine[-1].sample + 1))
+        if begun <= deepest and unbroken and all(-touch.distance <= begun + LIMIT_TOLERANCE for touch in mine):
+            left += mine
+    return [touch for touch in violations if touch not in left]
+
+
+def _position(samples: MotionSamples, motion: Path | Trajectory, scene: Scene, start_tolerance: float) -> Check:
     lower, upper = scene.limits.position.T
+    # Hinges without limits are planned within a few turns, but may turn on.
+    lower, upper = np.where(scene.endless, -np.inf, lower), np.where(scene.endless, np.inf, upper)
+    if start_tolerance > 0.0:
+        outside = np.maximum(lower - motion.q[0], motion.q[0] - upper) <= start_tolerance
+        lower = np.where(outside, np.minimum(lower, motion.q[0]), lower)
+        upper = np.where(outside, np.maximum(upper, motion.q[0]), upper)
     if isinstance(motion, Trajectory):
         q, at = _turning_points(motion)
     else:

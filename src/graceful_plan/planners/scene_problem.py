@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -37,15 +38,27 @@ class SceneProblem(Problem):
     margin: float = 0.0
     constraints: SceneConstraints | None = None
 
-    @property
+    @cached_property
     def lower(self) -> Float[Array, " nq"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Lower position limits."""
-        return self.kernels.robot.lower
+        """Lower position limits; of a hinge, at most a turn below start and goals."""
+        return np.maximum(self.kernels.robot.lower, self._ends.min(axis=0) - self._around)
+
+    @cached_property
+    def upper(self) -> Float[Array, " nq"]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Upper position limits; of a hinge, at most a turn above start and goals."""
+        return np.minimum(self.kernels.robot.upper, self._ends.max(axis=0) + self._around)
 
     @property
-    def upper(self) -> Float[Array, " nq"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Upper position limits."""
-        return self.kernels.robot.upper
+    def _ends(self) -> Float[Array, "end nq"]:
+        return np.vstack([self.start, self.goals])
+
+    @property
+    def _around(self) -> Float[Array, " nq"]:
+        """Distance around start and goals beyond which a joint meets no new configurations [rad or m]."""
+        robot, around = self.kernels.robot, np.full(len(self.start), np.inf)
+        turns = (robot.joint >= 0) & (robot.slide == 0)
+        around[robot.joint[turns]] = 2.0 * np.pi
+        return around
 
     def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Return which configurations are free of collision and satisfy the constraints."""

@@ -158,8 +158,9 @@ class BestVerified:
             return PlanResult(status=ended, detail=detail, verdict=refused.verdict, trace=trace)
         if self.why_not:
             return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=self.why_not, trace=trace)
-        status = ended if budget.exhausted or found.paths else PlanStatus.INFEASIBLE
-        return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s")
+        gave_up = not (budget.exhausted or found.paths)
+        told = f"; {self._request.planner.name} gave up, another planner may find one" if gave_up else ""
+        return PlanResult(status=ended, detail=f"no path after {budget.elapsed:.3f} s{told}")
 
     def _trace(self, total: float) -> Iterator[TracePoint]:
         """Yield the improvements until the cost of the result is reached.

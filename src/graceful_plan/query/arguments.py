@@ -22,6 +22,9 @@ from graceful_plan.scene.scene import Scene
 DEFAULT_TIME_LIMIT = 1.0
 """Time limit of a call without a time limit and without a number of iterations [s]."""
 
+MOST_OUTSIDE = 0.1
+"""Largest tolerance of a start [rad or m]: a joint that is farther out has been moved there by force."""
+
 
 def checked_planner(planner: object) -> Planner:
     """Return a planner; strings are looked up by name."""
@@ -108,6 +111,13 @@ def checked_refine(refine: object) -> bool:
     if not isinstance(refine, bool | np.bool_):
         raise SettingError("refine", refine, "True or False")
     return bool(refine)
+
+
+def checked_start_tolerance(tolerance: object) -> float:
+    """Return the distance outside of its limits at which a joint may start [rad or m]."""
+    if not (is_real(tolerance) and 0.0 <= tolerance <= MOST_OUTSIDE):
+        raise SettingError("start_tolerance", tolerance, f"from 0 to {MOST_OUTSIDE:g} rad or m")
+    return float(tolerance)
 
 
 def checked_wait(max_wait: object, scene: Scene) -> float:

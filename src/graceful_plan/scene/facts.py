@@ -124,8 +124,14 @@ class SceneFacts:
         """Which planned joints are hinges without limits: a full turn returns to the same configuration."""
         model = self.model
         joints = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in self.qpos_adr]
-        hinge = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
-        return np.asarray(hinge & (model.jnt_limited[joints] == 0), dtype=bool)
+        return np.asarray(self.hinges & (model.jnt_limited[joints] == 0), dtype=bool)
+
+    @cached_property
+    def hinges(self) -> Bool[Array, " nq"]:
+        """Which planned joints are hinges rather than slides."""
+        model = self.model
+        joints = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in self.qpos_adr]
+        return np.asarray(model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE), dtype=bool)
 
     # --- queries ------------------------------------------------------------------------------------------------------
 

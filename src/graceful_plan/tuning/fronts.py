@@ -260,5 +260,4 @@ class _Tuner:
             return PlanStatus.SOLVED, ""
         if self.refused:
             return PlanStatus.TIMEOUT, f"the judge rejected all {self.refused} paths"
-        status = PlanStatus.TIMEOUT if self.budget.exhausted else PlanStatus.INFEASIBLE
-        return status, f"no path after {self.budget.elapsed:.3f} s"
+        return PlanStatus.TIMEOUT, f"no path after {self.budget.elapsed:.3f} s"

@@ -122,3 +122,10 @@ def test_misuse():
             gp.DriveLattice(**settings)
     with pytest.raises(SettingError, match="DiffDrive"):
         solve(hall(None), [-4, 0, 0], [[4, 0, 0]])
+
+
+def test_where_no_lattice_has_a_path_the_floor_is_searched():
+    """Lattices that are abandoned prove nothing."""
+    paths, _ = solve(hall(), [-4, 0, 0], [[4, 0, 0]], max_nodes=100)
+    assert paths and rolls(paths[-1])
+    np.testing.assert_allclose(paths[-1].q[[0, -1]], [[-4, 0, 0], [4, 0, 0]], atol=1e-9)

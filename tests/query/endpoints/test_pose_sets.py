@@ -7,6 +7,7 @@ import graceful_plan as gp
 from graceful_plan.judge.exact import exactly_free
 from graceful_plan.query.endpoints.goals import resolve_goal
 from graceful_plan.query.endpoints.pose_sets import reach_poses
+from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
@@ -48,34 +49,34 @@ def _around(scene: Scene, start: np.ndarray, n: int, **given: bool) -> list[Pose
 @pytest.mark.parametrize("free_yaw", [False, True])
 def test_solutions_are_at_their_poses_and_free(scene: Scene, start: np.ndarray, free_yaw: bool) -> None:
     goals = _around(scene, start, 100, free_yaw=free_yaw)
-    found = reach_poses(goals, scene, start)
+    found = reach_poses(goals, scene, Travel(start))
     assert 10 < len(found.index) < 100 and (np.diff(found.index) > 0).all()
     lower, upper = scene.limits.position.T
     assert ((found.q >= lower) & (found.q <= upper)).all() and exactly_free(found.q, scene).all()
     turned = []
     for q, k in zip(found.q, found.index, strict=True):
         distance, angle = _error(goals[k], q, scene)
-        assert distance <= 1.01e-6 and angle <= 1.01e-5
+        assert distance <= goals[k].position_tolerance and angle <= goals[k].orientation_tolerance
         turned.append(_error(PoseGoal(goals[k].X_WT), q, scene)[1])
     assert (max(turned) > 0.1) is free_yaw
-    again = reach_poses(goals, scene, start)
+    again = reach_poses(goals, scene, Travel(start))
     np.testing.assert_array_equal(again.q, found.q)
 
 
 def test_hardly_any_is_missed_that_is_found_one_by_one(scene: Scene, start: np.ndarray) -> None:
     goals = _around(scene, start, 24)
     alone = {k for k, goal in enumerate(goals) if len(resolve_goal(goal, scene, start).q)}
-    together = set(reach_poses(goals, scene, start).index.tolist())
+    together = set(reach_poses(goals, scene, Travel(start)).index.tolist())
     assert 5 < len(alone) < 20
     assert len(alone - together) <= 0.2 * len(alone)
 
 
 def test_solving_can_be_cancelled(scene: Scene, start: np.ndarray) -> None:
     goals = _around(scene, start, 200)
-    assert len(reach_poses(goals, scene, start, cancelled=lambda: True).index) == 0
-    some, every = (reach_poses(goals, scene, start, hurried=lambda now=now: now).index for now in (True, False))
+    assert len(reach_poses(goals, scene, Travel(start), cancelled=lambda: True).index) == 0
+    some, every = (reach_poses(goals, scene, Travel(start), hurried=lambda now=now: now).index for now in (True, False))
     assert 0 < len(some) < len(every) and set(some) <= set(every)
-    assert len(reach_poses([PoseGoal.at([3.0, 0.0, 0.5])] * 10, scene, start, hurried=lambda: True).index) == 0
+    assert len(reach_poses([PoseGoal.at([3.0, 0.0, 0.5])] * 10, scene, Travel(start), hurried=lambda: True).index) == 0
 
 
 def test_the_only_reachable_pose_is_found(scene: Scene, start: np.ndarray) -> None:
@@ -111,6 +112,6 @@ def test_the_one_outside_of_a_closed_cell_is_found() -> None:
     inside = np.random.default_rng(0).uniform(-0.15, 0.15, (99, 3))
     goals = [PoseGoal.at(p) for p in (*inside, [0.9, 0.1, 0.1])]
     start = [-0.5, 0.0, 0.0]
-    assert set(reach_poses(goals, cell, np.array(start)).index) == set(range(100))
+    assert set(reach_poses(goals, cell, Travel(np.array(start))).index) == set(range(100))
     result = gp.plan(start, goals, cell, w=0.0, iterations=2000)
     assert (result.status, result.goal_index) == (gp.PlanStatus.SOLVED, 99)

@@ -209,20 +209,23 @@ class Core {
   }
   // Moves seeds towards poses [n, 3, 4] by damped least squares. Returns the final configurations and their remaining
   // twists to the poses.
-  auto reach(Reals seed, Reals X_WG, Integers free_yaw, Reals X_LT, Reals lower, Reals upper, Integers held,
-             int iterations, int patience) const {
+  auto reach(Reals seed, Reals X_WG, Integers free_yaw, Reals radius, Reals X_LT, Reals lower, Reals upper,
+             Integers held, Reals ease, int iterations, int patience) const {
     double *q, *missing;
     const size_t n = rows(seed), nq = size_t(tables_.n_joint);
     require_numbers(X_WG, 12 * n, "one pose per seed");
     require_numbers(X_LT, 16, "pose of the tool in its link", kMaxExtent);
     require(free_yaw.size() == n, "one free-yaw flag per pose");
     require(held.size() == nq, "one held flag per joint");
+    require(radius.size() == 2 * n, "two radii per pose");
+    for (size_t k = 0; k < 2 * n; ++k) require(radius.data()[k] >= 0, "radii of poses");
+    require_positive(ease, nq, "ease of each joint");
     require_limits(lower, upper);
     require(iterations >= 0 && patience >= 1, "iterations");
     auto ended = make<double>({n, nq}, q), twists = make<double>({n, 6}, missing);
     kernels().reach(tables_,
-                    {seed.data(), X_WG.data(), free_yaw.data(), n, X_LT.data(), tool_link_, lower.data(), upper.data(),
-                     held.data(), iterations, patience},
+                    {seed.data(), X_WG.data(), free_yaw.data(), radius.data(), n, X_LT.data(), tool_link_, lower.data(),
+                     upper.data(), held.data(), ease.data(), iterations, patience},
                     q, missing);
     return std::tuple(std::move(ended), std::move(twists));
   }

@@ -285,11 +285,13 @@ struct Edges {  // straight edges between rows of q0 and q1, sampled at most `st
 struct Reach {
   const double *seed, *X_WG;  // [n, n_joint] within the limits, [n, 3, 4]
   const int32_t* free_yaw;    // [n]: whether the tool may turn about its own z axis
+  const double* radius;       // [n, 2]: distance [m] and angle [rad] from the pose that are near enough
   size_t n;
   const double* X_LT;  // [4, 4]: the tool in the frame of its link
   int32_t tool_link;
   const double *lower, *upper;  // [n_joint]
   const int32_t* held;          // [n_joint]: whether a joint does not move
+  const double* ease;           // [n_joint]: in (0, 1], how far a joint moves compared with others of the same effect
   int iterations, patience;     // largest number; number within which 30 % of the missing twist must vanish
 };
 

@@ -16,6 +16,7 @@ import numpy as np
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.planners.bases_only import of_a_base
+from graceful_plan.mobile.planners.floor_theta_star import FloorThetaStar
 from graceful_plan.mobile.planners.postures import postures
 from graceful_plan.path import Path, plain_numbers
 from graceful_plan.planners.native import native_space, run_slice
@@ -31,8 +32,8 @@ class DriveLattice(Planner):
     """Anytime search for paths of straight stretches and turns in place on successively finer lattices.
 
     Along a path, the arm keeps one posture while the base moves. It either keeps the start posture and moves at the
-    goal, or takes the goal posture at the start. Motions refined from these paths move base and arm together. One
-    iteration expands one node.
+    goal, or takes the goal posture at the start. Motions refined from these paths move base and arm together. Where no lattice has a path,
+    `FloorThetaStar` searches for one. One iteration expands one node.
 
     Args:
         cells: Lengths of a move of the base [m], one lattice after the other.
@@ -71,7 +72,6 @@ class DriveLattice(Planner):
         Raises:
             SettingError: If the robot has no base.
         """
-        del rng
         charging, base = of_a_base(objective, self.name)
         best, short = np.inf, charging.objective.with_weight(0.0).bind(charging.scene, charging.paces)
         # The shortest path comes first: where impact decides, evaluating it everywhere takes time.
@@ -82,6 +82,8 @@ class DriveLattice(Planner):
                     if (total := path_total(objective, path)) < best:
                         best = total
                         yield path
+        if best == np.inf:  # start, goal or the way between them may lie between the nodes of all lattices
+            yield from FloorThetaStar().solve(problem, objective, budget, rng)
 
     def _searched(
         self, begin: Path, cell: float, base: DiffDrive, asked: tuple[Problem, BoundObjective, Budget]

@@ -23,6 +23,7 @@ from graceful_plan.query.endpoints.configurations import goal_labels, wrapped_ne
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
 from graceful_plan.query.endpoints.ik import FreeTest, IKResult
 from graceful_plan.query.endpoints.pose_solver import PoseSolver
+from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.query.endpoints.usable import Resolved, usable
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.per_scene import per_layout
@@ -201,7 +202,7 @@ def standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolv
     q[:, 0], q[:, 1], q[:, 2] = goal.x, goal.y, towards + turns if goal.yaw is None else goal.yaw
     q = wrapped_near(q, start, scene)
     q = q[np.argsort(np.abs(q[:, 2] - towards), kind="stable")]
-    found = usable(goal_labels(len(q)), q, scene, start)
+    found = usable(goal_labels(len(q)), q, scene, Travel(start))
     # With a free heading, one usable heading is enough.
     return Resolved(found.q, (0,) * len(found.q), found.notes, () if len(found.q) else found.problems[:1])
 

@@ -13,6 +13,8 @@ from graceful_plan.path import finite_array
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
+_ROUNDING = 1e-12
+"""Rounding error of a number of turns."""
 Configuration = ArrayLike | str
 """A configuration [nq] or the name of a keyframe."""
 
@@ -44,14 +46,24 @@ def named_configuration(name: str, scene: Scene) -> Float[Array, " nq"]:
 
 
 def wrapped_near(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:
-    """Return goals with continuous joints wrapped by full turns to be near the start, within the planning range.
-
-    A joint position outside the range stays as it is and is refused later.
-    """
+    """Return goals with continuous joints wrapped by full turns to be near the start, within the planning range."""
     lower, upper = scene.limits.position.T
     turned = q - 2.0 * np.pi * np.round((q - start) / (2.0 * np.pi))
     turned = turned + 2.0 * np.pi * ((turned < lower).astype(float) - (turned > upper))
-    return np.where(scene.endless & (q >= lower) & (q <= upper), turned, q)
+    return np.where(scene.endless, turned, q)
+
+
+def nearest_turns(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:
+    """Return configurations with each hinge turned by whole turns to be as near to the start as its limits allow.
+
+    The tool stays where it is, so this is for configurations that were found for a pose.
+    """
+    lower, upper = scene.limits.position.T
+    turn = 2.0 * np.pi
+    # Whole turns that stay within the limits; a configuration outside of them stays as it is.
+    least, most = np.ceil((lower - q) / turn - _ROUNDING), np.floor((upper - q) / turn + _ROUNDING)
+    turns = np.clip(np.round((start - q) / turn), least, np.maximum(least, most))
+    return np.where(scene.hinges & (least <= most), np.clip(q + turn * turns, lower, upper), q)
 
 
 def goal_labels(count: int) -> Sequence[str]:

@@ -9,11 +9,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.exact import nearest_pair
 from graceful_plan.path import Path
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE, way_out
 from graceful_plan.query.endpoints.goals import Goal, has_poses, resolve_goal, resolve_start
+from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.query.endpoints.usable import Resolved
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene
@@ -70,6 +72,7 @@ def find_endpoints(
     constraints: SceneConstraints,
     rng: np.random.Generator,
     *,
+    objective: SceneObjective | None = None,
     seed: int = 0,
     cancelled: Callable[[], bool] = lambda: False,
     late: Callable[[float], bool] = lambda _: False,
@@ -81,6 +84,7 @@ def find_endpoints(
         goal: Configuration, keyframe, pose, or several of these.
         constraints: Constraints and scene.
         rng: Random numbers for escape paths.
+        objective: Objective whose motion cost ranks goal configurations; by default the joint-space length does.
         seed: Seed of the random numbers of inverse kinematics.
         cancelled: Ends the call early once it returns True.
         late: Returns whether more than a share of the time budget is used up.
@@ -96,6 +100,7 @@ def find_endpoints(
         goal,
         scene,
         starts.q[0],
+        objective=objective,
         seed=seed,
         cancelled=lambda: cancelled() or late(_SHARE_OF_GOALS),
         hurried=lambda: late(_SHARE_OF_SETS),
@@ -108,7 +113,7 @@ def find_endpoints(
     if not len(goals.q):
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=goals.detail)
     held = constraints.around(np.vstack([starts.q[:1], goals.q]))
-    ends = ways_out(starts.q[0], goals.q, held, rng, cancelled, late)
+    ends = ways_out(Travel(starts.q[0], objective), goals.q, held, rng, cancelled, late)
     if isinstance(ends, PlanResult):
         return ends
     index = tuple(goals.index[k] for k in ends.goal_index)
@@ -125,18 +130,19 @@ def constrained(word: str, resolved: Resolved, constraints: SceneConstraints) ->
 
 
 def ways_out(
-    start: Float[Array, " nq"],
+    travel: Travel,
     goals: Float[Array, "goal nq"],
     constraints: SceneConstraints,
     rng: np.random.Generator,
     cancelled: Callable[[], bool] = lambda: False,
     late: Callable[[float], bool] = lambda _: False,
 ) -> Endpoints | PlanResult:
-    """Find escape paths from the start and from the goals; if there are none, return a result that says so."""
+    """Find escape paths from the start of `travel` and from the goals; if there are none, return a result that says so."""
 
     def over() -> bool:
         return cancelled() or late(1.0)
 
+    start = travel.start
     departure = way_out(start, constraints, rng, over=over)
     if departure is None and over():
         return _ended(cancelled())
@@ -145,7 +151,7 @@ def ways_out(
     clear = constraints.clearance(goals) >= TARGET_CLEARANCE
     ways = [(int(k), Path(goals[k : k + 1])) for k in np.flatnonzero(clear)]
     tight = np.flatnonzero(~clear)
-    nearest = tight[np.argsort(np.linalg.norm(goals[tight] - start, axis=1), kind="stable")]
+    nearest = tight[np.argsort(travel.cost(goals[tight]), kind="stable")]
     for tried, k in enumerate(nearest):
         if (over() and (tried or ways)) or (ways and late(_SHARE_OF_WAYS)):
             break

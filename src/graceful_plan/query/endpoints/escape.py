@@ -55,7 +55,7 @@ def way_out(
         if over():
             break
         nudge = rng.normal(size=len(q)) * 0.01 * attempt
-        end = _ascend(q + nudge, constraints)
+        end = ascend(q + nudge, constraints)
         if end is None:
             continue
         path = Path(np.stack([q, end]))
@@ -64,7 +64,8 @@ def way_out(
     return Path(q[None]) if tight > _LEAST else None
 
 
-def _ascend(q: Float[Array, " nq"], constraints: SceneConstraints, iterations: int = 80) -> Float[Array, " nq"] | None:
+def ascend(q: Float[Array, " nq"], constraints: SceneConstraints, iterations: int = 80) -> Float[Array, " nq"] | None:
+    """Follow the gradient of clearance to `TARGET_CLEARANCE`; return None if it vanishes before."""
     kernels = constraints.kernels
     lower, upper = kernels.robot.lower, kernels.robot.upper
     q = np.clip(q, lower, upper)

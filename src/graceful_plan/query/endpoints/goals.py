@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.query.endpoints.base_goals import base_goals
@@ -22,10 +23,12 @@ from graceful_plan.query.endpoints.configurations import (
     configurations_of,
     goal_labels,
     named_configuration,
+    nearest_turns,
     wrapped_near,
 )
 from graceful_plan.query.endpoints.ik import solve_ik
 from graceful_plan.query.endpoints.pose_sets import LEVER, reach_poses
+from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.query.endpoints.usable import Resolved, collision, free_of_collision, usable
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
@@ -39,20 +42,23 @@ _ENOUGH, _OF_EACH = 8, 2
 `_ENOUGH` poses are first solved together."""
 
 
-def resolve_start(start: Configuration, scene: Scene) -> Resolved:
-    """Convert a start to one usable configuration, or none.
+def start_configuration(start: Configuration, scene: Scene) -> Float[Array, " nq"]:
+    """Return a start as numbers.
 
     Raises:
         ShapeError: If it does not fit the scene's joints.
         NonFiniteError: If it contains a NaN or an infinity.
         UnknownNameError: If the keyframe does not exist.
     """
-    q = (
-        named_configuration(start, scene)
-        if isinstance(start, str)
-        else finite_array("start", start, ndim=1, last=len(scene.joints))
-    )
-    return usable(["start"], q[None], scene, q)
+    if isinstance(start, str):
+        return named_configuration(start, scene)
+    return finite_array("start", start, ndim=1, last=len(scene.joints))
+
+
+def resolve_start(start: Configuration, scene: Scene) -> Resolved:
+    """Convert a start to one usable configuration, or none; errors as in `start_configuration`."""
+    q = start_configuration(start, scene)
+    return usable(["start"], q[None], scene, Travel(q))
 
 
 def resolve_goal(
@@ -60,13 +66,14 @@ def resolve_goal(
     scene: Scene,
     start: ArrayLike,
     *,
+    objective: SceneObjective | None = None,
     seed: int = 0,
     cancelled: Callable[[], bool] = lambda: False,
     hurried: Callable[[], bool] = lambda: False,
 ) -> Resolved:
-    """Convert a goal to usable configurations, in the order given; those of one pose are sorted by distance from start.
+    """Convert a goal to usable configurations, in the order given; those of one pose are sorted by motion cost.
 
-    Configurations are checked in the order of their distance from the start, until `MOST_GOALS` are usable. Inverse
+    Configurations are checked in the order of the cost of a straight move from the start, until `MOST_GOALS` are usable. Inverse
     kinematics of several poses begins with the pose nearest to the tool and ends once there are enough configurations.
     Many poses of an arm without a base are first solved together (see `pose_sets`).
 
@@ -74,6 +81,7 @@ def resolve_goal(
         goal: A configuration, a keyframe by name, a pose of tool or base, or several of these.
         scene: The scene.
         start: Start of the motion; poses are solved near it.
+        objective: Objective whose motion cost counts; by default the joint-space length does.
         seed: Seed of the random numbers of inverse kinematics.
         cancelled: Ends the call early once it returns True, with the configurations checked by then.
         hurried: Ends the call once it returns True and a usable configuration is known.
@@ -83,18 +91,17 @@ def resolve_goal(
         NonFiniteError: If it contains a NaN or an infinity.
         UnknownNameError: If the keyframe does not exist.
     """
+    travel = Travel(np.asarray(start, dtype=float), objective)
     if isinstance(goal, PoseGoal):
-        return _pose(goal, scene, start, seed, cancelled)
+        return _pose(goal, scene, travel, seed, cancelled)
     if isinstance(goal, BasePose):
-        return _standing(goal, scene, np.asarray(start, dtype=float))
+        return _standing(goal, scene, travel.start)
     several = _poses_among(goal)
     if several:
-        return _several(several, scene, np.asarray(start, dtype=float), seed, cancelled, hurried)
+        return _several(several, scene, travel, seed, cancelled, hurried)
     q = configurations_of(cast("Configuration | Sequence[Configuration]", goal), scene)
-    begin = np.asarray(start, dtype=float)
-    return usable(
-        goal_labels(len(q)), wrapped_near(q, begin, scene), scene, begin, cancelled=cancelled, hurried=hurried
-    )
+    near = wrapped_near(q, travel.start, scene)
+    return usable(goal_labels(len(q)), near, scene, travel, cancelled=cancelled, hurried=hurried)
 
 
 def has_poses(goal: Goal) -> bool:
@@ -121,7 +128,7 @@ def poses_of(goal: Goal, index: Sequence[int]) -> tuple[PoseGoal | None, ...]:
 def _several(
     goals: Sequence[Configuration | PoseGoal | BasePose],
     scene: Scene,
-    start: Float[Array, " nq"],
+    travel: Travel,
     seed: int,
     cancelled: Callable[[], bool],
     hurried: Callable[[], bool],
@@ -131,10 +138,10 @@ def _several(
     If solving many poses together has reached some of them, only these are solved one by one.
     """
     given = [k for k, one in enumerate(goals) if not isinstance(one, PoseGoal | BasePose)]
-    left = _from_the_nearest_on(goals, scene, start)
-    first = _given(goals, given, scene, start, cancelled, hurried)
+    left = _from_the_nearest_on(goals, scene, travel.start)
+    first = _given(goals, given, scene, travel, cancelled, hurried)
     over = (lambda: cancelled() or hurried()) if first.index else cancelled
-    together = _together(goals, left, scene, start, over, hurried)
+    together = _together(goals, left, scene, travel, over, hurried)
     if together.index:
         reached = set(together.index)
         left = [k for k in left if k in reached or not isinstance(goals[k], PoseGoal)]
@@ -144,9 +151,9 @@ def _several(
         if isinstance(one, PoseGoal):
             if count >= _ENOUGH or cancelled() or (together.index and hurried()):
                 break
-            own = _pose(one, scene, start, seed, cancelled, count=_OF_EACH, rounds=1)
+            own = _pose(one, scene, travel, seed, cancelled, count=_OF_EACH, rounds=1)
         else:
-            own = _standing(cast("BasePose", one), scene, start)
+            own = _standing(cast("BasePose", one), scene, travel.start)
         notes, problems = (tuple(t.replace("goal", f"goal {k}", 1) for t in some) for some in (own.notes, own.problems))
         found.append(Resolved(own.q, (k,) * len(own.index), notes, problems))
         count += len(own.index)
@@ -162,19 +169,19 @@ def _together(
     goals: Sequence[Configuration | PoseGoal | BasePose],
     order: list[int],
     scene: Scene,
-    start: Float[Array, " nq"],
+    travel: Travel,
     cancelled: Callable[[], bool],
     hurried: Callable[[], bool],
 ) -> Resolved:
     """Solve many poses of an arm without a base together: at most one configuration for each, in the order given."""
     poses = {k: one for k in order if isinstance(one := goals[k], PoseGoal)}
     if len(poses) <= _ENOUGH or scene.base is not None:
-        return Resolved(np.empty((0, len(start))), ())
+        return Resolved(np.empty((0, len(travel.start))), ())
 
     def turned(q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        return wrapped_near(q, start, scene)
+        return nearest_turns(q, travel.start, scene)
 
-    found = reach_poses(list(poses.values()), scene, start, turned=turned, cancelled=cancelled, hurried=hurried)
+    found = reach_poses(list(poses.values()), scene, travel, turned=turned, cancelled=cancelled, hurried=hurried)
     which = list(poses)
     return Resolved(found.q, tuple(which[i] for i in found.index))
 
@@ -183,7 +190,7 @@ def _given(
     goals: Sequence[Configuration | PoseGoal | BasePose],
     given: list[int],
     scene: Scene,
-    start: Float[Array, " nq"],
+    travel: Travel,
     cancelled: Callable[[], bool],
     hurried: Callable[[], bool],
 ) -> Resolved:
@@ -192,8 +199,8 @@ def _given(
         return Resolved(np.zeros((0, len(scene.joints))), ())
     rows = [configurations_of(cast("Configuration", goals[k]), scene) for k in given]
     of = np.repeat(given, [len(row) for row in rows])
-    q = wrapped_near(np.concatenate(rows), start, scene)
-    found = usable([f"goal {k}" for k in of], q, scene, start, cancelled=cancelled, hurried=hurried)
+    q = wrapped_near(np.concatenate(rows), travel.start, scene)
+    found = usable([f"goal {k}" for k in of], q, scene, travel, cancelled=cancelled, hurried=hurried)
     return Resolved(found.q, tuple(int(of[i]) for i in found.index), found.notes, found.problems)
 
 
@@ -225,7 +232,7 @@ def _standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resol
 def _pose(
     goal: PoseGoal,
     scene: Scene,
-    start: ArrayLike,
+    travel: Travel,
     seed: int,
     cancelled: Callable[[], bool],
     **effort: int,
@@ -239,11 +246,10 @@ def _pose(
 
     bases = base_goals(scene)
     if bases is not None and scene.base is not None and len(scene.joints) > len(scene.base.joints):
-        begin = np.asarray(start, dtype=float)
-        found = bases.reaching(goal, scene, begin, free=free, seed=seed, cancelled=cancelled)
+        found = bases.reaching(goal, scene, travel.start, free=free, seed=seed, cancelled=cancelled)
         if len(found.q):
             return Resolved(found.q, (0,) * len(found.q))
-    found = solve_ik(goal, scene, start, free=free, seed=seed, cancelled=cancelled, **effort)
+    found = solve_ik(goal, scene, travel.start, travel=travel, free=free, seed=seed, cancelled=cancelled, **effort)
     if len(found.q):
         return Resolved(found.q, (0,) * len(found.q))
     if blocked:

@@ -2,7 +2,9 @@
 
 The core iterates from many seeds at once by damped least squares (`Kernels.reach`), as exactly as doubles allow. If no
 seed converges, for instance because of joint limits, mink's quadratic programs, which include the limits, continue from
-the best seeds. Solutions that collide are discarded; the others are sorted by their distance from the start.
+the best seeds. Solutions that collide are discarded; the others are sorted by the motion cost of a straight move from
+the start. A redundant robot reaches a pose in many ways, and a pose with wide tolerances is a set: the best solutions
+therefore move towards the start, and back to the pose, as long as that is cheaper.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
+from graceful_plan.query.endpoints.configurations import nearest_turns
 from graceful_plan.query.endpoints.pose_solver import PoseSolver
+from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
@@ -29,6 +33,12 @@ _RETRIED = 4
 """IK seeds that mink polishes if the batch search reaches the pose from none."""
 _SAME = 0.1
 """Solutions that differ less than this in every joint [rad or m] count as one."""
+_PULLS, _PULL = 12, 0.5
+"""Number of moves of a solution towards the start, and share of the way of the first one."""
+_PULL_ITERATIONS = 12
+"""Largest number of iterations back to the pose after each of them."""
+_GAIN = 1e-3
+"""Least relative decrease of the cost with which such moves go on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +47,7 @@ class IKResult:
 
     | field             | meaning                                                 | unit     | shape       |
     |-------------------|---------------------------------------------------------|----------|-------------|
-    | q                 | solutions, nearest to the start first, possibly none    | rad or m | solution nq |
+    | q                 | solutions, the cheapest move first, possibly none       | rad or m | solution nq |
     | position_error    | of the best configuration, even if it collides          | m        |             |
     | orientation_error | of the same configuration                               | rad      |             |
     | colliding         | number of solutions discarded because they collide      |          |             |
@@ -54,6 +64,7 @@ def solve_ik(
     scene: Scene,
     start: ArrayLike,
     *,
+    travel: Travel | None = None,
     free: FreeTest | None = None,
     count: int = 8,
     seeds: int = 32,
@@ -67,7 +78,8 @@ def solve_ik(
     Args:
         goal: The pose.
         scene: Scene with robot and tool.
-        start: First seed; solutions near it come first.
+        start: First seed; solutions that are cheap to move to from it come first.
+        travel: Cost of moves from the start; by default their length.
         free: Test for free configurations; all are accepted by default.
         count: Number of distinct solutions that is enough.
         seeds: Seeds in a round; the next round follows if there are fewer solutions than `count`.
@@ -80,9 +92,10 @@ def solve_ik(
         if value < 1:
             raise SettingError(name, value, "at least 1")
     q_start = finite_array("start", start, ndim=1, last=len(scene.joints))
-    solver = PoseSolver(goal, scene, cancelled)
+    moves = Travel(q_start) if travel is None else travel
+    solver = PoseSolver(goal, scene, cancelled, moves.ease)
     rng = np.random.default_rng(seed)
-    solutions = _Solutions(q_start, count, free, cancelled)
+    solutions = _Solutions(moves, count, free, cancelled)
     missed: list[Array] = []
     best = (np.inf, np.inf)
     for number in range(rounds):
@@ -91,7 +104,12 @@ def solve_ik(
         found, ended = solver.search(draw_seeds(scene, q_start, seeds, rng, number), iterations)
         best = min(best, solver.errors(ended[0]), key=solver.badness)
         missed += [*ended[:_RETRIED]]
-        solutions.add(found)
+        found = nearest_turns(found, q_start, scene)
+        cheapest = found[np.argsort(moves.cost(found), kind="stable")[:count]]
+        solutions.add(np.concatenate([_nearer(cheapest, solver, moves), found]))
+    if not solutions.looked_at and not cancelled():
+        found, _ = solver.search(draw_seeds(scene, q_start, seeds, rng, 0), iterations, loose=True)
+        solutions.add(nearest_turns(found, q_start, scene))
     if not solutions.looked_at and not cancelled():
         nearest = sorted(missed, key=lambda q: solver.badness(solver.errors(q)))[:_RETRIED]
         found, ended = solver.polish(np.array(nearest), iterations // 2)
@@ -105,17 +123,17 @@ class _Solutions:
     """Distinct usable configurations at the pose.
 
     Args:
-        start: Configuration that distances are measured from.
+        travel: Cost of moves from the start.
         count: Number of solutions that is enough.
         free: Test for free configurations; all are accepted if None.
         cancelled: Polled before each batch.
     """
 
     def __init__(
-        self, start: Float[Array, " nq"], count: int, free: FreeTest | None, cancelled: Callable[[], bool]
+        self, travel: Travel, count: int, free: FreeTest | None, cancelled: Callable[[], bool]
     ) -> None:
-        self._start, self._count, self._free, self._cancelled = start, count, free, cancelled
-        self._q = np.empty((0, len(start)))
+        self._travel, self._count, self._free, self._cancelled = travel, count, free, cancelled
+        self._q = np.empty((0, len(travel.start)))
         self.looked_at = self.colliding = 0
 
     @property
@@ -125,11 +143,11 @@ class _Solutions:
 
     @property
     def nearest_first(self) -> Float[Array, "n nq"]:
-        """All solutions, nearest to the start first."""
+        """All solutions, the cheapest move first."""
         return self._sorted(self._q)
 
     def add(self, q: Float[Array, "n nq"]) -> None:
-        """Check configurations at the pose, nearest to the start first, until there are enough solutions."""
+        """Check configurations at the pose, the cheapest move first, until there are enough solutions."""
         left = self._sorted(q)
         while len(left) and not self.enough and not self._cancelled():
             some, left = left[: self._count], left[self._count :]
@@ -139,7 +157,22 @@ class _Solutions:
             self._q = _distinct(np.concatenate([self._q, some[good]]))
 
     def _sorted(self, q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        return q[np.argsort(np.linalg.norm(q - self._start, axis=1), kind="stable")]
+        return q[np.argsort(self._travel.cost(q), kind="stable")]
+
+
+def _nearer(q: Float[Array, "n nq"], solver: PoseSolver, travel: Travel) -> Float[Array, "m nq"]:
+    """Return those solutions that can move towards the start while they stay at the pose, moved until that costs more."""
+    if not len(q):
+        return q
+    best, cost, pull = q.copy(), travel.cost(q), np.full(len(q), _PULL)
+    begun = cost.copy()
+    for _ in range(_PULLS):
+        tried, reached, _ = solver.reached(best + pull[:, None] * (travel.start - best), _PULL_ITERATIONS)
+        price = travel.cost(tried)
+        better = reached & (price < (1.0 - _GAIN) * cost)
+        best[better], cost[better] = tried[better], price[better]
+        pull[~better] *= 0.5
+    return best[cost < begun]
 
 
 def draw_seeds(
@@ -148,7 +181,11 @@ def draw_seeds(
     """Draw n seeds: the start and keyframes (in round 0), then around the start with growing spread, then uniform."""
     lower, upper = scene.limits.position.T
     near = start + rng.normal(size=(n // 2, len(start))) * np.linspace(0.1, 1.0, n // 2)[:, None]
-    anywhere = rng.uniform(lower, upper, size=(n, len(start)))
+    # All directions of a hinge are within half a turn of the start, unless a limit is nearer.
+    wide = scene.hinges & (upper - lower > 2.0 * np.pi)
+    middle = np.clip(start, lower + np.pi, np.maximum(upper - np.pi, lower + np.pi))
+    first, last = np.where(wide, middle - np.pi, lower), np.where(wide, middle + np.pi, upper)
+    anywhere = rng.uniform(first, last, size=(n, len(start)))
     known = [start, *scene.keyframes.values()] if number == 0 else []
     return np.clip(np.array([*known, *near, *anywhere])[:n], lower, upper)
 

@@ -15,7 +15,8 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import exactly_free
-from graceful_plan.query.endpoints.pose_solver import PRECISION, within
+from graceful_plan.query.endpoints.pose_solver import aims, tolerances, within
+from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.query.endpoints.usable import MOST_GOALS
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -78,7 +79,7 @@ class PosesReached:
 def reach_poses(
     goals: Sequence[PoseGoal],
     scene: Scene,
-    start: Float[Array, " nq"],
+    travel: Travel,
     *,
     turned: Callable[[Float[Array, "n nq"]], Float[Array, "n nq"]] = lambda q: q,
     cancelled: Callable[[], bool] = lambda: False,
@@ -89,12 +90,13 @@ def reach_poses(
     Args:
         goals: The poses, by descending priority.
         scene: Robot and surroundings.
-        start: First seed of every pose; the solution nearest to it is preferred.
+        travel: Cost of moves from the start, which is the first seed of every pose; cheap solutions are preferred.
         turned: Transforms configurations before they are checked, such as `wrapped_near`.
         cancelled: Ends the call early once it returns True.
         hurried: Ends the call once it returns True and a configuration is known.
     """
-    poses, known = _Poses(goals, scene), postures_of(scene)
+    start = travel.start
+    poses, known = _Poses(goals, scene, travel), postures_of(scene)
     q, index = np.empty((0, len(start))), np.empty(0, dtype=int)
     left, first = np.arange(len(goals)), 0
     for count in _SEEDS:
@@ -106,8 +108,8 @@ def reach_poses(
             seeds, of = _seeds(poses, some, known, (first, count))
             if not first:
                 seeds, of = np.concatenate([np.tile(start, (len(some), 1)), seeds]), np.concatenate([some, of])
-            reached, of = poses.reached(seeds, of)
-            reached, of = _usable(turned(reached), of, scene, start)
+            reached, of = poses.reached(seeds, of, loose=count == _SEEDS[-1])
+            reached, of = _usable(turned(reached), of, scene, travel)
             q, index = np.concatenate([q, reached]), np.concatenate([index, of])
             missing.append(np.setdiff1d(some, of))
         left, first = np.concatenate(missing) if missing else left, first + count
@@ -122,17 +124,30 @@ def _in_order(q: Float[Array, "n nq"], index: Int[Array, " n"]) -> PosesReached:
 class _Poses:
     """Iterates towards many poses, with separate seeds for each."""
 
-    def __init__(self, goals: Sequence[PoseGoal], scene: Scene) -> None:
-        self.kernels = compile_scene(scene).kernels
+    def __init__(self, goals: Sequence[PoseGoal], scene: Scene, travel: Travel) -> None:
+        self.kernels, self.ease = compile_scene(scene).kernels, travel.ease
         self.X_WG = np.stack([goal.X_WT for goal in goals])
         self.free_yaw = np.array([goal.free_yaw for goal in goals])
-        tolerance = [(goal.position_tolerance, goal.orientation_tolerance) for goal in goals]
-        self.tolerance = PRECISION * np.array(tolerance)
+        self.tolerance = np.array([tolerances(goal) for goal in goals])
 
-    def reached(self, q: Float[Array, "n nq"], of: Int[Array, " n"]) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
-        """Iterate from seeds towards the poses with indices `of`; return converged configurations and their indices."""
-        q, missing = self.kernels.reach(q, self.X_WG[of], self.free_yaw[of], iterations=_ITERATIONS, patience=_PATIENCE)
-        there = within(missing, *self.tolerance[of].T)
+    def reached(
+        self, q: Float[Array, "n nq"], of: Int[Array, " n"], *, loose: bool
+    ) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
+        """Iterate from seeds towards the poses with indices `of`; return converged configurations and their indices.
+
+        If `loose`, fine tolerances are aimed at as sets, too.
+        """
+        radius, rest = aims(self.tolerance[of], loose=loose)
+        q, missing = self.kernels.reach(
+            q,
+            self.X_WG[of],
+            self.free_yaw[of],
+            iterations=_ITERATIONS,
+            patience=_PATIENCE,
+            radius=radius,
+            ease=self.ease,
+        )
+        there = within(missing, *rest.T)
         return q[there], of[there]
 
 
@@ -164,13 +179,13 @@ def _seeds(
 
 
 def _usable(
-    q: Float[Array, "n nq"], of: Int[Array, " n"], scene: Scene, start: Float[Array, " nq"]
+    q: Float[Array, "n nq"], of: Int[Array, " n"], scene: Scene, travel: Travel
 ) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
-    """Return for each pose the free configuration nearest to the start, if there is one."""
+    """Return for each pose the free configuration that is the cheapest to move to, if there is one."""
     if not len(q):
         return q, of
     compiled = compile_scene(scene)
-    order = np.argsort(np.linalg.norm(q - start, axis=1), kind="stable")
+    order = np.argsort(travel.cost(q), kind="stable")
     q, of = q[order], of[order]
     near = compiled.kernels.free(q, -_OVERLAP)
     q, of = q[near], of[near]

@@ -16,7 +16,11 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 
 PRECISION = 1e-3
-"""Largest error of a solution, as a share of the goal's tolerances."""
+"""Largest error of a solution that aims at the pose itself, as a share of the goal's tolerances."""
+_FINE = np.array([0.005, 0.05])
+"""Tolerances up to which the search first aims at the pose itself [m, rad]; greater ones are aimed at as sets."""
+_AIMED, _ACCEPTED = 0.9, 0.99
+"""Shares of the tolerances: radius of the set that the search aims at, and largest error of a solution."""
 _EXACT = 1e-10
 """Sum of position and orientation error [m + rad] below which more iterations of mink change only the rounding."""
 _PATIENCE = 10
@@ -27,13 +31,19 @@ _PATIENCE = 10
 class PoseSolver:
     """Two solvers for one pose: the core iterates from many seeds at once, and mink polishes single configurations."""
 
-    def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool] = lambda: False) -> None:
-        self.goal, self.scene, self.cancelled = goal, scene, cancelled
+    def __init__(
+        self,
+        goal: PoseGoal,
+        scene: Scene,
+        cancelled: Callable[[], bool] = lambda: False,
+        ease: Float[Array, " nq"] | None = None,
+    ) -> None:
+        self.goal, self.scene, self.cancelled, self.ease = goal, scene, cancelled, ease
         self.kernels = compile_scene(scene).kernels
         self.lower, self.upper = scene.limits.position.T
 
     def search(
-        self, seeds: Float[Array, "n nq"], iterations: int, held: slice = slice(0)
+        self, seeds: Float[Array, "n nq"], iterations: int, held: slice = slice(0), *, loose: bool = False
     ) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
         """Iterate from all seeds.
 
@@ -41,15 +51,25 @@ class PoseSolver:
             seeds: Configurations inside the limits.
             iterations: Largest number of iterations from each seed.
             held: Joints that do not move.
+            loose: Whether fine tolerances are aimed at as sets, too.
 
         Returns:
             Configurations that reached the pose, and the final configurations of all seeds, the best first.
         """
+        q, reached, missing = self.reached(seeds, iterations, held, loose=loose)
+        return q[reached], q[np.argsort(np.linalg.norm(missing, axis=1), kind="stable")]
+
+    def reached(
+        self, seeds: Float[Array, "n nq"], iterations: int, held: slice = slice(0), *, loose: bool = False
+    ) -> tuple[Float[Array, "n nq"], Bool[Array, " n"], Float[Array, "n 6"]]:
+        """Return the final configuration of each seed, whether it reached the pose, and what is missing."""
         X_WG = np.broadcast_to(self.goal.X_WT, (len(seeds), 4, 4))
         free_yaw = np.full(len(seeds), self.goal.free_yaw)
-        q, missing = self.kernels.reach(seeds, X_WG, free_yaw, iterations=iterations, patience=_PATIENCE, held=held)
-        exact = within(missing, PRECISION * self.goal.position_tolerance, PRECISION * self.goal.orientation_tolerance)
-        return q[exact], q[np.argsort(np.linalg.norm(missing, axis=1), kind="stable")]
+        radius, rest = aims(np.tile(tolerances(self.goal), (len(seeds), 1)), loose=loose)
+        q, missing = self.kernels.reach(
+            seeds, X_WG, free_yaw, iterations=iterations, patience=_PATIENCE, held=held, radius=radius, ease=self.ease
+        )
+        return q, within(missing, *rest.T), missing
 
     def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
         """Move configurations to the pose with mink; no configuration ends farther from the pose than it was.
@@ -69,9 +89,8 @@ class PoseSolver:
                     ended[i], errors[i] = configuration, error
                 if sum(error) <= _EXACT:
                     break
-        tolerance = (self.goal.position_tolerance, self.goal.orientation_tolerance)
-        exact = (errors <= PRECISION * np.array(tolerance)).all(axis=1)
-        return ended[exact], ended[np.argsort(errors.sum(axis=1), kind="stable")]
+        exact, near = ((errors <= share * tolerances(self.goal)).all(axis=1) for share in (PRECISION, _ACCEPTED))
+        return ended[exact if exact.any() else near], ended[np.argsort(errors.sum(axis=1), kind="stable")]
 
     @cached_property
     def _mink_step(self) -> Callable[[Float[Array, " nq"]], Float[Array, " nq"]]:
@@ -107,6 +126,24 @@ class PoseSolver:
     def badness(self, error: tuple[float, float]) -> float:
         """Return the sum of position and orientation error, each relative to its tolerance."""
         return error[0] / self.goal.position_tolerance + error[1] / self.goal.orientation_tolerance
+
+
+def tolerances(goal: PoseGoal) -> Float[Array, " 2"]:
+    """Return the tolerances of position [m] and orientation [rad]."""
+    return np.array([goal.position_tolerance, goal.orientation_tolerance])
+
+
+def aims(tolerance: Float[Array, "n 2"], *, loose: bool) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"]]:
+    """Return the radii of the sets of poses to aim at [m, rad], and the error beyond them that is accepted.
+
+    Args:
+        tolerance: Tolerances of position [m] and orientation [rad].
+        loose: Whether fine tolerances are aimed at as sets, too.
+    """
+    as_set = loose | (tolerance > _FINE)
+    free = (tolerance >= np.pi) & np.array([False, True])  # no rotation is farther away than that
+    radius = np.where(free, np.inf, np.where(as_set, _AIMED * tolerance, 0.0))
+    return radius, np.where(as_set, (_ACCEPTED - _AIMED) * tolerance, PRECISION * tolerance)
 
 
 def within(

@@ -10,6 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import exactly_free, state_contacts
+from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -51,21 +52,21 @@ def usable(
     words: Sequence[str],
     q: Float[Array, "n nq"],
     scene: Scene,
-    start: Float[Array, " nq"],
+    travel: Travel,
     *,
     cancelled: Callable[[], bool] = lambda: False,
     hurried: Callable[[], bool] = lambda: False,
 ) -> Resolved:
     """Select configurations within the limits and free of collision, in the order given, with problems of the others.
 
-    Configurations are checked in the order of their distance from the start, until `MOST_GOALS` are usable. Bounding
+    Configurations are checked in the order of the cost of a straight move from the start, until `MOST_GOALS` are usable. Bounding
     spheres prove most of them free; exact geometry checks the others.
 
     Args:
         words: Names of the configurations for messages.
         q: The configurations [rad or m].
         scene: The scene.
-        start: Start of the motion [rad or m].
+        travel: Cost of moves from the start.
         cancelled: Ends the checks by exact geometry once it returns True.
         hurried: Ends them once it returns True and a usable configuration is known.
     """
@@ -77,7 +78,7 @@ def usable(
     notes += [f"so were {len(moved) - _TOLD} more"] if len(moved) > _TOLD else []
 
     within = np.flatnonzero(excess <= CLAMPED)
-    nearest = within[np.argsort(np.linalg.norm(inside[within] - start, axis=1), kind="stable")]
+    nearest = within[np.argsort(travel.cost(inside[within]), kind="stable")]
     free, blocked, unseen = _sorted_out(inside[nearest], scene, cancelled, hurried)
     problems = [_beyond(words[i], q[i], scene) for i in map(int, outside[:_TOLD])]
     problems += [f"no time to look at {unseen} of {len(q)}"] if unseen else []

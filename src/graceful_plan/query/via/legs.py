@@ -76,8 +76,7 @@ def plan_through(
         budget: Budget of the call.
         seed: Seed of the random numbers of inverse kinematics.
     """
-    scene = request.objective.scene
-    stages = find_stages(*stops, scene, seed)
+    stages = find_stages(*stops, request.objective, seed)
     if isinstance(stages, PlanResult):
         return stages
     legs = _legs(stages, leg, scene, budget)
@@ -165,7 +164,7 @@ class _Joining:
         verdict = refused or Verdict()
         told = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
         detail = f"the judge refused the motion as a whole: {told}"
-        return PlanResult(status=PlanStatus.INFEASIBLE, detail=detail, verdict=verdict)
+        return PlanResult(status=PlanStatus.TIMEOUT, detail=detail, verdict=verdict)
 
     def _costed(self, trajectory: Trajectory) -> Motion:
         bare = Motion(path=trajectory.path, trajectory=trajectory, cost=CostBreakdown(), arrival=0, ranking=np.inf)

@@ -9,10 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import finite_array
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.goals import Goal, resolve_goal, resolve_start
+from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
@@ -27,22 +29,24 @@ class Stages:
     """Stages of a motion from the start to the goal.
 
     Args:
+        objective: Objective whose motion cost counts.
         usable: Configurations of each stage that are free and inside the limits; one at the start.
         wanted: Intermediate stops that the user gave: configurations, or poses of the tool.
         goal: The goal that the user gave.
         notes: Descriptions of adjustments.
     """
 
+    objective: SceneObjective
     usable: tuple[Float[Array, "_ nq"], ...]
     wanted: tuple[Float[Array, " nq"] | PoseGoal, ...]
     goal: Goal
     notes: tuple[str, ...]
 
     def chosen(self) -> tuple[Float[Array, " nq"], ...]:
-        """Return one configuration of each stage, with the least total length of straight moves between them."""
+        """Return one configuration of each stage, with the least total cost of straight moves between them."""
         length, steps = np.zeros(1), []
         for before, after in pairwise(self.usable):
-            total = length[:, None] + np.linalg.norm(before[:, None] - after[None], axis=2)
+            total = length[:, None] + np.stack([Travel(one, self.objective).cost(after) for one in before])
             steps.append(total.argmin(axis=0))
             length = total.min(axis=0)
         index = [int(length.argmin())]
@@ -73,16 +77,21 @@ def _checked(k: int, one: Via, scene: Scene) -> Float[Array, " nq"] | PoseGoal:
 
 
 def find_stages(
-    start: Configuration, via: Sequence[Float[Array, " nq"] | PoseGoal], goal: Goal, scene: Scene, seed: int
+    start: Configuration,
+    via: Sequence[Float[Array, " nq"] | PoseGoal],
+    goal: Goal,
+    objective: SceneObjective,
+    seed: int,
 ) -> Stages | PlanResult:
     """Return the stages of a motion, or a result that names the stage that has no usable configuration."""
+    scene = objective.scene
     starts = resolve_start(start, scene)
     if not len(starts.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
     usable, notes, wanted = [starts.q], list(starts.notes), list(via)
     for k, one in enumerate([*via, goal]):
         word = "" if k == len(via) else f"via {k}: "
-        found = resolve_goal(one, scene, starts.q[0], seed=seed)
+        found = resolve_goal(one, scene, starts.q[0], objective=objective, seed=seed)
         told = word + found.detail.replace("goal: ", "") if word else found.detail
         if not len(found.q):
             return PlanResult(status=PlanStatus.INVALID_GOAL, detail=told)
@@ -90,4 +99,4 @@ def find_stages(
         usable.append(found.q)
         if word and not isinstance(one, PoseGoal):
             wanted[k] = found.q[0]  # clamped to the limits
-    return Stages(tuple(usable), tuple(wanted), goal, tuple(notes))
+    return Stages(objective, tuple(usable), tuple(wanted), goal, tuple(notes))

@@ -54,8 +54,8 @@ void bind_core(nb::module_& m) {
       .def("clearance", &Core::clearance, "q"_a, WithoutGil())
       .def("clearance_gradient", &Core::clearance_gradient, "q"_a, WithoutGil())
       .def("interaction", &Core::interaction, "q"_a, WithoutGil())
-      .def("reach", &Core::reach, nb::kw_only(), "seed"_a, "X_WG"_a, "free_yaw"_a, "X_LT"_a, "lower"_a, "upper"_a,
-           "held"_a, "iterations"_a, "patience"_a, WithoutGil())
+      .def("reach", &Core::reach, nb::kw_only(), "seed"_a, "X_WG"_a, "free_yaw"_a, "radius"_a, "X_LT"_a, "lower"_a,
+           "upper"_a, "held"_a, "ease"_a, "iterations"_a, "patience"_a, WithoutGil())
       .def("elementary", &Core::elementary, "x"_a);
 }
 

@@ -1,6 +1,10 @@
 // Inverse kinematics by damped least squares, W seeds side by side. A finished lane takes the next seed, so seeds do
 // not affect each other.
 //
+// A seed may aim at a set of poses around its pose: within a distance and within an angle. With the offset e from the
+// tool to the pose and the radius r of the set, what is missing is e (1 - r/|e|), or 0 inside. Across e its Jacobian is
+// smaller by the factor 1 - r/|e|, since moving along the sphere changes nothing at its surface.
+//
 // C. W. Wampler, "Manipulator inverse kinematic solutions based on vector formulations and damped least-squares
 // methods", IEEE Transactions on Systems, Man, and Cybernetics 16 (1986).
 #pragma once
@@ -29,6 +33,7 @@ struct Reaching {
   const Reach& ask;
   int n_mover = 0, mover[kMaxJoints] = {};  // links whose joints move the tool and are not held
   D q[kMaxJoints] = {}, goal[12] = {}, J[kMaxJoints][kTwist] = {}, missing[kTwist] = {}, norm = {};
+  D radius[2] = {};  // of the set of poses: distance [m], angle [rad]
   Mask<double> free_yaw = {};
 
   Reaching(const Tables& t, const Reach& r) : tables(t), ask(r) {
@@ -40,6 +45,7 @@ struct Reaching {
     for (int j = 0; j < tables.n_joint; ++j) q[j][lane] = ask.seed[seed * size_t(tables.n_joint) + size_t(j)];
     for (int k = 0; k < 12; ++k) goal[k][lane] = ask.X_WG[seed * 12 + size_t(k)];
     free_yaw[lane] = ask.free_yaw[seed] ? -1 : 0;
+    for (int part = 0; part < 2; ++part) radius[part][lane] = ask.radius[2 * seed + size_t(part)];
   }
 
   // Computes the missing twist of every lane, and the Jacobian of the tool.
@@ -68,9 +74,24 @@ struct Reaching {
         J[m][3 + i] = link.slide ? D{} : a[i] - along * z[i];
       }
     }
+    for (int part = 0; part < 2; ++part)
+      if (any(radius[part] > 0.0)) relax(missing + 3 * part, 3 * part, radius[part]);
     D squared = {};
     for (const D& part : missing) squared += part * part;
     norm = square_root(squared + kTiny<D>);
+  }
+
+  // Reduces an offset, and its rows of the Jacobian, to the part outside a ball of radius r.
+  void relax(D e[3], int row, D r) {
+    const D length = square_root(e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + kTiny<D>), inverse = 1.0 / length;
+    const D across = maximum(D{}, 1.0 - r * inverse), extra = where(length > r, 1.0 - across, D{});
+    const D unit[3] = {e[0] * inverse, e[1] * inverse, e[2] * inverse};
+    for (int m = 0; m < n_mover; ++m) {
+      D* const column = J[m] + row;
+      const D along = extra * (unit[0] * column[0] + unit[1] * column[1] + unit[2] * column[2]);
+      for (int i = 0; i < 3; ++i) column[i] = across * column[i] + along * unit[i];
+    }
+    for (int i = 0; i < 3; ++i) e[i] *= across;
   }
 
   // Computes the rotation vector from the tool's axes to the goal's, or from z axis to z axis if yaw is free.
@@ -98,13 +119,15 @@ struct Reaching {
     for (int i = 0; i < 3; ++i) missing[3 + i] = scale * sine[i];
   }
 
+  double ease(int m) const { return ask.ease[tables.link[mover[m]].joint]; }
+
   // The damped step without the blocked joints, scaled so that no joint moves more than `kLongestStep`.
   void step(const Mask<double>* blocked, D* out) const {
     D gram[kTwist][kTwist] = {}, y[kTwist];
     const D damping = kFarDamping * norm * norm + kLeastDamping;
     for (int m = 0; m < n_mover; ++m)
       for (int i = 0; i < kTwist; ++i) {
-        const D own = where(blocked[m], D{}, J[m][i]);
+        const D own = where(blocked[m], D{}, J[m][i]) * ease(m);
         for (int k = 0; k <= i; ++k) gram[i][k] += own * J[m][k];
       }
     // Cholesky factor L of gram = L L^T; the diagonal holds its inverses.
@@ -128,7 +151,7 @@ struct Reaching {
     for (int m = 0; m < n_mover; ++m) {
       out[m] = D{};
       for (int i = 0; i < kTwist; ++i) out[m] += J[m][i] * y[i];
-      out[m] = where(blocked[m], D{}, out[m]);
+      out[m] = where(blocked[m], D{}, out[m]) * ease(m);
       longest = maximum(longest, absolute(out[m]));
     }
     const D scale = minimum(D{} + 1.0, kLongestStep / maximum(longest, D{} + kTiny<D>));

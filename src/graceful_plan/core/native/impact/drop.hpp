@@ -240,6 +240,7 @@ template <class V> static inline void land(const DropTables& drop, const Flight<
     landing.leaves[l] = leaves(drop, flight, moments, landing.away[l]);
     landing.leaving[l] = landing.first[l] * landing.leaves[l];
   }
+  landing.landed = minimum(landing.landed, V{} + 1.0);
   landing.total = landing.landed + kLeastMass;
   const V share = reciprocal(landing.total);
   landing.mean_time = sum_time * share, landing.height = sum_height * share, landing.fallen = sum_fallen * share;
@@ -329,7 +330,7 @@ template <class V> struct Tumble {
       }
     }
     const V M = leaving * falls;
-    mass = mass * keep + M;
+    mass = minimum(mass * keep + M, V{} + 1.0);
     drift = {drift.x * keep + M * landing.away[level].x, drift.y * keep + M * landing.away[level].y};
   }
 };
@@ -388,7 +389,7 @@ template <class V> struct SideImpact {
     before = value = V{};
     if (!any(flight.stop.chance > 0.0)) return;
     before = Step<V>((landing.mean_time - flight.stop.time) * (1.0 / kSideLate)).value;
-    value = flight.stop.chance * (1.0 - landing.landed * (1.0 - before));
+    value = probable(flight.stop.chance * (1.0 - landing.landed * (1.0 - before)));
   }
   // The value for one surface.
   V on(const Flight<V>& flight, int surface) const { return where(flight.stop.is_of(surface), value, V{}); }

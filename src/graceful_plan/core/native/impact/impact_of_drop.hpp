@@ -90,7 +90,7 @@ static inline V carried_probability(const DropTables& drop, const Flight<V>& fli
     lower -= landing.first[l];
   }
   hits_to_damage(drop, flight, P);
-  return loss.probability;
+  return probable(loss.probability);
 }
 
 // P [kDropRows, n_entity] of entities, then P that the object itself is damaged. If severities are given, entities
@@ -216,7 +216,7 @@ static inline V drop_impact_gradient(const Tables& tables, const DropTables& dro
   // open: severities of entities whose largest P has not been found yet.
   V open[kMaxEntities], d_G[kMaxSurfaces], d_brunt = {};
   V impact = damage_impact(drop, flight, severity, P, open, back.d_flight);
-  if (own) impact += loss.probability * d_own.severity;
+  if (own) impact += probable(loss.probability) * d_own.severity;
   V d_lowers[kMaxSurfaces];
   for (int l = 0; l < drop.n_level; ++l) {
     d_lowers[l] = V{};

@@ -94,7 +94,7 @@ template <class V> struct Spill {
       at.flows = flows, at.flow_x = flow_x, at.flow_y = flow_y;
       arrive(drop, flight, landing, mouth, l);
       flow_on(drop, l, severity);
-      flows = flows * at.past + at.lands * at.over;
+      flows = minimum(flows * at.past + at.lands * at.over, V{} + 1.0);
       flow_x = flow_x * at.past + at.land_x * at.over, flow_y = flow_y * at.past + at.land_y * at.over;
       sum[l + 1] = sum[l] + at.lands, sum_x[l + 1] = sum_x[l] + at.land_x, sum_y[l + 1] = sum_y[l] + at.land_y;
     }
@@ -117,7 +117,7 @@ template <class V> struct Spill {
     Chance<V> hard;
     hard.below((at.u - k.soft_speed) * (1.0 / k.soft_spread));
     at.hard = hard.value();
-    at.arrives = landing.leaving[l] + (landing.first[l] - landing.leaving[l]) * at.hard;
+    at.arrives = probable(landing.leaving[l] + (landing.first[l] - landing.leaving[l]) * at.hard);
     const V time = landing.time[first] + k.carry;
     const V pushed = relu(time - flight.stop.time);
     at.x = mouth.vx * time + flight.stop.x * pushed, at.y = mouth.vy * time + flight.stop.y * pushed;

@@ -38,6 +38,9 @@ static inline auto may_be_within(const Point2<V>& at, const A& a, const A& b, V 
 template <class V> static inline V tail(V x) { return exponential(maximum(x, V{} - kHeld<V>)); }
 template <class V> static inline V odds(V x) { return tail(minimum(x, V{} + kHeld<V>)); }
 
+// A probability without its rounding error.
+template <class V> static inline V probable(V p) { return minimum(maximum(p, V{}), V{} + 1.0); }
+
 // A product of probabilities with a single division; no factor of `under` is below 1.
 template <class V> struct Chance {
   V over = V{} + 1.0, under = V{} + 1.0;
@@ -53,7 +56,8 @@ template <class V> struct Chance {
   }
   // P(noise < u), for noise of standard deviation 1.
   void below(V u) { under *= 1.0 + odds(u * (-1.0 / kBeta)); }
-  V value() const { return over * reciprocal(under); }
+  // Rounding must not lead out of 0 to 1: a product of differences to 1 would then change its sign.
+  V value() const { return probable(over * reciprocal(under)); }
 };
 
 template <class V> static inline V fall(V vz, V h) {

@@ -91,7 +91,7 @@ template <class V> struct Corrected {
     fade = where(P > kCorrected, 1.0 - kCorrected * reciprocal(maximum(P, V{} + kCorrected)), V{});
     factor = exponential(log_factor * fade);
     inverse = reciprocal(1.0 - P + P * factor);
-    value = P * factor * inverse;
+    value = probable(P * factor * inverse);
   }
 };
 
