@@ -65,8 +65,8 @@ class Verdict:
 
     The motion is always verified, its cost only if there is a check "cost": `plan` has it recomputed for Algorithm 1,
     `ImpactCost("box_overlap")`, and for no other model. The check "passing_by" of a robot that comes near
-    moving entities only warns: it relies on a prediction, and people give way. So does "torque", unless the constraint
-    `TorqueWithin` asks for it: payloads and masses of models are often rough, and many drives bear overload for a while.
+    moving entities only warns: it relies on a prediction, and people give way. So does "torque": masses of models are
+    often rough. The constraint `TorqueWithin` adds a check that fails.
     """
 
     checks: Mapping[str, Check] = field(default_factory=dict)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from torque_arms import HOLDS, lifter, odd_arm, states
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnsupportedError
-from torque_arms import HOLDS, lifter, odd_arm, states
 
 
 def test_a_posture_that_cannot_be_held_is_refused_as_start_and_as_goal():

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from torque_arms import HOLDS, lifter, odd_arm, states
 
 import graceful_plan as gp
 from graceful_plan.judge.torque_check import joint_torques, torque_check
 from graceful_plan.timing.dynamics import RobotDynamics
-from torque_arms import HOLDS, lifter, odd_arm, states
+
 
 @pytest.mark.parametrize(
     ("gravcomp", "drives"), [("", ""), ('gravcomp=".7"', ""), ('gravcomp="1"', 'actuatorgravcomp="true"')]

@@ -1,13 +1,15 @@
 """Arms of three to seven joints, and an arm on a rail, for tests of goals; their links collide with nothing."""
 
-import numpy as np
-
 import graceful_plan as gp
 
 # Per joint: type, axis, offset from the parent [m], range [rad or m].
 _HALF = (-3.1, 3.1)
 ARMS = {
-    "planar": [("hinge", "0 0 1", ".0 0 .3", _HALF), ("hinge", "0 0 1", ".4 0 0", _HALF), ("hinge", "0 0 1", ".3 0 0", _HALF)],
+    "planar": [
+        ("hinge", "0 0 1", "0 0 .3", _HALF),
+        ("hinge", "0 0 1", ".4 0 0", _HALF),
+        ("hinge", "0 0 1", ".3 0 0", _HALF),
+    ],
     "scara": [
         ("hinge", "0 0 1", "0 0 .4", (-2.6, 2.6)),
         ("hinge", "0 0 1", ".35 0 0", (-2.6, 2.6)),
@@ -53,8 +55,8 @@ def arm(name, limits=None, **given):
         <geom type="sphere" size=".01" mass=".5" contype="0" conaffinity="0"/>"""
         closed += "</body>"
     text = f"""<mujoco><compiler angle="radian"/><worldbody><geom name="far" type="box" size=".1 .1 .1" pos="9 9 9"/>
-    {opened}<geom name="tip" type="sphere" size=".005" pos="0 0 .1" mass=".1"/><site name="arm/tip" pos="0 0 .1"/>{closed}
-    </worldbody></mujoco>"""
+    {opened}<geom name="tip" type="sphere" size=".005" pos="0 0 .1" mass=".1"/><site name="arm/tip" pos="0 0 .1"/>
+    {closed}</worldbody></mujoco>"""
     n = len(ARMS[name])
     return gp.Scene.from_mjcf(
         text, robot="arm/l0", tool="arm/tip", **{"velocity": [2.0] * n, "acceleration": [8.0] * n, **given}

@@ -70,8 +70,8 @@ class TorqueWithin(Constraint):
 
     def told(self, residual: float) -> str:
         """Describe a violation for messages."""
-        load = residual + _AT_REST * self.share
-        return f"{self.name}: a joint needs {load:.2f} of its torque to hold still, {_AT_REST * self.share:.2f} is allowed"
+        allowed = _AT_REST * self.share
+        return f"{self.name}: a joint needs {residual + allowed:.2f} of its torque at rest, {allowed:.2f} is allowed"
 
 
 def torque_limits(rule: TorqueRule, scene: Scene, grid: CurveGrid) -> Float[Array, "interval limit 3"]:

@@ -68,8 +68,8 @@ class ChainDynamics:
 def torque_check(motion: Path | Trajectory, scene: Scene, share: float = 1.0, states: int = FEW) -> Check:
     """Check joint torques against the limits of the scene; the worst value is relative to the limit.
 
-    Those of a path hold the robot still at its vertices. Half of the states of a trajectory are at equal time steps, the
-    others at both ends of the pieces with the hardest accelerations.
+    Those of a path hold the robot still at its vertices. Half of the states of a trajectory are at equal time steps,
+    the others at both ends of the pieces with the hardest accelerations.
 
     Args:
         motion: The motion.
@@ -95,9 +95,9 @@ def torque_check(motion: Path | Trajectory, scene: Scene, share: float = 1.0, st
     used = np.abs(torque) / limit
     row, joint = np.unravel_index(int(np.argmax(used)), used.shape)
     worst, beyond = float(used[row, joint]), (used > 1.0 + TOLERANCE).any(axis=1)
-    detail = (
-        f"joint {scene.joints[joint]!r}: {abs(torque[row, joint]):.3g} of {limit[joint]:.3g} N m or N at {at[row]:.3g} s"
-    )
+    need = f"{abs(torque[row, joint]):.3g} of {limit[joint]:.3g} N m or N"
+    where = f"{at[row]:.3g} {'s' if isinstance(motion, Trajectory) else 'rad'}"
+    detail = f"joint {scene.joints[joint]!r}: {need} at {where}"
     first = float(at[beyond].min()) if beyond.any() else None
     return Check(passed=first is None, worst=worst, limit=1.0 + TOLERANCE, first=first, detail=detail)
 

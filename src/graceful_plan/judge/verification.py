@@ -113,10 +113,10 @@ def verify(
 
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
-        "consistency" and "rest", and "torque" if a joint has a torque limit, which only warns; "contents" if they have to stay in a vessel, and one for each other constraint, such
-        as "upright"; for bases "rolling" and "drive_limits"; with moving entities, for trajectories, "passing_by",
-        which only warns; and "start", "goal", "cost", "second_opinion" if requested. Without "cost", the verdict does
-        not cover the cost of the motion.
+        "consistency", "rest", "torque" if the scene limits the torque of a joint, and "passing_by" with moving
+        entities, of which the last two only warn; "contents" if they have to stay in a vessel, and one for each other
+        constraint, such as "upright"; for bases "rolling" and "drive_limits"; and "start", "goal", "cost",
+        "second_opinion" if requested. Without "cost", the verdict does not cover the cost of the motion.
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.

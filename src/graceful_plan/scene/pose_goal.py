@@ -28,9 +28,9 @@ _ROOT_STEPS = 40
 class PoseGoal:
     """A goal pose of the tool, with tolerances.
 
-    The goal is the set of poses within the tolerances. Tolerances up to 5 mm and 0.05 rad are for errors: `plan` aims at
-    the pose itself, and uses them where it cannot be reached exactly. Greater ones are room: `plan` ends at the pose of
-    the set that is cheap to reach. An arm with less than six joints needs such room, or `free_yaw`.
+    The goal is the set of poses within the tolerances. Tolerances up to 5 mm and 0.05 rad are for errors: `plan` aims
+    at the pose itself, and uses them where it cannot be reached exactly. Greater ones are room: `plan` ends at a pose
+    of the set that is cheap to reach. An arm with less than six joints needs such room, or `free_yaw`.
 
     Args:
         X_WT: Pose of the tool in W, homogeneous.

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from goal_arms import arm
 
 import graceful_plan as gp
-from goal_arms import arm
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError
 
 TURN = 2.0 * np.pi
@@ -15,13 +16,13 @@ def plan(start, goal, scene=ENDLESS, **given):
     return gp.plan(start, goal, scene, w=0.0, **{"iterations": 10, **given})
 
 
-# --- joints that turn without end --------------------------------------------------------------------------------------
+# --- joints that turn without end -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("start", "goal", "travel"),
-    [(6.0, 0.5, 0.5 + TURN - 6.0), (7.5, 7.0, 0.5), (-40.0, -40.3, 0.3), (7.5, 7.5 - TURN, 0.0), (3.0, -3.0, TURN - 6.0),
-     (0.2, 30.0 * TURN, 0.2)],
+    [(6.0, 0.5, 0.5 + TURN - 6.0), (7.5, 7.0, 0.5), (-40.0, -40.3, 0.3), (7.5, 7.5 - TURN, 0.0),
+     (3.0, -3.0, TURN - 6.0), (0.2, 30.0 * TURN, 0.2)],
 )  # fmt: skip
 def test_an_endless_joint_turns_the_short_way_from_any_number_of_turns(start, goal, travel):
     result = plan([start, 0.4, 0.2], [goal, 0.4, 0.2])
@@ -48,12 +49,10 @@ def test_a_joint_with_limits_keeps_its_turns():
     assert result.trajectory.q[-1, 0] == 7.0
 
 
-@pytest.mark.parametrize("limit", [40.0, 900.0])
+@pytest.mark.parametrize("limit", [40.0, 900.0, 1e5])
 def test_a_pose_is_reached_without_spin_in_a_wide_range(limit):
     wide = arm("six", {f"j{k}": (-limit, limit) for k in range(6)})
     start = np.array([20.1, -0.4, 0.9, 0.2, -20.5, 0.3])
-    from graceful_plan.core.compile import compile_scene
-
     X = compile_scene(wide).kernels.tool_pose(start + [0.5, 0.2, -0.4, 0.3, 0.4, 0.1])
     result = plan(start, gp.PoseGoal(X), wide)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
@@ -62,13 +61,14 @@ def test_a_pose_is_reached_without_spin_in_a_wide_range(limit):
 
 @pytest.mark.parametrize("planner", ["auto", "rrt_connect", "rrt_star", "prm"])
 def test_planners_go_round_an_obstacle_in_a_huge_range(planner):
-    scene = arm("planar", {f"j{k}": (-900.0, 900.0) for k in range(3)}).add_box("post", [0.05, 0.05, 0.2], [0.45, 0.2, 0.4])
+    scene = arm("planar", {f"j{k}": (-900.0, 900.0) for k in range(3)})
+    scene = scene.add_box("post", [0.05, 0.05, 0.2], [0.45, 0.2, 0.4])
     result = plan([0.0, 0.0, 0.0], [1.2, 0.0, 0.0], scene, planner=planner, iterations=400, time_limit=20.0)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
     assert np.abs(np.diff(result.trajectory.q, axis=0)).sum(axis=0).max() < 8.0
 
 
-# --- a little outside of a limit ---------------------------------------------------------------------------------------
+# --- a little outside of a limit --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("outside", [2e-6, 1.1e-5, 1e-4, 1e-3, 4e-3])
@@ -94,7 +94,8 @@ def test_a_start_farther_outside_is_refused_unless_asked_for():
     refused = plan(start, goal, scene)
     assert refused.status is gp.PlanStatus.INVALID_START and "'arm/j1'" in refused.detail
     assert plan(start, goal, scene, start_tolerance=0.03).status is gp.PlanStatus.SOLVED
-    assert plan(start - [0, 0.0199, 0, 0, 0, 0, 0], goal, scene, start_tolerance=0.0).status is gp.PlanStatus.INVALID_START
+    start[1] -= 0.0199
+    assert plan(start, goal, scene, start_tolerance=0.0).status is gp.PlanStatus.INVALID_START
     for tolerance in (-0.1, np.nan, 1.0):
         with pytest.raises(SettingError, match="start_tolerance"):
             plan(start, goal, scene, start_tolerance=tolerance)
@@ -117,7 +118,7 @@ def test_a_motion_that_goes_farther_out_is_no_way_back():
     assert "position_limits" in verdict.failures
 
 
-# --- grazing contacts --------------------------------------------------------------------------------------------------
+# --- grazing contacts -------------------------------------------------------------------------------------------------
 
 PRESS = """
 <mujoco><worldbody><geom name="table" type="box" size="1 1 .1" pos="0 0 -.1"/>

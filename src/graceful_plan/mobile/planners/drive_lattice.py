@@ -32,8 +32,8 @@ class DriveLattice(Planner):
     """Anytime search for paths of straight stretches and turns in place on successively finer lattices.
 
     Along a path, the arm keeps one posture while the base moves. It either keeps the start posture and moves at the
-    goal, or takes the goal posture at the start. Motions refined from these paths move base and arm together. Where no lattice has a path,
-    `FloorThetaStar` searches for one. One iteration expands one node.
+    goal, or takes the goal posture at the start. Motions refined from these paths move base and arm together. Where no
+    lattice has a path, `FloorThetaStar` searches for one. One iteration expands one node.
 
     Args:
         cells: Lengths of a move of the base [m], one lattice after the other.

@@ -137,7 +137,7 @@ def ways_out(
     cancelled: Callable[[], bool] = lambda: False,
     late: Callable[[float], bool] = lambda _: False,
 ) -> Endpoints | PlanResult:
-    """Find escape paths from the start of `travel` and from the goals; if there are none, return a result that says so."""
+    """Find escape paths from the start of `travel` and from goals; if there are none, return a result that says so."""
 
     def over() -> bool:
         return cancelled() or late(1.0)

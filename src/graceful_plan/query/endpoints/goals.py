@@ -73,9 +73,9 @@ def resolve_goal(
 ) -> Resolved:
     """Convert a goal to usable configurations, in the order given; those of one pose are sorted by motion cost.
 
-    Configurations are checked in the order of the cost of a straight move from the start, until `MOST_GOALS` are usable. Inverse
-    kinematics of several poses begins with the pose nearest to the tool and ends once there are enough configurations.
-    Many poses of an arm without a base are first solved together (see `pose_sets`).
+    Configurations are checked in the order of the cost of a straight move from the start, until `MOST_GOALS` are
+    usable. Inverse kinematics of several poses begins with the pose nearest to the tool and ends once there are enough
+    configurations. Many poses of an arm without a base are first solved together (see `pose_sets`).
 
     Args:
         goal: A configuration, a keyframe by name, a pose of tool or base, or several of these.

@@ -129,9 +129,7 @@ class _Solutions:
         cancelled: Polled before each batch.
     """
 
-    def __init__(
-        self, travel: Travel, count: int, free: FreeTest | None, cancelled: Callable[[], bool]
-    ) -> None:
+    def __init__(self, travel: Travel, count: int, free: FreeTest | None, cancelled: Callable[[], bool]) -> None:
         self._travel, self._count, self._free, self._cancelled = travel, count, free, cancelled
         self._q = np.empty((0, len(travel.start)))
         self.looked_at = self.colliding = 0
@@ -161,7 +159,7 @@ class _Solutions:
 
 
 def _nearer(q: Float[Array, "n nq"], solver: PoseSolver, travel: Travel) -> Float[Array, "m nq"]:
-    """Return those solutions that can move towards the start while they stay at the pose, moved until that costs more."""
+    """Return those solutions that can get nearer to the start while they stay at the pose, as near as that helps."""
     if not len(q):
         return q
     best, cost, pull = q.copy(), travel.cost(q), np.full(len(q), _PULL)

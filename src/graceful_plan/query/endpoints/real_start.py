@@ -85,9 +85,7 @@ class RealStart:
         )
 
 
-def real_start(
-    q: Float[Array, " nq"], constraints: SceneConstraints, tolerance: float, speed: float
-) -> RealStart:
+def real_start(q: Float[Array, " nq"], constraints: SceneConstraints, tolerance: float, speed: float) -> RealStart:
     """Return where to begin planning from a given start.
 
     A start that is farther outside, or whose first piece the judge refuses, is returned as it is.

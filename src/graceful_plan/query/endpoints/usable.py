@@ -59,8 +59,8 @@ def usable(
 ) -> Resolved:
     """Select configurations within the limits and free of collision, in the order given, with problems of the others.
 
-    Configurations are checked in the order of the cost of a straight move from the start, until `MOST_GOALS` are usable. Bounding
-    spheres prove most of them free; exact geometry checks the others.
+    Configurations are checked in the order of the cost of a straight move from the start, until `MOST_GOALS` are
+    usable. Bounding spheres prove most of them free; exact geometry checks the others.
 
     Args:
         words: Names of the configurations for messages.
