@@ -10,6 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.kernels import FINE_STEP
+from graceful_plan.costs.objective import Objective
 from graceful_plan.planners.roadmaps.growth import Ground
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.endpoints.configurations import Configuration
@@ -82,14 +83,19 @@ def usable_pairs(
 
 
 def usable_ends(
-    start: Configuration, goal: Goal, constraints: SceneConstraints, rng: np.random.Generator, seed: int = 0
+    start: Configuration,
+    goal: Goal,
+    constraints: SceneConstraints,
+    rng: np.random.Generator,
+    objective: Objective,
+    seed: int = 0,
 ) -> Endpoints | QueryResult:
     """Return both ends of a motion, or a query result with the reason why there are none.
 
     Raises:
         GracefulPlanError: For misuse, as for `plan`.
     """
-    ends = find_endpoints(start, goal, constraints, rng, seed=seed)
+    ends = find_endpoints(start, goal, constraints, rng, objective=objective.bind(constraints.scene), seed=seed)
     if isinstance(ends, Endpoints):
         return ends
     return QueryResult(status=QueryStatus[ends.status.name], detail=ends.detail)

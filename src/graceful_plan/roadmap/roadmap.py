@@ -150,7 +150,7 @@ class Roadmap:
         """
         weight = checked_objective(self.objective, w).w
         severities = self.severity(scene, severity)
-        ends = usable_ends(start, goal, self.constraints, np.random.default_rng(0), seed)
+        ends = usable_ends(start, goal, self.constraints, np.random.default_rng(0), self.objective, seed)
         if isinstance(ends, QueryResult):
             return ends
         joined = self.joined(ends)
@@ -198,7 +198,7 @@ class Roadmap:
         if max_points is not None:
             count("max_points", max_points)
         severities = self.severity(None, severity)
-        ends = usable_ends(start, goal, self.constraints, np.random.default_rng(0), seed)
+        ends = usable_ends(start, goal, self.constraints, np.random.default_rng(0), self.objective, seed)
         if isinstance(ends, QueryResult):
             return []
         joined = self.joined(ends)

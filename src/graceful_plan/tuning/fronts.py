@@ -130,12 +130,13 @@ def pareto(
         return ParetoFront(status=status, detail=detail, scene=scene.notes.name)
 
     held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
-    ends = find_endpoints(start, goal, held, rng, seed=seed)
+    bound = wanted.bind(scene, search_paces(checked_speed(speed)))
+    ends = find_endpoints(start, goal, held, rng, objective=bound, seed=seed)
     if not isinstance(ends, Endpoints):
         return failed(ends.status, ends.detail)
     request = Request(
         planner=solver,
-        objective=wanted.bind(scene, search_paces(checked_speed(speed))),
+        objective=bound,
         constraints=ends.constraints,
         poses=poses_of(goal, ends.goal_index),
         speed=checked_speed(speed),
