@@ -109,7 +109,7 @@ def test_a_wide_tolerance_shortens_the_motion():
 
 @pytest.mark.parametrize("seed", first_quick(range(6)))
 def test_a_dear_joint_moves_as_little_as_it_has_to(seed):
-    """A rail of weight 20: the best of many random solutions moves it more."""
+    """A rail of weight 20: hardly any of many random solutions is cheaper."""
     scene, rng = SCENES["rail"], np.random.default_rng(seed)
     start = np.array([0.2, 0.1, -0.4, 0.9, 0.2, 0.5, 0.3])
     X = compile_scene(scene).kernels.tool_pose(start + 0.3 * rng.normal(size=7))
@@ -117,16 +117,15 @@ def test_a_dear_joint_moves_as_little_as_it_has_to(seed):
     travel = Travel(start, gp.Objective(motion=gp.JointLength(weights), w=0.0).bind(scene))
     weighted, plain = (solve_ik(gp.PoseGoal(X), scene, start, travel=one).q[0] for one in (travel, None))
     assert travel.cost(weighted[None])[0] < travel.cost(plain[None])[0]
-    assert abs(weighted[0] - start[0]) < 0.5 * abs(plain[0] - start[0]) + 0.005
-    # No cheaper solution is near: moving along the self-motion costs more either way.
     kernels = compile_scene(scene).kernels
-    q = weighted + 0.02 * rng.normal(size=(200, 7))
-    there, missing = kernels.reach(
-        q, np.broadcast_to(X, (200, 4, 4)), np.zeros(200, dtype=bool), iterations=30, patience=30
-    )
-    there = there[np.linalg.norm(missing, axis=1) < 1e-8]
-    assert len(there) > 50
-    assert travel.cost(there).min() > 0.97 * travel.cost(weighted[None])[0]
+    seeds = np.clip(start + 0.6 * rng.normal(size=(1000, 7)), *scene.limits.position.T)
+    q, missing = kernels.reach(
+        seeds, np.broadcast_to(X, (1000, 4, 4)), np.zeros(1000, dtype=bool), iterations=60, patience=20,
+        ease=travel.ease,
+    )  # fmt: skip
+    others = q[np.linalg.norm(missing, axis=1) < 1e-7]
+    assert len(others) > 100
+    assert travel.cost(weighted[None])[0] < 1.02 * travel.cost(others).min()
 
 
 def test_plan_ranks_goals_by_the_objective():
