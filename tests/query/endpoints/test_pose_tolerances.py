@@ -1,4 +1,4 @@
-"""Tolerances of a pose are a set: what is reachable within them is found, and cheap to reach from the start."""
+"""Tolerances of a pose make it a set: its reachable poses are found, and the cheap ones come first."""
 
 import numpy as np
 import pytest

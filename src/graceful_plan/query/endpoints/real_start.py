@@ -1,8 +1,8 @@
 """The start of a real robot: a little outside of a limit or in a grazing contact, or several turns away.
 
-A robot reports positions some milliradians beyond a limit, and stops a little inside of what it touches. The motion
-then begins with a short first piece, from rest to rest, that leads back to where planning is possible. Hinges without
-limits are planned within a turn; whole turns of the start are added to the motion again.
+Robots report positions some milliradians beyond a limit, or stop in a contact with a surface. The motion then begins
+with a short first piece, from rest to rest, that leads back to where planning is possible. Hinges without limits are
+planned within a turn; whole turns of the start are added to the motion again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.judge.exact import state_contacts
-from graceful_plan.judge.verification import GRAZING_SHARE, verify
+from graceful_plan.judge.verification import GRAZING_SHARE, VerificationSettings, verify
 from graceful_plan.path import Path
 from graceful_plan.query.endpoints.escape import ascend
 from graceful_plan.query.endpoints.usable import CLAMPED
@@ -63,15 +63,16 @@ class RealStart:
 
     def _with_first(self, result: PlanResult, request: Request) -> PlanResult:
         assert self.first is not None and result.trajectory is not None and result.path is not None
+        scene, looks = request.objective.scene, request.verification or VerificationSettings()
         whole = one_after_the_other([self.first, result.trajectory])
         path = Path(np.concatenate([self.first.q[:1], result.path.q])).without_duplicates()
         verdict = verify(
             whole,
-            request.objective.scene,
+            scene,
             start=self.first.q[0],
-            goal=path.q[-1],
             constraints=request.constraints.constraints,
-            clearance=compile_scene(request.objective.scene).proof.clearance,
+            step=looks.step,
+            clearance=None if looks.everywhere else compile_scene(scene).proof.clearance,
             start_tolerance=self.tolerance,
         )
         checks = {**result.verdict.checks, **verdict.checks}

@@ -18,7 +18,7 @@ Array = np.ndarray
 _STEP = 0.1
 """Largest distance between samples of a move [rad]."""
 _SHORT = 1e-3
-"""Length of the move that shows what the motion of a joint costs [rad or m]."""
+"""Length of the move along which the cost of a joint's motion is measured [rad or m]."""
 _STIFFEST = 1e-3
 """Least ease of a joint."""
 

@@ -79,7 +79,7 @@ def plan_through(
     stages = find_stages(*stops, request.objective, seed)
     if isinstance(stages, PlanResult):
         return stages
-    legs = _legs(stages, leg, scene, budget)
+    legs = _legs(stages, leg, request.objective.scene, budget)
     if isinstance(legs, PlanResult):
         result = legs
     else:
