@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, names_file
-from graceful_plan.path import finite_array, is_real
+from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
+from graceful_plan.scene.couplings import check_couplings, warn_of_couplings
 from graceful_plan.scene.edit import StaticBody, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
 from graceful_plan.scene.facts import SceneFacts
@@ -38,23 +39,25 @@ from graceful_plan.scene.model_parts import (
     add_tool,
     check_base,
     checked_model,
-    finger_positions,
+    gripper_bodies,
     joint_limits,
     names,
     planned_joints,
     robot_bodies,
     set_limits,
+    subtree,
     tool_body,
 )
 from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.rest_state import given_state, keyframe_state, model_states, rest_state, without_bodies
 from graceful_plan.scene.screening import load_spec
 from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary
 from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
-from graceful_plan.scene.urdf.composing import TOOL, composed, held_still, velocities
+from graceful_plan.scene.urdf.composing import TOOL, chosen_joints, composed, velocities
 from graceful_plan.scene.urdf.reading import Packages, read_urdf
-from graceful_plan.scene.urdf.srdf import read_srdf
+from graceful_plan.scene.urdf.srdf import no_srdf, read_srdf
 
 Array = np.ndarray
 
@@ -93,6 +96,8 @@ class Scene(SceneFacts):
         contents: Contents | None = None,
         entities: Mapping[str, str | EntityAnnotation] | None = None,
         severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
+        joints: Sequence[str] | None = None,
+        state: Mapping[str, float | ArrayLike] | str | None = None,
         fingers: float | Mapping[str, float] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         velocity: Sequence[float] | None = None,
@@ -112,8 +117,7 @@ class Scene(SceneFacts):
             source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first, and may
                 refer only to files in their own folder and below, or in `folder`; a MjSpec is trusted.
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
-            tool: Name of a site that serves as the tool, or of a body whose frame does. The hinges and slides between
-                the world and the tool are planned.
+            tool: Name of a site that serves as the tool, or of a body whose frame does.
             carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
             X_TO: Pose of the carried body in the tool frame.
             contents: Contents of the carried body.
@@ -121,7 +125,12 @@ class Scene(SceneFacts):
                 can declare the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class
                 are obstacles only.
             severity: A table, a file with one, or replacements as in `with_severity`.
-            fingers: Position of the joints in the subtree of the tool's body, or positions by joint name.
+            joints: Joints to plan, in the order of the model, such as those of two arms. Default: the hinges and slides
+                between the world and the tool. All other joints stay in their `state`.
+            state: State of everything that is not planned, as in `with_state`; or the name of a keyframe of the model.
+                Default: the model's initial state.
+            fingers: Position of the joints of the gripper, which is everything that hangs on the last planned joint; or
+                positions by joint name. Joints that follow others by equalities follow.
             limits: Lower and upper limit by joint, to replace the model's [rad or m].
             velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric
                 "<robot>velocity_limit".
@@ -143,18 +152,21 @@ class Scene(SceneFacts):
         Raises:
             SceneError: If the model is broken or hostile.
             SettingError: If the source is not in `folder`, or `self_collision` is unknown.
-            UnsupportedError: If the model has unsupported features.
+            UnsupportedError: If the model has unsupported features, such as equalities that restrict planned joints.
             UnknownNameError: If a body, site, joint or class does not exist.
         """
         spec = load_spec(source, folder)
         add_tool(spec, tool)
-        overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts)
-        base = base or described_drive(spec, robot)
+        overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts, joints)
+        described = described_drive(spec, robot)
+        if base is None and described is not None and (joints is None or set(described.joints).issubset(joints)):
+            base = described
         table, overrides = given_severity(severity)
         notes = Notes(
             name=name or spec.modelname,
             robot=robot,
             tool=tool,
+            joints=None if joints is None else tuple(joints),
             body_class=body_class,
             fingers=fingers,
             limits=dict(limits or {}),
@@ -174,7 +186,11 @@ class Scene(SceneFacts):
         scene = cls.build(spec, notes)
         check_keyframes(notes, scene.limits)
         warn_of_untested_links(scene.model, scene.robot_bodies, robot)
-        return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
+        if state is not None:
+            scene = scene.in_state(state)
+        scene = scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
+        warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
+        return scene
 
     @classmethod
     @names_file
@@ -188,6 +204,9 @@ class Scene(SceneFacts):
         srdf: str | Path | None = None,
         world: str | Path | mujoco.MjSpec | None = None,
         pose: ArrayLike | None = None,
+        joints: Sequence[str] | None = None,
+        group: str | None = None,
+        state: Mapping[str, float | ArrayLike] | str | None = None,
         velocity: Sequence[float] | None = None,
         fingers: float | Mapping[str, float] | None = None,
         decompose: bool | None = None,
@@ -206,17 +225,20 @@ class Scene(SceneFacts):
 
         Args:
             source: URDF file, or its text.
-            tool: Link whose frame is that of the tool. The joints between the base and the tool are planned.
+            tool: Link whose frame is that of the tool.
             acceleration: Limit of each planned joint, or one for all [rad/s2 or m/s2]; URDF has none.
             packages: Folders to resolve `package://`: packages, folders that contain packages, or folders by package
                 name. The folders above the file are searched as well. Meshes by other paths are read from there, from
                 the folder of the file, and from the ROS package that it is in; all others are refused.
-            srdf: SRDF file or text, for link pairs that may touch, and group states as keyframes.
+            srdf: SRDF file or text, for groups, link pairs that may touch, and group states as keyframes. States that
+                exceed limits by rounding are clamped, positions farther outside are left out; both log a warning.
             world: MJCF of the surroundings, as in `from_mjcf`.
             pose: Of the robot's root link in W, 4 x 4.
+            joints: Joints to plan, in the order of the model. Default: those between the base and the tool.
+            group: Group of the SRDF with the joints to plan, instead of `joints`.
+            state: As in `from_mjcf`; a name is that of a group state.
             velocity: Limit of each planned joint [rad/s or m/s]; those of the URDF by default.
-            fingers: Position of the joints in the subtree of the last planned joint, whose mimic joints follow; or
-                positions by joint name.
+            fingers: As in `from_mjcf`; mimic joints follow.
             decompose: Whether to divide meshes into convex parts. With None they are divided if links touch in many
                 configurations and the library `coacd` is installed; if it is not installed, a warning is logged.
             limits: As in `from_mjcf`.
@@ -228,34 +250,40 @@ class Scene(SceneFacts):
         Raises:
             SceneError: If a file is broken, hostile or missing.
             UnsupportedError: If the robot has unsupported features, or `decompose` is True without `coacd`.
-            UnknownNameError: If there is no link `tool`.
+            SettingError: If both `joints` and `group` are given.
+            UnknownNameError: If there is no such link, joint, group or state.
         """
         robot = read_urdf(source, packages, decompose=decompose or False)
-        chain, prefix = robot.chain(tool), f"{robot.name}/"
-        told = None if srdf is None else read_srdf(srdf)
-        states = {} if told is None else told.keyframes([joint.name for joint in chain])
-        disabled = () if told is None else told.contacts(robot)
+        prefix = f"{robot.name}/"
+        told = no_srdf() if srdf is None else read_srdf(srdf).within(robot.limits(limits or {}))
+        chain = chosen_joints(robot, told, tool, joints, group)
+        planned = None if joints is None and group is None else [prefix + joint.name for joint in chain]
+        disabled = told.contacts(robot)
         spec = composed(robot, tool, world, pose)
-        touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts))
+        touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts), planned)
         if decompose is None and touches.often > MAX_OVERLAP_FRACTION:
             spec = composed(read_urdf(source, packages, decompose=None), tool, world, pose)
-            touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts))
-        return cls.from_mjcf(
+            touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts), planned)
+        scene = cls.from_mjcf(
             spec,
             robot=prefix,
             tool=prefix + TOOL,
+            joints=planned,
             entities=entities,
             severity=severity,
-            fingers=held_still(robot, chain, fingers) if is_real(fingers) else fingers,
+            fingers=fingers,
             limits=limits,
             velocity=velocities(chain) if velocity is None else velocity,
             acceleration=[acceleration] * len(chain)
             if isinstance(acceleration, int | float | np.number)
             else acceleration,
-            keyframes={**states, **(keyframes or {})},
+            keyframes={**told.keyframes([joint.name for joint in chain]), **(keyframes or {})},
             allowed_contacts=(*touches.contacts, *disabled, *allowed_contacts),
             name=robot.name,
         )
+        states = scene.notes.states | told.others(robot, chain)
+        scene = replace(scene, notes=replace(scene.notes, states=states))
+        return scene if state is None else scene.in_state(state)
 
     @classmethod
     def build(cls, spec: mujoco.MjSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
@@ -268,23 +296,24 @@ class Scene(SceneFacts):
                 set_limits(model, robot, notes.limits)
         with notes.about("tool"):
             hand = tool_body(model, notes.tool, robot)
-            joints = planned_joints(model, hand, robot)
+            joints = planned_joints(model, hand, robot, notes.joints)
         with notes.about("robot"):
+            check_couplings(model, joints, robot)
             if notes.base is not None:
                 check_base(model, joints, notes.base)
             limits = joint_limits(model, joints, notes)
             components = roles.find_components(model, notes, robot)
+        gripper = gripper_bodies(model, hand, joints)
         with notes.about("fingers"):
-            held_still = finger_positions(model, robot, joints, hand, notes)
+            home = rest_state(model, robot, joints, gripper, notes)
         qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
-        home = model.qpos0.copy()
-        home[list(held_still)] = list(held_still.values())
-        home.flags.writeable = qpos_adr.flags.writeable = False
+        qpos_adr.flags.writeable = False
         notes = replace(
             notes,
             entities=roles.custom_entities(model) | dict(notes.entities),
             # Keyframes are stored here because adding a joint to a MjSpec invalidates them.
             keyframes=model_keyframes(model, qpos_adr) | dict(notes.keyframes),
+            states=model_states(model, joints) | dict(notes.states),
         )
         return cls(
             model=model,
@@ -298,7 +327,7 @@ class Scene(SceneFacts):
             own_severity=roles.own_severity(notes, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
             keyframes=find_keyframes(notes, len(joints)),
-            allowed_contacts=declared_contacts(model, notes, hand),
+            allowed_contacts=declared_contacts(model, notes, gripper),
             notes=notes,
             robot_bodies=robot,
             spec=spec,
@@ -402,6 +431,41 @@ class Scene(SceneFacts):
         table, overrides = given_severity(severity)
         table = table if isinstance(severity, SeverityTable) else self.notes.severity
         notes = replace(self.notes, severity=table, overrides=dict(self.notes.overrides) | overrides)
+        return Scene.build(self.spec, notes, self.model)
+
+    def with_state(self, state: Mapping[str, float | ArrayLike] | None = None, *, keyframe: str | None = None) -> Scene:
+        """Return this scene with joints that are not planned elsewhere: fingers, doors, drawers, free bodies.
+
+        Joints that follow others by equalities, such as mimic joints, follow; passive joints close their chains. Other
+        joints stay as they are.
+
+        Args:
+            state: Position of each hinge or slide [rad or m], wxyz quaternion of a ball joint, position and quaternion
+                or 4 x 4 pose in W of a free body; by joint, or by body for free bodies.
+            keyframe: Keyframe of the model from which to take everything else: all joints that are neither planned nor
+                in the gripper.
+
+        Raises:
+            UnknownNameError: If there is no such joint, or the model has no such keyframe.
+            SettingError: If a joint is planned or its position is impossible, or nothing is given.
+            UnsupportedError: If the keyframe moves a joint without a name.
+        """
+        if state is None and keyframe is None:
+            raise SettingError("state", None, "positions by joint, or keyframe=")
+        held = self.held_bodies
+        given = given_state(self.model, self.joint_ids, held, state or {})
+        whole = {} if keyframe is None else keyframe_state(self.model, self.joint_ids, held, self.notes, keyframe)
+        notes = replace(self.notes, state={**self.notes.state, **whole, **given})
+        return Scene.build(self.spec, notes, self.model)
+
+    def in_state(self, state: Mapping[str, float | ArrayLike] | str) -> Scene:
+        """Return this scene in a state or in that of a keyframe; given `fingers` stay. For loaders."""
+        if not isinstance(state, str):
+            return self.with_state(state)
+        scene = self.with_state(keyframe=state)
+        if self.notes.fingers is None:
+            return scene
+        notes = replace(scene.notes, state=without_bodies(self.model, scene.notes.state, self.gripper_bodies))
         return Scene.build(self.spec, notes, self.model)
 
     def with_moving(self, *entities: MovingEntity) -> Scene:
@@ -515,13 +579,15 @@ class Scene(SceneFacts):
             SceneError: If a name is taken, or a body belongs to the robot or is in the gripper.
             UnsupportedError: If the parent of a body to move is not the world.
         """
-        kept = self.robot_bodies | roles.held_bodies(self.model, self.notes)
+        kept = self.robot_bodies | self.held_bodies
         spec, model = moved(self.spec, self.model, move or {}, kept)
         gone, solids = list(remove), list(add)
+        elsewhere = frozenset(model.body(name).id for name in move or {})
         if not gone and not solids:
-            return self._with_model(spec, model)
+            return self._with_model(spec, model, elsewhere)
         for name in gone:
             removed(spec, self.model, name, kept)
+            elsewhere |= subtree(self.model, self.model.body(name).id)
         for solid in solids:
             if not callable(getattr(solid, "add_to", None)):
                 raise SettingError("add", solid, "each a StaticBody, PointCloud or HeightMap")
@@ -532,16 +598,18 @@ class Scene(SceneFacts):
             solid.name: EntityAnnotation(category=solid.entity) for solid in solids if solid.entity is not None
         }
         overrides = {name: value for name, value in self.notes.overrides.items() if name not in left}
-        return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides))
+        state = without_bodies(self.model, self.notes.state, elsewhere)
+        return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides, state=state))
 
-    def _with_model(self, spec: mujoco.MjSpec, model: mujoco.MjModel) -> Scene:
+    def _with_model(self, spec: mujoco.MjSpec, model: mujoco.MjModel, elsewhere: frozenset[int]) -> Scene:
         """Return this scene with bodies moved: roles are unchanged, and free bodies start at their new poses."""
         home = self.home_qpos.copy()
-        free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
-        for adr in model.jnt_qposadr[free].tolist():
-            home[adr : adr + 7] = model.qpos0[adr : adr + 7]
+        for adr in (roles.free_joint(model, body) for body in elsewhere):
+            if adr >= 0:
+                home[adr : adr + 7] = model.qpos0[adr : adr + 7]
         home.flags.writeable = False
-        scene = replace(self, spec=spec, model=model, home_qpos=home)
+        notes = replace(self.notes, state=without_bodies(model, self.notes.state, elsewhere))
+        scene = replace(self, spec=spec, model=model, home_qpos=home, notes=notes)
         # These caches do not depend on the poses of obstacles.
         vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene

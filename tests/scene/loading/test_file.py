@@ -178,7 +178,7 @@ _BROKEN = {  # text to replace, its replacement, place and words of the error
     "base is nan": ("position: [0, 0, 0.1]", "position: [0, .nan, 0.1]", "is not finite"),
     "base in a plane": ("position: [0, 0, 0.1]", "position: [0, 0]", "has 2 numbers, expected 3"),
     "no rotation": ("quaternion: [0, 0, 0, 1]", "quaternion: [0, 0, 0, 0]", r"has length 0, expected 1 \(wxyz\)"),
-    "fingers too wide": ("fingers: 0.04", "fingers: 0.05", "position of panda/finger_joint1 = 0.05"),
+    "fingers too wide": ("fingers: 0.04", "fingers: 0.05", "position of panda/finger_joint2 = 0.05"),
     "entity without body": ("  shelf: table", "  shell: table", r"unknown entity \(body\) 'shell'; valid: cup, "),
     "unknown class": ("  shelf: table", "  shelf: tabel", "unknown entity class 'tabel'; valid: adult, .*table"),
     "class is a number": ("  shelf: table", "  shelf: 3", "has to be text"),

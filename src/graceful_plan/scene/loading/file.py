@@ -13,11 +13,13 @@ robot:
     body_class: arm_collapse       # how the robot fails: arm_collapse, arm_braked or base_coast
   velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
   limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
+  joints: [panda/joint1, ...]    # planned joints; default: those between world and tool
 base:                            # differential drive, if any: the fields of DiffDrive; default: the model's
   joints: [jackal/base_x, jackal/base_y, jackal/base_yaw]
   radius: 0.098                  # and track, v_max, omega_max, a_max, alpha_max; slip, lateral_max, wheel_max, reverse
 tool: panda/tool                 # site, or body; default "<prefix>tool"
-fingers: 0.04                    # position of the joints behind the tool, or {joint: position}
+fingers: 0.04                    # position of the joints behind the last planned one, or {joint: position}
+state: {drawer: 0.2}             # of other joints and free bodies: {name: position}, or a keyframe of the model
 entities:                        # things that can be harmed: each body with its subtree
   mug: glass                     # its class
     vase: {class: heirloom, severity: 40}    # or by component or component class: {body: 40, carried: 30, hot: 9}
@@ -63,6 +65,7 @@ import numpy as np
 
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.scene import roles, screening
+from graceful_plan.scene.couplings import warn_of_couplings
 from graceful_plan.scene.elements import (
     AllowedContact,
     Contents,
@@ -86,11 +89,11 @@ from graceful_plan.yaml_file import Block, read_yaml
 T = TypeVar("T")
 
 _KEYS = (
-    "version", "name", "description", "world", "robot", "base", "tool", "fingers", "entities", "severity", "objects",
-    "moving", "keyframes", "tasks", "allowed_contacts",
+    "version", "name", "description", "world", "robot", "base", "tool", "fingers", "state", "entities", "severity",
+    "objects", "moving", "keyframes", "tasks", "allowed_contacts",
 )  # fmt: skip
 _ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque",
-                "limits")  # fmt: skip
+                "limits", "joints")  # fmt: skip
 _MOVING_KEYS = ("class", "size", "t", "position", "yaw", "spread", "growth", "severity")
 
 
@@ -110,7 +113,12 @@ def read_scene(file: Path) -> Scene:
     with notes.about("base"):
         notes = replace(notes, base=notes.base or described_drive(spec, notes.robot))
     scene = Scene.build(spec, notes)
+    state = root.get("state")
+    if state is not None:
+        with scene.notes.about("state"):
+            scene = scene.in_state(_state(state))
     _check_promises(scene)
+    warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
     return replace(scene, notes=replace(scene.notes, file=None, lines={}))
 
 
@@ -152,12 +160,13 @@ def _notes(root: Block, file: Path) -> Notes:
     robot.only(*_ROBOT_KEYS)
     prefix = _prefix(robot)
     name, description, tool, allowed = (root.get(key) for key in ("name", "description", "tool", "allowed_contacts"))
-    body_class = robot.get("body_class")
+    body_class, joints = robot.get("body_class"), robot.get("joints")
     return Notes(
         name=name.string() if name else file.stem,
         description=description.string() if description else "",
         robot=prefix,
         tool=tool.string() if tool else f"{prefix}tool",
+        joints=joints.strings() if joints else None,
         body_class=body_class.string() if body_class else "arm_collapse",
         fingers=_fingers(root.get("fingers")),
         limits=_limits(robot.get("limits")),
@@ -176,6 +185,12 @@ def _notes(root: Block, file: Path) -> Notes:
         file=str(file),
         lines=lines.at,
     )
+
+
+def _state(block: Block) -> dict[str, Any] | str:
+    if not block.is_mapping:
+        return block.string()
+    return {name: child.numbers() if child.is_list else child.number() for name, child in block.items()}
 
 
 def _base(block: Block | None) -> DiffDrive | None:

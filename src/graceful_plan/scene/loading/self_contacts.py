@@ -47,14 +47,21 @@ class Touching:
     often: float
 
 
-def touching(spec: mujoco.MjSpec, robot: str, tool: str, allowed: Sequence[AllowedContact] = ()) -> Touching:
+def touching(
+    spec: mujoco.MjSpec,
+    robot: str,
+    tool: str,
+    allowed: Sequence[AllowedContact] = (),
+    joints: Sequence[str] | None = None,
+) -> Touching:
     """Sample configurations and find the links that touch.
 
     Args:
         spec: Model that contains the robot.
         robot: Prefix of its bodies, or its root body.
-        tool: Site of the tool. The joints between world and tool are sampled uniformly within limits; others stay.
+        tool: Site of the tool.
         allowed: Contacts that are allowed anyway.
+        joints: Joints to sample uniformly within limits, while others stay; by default those between world and tool.
     """
     model = compile_spec(spec)
     bodies = robot_bodies(model, robot)
@@ -64,7 +71,7 @@ def touching(spec: mujoco.MjSpec, robot: str, tool: str, allowed: Sequence[Allow
         for body in bodies
         if model.body_jntnum[body] and (parent := int(model.body_parentid[body])) in bodies
     }
-    touched = _touched(model, group, planned_joints(model, tool_body(model, tool, bodies), bodies))
+    touched = _touched(model, group, planned_joints(model, tool_body(model, tool, bodies), bodies, joints))
     count = Counter(pair for found in touched for pair in found)
     reasons = dict.fromkeys((pair for pair, found in count.items() if found >= _ALWAYS * _SAMPLES), "overlap")
     reasons |= dict.fromkeys(pairs, "adjacent")
@@ -78,7 +85,12 @@ def touching(spec: mujoco.MjSpec, robot: str, tool: str, allowed: Sequence[Allow
 
 
 def link_contacts(
-    spec: mujoco.MjSpec, robot: str, tool: str, kind: str, allowed: Sequence[AllowedContact]
+    spec: mujoco.MjSpec,
+    robot: str,
+    tool: str,
+    kind: str,
+    allowed: Sequence[AllowedContact],
+    joints: Sequence[str] | None = None,
 ) -> tuple[AllowedContact, ...]:
     """Return the contacts to allow so that self-collision is checked as `kind` requests.
 
@@ -89,6 +101,7 @@ def link_contacts(
         kind: "model": the model's filters decide. "links": all link pairs are checked except excluded ones, pairs with
             a joint in between, and pairs that touch in nearly all configurations.
         allowed: Contacts that are allowed anyway.
+        joints: Planned joints, if they are not those between world and tool.
 
     Returns:
         Contacts to allow in addition.
@@ -111,7 +124,7 @@ def link_contacts(
         if geom.id in mine:
             geom.contype |= unused
             geom.conaffinity |= unused
-    return touching(spec, robot, tool, allowed).contacts
+    return touching(spec, robot, tool, allowed, joints).contacts
 
 
 def warn_of_untested_links(model: mujoco.MjModel, robot: frozenset[int], name: str) -> None:
