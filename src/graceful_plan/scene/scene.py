@@ -27,6 +27,7 @@ from graceful_plan.scene.edit import StaticBody, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
+from graceful_plan.scene.loading.extents import warn_of_extents
 from graceful_plan.scene.loading.self_contacts import (
     MAX_OVERLAP_FRACTION,
     link_contacts,
@@ -189,6 +190,7 @@ class Scene(SceneFacts):
         if state is not None:
             scene = scene.in_state(state)
         scene = scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
+        warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
         warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
         return scene
 
@@ -264,6 +266,7 @@ class Scene(SceneFacts):
         if decompose is None and touches.often > MAX_OVERLAP_FRACTION:
             spec = composed(read_urdf(source, packages, decompose=None), tool, world, pose)
             touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts), planned)
+        touches.warn()
         scene = cls.from_mjcf(
             spec,
             robot=prefix,

@@ -77,6 +77,7 @@ from graceful_plan.scene.elements import (
     TaskNote,
 )
 from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.loading.extents import warn_of_extents
 from graceful_plan.scene.loading.robot_models import robot_file, robots
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import described_drive
@@ -118,6 +119,7 @@ def read_scene(file: Path) -> Scene:
         with scene.notes.about("state"):
             scene = scene.in_state(_state(state))
     _check_promises(scene)
+    warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
     warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
     return replace(scene, notes=replace(scene.notes, file=None, lines={}))
 

@@ -157,7 +157,7 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
         if weight > _MOST_OF_MESHES:
             raise SceneError(f"with the mesh {name[:200]!r} there are more than {_MOST_OF_MESHES} vertices and faces")
         found = _in_parts(content, ending, name, decompose)
-        stem = _ODD.sub("_", Path(name).stem)[:60]  # for errors of MuJoCo
+        stem = _ODD.sub("_", Path(name).stem)[:60]  # for messages about the mesh
         parts[name] = [f"mesh{k}_{i}_{stem}{ending}" for i, (_, ending) in enumerate(found)]
         assets |= zip(parts[name], (content for content, _ in found), strict=True)
     for link in root.iterfind("link"):
