@@ -79,7 +79,7 @@ def test_pairs_that_always_overlap_deeply_are_named(tmp_path: Path, caplog: pyte
     (told,) = [text for text in _warnings(caplog) if "overlap" in text]
     assert "arm/foot - arm/fore" in told and "mm" in told
     assert "adjacent: arm/boom - arm/fore" in scene.describe()
-    assert "overlap: arm/foot - arm/fore" in scene.describe()
+    assert "overlap: arm/graceful_plan_base - arm/fore" in scene.describe()
 
 
 def test_bundled_scenes_load_without_warnings(caplog: pytest.LogCaptureFixture) -> None:

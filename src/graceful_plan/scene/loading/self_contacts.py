@@ -95,12 +95,13 @@ def touching(
     may = {(group[body[c.first]], group[body[c.second]]) for c in allowed if c.first in body and c.second in body}
     free = set(reasons) | may | {pair[::-1] for pair in may}
     often = sum(bool(depths.keys() - free) for depths in touched) / _SAMPLES
+    shape = {group[k]: called[k] for k in sorted(bodies, reverse=True) if colliding_geoms(model, [k])}
     deep = {}
     for a, b, reason in named:
         pair = body[a], body[b]
         depth = float(np.median([depths.get(pair, 0.0) for depths in touched]))
         if reason == "overlap" and pair not in may and pair[::-1] not in may and depth > _DEEP:
-            deep[a, b] = depth
+            deep[shape[pair[0]], shape[pair[1]]] = depth
     return Touching(tuple(AllowedContact(a, b, reason=reason) for a, b, reason in named), often, deep)
 
 
