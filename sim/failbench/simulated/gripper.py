@@ -17,7 +17,7 @@ class Gripper(NamedTuple):
     """Joints and actuators of the gripper, below the last planned joint."""
 
     bodies: tuple[int, ...]
-    """The body of the last planned joint and all its descendants."""
+    """The bodies that hang on the last planned joint."""
     pads: Int[Array, " geom"]
     """Colliding geoms of the moving parts, which hold an object."""
     joints: Int[Array, " joint"]
@@ -31,7 +31,7 @@ class Gripper(NamedTuple):
 
 
 def find_gripper(scene: Scene) -> Gripper:
-    """Find the gripper: everything that hangs on the last planned joint. Only position servos count as its actuators."""
+    """Find the gripper, as the scene does. Only position servos count as its actuators."""
     model = scene.model
     bodies = tuple(sorted(scene.gripper_bodies))
     joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies and j not in scene.joint_ids]

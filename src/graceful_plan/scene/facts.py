@@ -133,7 +133,7 @@ class SceneFacts:
 
     @cached_property
     def gripper_bodies(self) -> frozenset[int]:
-        """Ids of the gripper's bodies: that of the last planned joint before the tool, and what hangs on it."""
+        """Ids of the gripper's bodies: those that hang on the last planned joint before the tool."""
         tool = int(self.model.site_bodyid[self.model.site(self.tool).id])
         return gripper_bodies(self.model, tool, self.joint_ids)
 

@@ -273,11 +273,18 @@ def _wanted_joints(
 
 
 def gripper_bodies(model: mujoco.MjModel, tool_body: int, planned: Collection[int]) -> frozenset[int]:
-    """Return the body of the last planned joint on the way to the tool, with everything that hangs on it."""
-    body = tool_body
-    while body > 0 and not _has_joint(model, body, planned):
-        body = int(model.body_parentid[body])
-    return subtree(model, body)
+    """Return the bodies that hang on the last planned joint before the tool, whichever of them has the tool.
+
+    The body of the joint itself counts if the tool is on it, a finger joint is directly on it, or nothing else has
+    colliding geoms. Otherwise it is the last link of the arm, which no held object may touch.
+    """
+    last = tool_body
+    while last > 0 and not _has_joint(model, last, planned):
+        last = int(model.body_parentid[last])
+    behind = subtree(model, last)
+    fingers = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if j not in planned]
+    is_palm = last == tool_body or any(int(model.body_parentid[body]) == last for body in fingers)
+    return behind if is_palm or not colliding_geoms(model, behind - {last}) else behind - {last}
 
 
 def _has_joint(model: mujoco.MjModel, body: int, joints: Collection[int]) -> bool:

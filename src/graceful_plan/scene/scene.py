@@ -40,6 +40,7 @@ from graceful_plan.scene.model_parts import (
     add_tool,
     check_base,
     checked_model,
+    find,
     gripper_bodies,
     joint_limits,
     names,
@@ -55,7 +56,7 @@ from graceful_plan.scene.screening import load_spec
 from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary
-from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
+from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, named_configuration, task_ends
 from graceful_plan.scene.urdf.composing import TOOL, chosen_joints, composed, velocities
 from graceful_plan.scene.urdf.reading import Packages, read_urdf
 from graceful_plan.scene.urdf.srdf import no_srdf, read_srdf
@@ -93,6 +94,7 @@ class Scene(SceneFacts):
         robot: str,
         tool: str,
         carried: str | None = None,
+        at: ArrayLike | str | None = None,
         X_TO: ArrayLike | None = None,
         contents: Contents | None = None,
         entities: Mapping[str, str | EntityAnnotation] | None = None,
@@ -119,8 +121,9 @@ class Scene(SceneFacts):
                 refer only to files in their own folder and below, or in `folder`; a MjSpec is trusted.
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
             tool: Name of a site that serves as the tool, or of a body whose frame does.
-            carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
-            X_TO: Pose of the carried body in the tool frame.
+            carried: Body in the gripper, if any; `at`, `X_TO` and `contents` as in `attach`.
+            at: Configuration in which the gripper holds the carried body where it is.
+            X_TO: Pose of the carried body in the tool frame, instead of `at`.
             contents: Contents of the carried body.
             entities: Class of each body that can be harmed, by body name; it applies to the body's subtree. The model
                 can declare the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class
@@ -189,7 +192,7 @@ class Scene(SceneFacts):
         warn_of_untested_links(scene.model, scene.robot_bodies, robot)
         if state is not None:
             scene = scene.in_state(state)
-        scene = scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
+        scene = scene if carried is None else scene.attach(carried, at=at, X_TO=X_TO, contents=contents)
         warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
         warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
         return scene
@@ -257,7 +260,7 @@ class Scene(SceneFacts):
         """
         robot = read_urdf(source, packages, decompose=decompose or False)
         prefix = f"{robot.name}/"
-        told = no_srdf() if srdf is None else read_srdf(srdf).within(robot.limits(limits or {}))
+        told = no_srdf() if srdf is None else read_srdf(srdf).within(robot, limits or {})
         chain = chosen_joints(robot, told, tool, joints, group)
         planned = None if joints is None and group is None else [prefix + joint.name for joint in chain]
         disabled = told.contacts(robot)
@@ -365,6 +368,7 @@ class Scene(SceneFacts):
         self,
         name: str,
         *,
+        at: ArrayLike | str | None = None,
         X_TO: ArrayLike | None = None,
         contents: Contents | None = None,
         object_class: str | None = None,
@@ -375,22 +379,28 @@ class Scene(SceneFacts):
 
         Args:
             name: Name of an object of the scene, or of any body whose parent is the world.
-            X_TO: Pose of the object's body in the tool frame. Default: as declared for the object, else the body's
-                origin at the tool, upright while the tool points down.
+            at: Configuration or keyframe in which the gripper holds the object where it is in this scene.
+            X_TO: Pose of the object's body in the tool frame, instead of `at`, such as `FROM_ABOVE`: the body's origin
+                at the tool, upright while the tool points down. Default: as declared for the object.
             contents: Contents of the object. Default: as declared.
             object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as
                 declared, else by mass.
-            fingers: Position of the joints in the subtree of the tool's body while carrying, or positions by joint
-                name. Default: as declared.
+            fingers: Position of the gripper's joints while carrying, or positions by joint name; as in `from_mjcf`.
+                Default: as declared.
             support: Bodies or geoms that the object may touch at the ends of a path, because it stands on them there.
 
         Raises:
             SceneError: If an object is in the gripper already.
-            UnknownNameError: If there is no such object, support or contents geom.
+            SettingError: If both `at` and `X_TO` are given, or neither and no grasp is declared.
+            UnknownNameError: If there is no such object, keyframe, support or contents geom.
             UnsupportedError: If the object cannot be held.
         """
         if self.notes.held is not None:
             raise SceneError(f"{self.notes.held.body!r} is in the gripper already; detach() it first")
+        if at is not None:
+            if X_TO is not None:
+                raise SettingError("X_TO", X_TO, "one of at and X_TO")
+            X_TO = self._grasp_at(name, at)
         held = roles.held_note(
             self.model,
             self.notes,
@@ -407,6 +417,17 @@ class Scene(SceneFacts):
         spec = self.spec.copy()
         spec.body(held.body).add_freejoint(name=f"{held.body}_free")
         return Scene.build(spec, notes)
+
+    def _grasp_at(self, name: str, at: ArrayLike | str) -> Float[Array, "4 4"]:
+        """Return the pose in the tool frame, at a configuration, of an object where it is."""
+        note = self.notes.objects.get(name)
+        body = find(self.model, _OBJ.mjOBJ_BODY, "object or body that can be held", name if note is None else note.body)
+        data = self.data_at(named_configuration(at, self) if isinstance(at, str) else at)
+        tool = data.site(self.tool)
+        R_WT, R_WO = tool.xmat.reshape(3, 3), data.xmat[body].reshape(3, 3)
+        X_TO = np.eye(4)
+        X_TO[:3, :3], X_TO[:3, 3] = R_WT.T @ R_WO, R_WT.T @ (data.xpos[body] - tool.xpos)
+        return X_TO
 
     def detach(self) -> Scene:
         """Return this scene with an empty gripper; the object is back at its initial pose.
@@ -622,7 +643,8 @@ class Scene(SceneFacts):
 class Task:
     """A planning task in a scene: a start, alternative goals, and the object to carry.
 
-    `goal` has one row per goal. `scene` is created on first use, with the object in the gripper.
+    Without a declared grasp, the gripper holds the object where it is at the start. `goal` has one row per goal.
+    `scene` is created on first use, with the object in the gripper.
     """
 
     name: str
@@ -638,4 +660,5 @@ class Task:
         """The scene with the task's object attached and contacts with its supports allowed at the ends."""
         if self.object_name is None:
             return self.world
-        return self.world.attach(self.object_name, support=self.support)
+        declared = self.world.notes.objects[self.object_name].X_TO
+        return self.world.attach(self.object_name, at=self.start if declared is None else None, support=self.support)

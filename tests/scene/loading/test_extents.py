@@ -25,7 +25,7 @@ _OBJ = "".join(f"v {x} {y} {z}\n" for x, y, z in _CAMERA) + "".join(
         (1, 7, 5),
         (2, 6, 8),
         (2, 8, 4),
-    )  # fmt: skip
+    )
 )
 _URDF = """<robot name="arm">
   <link name="foot"><collision><geometry><box size=".1 .1 .1"/></geometry></collision></link>
@@ -78,7 +78,7 @@ def test_pairs_that_always_overlap_deeply_are_named(tmp_path: Path, caplog: pyte
     scene = _load(tmp_path, True, 1.0)
     (told,) = [text for text in _warnings(caplog) if "overlap" in text]
     assert "arm/foot - arm/fore" in told and "mm" in told
-    assert "adjacent: arm/boom - arm/fore" in scene.describe()
+    assert "arm/boom - arm/fore\n  overlap: " in scene.describe()
     assert "overlap: arm/graceful_plan_base - arm/fore" in scene.describe()
 
 

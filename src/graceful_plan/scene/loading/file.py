@@ -29,7 +29,8 @@ objects:                         # objects that can be carried: defaults of atta
   mug:
     body: mug                    # default: the object's name
     class: glass                 # light, medium, heavy, sharp or glass; default: by mass
-    grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame
+    grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame; default of a
+                                                              # task: where the object is at its start
     fingers: 0.035
     contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
 moving:                          # moving entities: can be harmed, but are not obstacles; see MovingEntity
@@ -130,7 +131,8 @@ def _check_promises(scene: Scene) -> None:
     check_keyframes(notes, scene.limits)
     for name in notes.objects:
         with notes.about(f"objects.{name}"):
-            held = roles.held_note(scene.model, notes, scene.robot_bodies, name)
+            X_TO = roles.FROM_ABOVE if notes.objects[name].X_TO is None else None  # the start of a task decides
+            held = roles.held_note(scene.model, notes, scene.robot_bodies, name, X_TO=X_TO)
             Scene.build(scene.spec, replace(notes, held=held, file=None), scene.model)
     scene.tasks  # noqa: B018  raises if a task refers to a missing name
 

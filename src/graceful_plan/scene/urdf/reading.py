@@ -88,10 +88,10 @@ class UrdfRobot:
         order = [joint.name for joint in self.spec.joints]
         return [known[name] for name in order if name in known and name in names]
 
-    def limits(self, replaced: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-        """Return the limits of joints, by their names in the URDF; `replaced` holds others, by names with prefix."""
-        known = {joint.name: joint.position for joint in self.joints if joint.position is not None}
-        return known | {name.removeprefix(f"{self.name}/"): pair for name, pair in replaced.items()}
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Lower and upper limit of each joint that has some, by its name in the URDF [rad or m]."""
+        return {joint.name: joint.position for joint in self.joints if joint.position is not None}
 
     def check_link(self, link: str) -> None:
         """Check that a link exists.

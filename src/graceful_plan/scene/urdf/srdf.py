@@ -36,12 +36,18 @@ class Srdf:
     states: Mapping[str, Mapping[str, float]]
     groups: Mapping[str, ET.Element]
 
-    def within(self, limits: Mapping[str, tuple[float, float]]) -> Srdf:
+    def within(self, robot: UrdfRobot, limits: Mapping[str, tuple[float, float]]) -> Srdf:
         """Return this with states inside of limits: rounded positions are clamped, others are left out.
 
-        Both log a warning, since the SRDF does not fit the URDF.
+        Both log a warning, since the SRDF does not fit the URDF. Joints without limits are turned back by full turns.
+
+        Args:
+            robot: The robot.
+            limits: Limits that replace those of the robot, by joint with prefix [rad or m].
         """
-        return replace(self, states={name: _within(name, state, limits) for name, state in self.states.items()})
+        known = robot.limits | {name.removeprefix(f"{robot.name}/"): pair for name, pair in limits.items()}
+        endless = {joint.name for joint in robot.joints if joint.kind == "continuous"} - known.keys()
+        return replace(self, states={name: _within(name, state, known, endless) for name, state in self.states.items()})
 
     def joints(self, group: str, robot: UrdfRobot) -> list[UrdfJoint]:
         """Return the joints of a group that can be planned, in the order of the model.
@@ -118,7 +124,9 @@ def read_srdf(source: str | Path) -> Srdf:
     return Srdf(pairs=tuple(pairs), states=states, groups=groups)
 
 
-def _within(name: str, state: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+def _within(
+    name: str, state: Mapping[str, float], limits: Mapping[str, tuple[float, float]], endless: Collection[str]
+) -> dict[str, float]:
     kept = {}
     for joint, value in state.items():
         lower, upper = limits.get(joint, (-math.inf, math.inf))
@@ -126,6 +134,8 @@ def _within(name: str, state: Mapping[str, float], limits: Mapping[str, tuple[fl
         if abs(inside - value) > _ROUNDED:
             _LOG.warning("group state %r: %s at %g is left out, outside of [%g, %g]", name, joint, value, lower, upper)
             continue
+        if joint in endless and abs(value) > 2.0 * math.pi:
+            inside = value = math.remainder(value, 2.0 * math.pi)
         if inside != value:
             _LOG.warning("group state %r: %s at %g is clamped to [%g, %g]", name, joint, value, lower, upper)
         kept[joint] = inside
