@@ -95,7 +95,8 @@ def declared_contacts(model: mujoco.MjModel, notes: Notes, gripper: Collection[i
 def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
     """Return the geoms of the rigid group of bodies whose first body has this name, or else the geom of this name.
 
-    A geom takes precedence over a body of the same name that has no colliding geoms.
+    A geom takes precedence over a body of the same name that has no colliding geoms. A geom that is divided into convex
+    parts stands for the parts.
 
     Raises:
         UnknownNameError: If there is neither a body nor a geom of this name.
@@ -107,7 +108,9 @@ def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
     found = colliding_geoms(model, {0} if body == 0 else rigid_group(model, body)) if body >= 0 else ()
     if found or (body >= 0 and lookup(model, _OBJ.mjOBJ_GEOM, name) < 0):
         return found
-    return (find(model, _OBJ.mjOBJ_GEOM, "body or geom", name),)
+    geom = find(model, _OBJ.mjOBJ_GEOM, "body or geom", name)
+    parts = [g for g in range(model.ngeom) if model.geom(g).name.startswith(f"{name}#")]
+    return tuple(parts) or (geom,)
 
 
 def allowed_pairs(model: mujoco.MjModel, contacts: Iterable[AllowedContact], when: str) -> frozenset[tuple[int, int]]:

@@ -27,6 +27,7 @@ from graceful_plan.scene.edit import StaticBody, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
+from graceful_plan.scene.loading.concave import divide_surroundings
 from graceful_plan.scene.loading.extents import warn_of_extents
 from graceful_plan.scene.loading.self_contacts import (
     MAX_OVERLAP_FRACTION,
@@ -109,6 +110,7 @@ class Scene(SceneFacts):
         keyframes: Mapping[str, ArrayLike] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
         self_collision: str = "model",
+        convex: str | None = None,
         folder: str | Path | None = None,
         body_class: str = "arm_collapse",
         base: DiffDrive | None = None,
@@ -146,6 +148,9 @@ class Scene(SceneFacts):
             self_collision: "model": the model's filters decide which links may touch; a warning is logged if they let
                 all links touch. "links": links may not touch, except pairs with a joint in between, pairs that overlap
                 in nearly all configurations, and excluded pairs. `describe` lists them.
+            convex: What meshes of the surroundings count as. "hull": their convex hulls. "parts": convex parts if the
+                hull sticks out of the mesh by 2.5 cm, as of bins, mugs and racks. With None, parts if the library
+                `coacd` is installed, else hulls, with a warning that names them.
             folder: Folder that contains all files of the model, for models whose `meshdir` leads out of their own
                 folder.
             body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
@@ -156,11 +161,13 @@ class Scene(SceneFacts):
         Raises:
             SceneError: If the model is broken or hostile.
             SettingError: If the source is not in `folder`, or `self_collision` is unknown.
-            UnsupportedError: If the model has unsupported features, such as equalities that restrict planned joints.
+            UnsupportedError: If the model has unsupported features, such as equalities that restrict planned joints, or
+                `convex` is "parts" and `coacd` is missing.
             UnknownNameError: If a body, site, joint or class does not exist.
         """
         spec = load_spec(source, folder)
         add_tool(spec, tool)
+        divide_surroundings(spec, robot, convex)
         overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts, joints)
         described = described_drive(spec, robot)
         if base is None and described is not None and (joints is None or set(described.joints).issubset(joints)):
@@ -215,6 +222,7 @@ class Scene(SceneFacts):
         velocity: Sequence[float] | None = None,
         fingers: float | Mapping[str, float] | None = None,
         decompose: bool | None = None,
+        convex: str | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
         keyframes: Mapping[str, ArrayLike] | None = None,
@@ -246,6 +254,7 @@ class Scene(SceneFacts):
             fingers: As in `from_mjcf`; mimic joints follow.
             decompose: Whether to divide meshes into convex parts. With None they are divided if links touch in many
                 configurations and the library `coacd` is installed; if it is not installed, a warning is logged.
+            convex: As in `from_mjcf`, for the meshes of the world.
             limits: As in `from_mjcf`.
             allowed_contacts: Contacts to allow in addition.
             keyframes: Configurations by name.
@@ -278,6 +287,7 @@ class Scene(SceneFacts):
             entities=entities,
             severity=severity,
             fingers=fingers,
+            convex=convex,
             limits=limits,
             velocity=velocities(chain) if velocity is None else velocity,
             acceleration=[acceleration] * len(chain)

@@ -4,6 +4,7 @@ version: 1
 name: tabletop                   # default: the file's name
 description: One sentence.
 world: tabletop.xml              # MJCF in the same folder or below it
+convex: parts                    # what its meshes count as: hull or parts; default: parts if coacd is installed
 robot:
     model: panda                   # a bundled robot or an MJCF file beside this one; omit if the world contains the
     robot
@@ -78,6 +79,7 @@ from graceful_plan.scene.elements import (
     TaskNote,
 )
 from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.loading.concave import divide_surroundings
 from graceful_plan.scene.loading.extents import warn_of_extents
 from graceful_plan.scene.loading.robot_models import robot_file, robots
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
@@ -91,8 +93,8 @@ from graceful_plan.yaml_file import Block, read_yaml
 T = TypeVar("T")
 
 _KEYS = (
-    "version", "name", "description", "world", "robot", "base", "tool", "fingers", "state", "entities", "severity",
-    "objects", "moving", "keyframes", "tasks", "allowed_contacts",
+    "version", "name", "description", "world", "convex", "robot", "base", "tool", "fingers", "state", "entities",
+    "severity", "objects", "moving", "keyframes", "tasks", "allowed_contacts",
 )  # fmt: skip
 _ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque",
                 "limits", "joints")  # fmt: skip
@@ -112,6 +114,9 @@ def read_scene(file: Path) -> Scene:
     notes = _notes(root, file)
     spec = _spec(root, file, notes.robot)
     add_tool(spec, notes.tool)
+    convex = root.get("convex")
+    with notes.about("convex"):
+        divide_surroundings(spec, notes.robot, convex.string() if convex else None)
     with notes.about("base"):
         notes = replace(notes, base=notes.base or described_drive(spec, notes.robot))
     scene = Scene.build(spec, notes)
