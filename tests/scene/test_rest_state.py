@@ -153,3 +153,21 @@ def test_scene_files_have_states(tmp_path) -> None:
     file.write_text(f"version: 1\n{head}state: {{drawer: 0.9}}\n")
     with pytest.raises(SceneError, match="position of drawer"):
         gp.load_scene(file)
+
+
+def test_mocap_bodies_of_a_keyframe_are_compared(caplog: pytest.LogCaptureFixture) -> None:
+    target = '<body name="target" mocap="true" pos="3 0 0"><geom type="box" size=".1 .1 .1"/></body>'
+    text = _WORLD.replace("<worldbody>", f"<worldbody>{target}").replace(
+        '<key name="home"', '<key name="home" mpos="2 1 0"'
+    )
+    scene = _scene(text)
+    assert any("target is 1.41 m" in one for one in scene.state_differences("home"))
+    assert not any("target" in one for one in scene.edit(move={"target": [2.0, 1.0, 0.0]}).state_differences("home"))
+    with pytest.raises(UnsupportedError, match="mocap body 'target'"):
+        scene.with_state(keyframe="home")
+    assert scene.with_state(keyframe="same").state_differences("same") == ()
+
+
+def test_fingers_are_finite() -> None:
+    with pytest.raises(SettingError, match="position of r/jaw"):
+        _scene(fingers=float("nan"))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.couplings import coupled, follow, followers, passive_joints
 from graceful_plan.scene.elements import Notes
 from graceful_plan.scene.loading.naming import is_name, lookup
@@ -92,14 +92,14 @@ def _fingers(
     for name in fingers:
         if name not in held:
             raise UnknownNameError("finger joint", name, held)
-    return {held[name]: _inside(model, held[name], float(position)) for name, position in fingers.items()}
+    return {held[name]: _inside(model, held[name], position) for name, position in fingers.items()}
 
 
-def _inside(model: mujoco.MjModel, joint: int, position: float) -> float:
+def _inside(model: mujoco.MjModel, joint: int, position: object) -> float:
     lower, upper = joint_range(model, joint) if model.jnt_limited[joint] else (-np.inf, np.inf)
-    if not lower - _SLACK <= position <= upper + _SLACK or not np.isfinite(position):
+    if not is_real(position) or not lower - _SLACK <= position <= upper + _SLACK or not np.isfinite(position):
         raise SettingError(f"position of {model.joint(joint).name}", position, f"between {lower:g} and {upper:g}")
-    return position
+    return float(position)
 
 
 # --- states by name ---------------------------------------------------------------------------------------------------
@@ -148,14 +148,21 @@ def given_state(
 def model_states(model: mujoco.MjModel, planned: Collection[int]) -> dict[str, State]:
     """Return the state of all joints that are not planned in each of the model's keyframes.
 
-    Followers are left out because they follow. A joint without a name, on a body without a name, goes by its id.
+    Followers are left out because they follow. A joint without a name, on a body without a name, goes by its id. Mocap
+    bodies go by their names, with their pose.
     """
-    joints = [j for j in range(model.njnt) if j not in planned and j not in followers(model)]
-    return {
-        model.key(i).name: {label_of(model, j): tuple(model.key_qpos[i][_slice(model, j)].tolist()) for j in joints}
-        for i in range(model.nkey)
-        if model.key(i).name
-    }
+    spared = set(planned) | followers(model).keys()
+    labels = {j: label_of(model, j) for j in range(model.njnt) if j not in spared} if model.nkey else {}
+    mocap = {b: model.body(b).name for b in range(model.nbody) if model.nkey and int(model.body_mocapid[b]) >= 0}
+    found = {}
+    for i in range(model.nkey):
+        state = {label: tuple(model.key_qpos[i][_slice(model, j)].tolist()) for j, label in labels.items()}
+        for body, label in mocap.items():
+            at = int(model.body_mocapid[body])
+            pose = [*model.key_mpos[i].reshape(-1, 3)[at], *model.key_mquat[i].reshape(-1, 4)[at]]
+            state[label] = tuple(float(number) for number in pose)
+        found[model.key(i).name] = state
+    return {name: state for name, state in found.items() if name}
 
 
 def keyframe_state(
@@ -165,7 +172,7 @@ def keyframe_state(
 
     Raises:
         UnknownNameError: If the keyframe does not exist or has only planned joints.
-        UnsupportedError: If it moves a joint that has no name.
+        UnsupportedError: If it moves a joint that has no name, or a mocap body.
     """
     if keyframe not in notes.states:
         raise UnknownNameError("keyframe of the whole model", keyframe, notes.states)
@@ -175,6 +182,10 @@ def keyframe_state(
             joint = int(label[1:])
             if joint >= model.njnt or not np.allclose(values, model.qpos0[_slice(model, joint)]):
                 raise UnsupportedError(f"the keyframe {keyframe!r} moves a joint without a name; name the joint")
+            continue
+        if _is_mocap(model, label):
+            if _mocap_difference(model, label, values):
+                raise UnsupportedError(f"the keyframe {keyframe!r} moves the mocap body {label!r}; use edit(move=)")
             continue
         joint = find_joint(model, label)
         if joint >= 0 and joint not in planned and int(model.jnt_bodyid[joint]) not in held:
@@ -195,6 +206,9 @@ def differences(
     """
     told, spared = [], set(ignored)
     for label, values in state.items():
+        if _is_mocap(model, label):
+            told += _mocap_difference(model, label, values)
+            continue
         joint = find_joint(model, label)
         if joint < 0 or joint in spared or len(values) != _SIZES[int(model.jnt_type[joint])]:
             continue
@@ -202,11 +216,25 @@ def differences(
         if len(values) == 1 and abs(here[0] - there[0]) > _FAR:
             told.append(f"{label} is at {there[0]:.4g} instead of {here[0]:.4g}")
         elif len(values) > 1:
-            away = float(np.linalg.norm(here[:-4] - there[:-4]))
-            turned = 2.0 * np.arccos(min(1.0, abs(float(here[-4:] @ there[-4:]))))
-            if away > _FAR or turned > _TURNED:
-                told.append(f"{label} is {away:.3g} m and {turned:.2g} rad away")
+            told += _pose_difference(label, here, there)
     return told
+
+
+def _pose_difference(label: str, here: Float[Array, " n"], there: Float[Array, " n"]) -> list[str]:
+    """Compare positions and quaternions; quaternions alone for ball joints."""
+    away = float(np.linalg.norm(here[:-4] - there[:-4]))
+    turned = 2.0 * np.arccos(min(1.0, abs(float(here[-4:] @ there[-4:]))))
+    return [f"{label} is {away:.3g} m and {turned:.2g} rad away"] if away > _FAR or turned > _TURNED else []
+
+
+def _is_mocap(model: mujoco.MjModel, label: str) -> bool:
+    body = lookup(model, _OBJ.mjOBJ_BODY, label)
+    return body > 0 and int(model.body_mocapid[body]) >= 0
+
+
+def _mocap_difference(model: mujoco.MjModel, label: str, values: tuple[float, ...]) -> list[str]:
+    body = model.body(label).id
+    return _pose_difference(label, np.concatenate([model.body_pos[body], model.body_quat[body]]), np.array(values))
 
 
 def label_of(model: mujoco.MjModel, joint: int) -> str:

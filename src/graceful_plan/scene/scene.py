@@ -329,7 +329,7 @@ class Scene(SceneFacts):
             entities=roles.custom_entities(model) | dict(notes.entities),
             # Keyframes are stored here because adding a joint to a MjSpec invalidates them.
             keyframes=model_keyframes(model, qpos_adr) | dict(notes.keyframes),
-            states=model_states(model, joints) | dict(notes.states),
+            states=notes.states or model_states(model, joints),
         )
         return cls(
             model=model,
