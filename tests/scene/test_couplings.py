@@ -207,3 +207,27 @@ def test_a_chain_without_a_drive_wants_positions_by_name() -> None:
     with pytest.raises(SettingError, match="positions by joint name, as none leads: r/crank, r/finger, r/rocker"):
         gp.Scene.from_mjcf(text, fingers=0.3, **given)  # type: ignore[arg-type]
     assert _gap(gp.Scene.from_mjcf(text, fingers={"r/crank": 0.3}, **given)) < 1e-5  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("behind", "tool", "holding"),
+    [
+        # A jaw directly on the last link, which is the other jaw; the tool is a leaf without geometry.
+        ('<body name="r/jaw"><joint name="r/jaw"/>{box}</body><body name="r/tcp"/>', "r/tcp", {"last", "jaw"}),
+        # A hand that is fixed to the last link.
+        ('<body name="r/hand">{box}<body name="r/jaw"><joint name="r/jaw"/>{box}</body></body>'
+         '<body name="r/tcp"/>', "r/tcp", {"hand", "jaw"}),
+        # A suction cup, and a flange alone.
+        ('<body name="r/cup">{box}</body><body name="r/tcp"/>', "r/tcp", {"cup"}),
+        ('<body name="r/tcp"/>', "r/tcp", {"last"}),
+        ('<body name="r/hand">{box}</body>', "r/last", {"last", "hand"}),
+    ],
+)  # fmt: skip
+def test_what_hangs_on_the_last_planned_joint_holds(behind: str, tool: str, holding: set[str]) -> None:
+    box = '<geom type="box" size=".02 .02 .02"/>'
+    text = f"""<mujoco><worldbody><body name="crate"><freejoint/>{box}</body>
+      <body name="r/base" pos="1 0 0">{box}<body name="r/last" pos="0 0 .2"><joint name="r/j" range="-1 1"/>{box}
+      {behind.format(box=box)}</body></body></worldbody></mujoco>"""
+    given = {"velocity": [1.0], "acceleration": [5.0], "carried": "crate", "X_TO": np.eye(4)}
+    scene = gp.Scene.from_mjcf(text, robot="r/", tool=tool, **given)  # type: ignore[arg-type]
+    assert {contact.first.removeprefix("r/") for contact in scene.allowed_contacts} == holding
