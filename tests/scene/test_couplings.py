@@ -109,6 +109,8 @@ def test_ties_to_loose_bodies_are_named_and_ignored(other: str, stays: str, capl
     with caplog.at_level(logging.WARNING):
         _arm(f'<weld body1="r/hand" body2="{other}"/>')
     assert f"weld equality of r/hand and {stays}" in caplog.text
+    named = _ARM.replace('"target"', '"r/mocap"').format(equality='<weld body1="r/mocap" body2="r/hand"/>')
+    assert len(gp.Scene.from_mjcf(named, robot="r/", tool="r/tcp", **_LIMITS).joints) == 2  # type: ignore[arg-type]
     caplog.clear()
     _arm('<weld body1="r/hand" body2="crate"/>', carried="crate", X_TO=np.eye(4))
     assert "weld" not in caplog.text

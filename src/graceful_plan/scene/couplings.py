@@ -317,10 +317,9 @@ def _is_loose(model: mujoco.MjModel, e: int, robot: Collection[int]) -> bool:
     """Return whether an equality ties the robot to a free or mocap body of the surroundings."""
     if int(model.eq_type[e]) not in _LOOPS:
         return False
-    others = [body for body in _bodies(model, e) if body not in robot]
-    return any(
-        int(model.body_mocapid[body]) >= 0 or any(int(model.jnt_type[j]) == _FREE for j in _joints_above(model, body))
-        for body in others
+    bodies = _bodies(model, e)  # a mocap body may have a name like those of the robot
+    return any(int(model.body_mocapid[body]) >= 0 for body in bodies) or any(
+        int(model.jnt_type[j]) == _FREE for body in bodies if body not in robot for j in _joints_above(model, body)
     )
 
 

@@ -43,7 +43,8 @@ class Touching:
     |----------|----------------------------------------------------------------------------------------------|
     | contacts | pairs with a joint in between, and pairs that touch in nearly all configurations             |
     | often    | fraction of configurations in which other links touch, allowed contacts excepted             |
-    | deep     | pairs that overlap deeply in nearly all configurations, without a joint in between: depth [m] |
+    | deep     | pairs that planned joints move relative to each other, without a joint in between, and that  |
+    |          | overlap deeply in nearly all configurations: depth [m]                                       |
     """
 
     contacts: tuple[AllowedContact, ...]
@@ -85,7 +86,8 @@ def touching(
         for body in bodies
         if model.body_jntnum[body] and (parent := int(model.body_parentid[body])) in bodies
     }
-    touched = _touched(model, group, planned_joints(model, tool_body(model, tool, bodies), bodies, joints))
+    planned = planned_joints(model, tool_body(model, tool, bodies), bodies, joints)
+    touched = _touched(model, group, planned)
     count = Counter(pair for depths in touched for pair in depths)
     reasons = dict.fromkeys((pair for pair, found in count.items() if found >= _ALWAYS * _SAMPLES), "overlap")
     reasons |= dict.fromkeys(pairs, "adjacent")
@@ -100,7 +102,8 @@ def touching(
     for a, b, reason in named:
         pair = body[a], body[b]
         depth = float(np.median([depths.get(pair, 0.0) for depths in touched]))
-        if reason == "overlap" and pair not in may and pair[::-1] not in may and depth > _DEEP:
+        apart = _mover(model, pair[0], planned) != _mover(model, pair[1], planned)
+        if reason == "overlap" and apart and pair not in may and pair[::-1] not in may and depth > _DEEP:
             deep[shape[pair[0]], shape[pair[1]]] = depth
     return Touching(tuple(AllowedContact(a, b, reason=reason) for a, b, reason in named), often, deep)
 
@@ -162,6 +165,17 @@ def warn_of_untested_links(model: mujoco.MjModel, robot: frozenset[int], name: s
             name,
             passing,
         )
+
+
+def _mover(model: mujoco.MjModel, body: int, planned: Sequence[int]) -> int:
+    """Return the last planned joint that moves a body; -1 if none does."""
+    while body > 0:
+        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+        mine = [joint for joint in joints if joint in planned]
+        if mine:
+            return mine[-1]
+        body = int(model.body_parentid[body])
+    return -1
 
 
 def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:
