@@ -130,9 +130,20 @@ def test_scene_files_choose(tmp_path: Any) -> None:
         gp.load_scene(file)
 
 
-@pytest.mark.long
-def test_a_bin_is_divided_by_the_library_itself() -> None:
+def test_an_angle_is_divided_by_the_library_itself() -> None:
     pytest.importorskip("coacd")
-    scene = _scene("parts")
-    assert gp.clearance(INSIDE, scene) > 0.02 and gp.clearance(IN_THE_WALL, scene) < 0.0
-    assert mujoco.mj_id2name(scene.model, mujoco.mjtObj.mjOBJ_GEOM, scene.geoms_named("bin")[0]) == "bin#0"
+    outline = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.04], [0.04, 0.04], [0.04, 0.4], [0.0, 0.4]])
+    vertices = np.concatenate([np.column_stack([outline, np.full(6, z)]) for z in (-0.02, 0.02)])
+    caps = [(6, 7, 8), (6, 8, 9), (6, 9, 10), (6, 10, 11), (2, 1, 0), (3, 2, 0), (4, 3, 0), (5, 4, 0)]
+    sides = [t for a in range(6) for b in [(a + 1) % 6] for t in ((a, b, b + 6), (a, b + 6, a + 6))]
+    mesh = f"""<mesh name="angle" vertex="{" ".join(map(str, vertices.ravel()))}"
+      face="{" ".join(map(str, np.array(caps + sides).ravel()))}"/>"""
+    text = f"""<mujoco><asset>{mesh}</asset><worldbody>
+      <body name="angle"><geom name="angle" type="mesh" mesh="angle"/></body>
+      <body name="r/x" pos=".2 .2 0"><joint name="r/x" type="slide" axis="1 1 0" range="-.4 .1"/>
+        <geom type="sphere" size=".02"/><site name="r/tip"/></body></worldbody></mujoco>"""
+    given: dict[str, Any] = {"robot": "r/", "tool": "r/tip", "velocity": [1.0], "acceleration": [5.0]}
+    hull, parts = (gp.Scene.from_mjcf(text, convex=convex, **given) for convex in ("hull", "parts"))
+    assert gp.clearance([-0.1], hull) < 0.0 < gp.clearance([-0.1], parts)
+    assert gp.clearance([-0.27], parts) < 0.0
+    assert mujoco.mj_id2name(parts.model, mujoco.mjtObj.mjOBJ_GEOM, parts.geoms_named("angle")[0]) == "angle#0"
