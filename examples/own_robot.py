@@ -26,7 +26,9 @@ START, GOAL = [-0.8, -0.4, 0.6], [0.8, -0.4, 0.6]
 def main(iterations: int | None = None, n: int = 20) -> dict[float, gp.PlanResult]:
     """Plan with w = 0 and w = 1, let FailBench drop the cup n times along each motion, and return both results."""
     entities = {"vase": "glass", "table": "table"}
-    scene = gp.Scene.from_mjcf(ARM, robot="arm/", tool="arm/tool", carried="cup", entities=entities, **LIMITS)
+    scene = gp.Scene.from_mjcf(
+        ARM, robot="arm/", tool="arm/tool", carried="cup", at=[0, 0, 0], entities=entities, **LIMITS
+    )
     results = {w: gp.plan(START, GOAL, scene, w=w, iterations=iterations) for w in (0.0, 1.0)}
     for w, result in results.items():
         seen = fb.validate(result, scene, n=n, settings=fb.SimSettings(grasp="weld"))

@@ -16,6 +16,7 @@ from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel
 from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.scene.loading.robot_models import robot_file
+from graceful_plan.scene.roles import FROM_ABOVE
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -103,7 +104,7 @@ def boxes_scene(rng: np.random.Generator, *, fixed_cargo: bool = False) -> Scene
     cargo.add_freejoint()
     cargo.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[CARGO] * 3)
     entities = dict.fromkeys(names, "glass")
-    return Scene.from_mjcf(spec, robot="panda/", tool="panda/tool", carried="cargo", entities=entities)
+    return Scene.from_mjcf(spec, robot="panda/", tool="panda/tool", carried="cargo", X_TO=FROM_ABOVE, entities=entities)
 
 
 def free_edges(kernels: Kernels, q: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:

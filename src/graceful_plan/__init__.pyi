@@ -116,6 +116,7 @@ from graceful_plan.scene.mobile.base_pose import BasePose as BasePose
 from graceful_plan.scene.mobile.diff_drive import DiffDrive as DiffDrive
 from graceful_plan.scene.moving import MovingEntity as MovingEntity
 from graceful_plan.scene.pose_goal import PoseGoal as PoseGoal
+from graceful_plan.scene.roles import FROM_ABOVE as FROM_ABOVE
 from graceful_plan.scene.scene import Scene as Scene
 from graceful_plan.scene.scene import Task as Task
 from graceful_plan.scene.sensed.cloud import PointCloud as PointCloud

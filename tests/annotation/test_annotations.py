@@ -104,7 +104,7 @@ def test_numbers_out_of_range_are_refused(field, value):
 
 def test_annotations_hold_for_objects_carried_later(room):
     changed = annotations("vase", "mug").apply(room)
-    full = changed.attach("mug", object_class="light")
+    full = changed.attach("mug", X_TO=gp.FROM_ABOVE, object_class="light")
     assert full.entities["vase"].severity == {"body": 15.0, "carried": 5.0}
     assert "mug" not in full.entities
     assert annotations("vase").apply(full).entities["vase"].severity == {"body": 15.0, "carried": 5.0}
@@ -156,7 +156,7 @@ def test_rows_of_a_scene_reach_its_components(room):
     assert set(severity_row(scene, "mug").values()) == {2.0}
     row = severity_row(scene, "vase")
     assert (row["sharp"], row["light"], row["oil"], row["arm_collapse"]) == (4.0, 4.0, 3.0, 30.0)
-    carried = scene.attach("mug", object_class="sharp", contents=None)
+    carried = scene.attach("mug", X_TO=gp.FROM_ABOVE, object_class="sharp", contents=None)
     assert carried.entities["vase"].severity == {"body": row["arm_collapse"], "carried": row["sharp"]}
     assert severity_row(scene, "floor")["hot"] == 7.0
     assert Liquid(1.0).component_class == "cold"

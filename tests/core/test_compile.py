@@ -8,6 +8,7 @@ import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.exceptions import UnsupportedError
+from graceful_plan.judge.exact import exactly_free
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +132,7 @@ def door(size: float, more: str = "") -> gp.Scene:
 
 def test_a_robot_too_large_for_the_kernels_is_refused_by_name():
     with pytest.raises(UnsupportedError, match="'door'"):
-        compile_scene(door(5.0, "".join(f'<geom type="sphere" size="0.01" pos="{9 + k} 0 0"/>' for k in range(1500))))
+        compile_scene(door(5.0, "".join(f'<geom type="sphere" size="0.01" pos="{9 + k} 0 0"/>' for k in range(2100))))
 
 
 def test_a_robot_that_is_large_gets_large_spheres():
@@ -151,3 +152,30 @@ def test_spheres_stick_out_farther_where_there_would_be_too_many():
     outside = np.linalg.norm((points + [0.0, 0.0, 1.0])[:, None] - centres, axis=-1) - robot.sphere[:, 3]
     assert outside.min(axis=1).max() <= 1e-6
     assert compile_scene(door(0.3)).robot.protrusion < 0.01
+
+
+def _crane(scale: float) -> gp.Scene:
+    """Return an arm of ten boxes and cylinders, about a metre long."""
+    body, end = "", ""
+    for k in range(10):
+        kind, sizes = ("box", [0.06, 0.06, 0.1]) if k % 2 else ("cylinder", [0.06, 0.1])
+        size = " ".join(str(scale * one) for one in sizes)
+        geom = f'<geom type="{kind}" size="{size}" pos="0 0 {0.14 * scale}"/>'
+        axis = "1 0 0" if k % 2 else "0 1 0"
+        body += f'<body name="r/{k}" pos="0 0 {0.28 * scale}"><joint axis="{axis}" range="-1 1"/>{geom}'
+        end += "</body>"
+    text = f"""<mujoco><worldbody><geom name="wall" type="box" size="1 1 1" pos="{20 * scale} 0 0"/>
+      <body name="r/base">{body}<site name="tip"/>{end}</body></worldbody></mujoco>"""
+    given = {"velocity": [1.0] * 10, "acceleration": [1.0] * 10}
+    return gp.Scene.from_mjcf(text, robot="r/", tool="tip", **given)
+
+
+@pytest.mark.parametrize("scale", [3.0, 10.0, 30.0])
+def test_a_robot_of_any_size_fits_into_the_kernels(scale):
+    usual, large = compile_scene(_crane(1.0)).robot, compile_scene(_crane(scale)).robot
+    assert usual.protrusion < 0.01 and len(large.sphere) <= CAPACITY["spheres"]
+    assert large.protrusion <= 3.0 * max(0.01, 0.01 * scale)
+    scene = _crane(scale)
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (300, 10))
+    cautious = compile_scene(scene).kernels.clearance(q) > 0.0
+    assert not (cautious & ~exactly_free(q, scene)).any()

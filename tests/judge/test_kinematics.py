@@ -51,7 +51,7 @@ _ODD = """
     <body name="door" pos="0 2 1"><joint name="door" axis="0 0 1" range="0 2" ref=".4"/>
       <geom type="box" size=".4 .02 .9"/></body>
   </worldbody>
-  <equality><joint joint1="r/left" joint2="r/right"/></equality>
+  <equality><joint joint1="r/left" joint2="r/right" polycoef="-.01 1 0 0 0"/></equality>
 </mujoco>
 """
 _MIMIC = """

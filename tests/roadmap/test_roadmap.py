@@ -53,6 +53,7 @@ def gantry(wall: float = 0.5, **severity: float) -> gp.Scene:
         robot="x",
         tool="tool",
         carried="thing",
+        X_TO=gp.FROM_ABOVE,
         entities={"vase": "glass"},
         velocity=[1.0, 1.0],
         acceleration=[2.0, 2.0],

@@ -137,6 +137,7 @@ def test_a_gripper_with_unnamed_bodies_can_hold():
         velocity=[1.0],
         acceleration=[1.0],
         carried="block",
+        X_TO=gp.FROM_ABOVE,
     )
     finger, block = 1, 2
     assert (finger, block) in scene.allowed_pairs("always")

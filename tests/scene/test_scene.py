@@ -23,6 +23,7 @@ from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.loading.file import read_scene
+from graceful_plan.scene.roles import FROM_ABOVE
 from graceful_plan.scene.scene import Scene
 
 _ARM = """<mujoco model="workshop">
@@ -70,6 +71,7 @@ _NQ = 6
 
 def _workshop(**changes: object) -> Scene:
     given = {"robot": "six/", "tool": "six/tip", "entities": {"bench": "table", "cup": "glass"}} | changes
+    given = ({"X_TO": FROM_ABOVE} if "carried" in changes else {}) | given
     return Scene.from_mjcf(changes.pop("source", _ARM), **{k: v for k, v in given.items() if k != "source"})  # type: ignore[arg-type]
 
 
@@ -305,10 +307,12 @@ def test_severities_by_component_class_hold_for_any_object() -> None:
     row = {"arm_collapse": 7.0, "light": 1.5, "medium": 2.5, "hot": 6.0}
     scene = _workshop(entities={"bench": "table", "cup": "glass"}, severity={"bench": row})
     assert scene.entities["bench"].severity == {"body": 7.0}
-    full = scene.attach("cup", contents=Liquid(0.2, temperature=80.0), object_class="light")
+    full = scene.attach("cup", X_TO=FROM_ABOVE, contents=Liquid(0.2, temperature=80.0), object_class="light")
     assert full.entities["bench"].severity == {"body": 7.0, "carried": 1.5, "contents": 6.0}
-    assert scene.attach("cup").entities["bench"].severity == {"body": 7.0, "carried": 2.5}
-    heavy = scene.attach("cup", object_class="heavy").entities["bench"].severity  # not in the row: from the table
+    assert scene.attach("cup", X_TO=FROM_ABOVE).entities["bench"].severity == {"body": 7.0, "carried": 2.5}
+    heavy = (
+        scene.attach("cup", X_TO=FROM_ABOVE, object_class="heavy").entities["bench"].severity
+    )  # not in the row: from the table
     assert heavy == {"body": 7.0, "carried": SeverityTable.shipped().severity("table", "heavy")}
     both = scene.with_severity({"bench": {"body": 3.0, "arm_collapse": 4.0}})
     assert both.entities["bench"].severity == {"body": 3.0}
@@ -355,20 +359,20 @@ def test_the_carried_object_moves_with_the_tool(body: str) -> None:
 
 def test_by_default_things_hang_upright_from_a_tool_that_points_down(scene: Scene) -> None:
     q = scene.keyframes["ready"]
-    data = scene.attach("white1").data_at(q)
+    data = scene.attach("white1", X_TO=FROM_ABOVE).data_at(q)
     np.testing.assert_allclose(_pose(data, "white1")[:3, 2], [0.0, 0.0, 1.0], atol=1e-6)
     np.testing.assert_allclose(_pose(data, "white1")[:3, 3], _tool(data, "panda/tool")[:3, 3], atol=1e-12)
 
 
 def test_attaching_and_detaching() -> None:
     scene = _workshop()
-    holding = scene.attach("cup", support=["bench"])
+    holding = scene.attach("cup", X_TO=FROM_ABOVE, support=["bench"])
     assert holding.carried is not None
     assert (holding.carried.body, holding.carried.object_class) == ("cup", "medium")
     assert _labels(holding, holding.components["carried"].geoms) == {"cup"}
     assert holding.model is scene.model  # it has a free joint already
     with pytest.raises(SceneError, match=r"'cup'.*detach\(\)"):
-        holding.attach("jar")
+        holding.attach("jar", X_TO=FROM_ABOVE)
     empty = holding.detach()
     assert empty.carried is None
     assert set(empty.entities) == set(scene.entities)
@@ -380,7 +384,7 @@ def test_attaching_and_detaching() -> None:
 
 def test_a_thing_without_a_free_joint_gets_one() -> None:
     scene = _workshop()
-    holding = scene.attach("jar")
+    holding = scene.attach("jar", X_TO=FROM_ABOVE)
     assert holding.model.nq == scene.model.nq + 7
     assert scene.model.body("jar").jntnum[0] == 0
     assert holding.joints == scene.joints
@@ -396,9 +400,12 @@ def test_the_class_of_an_object_goes_by_its_mass(mass: str, word: str) -> None:
 
 
 def test_the_class_of_an_object_can_be_given() -> None:
-    assert _workshop().attach("jar", object_class="sharp").components["carried"].component_class == "sharp"
+    assert (
+        _workshop().attach("jar", X_TO=FROM_ABOVE, object_class="sharp").components["carried"].component_class
+        == "sharp"
+    )
     with pytest.raises(UnknownNameError, match=r"'blunt'.*glass, heavy, light, medium, sharp"):
-        _workshop().attach("jar", object_class="blunt")
+        _workshop().attach("jar", X_TO=FROM_ABOVE, object_class="blunt")
 
 
 def test_contents_have_geoms_of_their_own() -> None:
@@ -446,7 +453,7 @@ def test_fingers_open_as_far_as_the_object_needs() -> None:
     scene = _workshop(fingers=0.01)
     jaw = int(scene.model.joint("six/jaw").qposadr[0])
     assert scene.home_qpos[jaw] == 0.01
-    holding = scene.attach("cup", fingers={"six/jaw": 0.03})
+    holding = scene.attach("cup", X_TO=FROM_ABOVE, fingers={"six/jaw": 0.03})
     assert holding.home_qpos[jaw] == 0.03
     assert holding.detach().home_qpos[jaw] == 0.01
 
@@ -456,7 +463,7 @@ def test_fingers_open_as_far_as_the_object_needs() -> None:
 
 def test_gripper_and_supports_may_touch_the_object() -> None:
     scene = _workshop(carried="cup", allowed_contacts=[AllowedContact("jar", "six/f")])
-    holding = scene.detach().attach("cup", support=["bench"])
+    holding = scene.detach().attach("cup", X_TO=FROM_ABOVE, support=["bench"])
     assert holding.allowed_contacts == (
         AllowedContact("jar", "six/f", "always"),
         AllowedContact("six/f", "cup", "always"),
@@ -471,7 +478,7 @@ def test_gripper_and_supports_may_touch_the_object() -> None:
         tuple(sorted((holding.model.geom("cup").id, g))) for g in holding.geoms_named("bench")
     }
     with pytest.raises(UnknownNameError, match="'shelf'"):
-        scene.detach().attach("cup", support=["shelf"])
+        scene.detach().attach("cup", X_TO=FROM_ABOVE, support=["shelf"])
 
 
 @pytest.mark.parametrize("name", ["tabletop_l1", "tabletop", "tabletop_l3"])
@@ -506,7 +513,7 @@ def test_pairs_and_poses_cannot_be_written_to(scene: Scene) -> None:
         task.goal,
         task.start,
         task.scene.carried.X_TO,
-        scene.attach("white1").carried.X_TO,  # type: ignore[union-attr]
+        scene.attach("white1", X_TO=FROM_ABOVE).carried.X_TO,  # type: ignore[union-attr]
     ):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
@@ -547,7 +554,7 @@ def test_things_can_be_added() -> None:
     assert distance.min(axis=0).max() < 1e-6
     first = {added.model.geom(int(g)).name for g in added.collision_pairs()[:, 1]}
     assert {"crate", "ball", "can", "pill", "wedge"} <= first
-    assert added.attach("crate").components["carried"].component_class == "heavy"
+    assert added.attach("crate", X_TO=FROM_ABOVE).components["carried"].component_class == "heavy"
 
 
 @pytest.mark.parametrize(
@@ -596,7 +603,11 @@ def test_scenes_are_equal_only_to_themselves(scene: Scene) -> None:
 
 
 def test_a_summary_names_everything() -> None:
-    scene = _workshop(carried="cup", contents=Liquid(0.25, temperature=85.0)).detach().attach("cup", support=["bench"])
+    scene = (
+        _workshop(carried="cup", contents=Liquid(0.25, temperature=85.0))
+        .detach()
+        .attach("cup", X_TO=FROM_ABOVE, support=["bench"])
+    )
     text = scene.describe()
     for words in ("'workshop'", "arm_collapse", "bench", "table", "monitor", "laptop", "jar", "cup - bench (ends)",
                   "six/jaw - cup (always)", "elbow_up"):  # fmt: skip
@@ -611,3 +622,39 @@ def test_scenes_are_freed() -> None:
     del scene
     gc.collect()
     assert [ref() for ref in watched] == [None, None]
+
+
+# --- grasps -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["cup", "jar"])
+def test_an_object_stays_where_it_is_relative_to_the_tool(name: str) -> None:
+    scene, q = _workshop(), [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    before = scene.data_at(q)
+    held = scene.attach(name, at=q)
+    for one in (held, scene.attach(name, at="elbow_up"), _workshop(carried=name, at=q, X_TO=None)):
+        np.testing.assert_allclose(one.data_at(q).body(name).xpos, before.body(name).xpos, atol=1e-12)
+        np.testing.assert_allclose(one.data_at(q).body(name).xmat, before.body(name).xmat, atol=1e-12)
+    other = held.data_at(np.zeros(_NQ))
+    R = other.site("six/tip").xmat.reshape(3, 3)
+    p = R.T @ (other.body(name).xpos - other.site("six/tip").xpos)
+    np.testing.assert_allclose(p, held.carried.X_TO[:3, 3], atol=1e-12)  # type: ignore[union-attr]
+
+
+def test_an_object_in_another_state_is_held_from_there() -> None:
+    scene = _workshop().with_state({"cup": [0.4, 0.1, 0.3, 0.0, 1.0, 0.0, 0.0]})
+    held = scene.attach("cup", at=np.zeros(_NQ)).data_at(np.zeros(_NQ))
+    np.testing.assert_allclose(held.body("cup").xpos, [0.4, 0.1, 0.3], atol=1e-12)
+    np.testing.assert_allclose(held.body("cup").xmat.reshape(3, 3), np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+
+
+def test_a_grasp_has_to_be_given() -> None:
+    scene = _workshop()
+    with pytest.raises(SettingError, match=r"grasp of 'cup'.*at=.*FROM_ABOVE"):
+        scene.attach("cup")
+    with pytest.raises(SettingError, match="one of at and X_TO"):
+        scene.attach("cup", at=np.zeros(_NQ), X_TO=FROM_ABOVE)
+    with pytest.raises(ShapeError):
+        scene.attach("cup", at=[0.0])
+    with pytest.raises(UnknownNameError, match="'elbow_down'; valid: elbow_up"):
+        scene.attach("cup", at="elbow_down")

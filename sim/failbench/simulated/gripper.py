@@ -9,16 +9,15 @@ import numpy as np
 
 from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
-from graceful_plan.scene.model_parts import subtree
 
 Array = np.ndarray
 
 
 class Gripper(NamedTuple):
-    """Joints and actuators of the gripper, below the tool's body."""
+    """Joints and actuators of the gripper, below the last planned joint."""
 
     bodies: tuple[int, ...]
-    """The tool's body and all its descendants."""
+    """The bodies that hang on the last planned joint."""
     pads: Int[Array, " geom"]
     """Colliding geoms of the moving parts, which hold an object."""
     joints: Int[Array, " joint"]
@@ -32,12 +31,10 @@ class Gripper(NamedTuple):
 
 
 def find_gripper(scene: Scene) -> Gripper:
-    """Find the gripper: all descendants of the tool's body. Only position servos count as its actuators."""
+    """Find the gripper, as the scene does. Only position servos count as its actuators."""
     model = scene.model
-    tool = int(model.site(scene.tool).bodyid[0])
-    bodies = tuple(sorted(subtree(model, tool)))
-    planned = {int(model.joint(name).id) for name in scene.joints}
-    joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies and j not in planned]
+    bodies = tuple(sorted(scene.gripper_bodies))
+    joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies and j not in scene.joint_ids]
     actuators = [a for a in range(model.nu) if _acts_on(model, a, joints) and model.actuator_biasprm[a, 1] < 0.0]
     fingers = {int(model.jnt_bodyid[j]) for j in joints}
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)

@@ -123,16 +123,16 @@ class _Way:
 
     def __init__(self, motion: Path | Trajectory, kernels: Kernels) -> None:
         self.motion, self.kernels = motion, kernels
-        levers = _Levers(kernels.robot)
+        self._bounds = _Levers(kernels.robot)
         travel = joint_travel(motion)
         self._place = np.arange(len(motion), dtype=np.float64)
         self._travel = np.concatenate([np.zeros((1, travel.shape[1])), np.cumsum(travel, axis=0)])
         some = kernels.link_poses(motion.q[:: max(1, len(motion) // 8)])
-        self._come = self._travel @ levers.of(some, np.zeros(travel.shape[1])).max(axis=(0, 2), initial=0.05)
+        self._come = self._travel @ self._bounds.of(some, np.zeros(travel.shape[1])).max(axis=(0, 2), initial=0.05)
         ends = np.linspace(0.0, self._come[-1], _FIRST + 1 if self._come[-1] > 0.0 else 2)
         self._lo, self._hi = ends[:-1], ends[1:]
         q, turns = self._middle(self._lo, self._hi)
-        self._levers = levers.of(kernels.link_poses(q), turns)
+        self._levers = self._bounds.of(kernels.link_poses(q), turns)
 
     def beginning(self) -> _Stretches:
         """Return the initial stretches, which cover the whole motion."""
@@ -158,7 +158,7 @@ class _Way:
     def _stretches(self, lo: Float[Array, " n"], hi: Float[Array, " n"], first: Int[Array, " n"]) -> _Stretches:
         q, turns = self._middle(lo, hi)
         # The levers of an initial stretch hold in all of its parts.
-        moved = np.matmul(turns[:, None, :], self._levers[first])[:, 0].max(axis=1, initial=0.0)
+        moved = self._bounds.relative(np.matmul(turns[:, None, :], self._levers[first])[:, 0])
         return _Stretches(lo, hi, first, self.kernels.clearance(q), moved)
 
     def _middle(
@@ -180,10 +180,7 @@ class _Way:
 
 @final
 class _Levers:
-    """Bounds on the motion of each link, with everything attached to it, per unit of joint motion.
-
-    Planned joints form a chain. So the bound for the farther link of a pair also bounds their relative motion.
-    """
+    """Bounds on the motion of each link, with everything attached to it, per unit of joint motion."""
 
     def __init__(self, robot: RobotArrays) -> None:
         parents, joints = robot.parent.tolist(), robot.joint.tolist()
@@ -197,6 +194,17 @@ class _Levers:
         self._ball = robot.bound[self._group]
         carries = [[link in above[group] for group in self._group] for link in self._link]
         self._carries = np.array(carries, dtype=bool).reshape(len(self._link), len(self._group))
+        self._is_chain = bool((robot.parent[self._link[1:]] == self._link[:-1]).all())
+
+    def relative(self, moved: Float[Array, "n group"]) -> Float[Array, " n"]:
+        """Bound how much the motion of links by given distances changes the distance of any pair, or to an obstacle.
+
+        In a chain, the bound of the farther link of a pair bounds their relative motion, too. Links of two arms may
+        move towards each other.
+        """
+        if self._is_chain or moved.shape[1] < 2:
+            return moved.max(axis=1, initial=0.0)
+        return np.partition(moved, -2, axis=1)[:, -2:].sum(axis=1)
 
     def of(self, X_WL: Float[Array, "n link 4 4"], turns: Float[Array, "*n nq"]) -> Float[Array, "n nq group"]:
         """Bound each link's motion per unit of each joint, if joint k moves by at most `turns[k]` from here."""

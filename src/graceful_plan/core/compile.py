@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -34,8 +35,11 @@ from graceful_plan.scene.screening import within_memory
 Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
-_PROTRUSIONS = tuple(factor * MAX_PROTRUSION for factor in (1.0, 1.5, 2.0, 3.0))
-"""Protrusions of spheres [m], tried in this order until the spheres fit into the kernels."""
+_FACTORS = (1.0, 1.5, 2.0, 3.0)
+"""Factors on the protrusion of spheres, tried in this order until the spheres fit into the kernels."""
+_USUAL = 0.4
+"""Extent of the longest links of usual arms [m]. If no factor suffices, the protrusion of longer links grows with them:
+a robot ten times as large then needs as many spheres."""
 PLANE_EXTENT = 50.0
 """Half side of the box that replaces an infinite plane in Algorithm 1 [m]."""
 
@@ -191,7 +195,10 @@ def _robot_arrays(
 def _covers(
     model: mujoco.MjModel, data: mujoco.MjData, frames: MovingFrames, groups: list[LinkGroup]
 ) -> list[GroupCover]:
-    """Cover all links by spheres, with the smallest protrusion at which the kernels can hold them."""
+    """Cover all links by spheres, with the smallest protrusion at which the kernels can hold them.
+
+    If a uniform protrusion does not suffice, that of links longer than `_USUAL` grows with their extent.
+    """
     X_LG = [
         np.stack(
             [
@@ -201,11 +208,13 @@ def _covers(
         )
         for group in groups
     ]
+    extents = [2.0 * float(model.geom_aabb[list(group.geoms), 3:].max()) for group in groups]
+    scales = [1.0] * len(groups), [max(1.0, extent / _USUAL) for extent in extents]
     covers: list[GroupCover] = []
-    for protrusion in _PROTRUSIONS:
+    for scale, factor in product(scales, _FACTORS):
         covers = [
-            group_cover(model, group.geoms, X, base=group.frame == 0, protrusion=protrusion)
-            for group, X in zip(groups, X_LG, strict=True)
+            group_cover(model, group.geoms, X, base=group.frame == 0, protrusion=factor * size * MAX_PROTRUSION)
+            for group, X, size in zip(groups, X_LG, scale, strict=True)
         ]
         if sum(len(cover.spheres) for cover in covers) <= CAPACITY["spheres"]:
             break

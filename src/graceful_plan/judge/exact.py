@@ -51,11 +51,15 @@ class Touch(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Two geoms that overlap, by name, and their penetration depth [m]."""
+    """Two geoms that overlap, by name, and their penetration depth [m].
+
+    `obstacle` describes the second: its name, or "the hull of" a mesh of the surroundings, which may be concave.
+    """
 
     first: str
     second: str
     depth: float
+    obstacle: str
 
 
 @dataclass(frozen=True)
@@ -128,10 +132,18 @@ class Judge:
 
     def named(self, touch: Touch) -> Contact:
         """Describe a touch by the names of its geoms, the moving one first."""
-        first, second = (geom_label(self.scene.model, geom) for geom in (touch.first, touch.second))
-        if touch.first not in self._movers:
-            first, second = second, first
-        return Contact(first, second, -touch.distance)
+        moving, other = touch.first, touch.second
+        if moving not in self._movers:
+            moving, other = other, moving
+        first, second = (geom_label(self.scene.model, geom) for geom in (moving, other))
+        return Contact(first, second, -touch.distance, f"the hull of {second}" if self._is_hull(other) else second)
+
+    def _is_hull(self, geom: int) -> bool:
+        """Return whether a geom is a mesh of the surroundings that is not divided into convex parts."""
+        model = self.scene.model
+        mesh = int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_MESH)
+        mine = int(model.geom_bodyid[geom]) in self.scene.robot_bodies | self.scene.held_bodies
+        return mesh and not mine and "#" not in model.mesh(model.geom_dataid[geom]).name
 
 
 def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True) -> list[Contact]:

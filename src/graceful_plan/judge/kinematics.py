@@ -1,8 +1,8 @@
 """The judge's forward kinematics for many configurations at once: a product of exponentials in NumPy.
 
 MuJoCo computes all poses once, with all planned joints at 0, and the axis of each joint there. The planned joints are
-hinges and slides in a chain from the world to the tool. So the k-th link moves by the product of the first k rigid
-motions about these axes. Other joints stay where the scene holds them.
+hinges and slides in a tree: a chain from the world to the tool, or several arms. So a link moves by the product of the
+rigid motions about the axes of the joints before it. Other joints stay where the scene holds them.
 
 References:
     R. W. Brockett, "Robotic manipulators and the product of exponentials formula", 1984.
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -30,7 +31,7 @@ _BLOCK = 512
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frames:
-    """Frames attached to links; the first k planned joints move link k, link 0 is fixed.
+    """Frames attached to links; link k + 1 is moved by planned joint k and those before it, link 0 is fixed.
 
     | field | meaning                                     | shape     |
     |-------|---------------------------------------------|-----------|
@@ -53,6 +54,7 @@ class Kinematics:
 
     | field  | meaning                                                                        | shape   |
     |--------|--------------------------------------------------------------------------------|---------|
+    | parent | link on which each planned joint is                                            | nq      |
     | slides | whether each planned joint is a slide rather than a hinge                      | nq      |
     | motion | coefficients of 1, sin q and cos q for a hinge, or of 1, q and 0 for a slide;  | nq 3 16 |
     |        | their sum is the joint's motion in W as a 4 x 4 matrix                         |         |
@@ -62,12 +64,22 @@ class Kinematics:
     | bodies | link of each body of the model                                                 | body    |
     """
 
+    parent: Int[Array, " nq"]
     slides: Bool[Array, " nq"]
     motion: Float[Array, "nq 3 16"]
     axes: Float[Array, "nq 4 2"]
     geoms: Frames
     held: Frames
     bodies: Int[Array, " body"]
+
+    @cached_property
+    def carries(self) -> Bool[Array, "nq link"]:
+        """Whether each planned joint moves each link."""
+        found = np.zeros((len(self.parent), len(self.parent) + 1), dtype=bool)
+        for joint, parent in enumerate(self.parent.tolist()):
+            found[:, joint + 1] = found[:, parent]
+            found[joint, joint + 1] = True
+        return found
 
     def links(self, q: Float[Array, "n nq"]) -> Iterator[Float[Array, "n 4 4"]]:
         """Yield the rigid motion of each link in W relative to all planned joints at 0, from link 0 to link nq."""
@@ -77,12 +89,12 @@ class Kinematics:
         np.cos(q.T, out=factors[..., 2])
         if self.slides.any():
             factors[self.slides, :, 1] = q.T[self.slides]
-        yield np.broadcast_to(np.eye(4), (len(q), 4, 4))
-        moved = None
-        for factor, motion in zip(factors, self.motion, strict=True):
+        links = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
+        yield links[0]
+        for factor, motion, parent in zip(factors, self.motion, self.parent.tolist(), strict=True):
             each = (factor @ motion).reshape(-1, 4, 4)
-            moved = each if moved is None else moved @ each
-            yield moved
+            links.append(links[parent] @ each if parent else each)
+            yield links[-1]
 
     def poses(self, q: Float[Array, "n nq"], frames: Frames) -> Float[Array, "frame n 4 4"]:
         """Return the poses of frames in W [m]."""
@@ -97,7 +109,7 @@ class Kinematics:
 
     def joint_axes(self, links: Float[Array, "link n 4 4"]) -> Float[Array, "nq n 4 2"]:
         """Return a point on the axis of each planned joint [m], and its direction, as columns."""
-        return links[:-1] @ self.axes[:, None]
+        return links[self.parent] @ self.axes[:, None]
 
 
 @per_scene
@@ -107,9 +119,13 @@ def kinematics(scene: Scene) -> Kinematics:
     data, model = placement.place(np.zeros(len(scene.joints))), placement.model
     joints = [model.joint(name).id for name in scene.joints]
     tool = model.site(scene.tool).id
-    link = np.bincount(model.jnt_bodyid[joints], minlength=model.nbody)
+    link, before = np.zeros(model.nbody, dtype=int), np.zeros(len(joints), dtype=int)
+    number = {joint: k for k, joint in enumerate(joints)}
     for body, parent in enumerate(model.body_parentid.tolist()):  # parents precede children; the world is its own
-        link[body] += link[parent]
+        link[body] = link[parent]
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            if joint in number:
+                before[number[joint]], link[body] = link[body], number[joint] + 1
     held = Frames(link=link[model.site_bodyid[[tool]]], X_WF=_matrices(data.site_xpos[[tool]], data.site_xmat[[tool]]))
     if scene.carried is not None:
         body = model.body(scene.carried.body).id
@@ -120,6 +136,7 @@ def kinematics(scene: Scene) -> Kinematics:
     anchor, axis = data.xanchor[joints], data.xaxis[joints]
     ones = np.ones(len(joints))
     return Kinematics(
+        parent=before,
         slides=slides,
         motion=np.where(slides[:, None, None], _slides(axis), _turns(anchor, axis)),
         axes=np.stack([np.column_stack([anchor, ones]), np.column_stack([axis, 0.0 * ones])], axis=2),

@@ -156,7 +156,7 @@ class _MovedGeoms:
     """Geoms that planned joints move."""
 
     link: Int[Array, " geom"]
-    """Number of planned joints, from the base, that move each geom."""
+    """Link of each geom, as in `Frames`."""
     centre: Float[Array, "geom 4 1"]
     """Centre with all planned joints at 0, in homogeneous coordinates [m]."""
     radius: Float[Array, "nq geom"]
@@ -165,10 +165,11 @@ class _MovedGeoms:
 
 @per_layout
 def _moved_geoms(scene: Scene) -> _MovedGeoms:
-    geoms = kinematics(scene).geoms
+    known = kinematics(scene)
+    geoms = known.geoms
     rows = np.flatnonzero(geoms.link > 0)
     link = geoms.link[rows]
-    moves = np.arange(1, len(scene.joints) + 1)[:, None] <= link
+    moves = known.carries[:, link]
     return _MovedGeoms(link, geoms.X_WF[rows, :, 3:], np.where(moves, scene.model.geom_rbound[rows], -np.inf))
 
 

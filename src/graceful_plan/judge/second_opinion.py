@@ -33,7 +33,7 @@ def opinion_of_fcl(samples: MotionSamples, scene: Scene) -> Check:
         )
     first, worst = min(violations), min(violations, key=lambda t: t.distance)
     contact = judge.named(first)
-    detail = f"python-fcl: {contact.first} is {1e3 * contact.depth:.3g} mm in {contact.second}"
+    detail = f"python-fcl: {contact.first} is {1e3 * contact.depth:.3g} mm in {contact.obstacle}"
     return Check(worst=worst.distance, first=float(samples.at[first.sample]), detail=detail)
 
 

@@ -197,8 +197,8 @@ def _collision(violations: list[Touch], samples: MotionSamples, scene: Scene) ->
     return Check(
         worst=worst.distance,
         first=float(samples.at[first.sample]),
-        detail=f"{contact.first} is {1e3 * contact.depth:.3g} mm in {contact.second}; "
-        f"worst [m]: {deepest.first} in {deepest.second}",
+        detail=f"{contact.first} is {1e3 * contact.depth:.3g} mm in {contact.obstacle}; "
+        f"worst [m]: {deepest.first} in {deepest.obstacle}",
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Int
 from graceful_plan.scene.elements import AllowedContact, Notes
 from graceful_plan.scene.loading.naming import is_name, lookup
-from graceful_plan.scene.model_parts import colliding_geoms, find, names, rigid_group, subtree
+from graceful_plan.scene.model_parts import colliding_geoms, find, names, rigid_group
 
 Array = np.ndarray
 
@@ -69,18 +69,21 @@ def _excluded(model: mujoco.MjModel, body: Int[Array, " geom"], rows: Int[Array,
     return excluded
 
 
-def declared_contacts(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tuple[AllowedContact, ...]:
+def declared_contacts(model: mujoco.MjModel, notes: Notes, gripper: Collection[int]) -> tuple[AllowedContact, ...]:
     """Return all allowed contacts: those declared, gripper with held object, and held object with supports at the ends.
 
-    The gripper is the tool's body with its subtree.
+    Args:
+        model: The model.
+        notes: The declarations.
+        gripper: Bodies that may touch the held object.
 
     Raises:
         UnknownNameError: If a name is neither a body nor a geom.
     """
     found = list(notes.allowed)
     if notes.held is not None:
-        gripper = [b for b in sorted(subtree(model, tool_body)) if colliding_geoms(model, [b])]
-        found += [AllowedContact(name, notes.held.body, "always") for name in names(model, _OBJ.mjOBJ_BODY, gripper)]
+        solid = [b for b in sorted(gripper) if colliding_geoms(model, [b])]
+        found += [AllowedContact(name, notes.held.body, "always") for name in names(model, _OBJ.mjOBJ_BODY, solid)]
         found += [AllowedContact(notes.held.body, support, "ends") for support in notes.support]
     with notes.about("allowed_contacts"):
         for contact in found:
@@ -92,7 +95,8 @@ def declared_contacts(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tu
 def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
     """Return the geoms of the rigid group of bodies whose first body has this name, or else the geom of this name.
 
-    A geom takes precedence over a body of the same name that has no colliding geoms.
+    A geom takes precedence over a body of the same name that has no colliding geoms. A geom that is divided into convex
+    parts stands for the parts.
 
     Raises:
         UnknownNameError: If there is neither a body nor a geom of this name.
@@ -104,7 +108,9 @@ def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
     found = colliding_geoms(model, {0} if body == 0 else rigid_group(model, body)) if body >= 0 else ()
     if found or (body >= 0 and lookup(model, _OBJ.mjOBJ_GEOM, name) < 0):
         return found
-    return (find(model, _OBJ.mjOBJ_GEOM, "body or geom", name),)
+    geom = find(model, _OBJ.mjOBJ_GEOM, "body or geom", name)
+    parts = [g for g in range(model.ngeom) if model.geom(g).name.startswith(f"{name}#")]
+    return tuple(parts) or (geom,)
 
 
 def allowed_pairs(model: mujoco.MjModel, contacts: Iterable[AllowedContact], when: str) -> frozenset[tuple[int, int]]:

@@ -195,6 +195,8 @@ class Notes:
     description: str = ""
     robot: str
     tool: str
+    joints: tuple[str, ...] | None = None
+    """Planned joints; None for all joints from the world to the tool."""
     body_class: str = "arm_collapse"
     fingers: float | Mapping[str, float] | None = None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
@@ -209,7 +211,11 @@ class Notes:
     overrides: Mapping[str, float | Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
     """Severities that replace the table's, by entity (see `EntityAnnotation`) or by entity and component class."""
     objects: Mapping[str, ObjectNote] = field(default_factory=lambda: MappingProxyType({}))
+    state: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    """Positions of joints that are not planned, where they differ from the model's initial state; see `rest_state`."""
     keyframes: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    states: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=lambda: MappingProxyType({}))
+    """State of the joints that are not planned in each of the model's keyframes."""
     tasks: Mapping[str, TaskNote] = field(default_factory=lambda: MappingProxyType({}))
     allowed: tuple[AllowedContact, ...] = ()
     moving: Mapping[str, MovingEntity] = field(default_factory=lambda: MappingProxyType({}))

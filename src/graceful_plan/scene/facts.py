@@ -20,7 +20,9 @@ from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import allowed_pairs, geoms_named, tested_pairs, without
 from graceful_plan.scene.elements import AllowedContact, Carried, Component, Contents, Entity, Limits, Notes
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.model_parts import gripper_bodies
 from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.rest_state import differences
 
 Array = np.ndarray
 
@@ -40,7 +42,7 @@ class SceneFacts:
     | joints           | names of the planned joints, from the base to the tool                          |
     | qpos_adr         | address of each planned joint in the model's qpos                               |
     | limits           | limits of the planned joints                                                    |
-    | home_qpos        | qpos of the whole model: fingers as held, entities at their initial poses       |
+    | home_qpos        | qpos of the whole model: fingers, doors and free bodies in their state         |
     | components       | by name: "body" (the moving links), "carried", "contents"                       |
     | entities         | static entities by name                                                         |
     | moving_severity  | severities by moving entity, then by component                                  |
@@ -120,18 +122,31 @@ class SceneFacts:
         return Layout()
 
     @cached_property
+    def joint_ids(self) -> tuple[int, ...]:
+        """Ids of the planned joints in the model."""
+        return tuple(int(np.flatnonzero(self.model.jnt_qposadr == adr)[0]) for adr in self.qpos_adr)
+
+    @cached_property
+    def held_bodies(self) -> frozenset[int]:
+        """Ids of the bodies in the gripper."""
+        return roles.held_bodies(self.model, self.notes)
+
+    @cached_property
+    def gripper_bodies(self) -> frozenset[int]:
+        """Ids of the gripper's bodies: those that hang on the last planned joint before the tool."""
+        tool = int(self.model.site_bodyid[self.model.site(self.tool).id])
+        return gripper_bodies(self.model, tool, self.joint_ids)
+
+    @cached_property
     def endless(self) -> Bool[Array, " nq"]:
         """Which planned joints are hinges without limits: a full turn returns to the same configuration."""
-        model = self.model
-        joints = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in self.qpos_adr]
-        return np.asarray(self.hinges & (model.jnt_limited[joints] == 0), dtype=bool)
+        return np.asarray(self.hinges & (self.model.jnt_limited[list(self.joint_ids)] == 0), dtype=bool)
 
     @cached_property
     def hinges(self) -> Bool[Array, " nq"]:
         """Which planned joints are hinges rather than slides."""
-        model = self.model
-        joints = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in self.qpos_adr]
-        return np.asarray(model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE), dtype=bool)
+        hinge = self.model.jnt_type[list(self.joint_ids)] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        return np.asarray(hinge, dtype=bool)
 
     # --- queries ------------------------------------------------------------------------------------------------------
 
@@ -165,8 +180,22 @@ class SceneFacts:
 
     @cached_property
     def _collision_pairs(self) -> Int[Array, "pair 2"]:
-        moving = self.robot_bodies | roles.held_bodies(self.model, self.notes)
+        moving = self.robot_bodies | self.held_bodies
         return without(tested_pairs(self.model, moving), self.allowed_pairs("always"))
+
+    def state_differences(self, keyframe: str) -> tuple[str, ...]:
+        """Return where a keyframe of the model has fingers, doors and free bodies elsewhere than this scene.
+
+        The object in the gripper is left out, and so is the gripper if its `fingers` are given.
+        """
+        if keyframe not in self.notes.states:
+            return ()
+        ignored = self.held_bodies
+        if self.notes.fingers is not None or (self.notes.held is not None and self.notes.held.fingers is not None):
+            ignored |= self.gripper_bodies
+        spared = [j for j in range(self.model.njnt) if int(self.model.jnt_bodyid[j]) in ignored]
+        told = differences(self.model, self.home_qpos, self.notes.states[keyframe], [*spared, *self.joint_ids])
+        return tuple(told)
 
     def allowed_pairs(self, when: str) -> frozenset[tuple[int, int]]:
         """Return the geom pairs, lower id first, that may touch "always" or at the "ends" of a path."""

@@ -5,7 +5,7 @@ Except for `add_tool` and `set_limits`, the functions only read the model. They 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -206,7 +206,7 @@ def set_limits(model: mujoco.MjModel, robot: Collection[int], limits: Mapping[st
         UnknownNameError: If the robot has no such hinge or slide joint.
         SettingError: If a lower limit is not below the upper one.
     """
-    joints = {model.joint(j).name: j for j in range(model.njnt) if _is_scalar(model, j, robot)}
+    joints = {model.joint(j).name: j for j in range(model.njnt) if is_scalar(model, j, robot)}
     for name, (lower, upper) in limits.items():
         if name not in joints:
             raise UnknownNameError("joint", name, joints)
@@ -215,15 +215,26 @@ def set_limits(model: mujoco.MjModel, robot: Collection[int], limits: Mapping[st
         model.jnt_range[joints[name]], model.jnt_limited[joints[name]] = (lower, upper), 1
 
 
-def _is_scalar(model: mujoco.MjModel, joint: int, robot: Collection[int]) -> bool:
+def is_scalar(model: mujoco.MjModel, joint: int, robot: Collection[int]) -> bool:
+    """Return whether a joint is a hinge or a slide of the robot."""
     return int(model.jnt_bodyid[joint]) in robot and int(model.jnt_type[joint]) in _SCALAR_JOINTS
 
 
-def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]) -> tuple[int, ...]:
-    """Return the hinge and slide joints from the world to the tool, base first.
+def planned_joints(
+    model: mujoco.MjModel, tool_body: int, robot: Collection[int], wanted: Sequence[str] | None = None
+) -> tuple[int, ...]:
+    """Return the hinge and slide joints to plan, base first.
+
+    Args:
+        model: The model.
+        tool_body: Body of the tool.
+        robot: Bodies of the robot.
+        wanted: Names of the joints; by default all joints from the world to the tool.
 
     Raises:
         SceneError: If the tool is not on the robot, or no joint moves it.
+        SettingError: If the wanted joints are not in the model's order, or none of them moves the tool.
+        UnknownNameError: If the robot has no such hinge or slide joint.
         UnsupportedError: If a joint on the chain is of another type.
     """
     if tool_body not in robot:
@@ -234,6 +245,8 @@ def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         chain[:0] = range(first, first + count)
         body = int(model.body_parentid[body])
+    if wanted is not None:
+        return _wanted_joints(model, chain, robot, wanted)
     other = [j for j in chain if int(model.jnt_type[j]) not in _SCALAR_JOINTS]
     if other:
         wrong = ", ".join(names(model, _OBJ.mjOBJ_JOINT, other))
@@ -241,6 +254,42 @@ def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]
     if not chain:
         raise SceneError(f"no joint moves the body {model.body(tool_body).name!r} of the tool")
     return tuple(chain)
+
+
+def _wanted_joints(
+    model: mujoco.MjModel, chain: Collection[int], robot: Collection[int], wanted: Sequence[str]
+) -> tuple[int, ...]:
+    known = {model.joint(j).name: j for j in range(model.njnt) if is_scalar(model, j, robot) and model.joint(j).name}
+    for name in wanted:
+        if name not in known:
+            raise UnknownNameError("joint to plan", name, known)
+    found = [known[name] for name in wanted]
+    if found != sorted(set(found)):  # limits are given in this order
+        order = tuple(names(model, _OBJ.mjOBJ_JOINT, sorted(set(found))))
+        raise SettingError("joints", tuple(wanted), f"the order of the model, each joint once: {order}")
+    if not set(chain).intersection(found):
+        raise SettingError("joints", tuple(wanted), f"one that moves the tool: {names(model, _OBJ.mjOBJ_JOINT, chain)}")
+    return tuple(found)
+
+
+def gripper_bodies(model: mujoco.MjModel, tool_body: int, planned: Collection[int]) -> frozenset[int]:
+    """Return the bodies that hang on the last planned joint before the tool, whichever of them has the tool.
+
+    The body of the joint itself counts if the tool is on it, a finger joint is directly on it, or nothing else has
+    colliding geoms. Otherwise it is the last link of the arm, which no held object may touch.
+    """
+    last = tool_body
+    while last > 0 and not _has_joint(model, last, planned):
+        last = int(model.body_parentid[last])
+    behind = subtree(model, last)
+    fingers = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if j not in planned]
+    is_palm = last == tool_body or any(int(model.body_parentid[body]) == last for body in fingers)
+    return behind if is_palm or not colliding_geoms(model, behind - {last}) else behind - {last}
+
+
+def _has_joint(model: mujoco.MjModel, body: int, joints: Collection[int]) -> bool:
+    first = int(model.body_jntadr[body])
+    return any(joint in joints for joint in range(first, first + int(model.body_jntnum[body])))
 
 
 def check_base(model: mujoco.MjModel, joints: tuple[int, ...], base: DiffDrive) -> None:
@@ -285,7 +334,7 @@ def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -
         _needed_limit(model, behind, notes, name, given) if behind else np.zeros(0)
         for name, given in (("velocity", notes.velocity), ("acceleration", notes.acceleration))
     )
-    position = np.array([_range(model, j) for j in joints])
+    position = np.array([joint_range(model, j) for j in joints])
     if base is not None:
         fastest, hardest = base.joint_limits
         velocity, acceleration = np.concatenate([fastest, velocity]), np.concatenate([hardest, acceleration])
@@ -330,7 +379,12 @@ def _limit(
     return values
 
 
-def _range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    """Return the limits of a hinge or slide; a hinge without limits gets a turn each way.
+
+    Raises:
+        SceneError: If a slide has no limits.
+    """
     if model.jnt_limited[joint]:
         return tuple(model.jnt_range[joint])
     if int(model.jnt_type[joint]) == int(_JOINT.mjJNT_SLIDE):
@@ -345,40 +399,3 @@ def _torque(model: mujoco.MjModel, joint: int) -> float:
     limited = np.flatnonzero(on_joint & (model.actuator_forcelimited != 0))
     forces = np.abs(model.actuator_forcerange[limited]).max(axis=1) * np.abs(model.actuator_gear[limited, 0])
     return float(forces.sum()) if len(limited) else np.inf
-
-
-def finger_positions(
-    model: mujoco.MjModel, robot: Collection[int], planned: tuple[int, ...], tool_body: int, notes: Notes
-) -> dict[int, float]:
-    """Return qpos address and position of the robot's joints that are held in place.
-
-    Args:
-        model: The model.
-        robot: Bodies of the robot.
-        planned: Planned joints.
-        tool_body: The tool's body.
-        notes: Their `fingers`: one position for all joints in the subtree of the tool's body, or positions by joint
-            name [rad or m].
-
-    Raises:
-        UnknownNameError: If a name is not that of a joint held in place.
-        SettingError: If a position is outside its joint's range.
-    """
-    held = {model.joint(j).name: j for j in range(model.njnt) if j not in planned and _is_scalar(model, j, robot)}
-    fingers = notes.fingers
-    if notes.held is not None and notes.held.fingers is not None:
-        fingers = notes.held.fingers
-    if fingers is None:
-        return {}
-    if not isinstance(fingers, Mapping):
-        behind = subtree(model, tool_body)
-        fingers = {name: fingers for name, j in held.items() if int(model.jnt_bodyid[j]) in behind}
-    positions = {}
-    for name, position in fingers.items():
-        if name not in held:
-            raise UnknownNameError("finger joint", name, held)
-        lower, upper = _range(model, held[name])
-        if not lower - 1e-9 <= position <= upper + 1e-9:
-            raise SettingError(f"position of {name}", position, f"between {lower:g} and {upper:g}")
-        positions[int(model.jnt_qposadr[held[name]])] = float(position)
-    return positions

@@ -37,7 +37,7 @@ _Severity = float | Mapping[str, float]
 
 FROM_ABOVE = np.diag([1.0, -1.0, -1.0, 1.0])
 FROM_ABOVE.flags.writeable = False
-"""Default grasp X_TO: the object's origin at the tool, upright while the tool points down."""
+"""A grasp X_TO: the object's origin at the tool, upright while the tool points down."""
 
 
 def find_components(model: mujoco.MjModel, notes: Notes, robot: Collection[int]) -> Mapping[str, Component]:
@@ -239,6 +239,7 @@ def held_note(
     """Return how an object of the notes, or any other body, is held, with all defaults resolved.
 
     Raises:
+        SettingError: If neither the object declares a grasp nor one is given.
         UnknownNameError: If there is no such object or body.
         UnsupportedError: If it cannot be held because it is part of the robot, a child of another body, or articulated.
     """
@@ -252,9 +253,15 @@ def held_note(
     body = find(model, _OBJ.mjOBJ_BODY, "body", note.body)
     _check_holdable(model, body, robot)
     pose = note.X_TO if X_TO is None else X_TO
+    if pose is None:
+        raise SettingError(
+            f"grasp of {name!r}",
+            None,
+            "at=, a configuration in which the gripper holds it where it is, or X_TO=, such as FROM_ABOVE",
+        )
     return replace(
         note,
-        X_TO=FROM_ABOVE if pose is None else rigid_pose("X_TO", pose),
+        X_TO=rigid_pose("X_TO", pose),
         contents=note.contents if contents is None else contents,
         fingers=note.fingers if fingers is None else fingers,
         object_class=object_class or note.object_class or _class_by_mass(float(model.body_subtreemass[body])),

@@ -19,13 +19,16 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, names_file
-from graceful_plan.path import finite_array, is_real
+from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
+from graceful_plan.scene.couplings import check_couplings, warn_of_couplings
 from graceful_plan.scene.edit import StaticBody, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
+from graceful_plan.scene.loading.concave import divide_surroundings
+from graceful_plan.scene.loading.extents import warn_of_extents
 from graceful_plan.scene.loading.self_contacts import (
     MAX_OVERLAP_FRACTION,
     link_contacts,
@@ -38,23 +41,26 @@ from graceful_plan.scene.model_parts import (
     add_tool,
     check_base,
     checked_model,
-    finger_positions,
+    find,
+    gripper_bodies,
     joint_limits,
     names,
     planned_joints,
     robot_bodies,
     set_limits,
+    subtree,
     tool_body,
 )
 from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.rest_state import given_state, keyframe_state, model_states, rest_state, without_bodies
 from graceful_plan.scene.screening import load_spec
 from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary
-from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
-from graceful_plan.scene.urdf.composing import TOOL, composed, held_still, velocities
+from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, named_configuration, task_ends
+from graceful_plan.scene.urdf.composing import TOOL, chosen_joints, composed, velocities
 from graceful_plan.scene.urdf.reading import Packages, read_urdf
-from graceful_plan.scene.urdf.srdf import read_srdf
+from graceful_plan.scene.urdf.srdf import no_srdf, read_srdf
 
 Array = np.ndarray
 
@@ -89,10 +95,13 @@ class Scene(SceneFacts):
         robot: str,
         tool: str,
         carried: str | None = None,
+        at: ArrayLike | str | None = None,
         X_TO: ArrayLike | None = None,
         contents: Contents | None = None,
         entities: Mapping[str, str | EntityAnnotation] | None = None,
         severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
+        joints: Sequence[str] | None = None,
+        state: Mapping[str, float | ArrayLike] | str | None = None,
         fingers: float | Mapping[str, float] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         velocity: Sequence[float] | None = None,
@@ -101,6 +110,7 @@ class Scene(SceneFacts):
         keyframes: Mapping[str, ArrayLike] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
         self_collision: str = "model",
+        convex: str | None = None,
         folder: str | Path | None = None,
         body_class: str = "arm_collapse",
         base: DiffDrive | None = None,
@@ -112,16 +122,21 @@ class Scene(SceneFacts):
             source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first, and may
                 refer only to files in their own folder and below, or in `folder`; a MjSpec is trusted.
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
-            tool: Name of a site that serves as the tool, or of a body whose frame does. The hinges and slides between
-                the world and the tool are planned.
-            carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
-            X_TO: Pose of the carried body in the tool frame.
+            tool: Name of a site that serves as the tool, or of a body whose frame does.
+            carried: Body in the gripper, if any; `at`, `X_TO` and `contents` as in `attach`.
+            at: Configuration in which the gripper holds the carried body where it is.
+            X_TO: Pose of the carried body in the tool frame, instead of `at`.
             contents: Contents of the carried body.
             entities: Class of each body that can be harmed, by body name; it applies to the body's subtree. The model
                 can declare the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class
                 are obstacles only.
             severity: A table, a file with one, or replacements as in `with_severity`.
-            fingers: Position of the joints in the subtree of the tool's body, or positions by joint name.
+            joints: Joints to plan, in the order of the model, such as those of two arms. Default: the hinges and slides
+                between the world and the tool. All other joints stay in their `state`.
+            state: State of everything that is not planned, as in `with_state`; or the name of a keyframe of the model.
+                Default: the model's initial state.
+            fingers: Position of the joints of the gripper, which is everything that hangs on the last planned joint; or
+                positions by joint name. Joints that follow others by equalities follow.
             limits: Lower and upper limit by joint, to replace the model's [rad or m].
             velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric
                 "<robot>velocity_limit".
@@ -133,6 +148,9 @@ class Scene(SceneFacts):
             self_collision: "model": the model's filters decide which links may touch; a warning is logged if they let
                 all links touch. "links": links may not touch, except pairs with a joint in between, pairs that overlap
                 in nearly all configurations, and excluded pairs. `describe` lists them.
+            convex: What meshes of the surroundings count as. "hull": their convex hulls. "parts": convex parts if the
+                hull sticks out of the mesh by 2.5 cm, as of bins, mugs and racks. With None, parts if the library
+                `coacd` is installed, else hulls, with a warning that names them.
             folder: Folder that contains all files of the model, for models whose `meshdir` leads out of their own
                 folder.
             body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
@@ -143,18 +161,23 @@ class Scene(SceneFacts):
         Raises:
             SceneError: If the model is broken or hostile.
             SettingError: If the source is not in `folder`, or `self_collision` is unknown.
-            UnsupportedError: If the model has unsupported features.
+            UnsupportedError: If the model has unsupported features, such as equalities that restrict planned joints, or
+                `convex` is "parts" and `coacd` is missing.
             UnknownNameError: If a body, site, joint or class does not exist.
         """
         spec = load_spec(source, folder)
         add_tool(spec, tool)
-        overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts)
-        base = base or described_drive(spec, robot)
+        divide_surroundings(spec, robot, convex)
+        overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts, joints)
+        described = described_drive(spec, robot)
+        if base is None and described is not None and (joints is None or set(described.joints).issubset(joints)):
+            base = described
         table, overrides = given_severity(severity)
         notes = Notes(
             name=name or spec.modelname,
             robot=robot,
             tool=tool,
+            joints=None if joints is None else tuple(joints),
             body_class=body_class,
             fingers=fingers,
             limits=dict(limits or {}),
@@ -174,7 +197,12 @@ class Scene(SceneFacts):
         scene = cls.build(spec, notes)
         check_keyframes(notes, scene.limits)
         warn_of_untested_links(scene.model, scene.robot_bodies, robot)
-        return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
+        if state is not None:
+            scene = scene.in_state(state)
+        scene = scene if carried is None else scene.attach(carried, at=at, X_TO=X_TO, contents=contents)
+        warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
+        warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
+        return scene
 
     @classmethod
     @names_file
@@ -188,9 +216,13 @@ class Scene(SceneFacts):
         srdf: str | Path | None = None,
         world: str | Path | mujoco.MjSpec | None = None,
         pose: ArrayLike | None = None,
+        joints: Sequence[str] | None = None,
+        group: str | None = None,
+        state: Mapping[str, float | ArrayLike] | str | None = None,
         velocity: Sequence[float] | None = None,
         fingers: float | Mapping[str, float] | None = None,
         decompose: bool | None = None,
+        convex: str | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
         keyframes: Mapping[str, ArrayLike] | None = None,
@@ -206,19 +238,23 @@ class Scene(SceneFacts):
 
         Args:
             source: URDF file, or its text.
-            tool: Link whose frame is that of the tool. The joints between the base and the tool are planned.
+            tool: Link whose frame is that of the tool.
             acceleration: Limit of each planned joint, or one for all [rad/s2 or m/s2]; URDF has none.
             packages: Folders to resolve `package://`: packages, folders that contain packages, or folders by package
                 name. The folders above the file are searched as well. Meshes by other paths are read from there, from
                 the folder of the file, and from the ROS package that it is in; all others are refused.
-            srdf: SRDF file or text, for link pairs that may touch, and group states as keyframes.
+            srdf: SRDF file or text, for groups, link pairs that may touch, and group states as keyframes. States that
+                exceed limits by rounding are clamped, positions farther outside are left out; both log a warning.
             world: MJCF of the surroundings, as in `from_mjcf`.
             pose: Of the robot's root link in W, 4 x 4.
+            joints: Joints to plan, in the order of the model. Default: those between the base and the tool.
+            group: Group of the SRDF with the joints to plan, instead of `joints`.
+            state: As in `from_mjcf`; a name is that of a group state.
             velocity: Limit of each planned joint [rad/s or m/s]; those of the URDF by default.
-            fingers: Position of the joints in the subtree of the last planned joint, whose mimic joints follow; or
-                positions by joint name.
+            fingers: As in `from_mjcf`; mimic joints follow.
             decompose: Whether to divide meshes into convex parts. With None they are divided if links touch in many
                 configurations and the library `coacd` is installed; if it is not installed, a warning is logged.
+            convex: As in `from_mjcf`, for the meshes of the world.
             limits: As in `from_mjcf`.
             allowed_contacts: Contacts to allow in addition.
             keyframes: Configurations by name.
@@ -228,34 +264,42 @@ class Scene(SceneFacts):
         Raises:
             SceneError: If a file is broken, hostile or missing.
             UnsupportedError: If the robot has unsupported features, or `decompose` is True without `coacd`.
-            UnknownNameError: If there is no link `tool`.
+            SettingError: If both `joints` and `group` are given.
+            UnknownNameError: If there is no such link, joint, group or state.
         """
         robot = read_urdf(source, packages, decompose=decompose or False)
-        chain, prefix = robot.chain(tool), f"{robot.name}/"
-        told = None if srdf is None else read_srdf(srdf)
-        states = {} if told is None else told.keyframes([joint.name for joint in chain])
-        disabled = () if told is None else told.contacts(robot)
+        prefix = f"{robot.name}/"
+        told = no_srdf() if srdf is None else read_srdf(srdf).within(robot, limits or {})
+        chain = chosen_joints(robot, told, tool, joints, group)
+        planned = None if joints is None and group is None else [prefix + joint.name for joint in chain]
+        disabled = told.contacts(robot)
         spec = composed(robot, tool, world, pose)
-        touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts))
+        touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts), planned)
         if decompose is None and touches.often > MAX_OVERLAP_FRACTION:
             spec = composed(read_urdf(source, packages, decompose=None), tool, world, pose)
-            touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts))
-        return cls.from_mjcf(
+            touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts), planned)
+        touches.warn()
+        scene = cls.from_mjcf(
             spec,
             robot=prefix,
             tool=prefix + TOOL,
+            joints=planned,
             entities=entities,
             severity=severity,
-            fingers=held_still(robot, chain, fingers) if is_real(fingers) else fingers,
+            fingers=fingers,
+            convex=convex,
             limits=limits,
             velocity=velocities(chain) if velocity is None else velocity,
             acceleration=[acceleration] * len(chain)
             if isinstance(acceleration, int | float | np.number)
             else acceleration,
-            keyframes={**states, **(keyframes or {})},
+            keyframes={**told.keyframes([joint.name for joint in chain]), **(keyframes or {})},
             allowed_contacts=(*touches.contacts, *disabled, *allowed_contacts),
             name=robot.name,
         )
+        states = scene.notes.states | told.others(robot, chain)
+        scene = replace(scene, notes=replace(scene.notes, states=states))
+        return scene if state is None else scene.in_state(state)
 
     @classmethod
     def build(cls, spec: mujoco.MjSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
@@ -268,23 +312,24 @@ class Scene(SceneFacts):
                 set_limits(model, robot, notes.limits)
         with notes.about("tool"):
             hand = tool_body(model, notes.tool, robot)
-            joints = planned_joints(model, hand, robot)
+            joints = planned_joints(model, hand, robot, notes.joints)
         with notes.about("robot"):
+            check_couplings(model, joints, robot)
             if notes.base is not None:
                 check_base(model, joints, notes.base)
             limits = joint_limits(model, joints, notes)
             components = roles.find_components(model, notes, robot)
+        gripper = gripper_bodies(model, hand, joints)
         with notes.about("fingers"):
-            held_still = finger_positions(model, robot, joints, hand, notes)
+            home = rest_state(model, robot, joints, gripper, notes)
         qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
-        home = model.qpos0.copy()
-        home[list(held_still)] = list(held_still.values())
-        home.flags.writeable = qpos_adr.flags.writeable = False
+        qpos_adr.flags.writeable = False
         notes = replace(
             notes,
             entities=roles.custom_entities(model) | dict(notes.entities),
             # Keyframes are stored here because adding a joint to a MjSpec invalidates them.
             keyframes=model_keyframes(model, qpos_adr) | dict(notes.keyframes),
+            states=notes.states or model_states(model, joints),
         )
         return cls(
             model=model,
@@ -298,7 +343,7 @@ class Scene(SceneFacts):
             own_severity=roles.own_severity(notes, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
             keyframes=find_keyframes(notes, len(joints)),
-            allowed_contacts=declared_contacts(model, notes, hand),
+            allowed_contacts=declared_contacts(model, notes, gripper),
             notes=notes,
             robot_bodies=robot,
             spec=spec,
@@ -333,6 +378,7 @@ class Scene(SceneFacts):
         self,
         name: str,
         *,
+        at: ArrayLike | str | None = None,
         X_TO: ArrayLike | None = None,
         contents: Contents | None = None,
         object_class: str | None = None,
@@ -343,22 +389,28 @@ class Scene(SceneFacts):
 
         Args:
             name: Name of an object of the scene, or of any body whose parent is the world.
-            X_TO: Pose of the object's body in the tool frame. Default: as declared for the object, else the body's
-                origin at the tool, upright while the tool points down.
+            at: Configuration or keyframe in which the gripper holds the object where it is in this scene.
+            X_TO: Pose of the object's body in the tool frame, instead of `at`, such as `FROM_ABOVE`: the body's origin
+                at the tool, upright while the tool points down. Default: as declared for the object.
             contents: Contents of the object. Default: as declared.
             object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as
                 declared, else by mass.
-            fingers: Position of the joints in the subtree of the tool's body while carrying, or positions by joint
-                name. Default: as declared.
+            fingers: Position of the gripper's joints while carrying, or positions by joint name; as in `from_mjcf`.
+                Default: as declared.
             support: Bodies or geoms that the object may touch at the ends of a path, because it stands on them there.
 
         Raises:
             SceneError: If an object is in the gripper already.
-            UnknownNameError: If there is no such object, support or contents geom.
+            SettingError: If both `at` and `X_TO` are given, or neither and no grasp is declared.
+            UnknownNameError: If there is no such object, keyframe, support or contents geom.
             UnsupportedError: If the object cannot be held.
         """
         if self.notes.held is not None:
             raise SceneError(f"{self.notes.held.body!r} is in the gripper already; detach() it first")
+        if at is not None:
+            if X_TO is not None:
+                raise SettingError("X_TO", X_TO, "one of at and X_TO")
+            X_TO = self._grasp_at(name, at)
         held = roles.held_note(
             self.model,
             self.notes,
@@ -375,6 +427,17 @@ class Scene(SceneFacts):
         spec = self.spec.copy()
         spec.body(held.body).add_freejoint(name=f"{held.body}_free")
         return Scene.build(spec, notes)
+
+    def _grasp_at(self, name: str, at: ArrayLike | str) -> Float[Array, "4 4"]:
+        """Return the pose in the tool frame, at a configuration, of an object where it is."""
+        note = self.notes.objects.get(name)
+        body = find(self.model, _OBJ.mjOBJ_BODY, "object or body that can be held", name if note is None else note.body)
+        data = self.data_at(named_configuration(at, self) if isinstance(at, str) else at)
+        tool = data.site(self.tool)
+        R_WT, R_WO = tool.xmat.reshape(3, 3), data.xmat[body].reshape(3, 3)
+        X_TO = np.eye(4)
+        X_TO[:3, :3], X_TO[:3, 3] = R_WT.T @ R_WO, R_WT.T @ (data.xpos[body] - tool.xpos)
+        return X_TO
 
     def detach(self) -> Scene:
         """Return this scene with an empty gripper; the object is back at its initial pose.
@@ -402,6 +465,41 @@ class Scene(SceneFacts):
         table, overrides = given_severity(severity)
         table = table if isinstance(severity, SeverityTable) else self.notes.severity
         notes = replace(self.notes, severity=table, overrides=dict(self.notes.overrides) | overrides)
+        return Scene.build(self.spec, notes, self.model)
+
+    def with_state(self, state: Mapping[str, float | ArrayLike] | None = None, *, keyframe: str | None = None) -> Scene:
+        """Return this scene with joints that are not planned elsewhere: fingers, doors, drawers, free bodies.
+
+        Joints that follow others by equalities, such as mimic joints, follow; passive joints close their chains. Other
+        joints stay as they are.
+
+        Args:
+            state: Position of each hinge or slide [rad or m], wxyz quaternion of a ball joint, position and quaternion
+                or 4 x 4 pose in W of a free body; by joint, or by body for free bodies.
+            keyframe: Keyframe of the model from which to take everything else: all joints that are neither planned nor
+                in the gripper.
+
+        Raises:
+            UnknownNameError: If there is no such joint, or the model has no such keyframe.
+            SettingError: If a joint is planned or its position is impossible, or nothing is given.
+            UnsupportedError: If the keyframe moves a joint without a name.
+        """
+        if state is None and keyframe is None:
+            raise SettingError("state", None, "positions by joint, or keyframe=")
+        held = self.held_bodies
+        given = given_state(self.model, self.joint_ids, held, state or {})
+        whole = {} if keyframe is None else keyframe_state(self.model, self.joint_ids, held, self.notes, keyframe)
+        notes = replace(self.notes, state={**self.notes.state, **whole, **given})
+        return Scene.build(self.spec, notes, self.model)
+
+    def in_state(self, state: Mapping[str, float | ArrayLike] | str) -> Scene:
+        """Return this scene in a state or in that of a keyframe; given `fingers` stay. For loaders."""
+        if not isinstance(state, str):
+            return self.with_state(state)
+        scene = self.with_state(keyframe=state)
+        if self.notes.fingers is None:
+            return scene
+        notes = replace(scene.notes, state=without_bodies(self.model, scene.notes.state, self.gripper_bodies))
         return Scene.build(self.spec, notes, self.model)
 
     def with_moving(self, *entities: MovingEntity) -> Scene:
@@ -515,13 +613,15 @@ class Scene(SceneFacts):
             SceneError: If a name is taken, or a body belongs to the robot or is in the gripper.
             UnsupportedError: If the parent of a body to move is not the world.
         """
-        kept = self.robot_bodies | roles.held_bodies(self.model, self.notes)
+        kept = self.robot_bodies | self.held_bodies
         spec, model = moved(self.spec, self.model, move or {}, kept)
         gone, solids = list(remove), list(add)
+        elsewhere = frozenset(model.body(name).id for name in move or {})
         if not gone and not solids:
-            return self._with_model(spec, model)
+            return self._with_model(spec, model, elsewhere)
         for name in gone:
             removed(spec, self.model, name, kept)
+            elsewhere |= subtree(self.model, self.model.body(name).id)
         for solid in solids:
             if not callable(getattr(solid, "add_to", None)):
                 raise SettingError("add", solid, "each a StaticBody, PointCloud or HeightMap")
@@ -532,16 +632,18 @@ class Scene(SceneFacts):
             solid.name: EntityAnnotation(category=solid.entity) for solid in solids if solid.entity is not None
         }
         overrides = {name: value for name, value in self.notes.overrides.items() if name not in left}
-        return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides))
+        state = without_bodies(self.model, self.notes.state, elsewhere)
+        return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides, state=state))
 
-    def _with_model(self, spec: mujoco.MjSpec, model: mujoco.MjModel) -> Scene:
+    def _with_model(self, spec: mujoco.MjSpec, model: mujoco.MjModel, elsewhere: frozenset[int]) -> Scene:
         """Return this scene with bodies moved: roles are unchanged, and free bodies start at their new poses."""
         home = self.home_qpos.copy()
-        free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
-        for adr in model.jnt_qposadr[free].tolist():
-            home[adr : adr + 7] = model.qpos0[adr : adr + 7]
+        for adr in (roles.free_joint(model, body) for body in elsewhere):
+            if adr >= 0:
+                home[adr : adr + 7] = model.qpos0[adr : adr + 7]
         home.flags.writeable = False
-        scene = replace(self, spec=spec, model=model, home_qpos=home)
+        notes = replace(self.notes, state=without_bodies(model, self.notes.state, elsewhere))
+        scene = replace(self, spec=spec, model=model, home_qpos=home, notes=notes)
         # These caches do not depend on the poses of obstacles.
         vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene
@@ -551,7 +653,8 @@ class Scene(SceneFacts):
 class Task:
     """A planning task in a scene: a start, alternative goals, and the object to carry.
 
-    `goal` has one row per goal. `scene` is created on first use, with the object in the gripper.
+    Without a declared grasp, the gripper holds the object where it is at the start. `goal` has one row per goal.
+    `scene` is created on first use, with the object in the gripper.
     """
 
     name: str
@@ -567,4 +670,5 @@ class Task:
         """The scene with the task's object attached and contacts with its supports allowed at the ends."""
         if self.object_name is None:
             return self.world
-        return self.world.attach(self.object_name, support=self.support)
+        declared = self.world.notes.objects[self.object_name].X_TO
+        return self.world.attach(self.object_name, at=self.start if declared is None else None, support=self.support)

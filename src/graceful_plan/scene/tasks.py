@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -14,6 +15,8 @@ from graceful_plan.scene.elements import Limits, Notes
 from graceful_plan.scene.facts import SceneFacts
 
 Array = np.ndarray
+
+_LOG = logging.getLogger(__name__)
 
 _SLACK = 1e-6
 
@@ -49,6 +52,25 @@ def check_keyframes(notes: Notes, limits: Limits) -> None:
             _check_limits(f"keyframe {name!r}", np.array(q), limits)
 
 
+def named_configuration(name: str, scene: SceneFacts) -> Float[Array, " nq"]:
+    """Return the configuration of a keyframe; log a warning if the keyframe has anything else elsewhere than the scene.
+
+    Raises:
+        UnknownNameError: If there is no such keyframe.
+    """
+    if name not in scene.keyframes:
+        raise UnknownNameError("keyframe", name, scene.keyframes)
+    elsewhere = scene.state_differences(name)
+    if elsewhere:
+        _LOG.warning(
+            "only planned joints are taken from the keyframe %r; in it, %s; with_state(keyframe=%r) sets the rest",
+            name,
+            ", ".join(elsewhere),
+            name,
+        )
+    return scene.keyframes[name]
+
+
 def task_ends(scene: SceneFacts, name: str) -> tuple[Float[Array, " nq"], Float[Array, "goal nq"]]:
     """Return start and goals of a declared task.
 
@@ -69,10 +91,8 @@ def task_ends(scene: SceneFacts, name: str) -> tuple[Float[Array, " nq"], Float[
 def _end(scene: SceneFacts, given: str | tuple[float, ...]) -> Float[Array, " nq"]:
     if not isinstance(given, str):
         q = _configuration("configuration", given, len(scene.joints))
-    elif given in scene.keyframes:
-        q = scene.keyframes[given]
     else:
-        raise UnknownNameError("keyframe", given, scene.keyframes)
+        q = named_configuration(given, scene)
     _check_limits("configuration" if not isinstance(given, str) else f"keyframe {given!r}", q, scene.limits)
     return q
 

@@ -14,6 +14,7 @@ import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.exceptions import FormatError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.tasks import named_configuration
 
 DEFAULT_SCENE = "tabletop"
 
@@ -123,9 +124,7 @@ def chosen_problem(args: argparse.Namespace) -> tuple[Scene, Any, Any]:
 def joint_values(scene: Scene, option: str, words: Sequence[str]) -> Any:
     """Parse a configuration: joint values, or a keyframe of the scene."""
     given = _configuration(option, words)
-    if isinstance(given, str) and given not in scene.keyframes:
-        raise UnknownNameError("keyframe", given, scene.keyframes)
-    return scene.keyframes[given] if isinstance(given, str) else given
+    return named_configuration(given, scene) if isinstance(given, str) else given
 
 
 def _configuration(option: str, words: Sequence[str]) -> str | list[float]:

@@ -198,7 +198,7 @@ def test_little_or_nothing_to_fall_on(vase):
       <body name="arm" pos="0 0 1"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tool"/>
         <joint name="a" axis="0 1 0" limited="true" range="-1 1"/><geom type="sphere" size="0.01"/></body>
       <body name="thing" pos="3 3 1"><freejoint/><geom type="sphere" size="0.03"/></body></worldbody></mujoco>"""
-    limits = {"velocity": [1.0], "acceleration": [1.0]}
+    limits = {"velocity": [1.0], "acceleration": [1.0], "X_TO": gp.FROM_ABOVE}
     entities = {"vase": "glass"} if vase else {}
     scene = gp.Scene.from_mjcf(text, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
     q, qd = _states(scene, 9, seed=11)
@@ -294,7 +294,7 @@ def test_the_cost_has_the_gradient_of_its_model(scene):
 
 
 def test_gradient_of_an_arm_with_slides_and_turns():
-    limits = {"velocity": [1.0] * 4, "acceleration": [1.0] * 4}
+    limits = {"velocity": [1.0] * 4, "acceleration": [1.0] * 4, "X_TO": gp.FROM_ABOVE}
     entities = {"vase": "glass", "box": "robust"}
     scene = gp.Scene.from_mjcf(_ODD_ARM, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
     kernel = drop_kernel(scene, SETTINGS)

@@ -18,6 +18,7 @@ from failbench.recording.records import ContactEvent
 from failbench.recording.secondary import STRIDE
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan import Scene
+from graceful_plan.scene.roles import FROM_ABOVE
 
 _G = 9.81
 
@@ -63,6 +64,7 @@ def _world(shape: str = 'type="sphere" size=".05"', unnamed: tuple[str, ...] = (
         velocity=[2.0],
         acceleration=[10.0],
         carried="ball",
+        X_TO=FROM_ABOVE,
         entities={name: kind for name, kind in _ENTITIES.items() if name not in unnamed},
     )
     return build_world(scene, SimSettings(grasp="weld"))

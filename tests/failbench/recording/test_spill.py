@@ -16,6 +16,7 @@ from failbench.recording.recorder import Recorder
 from failbench.recording.spill import VesselMotion, healthy_loss, kept_volume, remaining
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan import Granular, Liquid, Scene
+from graceful_plan.scene.roles import FROM_ABOVE
 from graceful_plan.scene.rules.vessel import REPOSE, Vessel, find_vessel
 
 _G = 9.81
@@ -61,6 +62,7 @@ def _world(contents: Liquid | Granular | None) -> World:
         velocity=[2.0],
         acceleration=[10.0],
         carried="mug",
+        X_TO=FROM_ABOVE,
         contents=contents,
         entities=_ENTITIES,
     )

@@ -82,7 +82,7 @@ def test_a_joint_without_a_servo_is_refused():
 
 
 def test_without_fingers_only_a_weld_holds():
-    scene = arm(carried="block")
+    scene = arm(carried="block", X_TO=gp.FROM_ABOVE)
     with pytest.raises(UnsupportedError, match=r"servo.*SimSettings"):
         build_world(scene)
     made = build_world(scene, SimSettings(grasp="weld"))
@@ -94,7 +94,7 @@ def test_the_gripper_opens_as_the_fingers_part(axes):
     first, second = axes.split("|")
     fingers = FINGERS.replace('axis="0 1 0"', f'axis="{first}"').replace('axis="0 -1 0"', f'axis="{second}"')
     servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
-    robot = build_world(arm(fingers=fingers, actuators=servos, carried="block")).robot
+    robot = build_world(arm(fingers=fingers, actuators=servos, carried="block", X_TO=gp.FROM_ABOVE)).robot
     opened, closed = ([0.04, 0.04], [0.0, 0.0]) if first == "0 1 0" else ([0.0, 0.0], [0.04, 0.04])
     assert robot.grip_open == pytest.approx(opened)
     assert robot.grip_closed == pytest.approx(closed)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from graceful_plan.exceptions import GracefulPlanError, SceneError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.elements import AllowedContact, Granular, Liquid
 from graceful_plan.scene.loading.file import read_scene
+from graceful_plan.scene.roles import FROM_ABOVE
 from graceful_plan.scene.scene import Scene
 
 _WORLD = """<mujoco><worldbody>
@@ -100,7 +101,7 @@ def test_moving_entities_in_files(shelf: Scene) -> None:
     assert (cat.category, cat.is_round, cat.growth, ball.is_round, ball.spread) == ("pet", False, 0.1, True, 0.2)
     np.testing.assert_allclose(cat.at(1.0).position, [1.0, 0.5, 0.1])
     np.testing.assert_allclose(cat.at(1.0).yaw, 0.75)
-    held = shelf.attach("vase")
+    held = shelf.attach("vase", X_TO=FROM_ABOVE)
     assert held.moving_severity["ball"]["carried"] == 0.5
     assert held.moving_severity["cat"]["body"] == 30.0
 
@@ -133,10 +134,15 @@ def test_tasks(shelf: Scene) -> None:
 
 
 def test_objects_can_be_attached_by_name(shelf: Scene) -> None:
-    assert shelf.attach("tea").contents == Liquid(0.2, temperature=85.0, geoms=("tea",))
-    assert shelf.attach("cup").contents is None
-    assert shelf.attach("tea", contents=Granular(0.1, geoms=("tea",))).components["contents"].component_class == "dry"
-    heavy = shelf.attach("vase")
+    assert shelf.attach("tea", X_TO=FROM_ABOVE).contents == Liquid(0.2, temperature=85.0, geoms=("tea",))
+    assert shelf.attach("cup", X_TO=FROM_ABOVE).contents is None
+    assert (
+        shelf.attach("tea", X_TO=FROM_ABOVE, contents=Granular(0.1, geoms=("tea",)))
+        .components["contents"]
+        .component_class
+        == "dry"
+    )
+    heavy = shelf.attach("vase", X_TO=FROM_ABOVE)
     assert heavy.carried is not None and heavy.carried.object_class == "heavy"
 
 
@@ -178,7 +184,7 @@ _BROKEN = {  # text to replace, its replacement, place and words of the error
     "base is nan": ("position: [0, 0, 0.1]", "position: [0, .nan, 0.1]", "is not finite"),
     "base in a plane": ("position: [0, 0, 0.1]", "position: [0, 0]", "has 2 numbers, expected 3"),
     "no rotation": ("quaternion: [0, 0, 0, 1]", "quaternion: [0, 0, 0, 0]", r"has length 0, expected 1 \(wxyz\)"),
-    "fingers too wide": ("fingers: 0.04", "fingers: 0.05", "position of panda/finger_joint1 = 0.05"),
+    "fingers too wide": ("fingers: 0.04", "fingers: 0.05", "position of panda/finger_joint2 = 0.05"),
     "entity without body": ("  shelf: table", "  shell: table", r"unknown entity \(body\) 'shell'; valid: cup, "),
     "unknown class": ("  shelf: table", "  shelf: tabel", "unknown entity class 'tabel'; valid: adult, .*table"),
     "class is a number": ("  shelf: table", "  shelf: 3", "has to be text"),
@@ -262,7 +268,7 @@ def test_broken_worlds_are_named(tmp_path: Path) -> None:
 
 def test_later_mistakes_are_not_blamed_on_the_file(shelf: Scene) -> None:
     with pytest.raises(UnknownNameError, match="'moon'"):
-        shelf.attach("tea", support=["moon"])
+        shelf.attach("tea", X_TO=FROM_ABOVE, support=["moon"])
     with pytest.raises(UnknownNameError, match="'moon'"):
         shelf.with_severity({"moon": 1.0})
 
@@ -310,3 +316,13 @@ def test_damaged_files_load_or_are_refused(tmp_path: Path, cuts: list[tuple[int,
 def test_a_name_that_no_file_has_is_refused(tmp_path):
     with pytest.raises(SceneError):
         read_scene(_write(tmp_path, _SCENE.replace("world: world.xml", 'world: "a\\0.xml"')))
+
+
+def test_a_task_without_a_grasp_holds_the_object_where_it_is_at_the_start(tmp_path: Path) -> None:
+    grasp = next(line for line in _SCENE.splitlines(keepends=True) if "grasp:" in line)
+    scene = read_scene(_write(tmp_path, _SCENE.replace(grasp, "")))
+    task = next(task for task in scene.tasks.values() if task.object_name is not None)
+    body = scene.notes.objects[task.object_name].body
+    assert scene.notes.objects[task.object_name].X_TO is None
+    before, held = scene.data_at(task.start), task.scene.data_at(task.start)
+    np.testing.assert_allclose(held.body(body).xpos, before.body(body).xpos, atol=1e-12)

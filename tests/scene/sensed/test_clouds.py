@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -202,3 +203,61 @@ def test_impossible_sensor_data_are_refused(wrong) -> None:
     """In particular, an infinite height must not count as zero."""
     with pytest.raises((gp.GracefulPlanError, TypeCheckError)):
         wrong()
+
+
+# --- points on the robot ----------------------------------------------------------------------------------------------
+
+_SHAPES = """<mujoco><asset><mesh name="wedge" vertex="0 0 0 .2 0 0 0 .2 0 0 0 .2 .2 .2 0"/></asset><worldbody>
+  <body name="far" pos="3 0 0"><geom type="box" size=".1 .1 .1"/></body>
+  <body name="r/a" pos="0 0 1"><joint name="r/j" axis="0 0 1" range="-3 3"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".05"/><geom type="cylinder" size=".04 .1" pos=".4 0 .1"/>
+    <geom type="ellipsoid" size=".1 .05 .03" pos="0 .3 0"/><geom type="mesh" mesh="wedge" pos="-.4 0 0" euler="30 0 0"/>
+    <site name="r/tip" pos=".5 0 0"/></body>
+  <body name="cup" pos="0 0 3"><freejoint/><geom type="box" size=".05 .05 .05"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("carried", [None, "cup"])
+def test_points_on_the_robot_are_left_out(carried):
+    told = {"velocity": [1.0], "acceleration": [1.0], "X_TO": np.eye(4) if carried else None, "carried": carried}
+    scene, q, margin = gp.Scene.from_mjcf(_SHAPES, robot="r/", tool="r/tip", **told), [0.7], 0.03
+    rng = np.random.default_rng(0)
+    parts = [g for c in ("body", "carried") if c in scene.components for g in scene.components[c].geoms]
+    points = scene.data_at(q).geom_xpos[rng.choice(parts, 800)] + rng.uniform(-0.2, 0.2, (800, 3))
+    left = gp.PointCloud(name="seen", points=points).without_robot(scene, q, margin).points
+    kept = (points[:, None] == left[None]).all(axis=2).any(axis=1)
+    # Every point is a tiny sphere for MuJoCo.
+    spec = scene.spec.copy()
+    probe_body = spec.worldbody.add_body(name="probe", mocap=True)
+    probe_body.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-6] * 3)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = scene.data_at(q).qpos
+    probe, distance = model.geom("probe").id, np.zeros(len(points))
+    for k, point in enumerate(points):
+        data.mocap_pos[0] = point
+        mujoco.mj_kinematics(model, data)
+        distance[k] = min(mujoco.mj_geomDistance(model, data, g, probe, 1.0, None) for g in parts)
+    assert 50 < (~kept).sum() < 700
+    assert not kept[distance < margin - 2e-3].any()  # nothing on the robot stays
+    assert kept[distance > margin + 0.02].all()  # and hardly anything else goes, near the corners of the mesh
+
+
+def test_a_cloud_with_the_robot_in_it_blocks_nothing_afterwards():
+    scene = gp.load_scene("tabletop")
+    q = scene.keyframes["ready"]
+    data = scene.data_at(q)
+    bodies = sorted(scene.robot_bodies)
+    rng = np.random.default_rng(1)
+    on_links = np.concatenate([data.xipos[b] + rng.uniform(-0.03, 0.03, (200, 3)) for b in bodies])
+    cloud = gp.PointCloud(name="seen", points=np.concatenate([on_links, [[0.5, 0.5, 1.2]] * 3]), inflation=0.01)
+    assert gp.clearance(q, scene.edit(add=[cloud])) < 0.0
+    clean = cloud.without_robot(scene, q)
+    assert gp.clearance(q, scene.edit(add=[clean])) > 0.0 and len(clean.points) >= 3
+
+
+@pytest.mark.parametrize(("q", "margin"), [([0.0], -0.1), ([0.0], float("nan")), ([0.0, 1.0], 0.1)])
+def test_impossible_margins(q, margin):
+    scene = gp.Scene.from_mjcf(_SHAPES, robot="r/", tool="r/tip", velocity=[1.0], acceleration=[1.0])
+    with pytest.raises((SettingError, ShapeError)):
+        gp.PointCloud(name="seen", points=[[0.0, 0.0, 0.0]]).without_robot(scene, q, margin)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
+from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content
 from graceful_plan.scene.urdf.reading import read_urdf
 from graceful_plan.scene.urdf.srdf import read_srdf
@@ -297,3 +297,76 @@ def test_tools_that_are_none() -> None:
         read_urdf(Path("nowhere.urdf"))
     with pytest.raises(SceneError, match="home"):
         read_srdf(SRDF.replace('value="0.5"', 'value="high"'))
+
+
+# --- what is planned, and the state of the rest -----------------------------------------------------------------------
+
+GROUPS = """<robot name="arm">
+  <group name="arm"><chain base_link="foot" tip_link="tip"/></group>
+  <group name="crane"><group name="arm"/></group>
+  <group name="boom"><joint name="lift"/><link name="flange"/></group>
+  <group name="hand"><joint name="grip_too"/></group>
+  <group name="ring"><group name="ring"/></group>
+  <group_state name="rounded" group="arm"><joint name="turn" value="9"/><joint name="lift" value="{lift}"/>
+    <joint name="reach" value="0.1"/></group_state>
+  <group_state name="open" group="hand"><joint name="grip" value="0.04"/><joint name="turn" value="0.5"/></group_state>
+</robot>"""
+
+
+@pytest.mark.parametrize(
+    ("group", "expected"),
+    [("arm", ["turn", "lift", "reach"]), ("crane", ["turn", "lift", "reach"]), ("boom", ["lift", "reach"])],
+)
+def test_a_group_of_the_srdf_says_what_is_planned(group: str, expected: list[str]) -> None:
+    text = GROUPS.format(lift=0.0)
+    scene = gp.Scene.from_urdf(ARM, tool="tip", acceleration=4.0, srdf=text, group=group, state="open")
+    assert scene.joints == tuple(f"arm/{name}" for name in expected)
+    named = gp.Scene.from_urdf(ARM, tool="tip", acceleration=4.0, srdf=text, joints=scene.joints, state="open")
+    assert named.joints == scene.joints
+    np.testing.assert_array_equal(named.limits.velocity, scene.limits.velocity)
+    state = {
+        name: scene.home_qpos[scene.model.joint(f"arm/{name}").qposadr[0]] for name in ("grip", "grip_too", "turn")
+    }
+    assert state == pytest.approx({"grip": 0.04, "grip_too": 0.021, "turn": 0.5 if group == "boom" else 0.0})
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"group": "leg"}, UnknownNameError, "'leg'; valid: arm, boom"),
+        ({"group": "hand"}, SceneError, "no joints that can be planned"),
+        ({"group": "ring"}, SceneError, "no joints that can be planned"),
+        ({"group": "arm", "joints": ["turn"]}, SettingError, "group"),
+        ({"joints": ["grip_too"]}, UnknownNameError, "joint to plan 'grip_too'; valid: grip, lift"),
+        ({"joints": ["lift", "turn"]}, SettingError, "order of the model"),
+        ({"joints": ["grip"]}, SettingError, "moves the tool"),
+        ({"state": "shut"}, UnknownNameError, "'shut'; valid: open, rounded"),
+    ],
+)
+def test_impossible_choices(given: dict[str, object], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        gp.Scene.from_urdf(ARM, tool="tip", acceleration=4.0, srdf=GROUPS.format(lift=0.0), **given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("lift", "kept"), [(0.8 + 1e-5, 0.8), (0.817, 0.8), (-1.2 - 1e-5, -1.2), (0.5, 0.5), (0.9, None)]
+)
+def test_states_outside_of_limits_do_not_keep_a_robot_from_loading(
+    lift: float, kept: float | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene = gp.Scene.from_urdf(ARM, tool="tip", acceleration=4.0, srdf=GROUPS.format(lift=lift))
+    told = [record.getMessage() for record in caplog.records if "rounded" in record.getMessage()]
+    assert len(told) == (kept != lift) and all("lift" in text for text in told)
+    if kept is None:
+        assert "rounded" not in scene.keyframes and "left out" in told[0]
+        return
+    np.testing.assert_allclose(scene.keyframes["rounded"], [9.0 - 2.0 * np.pi, kept, 0.1])
+    wider = {"limits": {"arm/lift": (-2.0, 2.0)}}
+    wide = gp.Scene.from_urdf(ARM, tool="tip", acceleration=4.0, srdf=GROUPS.format(lift=lift), **wider)  # type: ignore[arg-type]
+    np.testing.assert_allclose(wide.keyframes["rounded"][1], lift)
+
+
+def test_a_mimic_joint_of_a_planned_joint_is_refused() -> None:
+    text = ARM.replace('mimic joint="grip"', 'mimic joint="reach"')
+    with pytest.raises(UnsupportedError, match=r"joint equality .*of arm/grip_too and arm/reach"):
+        gp.Scene.from_urdf(text, tool="tip", acceleration=4.0)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import ShapeError, UnknownNameError
+from graceful_plan.exceptions import ShapeError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.tasks import named_configuration
 
 Array = np.ndarray
 _ROUNDING = 1e-12
@@ -36,13 +37,6 @@ def configurations_of(goal: Configuration | Sequence[Configuration], scene: Scen
     if q.ndim > 2 or q.size == 0:
         raise ShapeError("goal", q.shape, f"({nq},) or (n >= 1, {nq})")
     return np.atleast_2d(q)
-
-
-def named_configuration(name: str, scene: Scene) -> Float[Array, " nq"]:
-    """Return the configuration of a keyframe."""
-    if name not in scene.keyframes:
-        raise UnknownNameError("keyframe", name, scene.keyframes)
-    return np.asarray(scene.keyframes[name], dtype=float)
 
 
 def wrapped_near(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:

@@ -172,7 +172,7 @@ def _no_way(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
     if near is None:
         return told
     pair = ", ".join(repr(name.partition("#")[0]) for name in near[:2])  # for unnamed geoms, the body
-    away = f"{near.first} is {-1e3 * near.depth:.3g} mm from {near.second}"
+    away = f"{near.first} is {-1e3 * near.depth:.3g} mm from {near.obstacle}"
     return f"{told}; {away}; if they may touch, say AllowedContact({pair})"
 
 

@@ -143,5 +143,5 @@ def collision(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
     deepest = contacts[0]
     more = f" and {len(contacts) - 1} more" if len(contacts) > 1 else ""
     pair = ", ".join(repr(name.partition("#")[0]) for name in deepest[:2])  # for unnamed geoms, the body
-    told = f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.second}{more}"
+    told = f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.obstacle}{more}"
     return f"{told}; if they may touch, say AllowedContact({pair})"

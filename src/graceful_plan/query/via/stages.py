@@ -10,7 +10,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.goals import Goal, resolve_goal, resolve_start
@@ -18,6 +18,7 @@ from graceful_plan.query.endpoints.travel import Travel
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.tasks import named_configuration
 
 Array = np.ndarray
 Via = Configuration | PoseGoal
@@ -71,9 +72,7 @@ def _checked(k: int, one: Via, scene: Scene) -> Float[Array, " nq"] | PoseGoal:
         return one
     if not isinstance(one, str):
         return finite_array(f"via[{k}]", one, ndim=1, last=len(scene.joints))
-    if one not in scene.keyframes:
-        raise UnknownNameError("keyframe", one, scene.keyframes)
-    return np.asarray(scene.keyframes[one], dtype=float)
+    return named_configuration(one, scene)
 
 
 def find_stages(

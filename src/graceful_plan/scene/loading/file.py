@@ -4,6 +4,7 @@ version: 1
 name: tabletop                   # default: the file's name
 description: One sentence.
 world: tabletop.xml              # MJCF in the same folder or below it
+convex: parts                    # what its meshes count as: hull or parts; default: parts if coacd is installed
 robot:
     model: panda                   # a bundled robot or an MJCF file beside this one; omit if the world contains the
     robot
@@ -13,11 +14,13 @@ robot:
     body_class: arm_collapse       # how the robot fails: arm_collapse, arm_braked or base_coast
   velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
   limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
+  joints: [panda/joint1, ...]    # planned joints; default: those between world and tool
 base:                            # differential drive, if any: the fields of DiffDrive; default: the model's
   joints: [jackal/base_x, jackal/base_y, jackal/base_yaw]
   radius: 0.098                  # and track, v_max, omega_max, a_max, alpha_max; slip, lateral_max, wheel_max, reverse
 tool: panda/tool                 # site, or body; default "<prefix>tool"
-fingers: 0.04                    # position of the joints behind the tool, or {joint: position}
+fingers: 0.04                    # position of the joints behind the last planned one, or {joint: position}
+state: {drawer: 0.2}             # of other joints and free bodies: {name: position}, or a keyframe of the model
 entities:                        # things that can be harmed: each body with its subtree
   mug: glass                     # its class
     vase: {class: heirloom, severity: 40}    # or by component or component class: {body: 40, carried: 30, hot: 9}
@@ -27,7 +30,8 @@ objects:                         # objects that can be carried: defaults of atta
   mug:
     body: mug                    # default: the object's name
     class: glass                 # light, medium, heavy, sharp or glass; default: by mass
-    grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame
+    grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame; default of a
+                                                              # task: where the object is at its start
     fingers: 0.035
     contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
 moving:                          # moving entities: can be harmed, but are not obstacles; see MovingEntity
@@ -63,6 +67,7 @@ import numpy as np
 
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.scene import roles, screening
+from graceful_plan.scene.couplings import warn_of_couplings
 from graceful_plan.scene.elements import (
     AllowedContact,
     Contents,
@@ -74,6 +79,8 @@ from graceful_plan.scene.elements import (
     TaskNote,
 )
 from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.loading.concave import divide_surroundings
+from graceful_plan.scene.loading.extents import warn_of_extents
 from graceful_plan.scene.loading.robot_models import robot_file, robots
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import described_drive
@@ -86,11 +93,11 @@ from graceful_plan.yaml_file import Block, read_yaml
 T = TypeVar("T")
 
 _KEYS = (
-    "version", "name", "description", "world", "robot", "base", "tool", "fingers", "entities", "severity", "objects",
-    "moving", "keyframes", "tasks", "allowed_contacts",
+    "version", "name", "description", "world", "convex", "robot", "base", "tool", "fingers", "state", "entities",
+    "severity", "objects", "moving", "keyframes", "tasks", "allowed_contacts",
 )  # fmt: skip
 _ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque",
-                "limits")  # fmt: skip
+                "limits", "joints")  # fmt: skip
 _MOVING_KEYS = ("class", "size", "t", "position", "yaw", "spread", "growth", "severity")
 
 
@@ -107,10 +114,19 @@ def read_scene(file: Path) -> Scene:
     notes = _notes(root, file)
     spec = _spec(root, file, notes.robot)
     add_tool(spec, notes.tool)
+    convex = root.get("convex")
+    with notes.about("convex"):
+        divide_surroundings(spec, notes.robot, convex.string() if convex else None)
     with notes.about("base"):
         notes = replace(notes, base=notes.base or described_drive(spec, notes.robot))
     scene = Scene.build(spec, notes)
+    state = root.get("state")
+    if state is not None:
+        with scene.notes.about("state"):
+            scene = scene.in_state(_state(state))
     _check_promises(scene)
+    warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
+    warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
     return replace(scene, notes=replace(scene.notes, file=None, lines={}))
 
 
@@ -120,7 +136,8 @@ def _check_promises(scene: Scene) -> None:
     check_keyframes(notes, scene.limits)
     for name in notes.objects:
         with notes.about(f"objects.{name}"):
-            held = roles.held_note(scene.model, notes, scene.robot_bodies, name)
+            X_TO = roles.FROM_ABOVE if notes.objects[name].X_TO is None else None  # the start of a task decides
+            held = roles.held_note(scene.model, notes, scene.robot_bodies, name, X_TO=X_TO)
             Scene.build(scene.spec, replace(notes, held=held, file=None), scene.model)
     scene.tasks  # noqa: B018  raises if a task refers to a missing name
 
@@ -152,12 +169,13 @@ def _notes(root: Block, file: Path) -> Notes:
     robot.only(*_ROBOT_KEYS)
     prefix = _prefix(robot)
     name, description, tool, allowed = (root.get(key) for key in ("name", "description", "tool", "allowed_contacts"))
-    body_class = robot.get("body_class")
+    body_class, joints = robot.get("body_class"), robot.get("joints")
     return Notes(
         name=name.string() if name else file.stem,
         description=description.string() if description else "",
         robot=prefix,
         tool=tool.string() if tool else f"{prefix}tool",
+        joints=joints.strings() if joints else None,
         body_class=body_class.string() if body_class else "arm_collapse",
         fingers=_fingers(root.get("fingers")),
         limits=_limits(robot.get("limits")),
@@ -176,6 +194,12 @@ def _notes(root: Block, file: Path) -> Notes:
         file=str(file),
         lines=lines.at,
     )
+
+
+def _state(block: Block) -> dict[str, Any] | str:
+    if not block.is_mapping:
+        return block.string()
+    return {name: child.numbers() if child.is_list else child.number() for name, child in block.items()}
 
 
 def _base(block: Block | None) -> DiffDrive | None:

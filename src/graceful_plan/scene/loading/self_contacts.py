@@ -24,6 +24,8 @@ _LOG = logging.getLogger(__name__)
 _OBJ = mujoco.mjtObj
 _SAMPLES, _ALWAYS = 200, 0.95
 """Number of sampled configurations, and the fraction of them in which a pair must touch to count as always touching."""
+_DEEP = 0.005
+"""Depth from which a warning names pairs that always overlap [m]; hulls of sound meshes do by a few millimetres."""
 _MASKS = 31
 """Number of bits in MuJoCo's contype and conaffinity."""
 MAX_OVERLAP_FRACTION = 0.25
@@ -41,20 +43,40 @@ class Touching:
     |----------|----------------------------------------------------------------------------------------------|
     | contacts | pairs with a joint in between, and pairs that touch in nearly all configurations             |
     | often    | fraction of configurations in which other links touch, allowed contacts excepted             |
+    | deep     | pairs that planned joints move relative to each other, without a joint in between, and that  |
+    |          | overlap deeply in nearly all configurations: depth [m]                                       |
     """
 
     contacts: tuple[AllowedContact, ...]
     often: float
+    deep: Mapping[tuple[str, str], float]
+
+    def warn(self) -> None:
+        """Log a warning of pairs that overlap deeply: a mesh may be misplaced, or far from its convex hull."""
+        if self.deep:
+            told = ", ".join(f"{a} - {b} ({1e3 * depth:.0f} mm)" for (a, b), depth in self.deep.items())
+            _LOG.warning(
+                "links without a joint in between overlap in nearly all configurations and may touch from now on: %s; "
+                "check their collision geometry",
+                told,
+            )
 
 
-def touching(spec: mujoco.MjSpec, robot: str, tool: str, allowed: Sequence[AllowedContact] = ()) -> Touching:
+def touching(
+    spec: mujoco.MjSpec,
+    robot: str,
+    tool: str,
+    allowed: Sequence[AllowedContact] = (),
+    joints: Sequence[str] | None = None,
+) -> Touching:
     """Sample configurations and find the links that touch.
 
     Args:
         spec: Model that contains the robot.
         robot: Prefix of its bodies, or its root body.
-        tool: Site of the tool. The joints between world and tool are sampled uniformly within limits; others stay.
+        tool: Site of the tool.
         allowed: Contacts that are allowed anyway.
+        joints: Joints to sample uniformly within limits, while others stay; by default those between world and tool.
     """
     model = compile_spec(spec)
     bodies = robot_bodies(model, robot)
@@ -64,8 +86,9 @@ def touching(spec: mujoco.MjSpec, robot: str, tool: str, allowed: Sequence[Allow
         for body in bodies
         if model.body_jntnum[body] and (parent := int(model.body_parentid[body])) in bodies
     }
-    touched = _touched(model, group, planned_joints(model, tool_body(model, tool, bodies), bodies))
-    count = Counter(pair for found in touched for pair in found)
+    planned = planned_joints(model, tool_body(model, tool, bodies), bodies, joints)
+    touched = _touched(model, group, planned)
+    count = Counter(pair for depths in touched for pair in depths)
     reasons = dict.fromkeys((pair for pair, found in count.items() if found >= _ALWAYS * _SAMPLES), "overlap")
     reasons |= dict.fromkeys(pairs, "adjacent")
     called = dict(zip(bodies, names(model, _OBJ.mjOBJ_BODY, bodies), strict=True))
@@ -73,12 +96,25 @@ def touching(spec: mujoco.MjSpec, robot: str, tool: str, allowed: Sequence[Allow
     body = {name: k for k, name in called.items()}
     may = {(group[body[c.first]], group[body[c.second]]) for c in allowed if c.first in body and c.second in body}
     free = set(reasons) | may | {pair[::-1] for pair in may}
-    often = sum(bool(found - free) for found in touched) / _SAMPLES
-    return Touching(tuple(AllowedContact(a, b, reason=reason) for a, b, reason in named), often)
+    often = sum(bool(depths.keys() - free) for depths in touched) / _SAMPLES
+    shape = {group[k]: called[k] for k in sorted(bodies, reverse=True) if colliding_geoms(model, [k])}
+    deep = {}
+    for a, b, reason in named:
+        pair = body[a], body[b]
+        depth = float(np.median([depths.get(pair, 0.0) for depths in touched]))
+        apart = _mover(model, pair[0], planned) != _mover(model, pair[1], planned)
+        if reason == "overlap" and apart and pair not in may and pair[::-1] not in may and depth > _DEEP:
+            deep[shape[pair[0]], shape[pair[1]]] = depth
+    return Touching(tuple(AllowedContact(a, b, reason=reason) for a, b, reason in named), often, deep)
 
 
 def link_contacts(
-    spec: mujoco.MjSpec, robot: str, tool: str, kind: str, allowed: Sequence[AllowedContact]
+    spec: mujoco.MjSpec,
+    robot: str,
+    tool: str,
+    kind: str,
+    allowed: Sequence[AllowedContact],
+    joints: Sequence[str] | None = None,
 ) -> tuple[AllowedContact, ...]:
     """Return the contacts to allow so that self-collision is checked as `kind` requests.
 
@@ -89,6 +125,7 @@ def link_contacts(
         kind: "model": the model's filters decide. "links": all link pairs are checked except excluded ones, pairs with
             a joint in between, and pairs that touch in nearly all configurations.
         allowed: Contacts that are allowed anyway.
+        joints: Planned joints, if they are not those between world and tool.
 
     Returns:
         Contacts to allow in addition.
@@ -111,7 +148,9 @@ def link_contacts(
         if geom.id in mine:
             geom.contype |= unused
             geom.conaffinity |= unused
-    return touching(spec, robot, tool, allowed).contacts
+    touches = touching(spec, robot, tool, allowed, joints)
+    touches.warn()
+    return touches.contacts
 
 
 def warn_of_untested_links(model: mujoco.MjModel, robot: frozenset[int], name: str) -> None:
@@ -128,6 +167,17 @@ def warn_of_untested_links(model: mujoco.MjModel, robot: frozenset[int], name: s
         )
 
 
+def _mover(model: mujoco.MjModel, body: int, planned: Sequence[int]) -> int:
+    """Return the last planned joint that moves a body; -1 if none does."""
+    while body > 0:
+        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+        mine = [joint for joint in joints if joint in planned]
+        if mine:
+            return mine[-1]
+        body = int(model.body_parentid[body])
+    return -1
+
+
 def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:
     """Return the root of the rigid group that contains a body."""
     while not model.body_jntnum[body] and int(model.body_parentid[body]) in robot:
@@ -137,17 +187,22 @@ def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:
 
 def _touched(
     model: mujoco.MjModel, group: Mapping[int, int], joints: Sequence[int]
-) -> list[frozenset[tuple[int, int]]]:
-    """Return the pairs of links that touch in each of the sampled configurations."""
-    data, rng, touched = mujoco.MjData(model), np.random.default_rng(0), list[frozenset[tuple[int, int]]]()
+) -> list[dict[tuple[int, int], float]]:
+    """Return the pairs of links that touch in each of the sampled configurations, with the depth of the overlap [m]."""
+    data, rng, touched = mujoco.MjData(model), np.random.default_rng(0), list[dict[tuple[int, int], float]]()
     for _ in range(_SAMPLES):
         for joint in joints:
             data.qpos[model.jnt_qposadr[joint]] = rng.uniform(*_range(model, joint))
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
-        bodies = model.geom_bodyid[data.contact.geom[data.contact.dist < 0.0]].tolist()
-        found = {(group[a], group[b]) for a, b in bodies if a in group and b in group}
-        touched.append(frozenset((min(pair), max(pair)) for pair in found))
+        overlap = data.contact.dist < 0.0
+        bodies = model.geom_bodyid[data.contact.geom[overlap]].tolist()
+        depths: dict[tuple[int, int], float] = {}
+        for (a, b), dist in zip(bodies, data.contact.dist[overlap].tolist(), strict=True):
+            if a in group and b in group:
+                pair = min(group[a], group[b]), max(group[a], group[b])
+                depths[pair] = max(depths.get(pair, 0.0), -dist)
+        touched.append(depths)
     return touched
 
 

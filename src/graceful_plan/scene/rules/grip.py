@@ -90,7 +90,7 @@ def find_grip(scene: Scene) -> Grip:
         geom.margin = _REACH
     model = spec.compile()
     body, site = int(model.body(scene.carried.body).id), int(model.site(scene.tool).id)
-    joints = _finger_joints(scene, model, int(model.site_bodyid[site]))
+    joints = _finger_joints(scene, model)
     data = Placement(scene, model).place(scene.home_qpos[scene.qpos_adr])
     mujoco.mj_fwdPosition(model, data)
     X_BW = data.xmat[body].reshape(3, 3).T
@@ -120,10 +120,9 @@ def find_grip(scene: Scene) -> Grip:
     )
 
 
-def _finger_joints(scene: Scene, model: mujoco.MjModel, tool: int) -> Int[Array, " joint"]:
-    """Return the unplanned joints in the subtree of the tool's body."""
-    hand = subtree(model, tool)
-    planned = {int(model.joint(name).id) for name in scene.joints}
+def _finger_joints(scene: Scene, model: mujoco.MjModel) -> Int[Array, " joint"]:
+    """Return the gripper's joints."""
+    hand, planned = scene.gripper_bodies, scene.joint_ids
     return np.array([j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in hand and j not in planned], dtype=int)
 
 

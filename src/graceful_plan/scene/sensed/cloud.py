@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import mujoco
@@ -12,11 +12,15 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array, is_real, plain_numbers, real_array
+from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.roles import rigid_pose
 from graceful_plan.scene.sensed.boxes import FARTHEST, add_boxes, check_width, closed, joined
+from graceful_plan.scene.sensed.own_points import on_robot
 
 Array = np.ndarray
 
+_NOISE = 0.01
+"""Noise of depth sensors at the distance of an arm [m]."""
 _MOST_CELLS = 1e8
 """Largest number of cells in the bounding box of all points, one byte each."""
 
@@ -28,7 +32,7 @@ class PointCloud:
 
     Grid cells that contain a point are occupied, as are gaps of up to two cells between them; without this closing,
     noise would turn a table into a thousand boxes. Grown by `inflation`, the cells are the obstacle, as boxes of one
-    body. Space that the sensor did not see counts as free. Leave out points on the robot and its carried object.
+    body. Space that the sensor did not see counts as free. `without_robot` leaves out points on the robot.
 
     | field      | meaning                                                                        | unit | shape   |
     |------------|--------------------------------------------------------------------------------|------|---------|
@@ -115,6 +119,27 @@ class PointCloud:
         rays = np.stack([column, row, np.ones_like(row)], axis=1) @ np.linalg.inv(K).T
         points = rays * image[row, column][:, None]
         return cls(name=name, points=points, resolution=resolution, inflation=inflation, pose=pose, entity=entity)
+
+    def without_robot(self, scene: SceneFacts, q: ArrayLike, margin: float | None = None) -> PointCloud:
+        """Return this cloud without points on the robot and the object in its gripper.
+
+        Args:
+            scene: Scene with the robot.
+            q: Configuration of the robot when the points were measured.
+            margin: Distance from the collision geometry up to which points are left out [m]. Default: as far as the
+                boxes of the remaining points reach, plus 1 cm for noise.
+
+        Raises:
+            ShapeError: If q does not fit the joints of the scene.
+            SettingError: If the margin is out of range.
+        """
+        if margin is None:
+            margin = float(np.sqrt(3.0)) * self.resolution + self.inflation + _NOISE
+        if not (is_real(margin) and 0.0 <= margin <= FARTHEST):
+            raise SettingError("margin", margin, f"a finite distance of at least 0 m, at most {FARTHEST:g}")
+        points = np.asarray(self.points)
+        at = finite_array("q", q, ndim=1, last=len(scene.joints))
+        return replace(self, points=points[~on_robot(scene, at, points, margin)])
 
     @property
     def boxes(self) -> tuple[Float[Array, "box 3"], Float[Array, "box 3"]]:

@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.exceptions import SceneError
+from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.scene.roles import rigid_pose
 from graceful_plan.scene.screening import load_spec
 from graceful_plan.scene.urdf.reading import UrdfJoint, UrdfRobot
+from graceful_plan.scene.urdf.srdf import Srdf
 
 TOOL = "graceful_plan_tool"
 """Name of the site with the frame of the tool's link."""
@@ -46,6 +47,30 @@ def composed(
     return spec
 
 
+def chosen_joints(
+    robot: UrdfRobot, srdf: Srdf, tool: str, joints: Sequence[str] | None, group: str | None
+) -> list[UrdfJoint]:
+    """Return the joints to plan: the given ones, those of a group, or those that move the tool.
+
+    Raises:
+        SettingError: If both joints and a group are given.
+        UnknownNameError: If there is no such link, joint or group.
+    """
+    robot.check_link(tool)
+    if joints is not None and group is not None:
+        raise SettingError("group", group, "one of joints and group")
+    if group is not None:
+        return srdf.joints(group, robot)
+    if joints is None:
+        return robot.chain(tool)
+    wanted = [name.removeprefix(f"{robot.name}/") for name in joints]
+    known = {joint.name: joint for joint in robot.joints if joint.is_movable}
+    for name in wanted:
+        if name not in known:
+            raise UnknownNameError("joint to plan", name, known)
+    return [known[name] for name in wanted]
+
+
 def velocities(chain: Sequence[UrdfJoint]) -> list[float]:
     """Return the velocity limits of planned joints [rad/s or m/s].
 
@@ -56,23 +81,3 @@ def velocities(chain: Sequence[UrdfJoint]) -> list[float]:
     if without:
         raise SceneError(f"no velocity limits in URDF: {', '.join(without)}; give velocity=[{len(chain)} numbers]")
     return [joint.velocity for joint in chain]
-
-
-def held_still(robot: UrdfRobot, chain: Sequence[UrdfJoint], position: float) -> dict[str, float]:
-    """Return positions of a gripper's joints: those in the subtree of the last planned joint.
-
-    Args:
-        robot: The robot.
-        chain: Planned joints.
-        position: Position of the joints that mimic no other joint [rad or m].
-    """
-    moving = [joint for joint in robot.joints if joint.kind != "fixed" and joint not in chain]
-    behind = {chain[-1].child} if chain else set()
-    for _ in robot.joints:
-        behind |= {joint.child for joint in robot.joints if joint.parent in behind}
-    fingers = [joint for joint in moving if joint.parent in behind]
-    found = {joint.name: position for joint in fingers if joint.mimic is None}
-    for joint in fingers:
-        if joint.mimic is not None and joint.mimic[0] in found:
-            found[joint.name] = joint.mimic[1] * found[joint.mimic[0]] + joint.mimic[2]
-    return {f"{robot.name}/{name}": value for name, value in found.items()}

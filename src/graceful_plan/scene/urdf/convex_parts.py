@@ -61,18 +61,19 @@ def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: 
     Raises:
         UnsupportedError: If `needed` and the library is missing.
     """
+    method = repr((_METHOD, _STICKS_OUT, _CONCAVITY, _MOST_PARTS, _LARGE, sorted(_SWIFT.items())))
+    digest = hashlib.sha256(method.encode() + triangles.tobytes()).hexdigest()
+    found = disk_cache.read(digest)
+    if found is not None and found.ndim == 2 and found.shape[1] == 4 and np.isfinite(found).all():
+        return _unpacked(found)
     surface, hull = _surface(triangles), _hull(triangles.reshape(-1, 3))
     if hull is None:
         return []
     spatial = importlib.import_module("scipy.spatial")
     sticks_out = float(spatial.KDTree(surface).query(_surface(_facets(hull)))[0].max())
     if sticks_out < _STICKS_OUT:
+        disk_cache.write(digest, np.zeros((0, 4)))
         return []
-    method = repr((_METHOD, _CONCAVITY, _MOST_PARTS, _LARGE, sorted(_SWIFT.items())))
-    digest = hashlib.sha256(method.encode() + triangles.tobytes()).hexdigest()
-    found = disk_cache.read(digest)
-    if found is not None and found.ndim == 2 and found.shape[1] == 4 and np.isfinite(found).all():
-        return _unpacked(found)
     try:
         coacd = importlib.import_module("coacd")
     except ImportError:

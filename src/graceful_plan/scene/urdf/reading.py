@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
@@ -55,6 +55,7 @@ class UrdfJoint:
     | parent   | link                                                 |                |
     | child    | link                                                 |                |
     | velocity | limit, infinite if not given                         | rad/s or m/s   |
+    | position | lower and upper limit; None if it has none           | rad or m       |
     | mimic    | joint to follow, factor and offset; or None          |                |
     """
 
@@ -63,7 +64,13 @@ class UrdfJoint:
     parent: str
     child: str
     velocity: float
+    position: tuple[float, float] | None
     mimic: tuple[str, float, float] | None
+
+    @property
+    def is_movable(self) -> bool:
+        """Whether it can be planned: a hinge or slide that mimics no other joint."""
+        return self.kind in _MOVING and self.mimic is None
 
 
 @final
@@ -75,6 +82,27 @@ class UrdfRobot:
     joints: tuple[UrdfJoint, ...]
     spec: mujoco.MjSpec
 
+    def movable(self, names: Collection[str]) -> list[UrdfJoint]:
+        """Return those of the named joints that can be planned, in the order of the model."""
+        known = {joint.name: joint for joint in self.joints if joint.is_movable}
+        order = [joint.name for joint in self.spec.joints]
+        return [known[name] for name in order if name in known and name in names]
+
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Lower and upper limit of each joint that has some, by its name in the URDF [rad or m]."""
+        return {joint.name: joint.position for joint in self.joints if joint.position is not None}
+
+    def check_link(self, link: str) -> None:
+        """Check that a link exists.
+
+        Raises:
+            UnknownNameError: If it does not.
+        """
+        links = {end for joint in self.joints for end in (joint.parent, joint.child)}
+        if link not in links:
+            raise UnknownNameError("link of the tool", link, links)
+
     def chain(self, link: str) -> list[UrdfJoint]:
         """Return the joints that move a link, from the root on.
 
@@ -82,10 +110,8 @@ class UrdfRobot:
             UnknownNameError: If there is no such link.
             UnsupportedError: If such a joint mimics another, or is of a type that is not planned.
         """
+        self.check_link(link)
         above = {joint.child: joint for joint in self.joints}
-        links = {joint.parent for joint in self.joints} | above.keys()
-        if link not in links:
-            raise UnknownNameError("link of the tool", link, links)
         found: list[UrdfJoint] = []
         while link in above:
             joint = above[link]
@@ -131,7 +157,7 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
         if weight > _MOST_OF_MESHES:
             raise SceneError(f"with the mesh {name[:200]!r} there are more than {_MOST_OF_MESHES} vertices and faces")
         found = _in_parts(content, ending, name, decompose)
-        stem = _ODD.sub("_", Path(name).stem)[:60]  # for errors of MuJoCo
+        stem = _ODD.sub("_", Path(name).stem)[:60]  # for messages about the mesh
         parts[name] = [f"mesh{k}_{i}_{stem}{ending}" for i, (_, ending) in enumerate(found)]
         assets |= zip(parts[name], (content for content, _ in found), strict=True)
     for link in root.iterfind("link"):
@@ -273,6 +299,9 @@ def _joint(element: ET.Element) -> UrdfJoint:
         parent=parent.get("link", ""),
         child=child.get("link", ""),
         velocity=velocity if velocity > 0.0 else np.inf,
+        position=None
+        if kind == "continuous" or limit is None
+        else (_number(limit, "lower", 0.0, name), _number(limit, "upper", 0.0, name)),
         mimic=follows,
     )
 
