@@ -42,7 +42,7 @@ def test_a_value_is_made_once_for_each_scene_and_key():
     values = [kept(one), kept(one, 1), kept(one, word="a"), kept(other)]
     assert [kept(one), kept(one, 1), kept(one, word="a"), kept(other)] == values
     assert len(set(values)) == len(calls) == 4
-    assert (kept.__name__, kept.__doc__) == ("kept", "Keep it.")
+    assert (kept.__name__, kept.__doc__) == ("kept", "Return the cached value.")
 
 
 def test_none_is_a_value_and_an_exception_is_not():

@@ -213,5 +213,10 @@ def _rest(motion: Trajectory, at: float) -> Trajectory:
 def _joined(motion: Trajectory, stop: Trajectory) -> Trajectory:
     """Return the motion up to the beginning of a stop, followed by the stop."""
     before = motion.t < stop.t[0] - 1e-9
-    parts = (np.concatenate([getattr(motion, x)[before], getattr(stop, x)]) for x in ("t", "q", "qd", "qdd"))
-    return Trajectory(*parts, motion.joints)
+    return Trajectory(
+        np.append(motion.t[before], stop.t),
+        np.vstack([motion.q[before], stop.q]),
+        np.vstack([motion.qd[before], stop.qd]),
+        np.vstack([motion.qdd[before], stop.qdd]),
+        motion.joints,
+    )
