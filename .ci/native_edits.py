@@ -144,7 +144,7 @@ EDITS = {
             ("«2.0 * k.leave_tilt * flight.tilt»", "0.0 * flight.tilt"),
             ("arrives *= «missed»", "(1.0 - missed)"),
             ("keep -= «caught»", "V{}"),
-            ("mass = «mass * keep + M»", "mass * keep + 0.5 * M"),
+            ("minimum(«mass * keep + M», V{} + 1.0)", "mass * keep + 0.5 * M"),
             ("const V M = «leaving * falls»", "leaving"),
             ("top = «landing.height + flight.high - flight.low»", "landing.height + flight.high"),
         ),
