@@ -297,7 +297,7 @@ class Scene(SceneFacts):
             allowed_contacts=(*touches.contacts, *disabled, *allowed_contacts),
             name=robot.name,
         )
-        states = scene.notes.states | told.others(robot, chain)
+        states = {**scene.notes.states, **told.others(robot, chain)}
         scene = replace(scene, notes=replace(scene.notes, states=states))
         return scene if state is None else scene.in_state(state)
 
