@@ -51,8 +51,8 @@ template <class V> static inline void hits_to_damage(const DropTables& drop, con
     if (any(P[e] > kNothing<V>)) P[e] *= EntityDamage<V>(damage, damage.entity[e], flight.low, v2).value;
 }
 
-// The expected severity of the hits P, and its derivative `open` with respect to each P; adds those by the energy of the
-// hits to `d_flight`.
+// The expected severity of the hits P, and its derivative `open` with respect to each P; adds those by the energy of
+// the hits to `d_flight`.
 template <class V>
 static inline V damage_impact(const DropTables& drop, const Flight<V>& flight, const double* severity, const V* P,
                               V* open, FlightSlope<V>& d_flight) {
