@@ -25,6 +25,7 @@ from graceful_plan.query.arguments import (
     checked_planner,
     checked_refine,
     checked_risk,
+    checked_scene,
     checked_seed,
     checked_speed,
     checked_start_tolerance,
@@ -123,7 +124,9 @@ def plan(
     Raises:
         GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside their range.
     """
-    chosen = driving_planner(checked_planner(planner), scene)  # imports what bases need, which takes 0.2 s
+    chosen = driving_planner(
+        checked_planner(planner), checked_scene(scene)
+    )  # imports what bases need, which takes 0.2 s
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
     bound = checked_objective(objective, w).bind(scene, search_paces(share))  # compiles the scene

@@ -74,6 +74,6 @@ HOLDS = 9.81 * (0.5 * 1.0 + 1.0 * 12.0)
 def lifter(torque, velocity=1.0, acceleration=0.1):
     """Make an arm with one joint that carries the brick."""
     return gp.Scene.from_mjcf(
-        LIFTER, robot="arm/", tool="arm/tip", carried="brick", torque=None if torque is None else [torque],
+        LIFTER, robot="arm/", tool="arm/tip", torque=None if torque is None else [torque],
         velocity=[velocity], acceleration=[acceleration],
-    )  # fmt: skip
+    ).attach("brick", X_TO=gp.FROM_ABOVE)  # fmt: skip

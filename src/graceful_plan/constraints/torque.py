@@ -23,7 +23,7 @@ from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.body.body import native_model
 from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.exceptions import RetimingError, SettingError, UnsupportedError
-from graceful_plan.path import is_real
+from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.scene.rules.rules import TorqueRule
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
@@ -53,6 +53,7 @@ class TorqueWithin(Constraint):
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:
+        plain_numbers(self)
         if not (is_real(self.share) and 0.0 < self.share <= 1.0):
             raise SettingError("share", self.share, "above 0 and at most 1")
 

@@ -34,9 +34,9 @@ def above_obstacles(seed, entity="glass"):
         x, y, a, b, h = *rng.uniform(-0.8, 0.8, 2), *rng.uniform(0.05, 1.5, 2), rng.uniform(0.02, 0.2)
         boxes += f'<body name="b{i}" pos="{x} {y} {h}"><geom type="box" size="{a} {b} {h}"/></body>'
     return gp.Scene.from_mjcf(
-        GANTRY.format(boxes=boxes), robot="arm/", tool="arm/tip", carried="cup", velocity=[1.0] * 4,
+        GANTRY.format(boxes=boxes), robot="arm/", tool="arm/tip", velocity=[1.0] * 4,
         acceleration=[5.0] * 4, entities={} if entity is None else {"b0": entity},
-    )  # fmt: skip
+    ).attach("cup", X_TO=gp.FROM_ABOVE)  # fmt: skip
 
 
 def states(scene, seed=0):

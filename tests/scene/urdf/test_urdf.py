@@ -134,12 +134,9 @@ def test_joints_without_limits_take_the_short_way_round(arm: gp.Scene, start: fl
     wanted = np.array([goal, 0.0, 0.1])
     result = gp.plan([start, 0.0, 0.1], wanted, arm, w=0.0, iterations=100)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
-    if start < 6.0:
-        assert result.trajectory.path.length == pytest.approx(way, abs=0.01)
+    assert result.trajectory.path.length == pytest.approx(way, abs=0.01)
     assert gp.verify(result.trajectory, arm, goal=wanted).checks["goal"].passed
     assert not gp.verify(result.trajectory, arm, goal=wanted + [0.0, 0.0, 0.05]).checks["goal"].passed
-    low, high = arm.limits.position[0]
-    assert np.all((result.trajectory.q[:, 0] >= low) & (result.trajectory.q[:, 0] <= high))
 
 
 def test_motions_are_planned_among_obstacles() -> None:
