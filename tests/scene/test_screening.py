@@ -517,3 +517,55 @@ def test_text_in_another_encoding_than_utf_8_is_refused(tmp_path):
     (tmp_path / "a.xml").write_bytes("<mujoco model='é'/>".encode("utf-16"))
     with pytest.raises(SceneError, match=r"a\.xml"):
         gp.Scene.from_mjcf(tmp_path / "a.xml", robot="arm/", tool="tool")
+
+
+_PAINTED = """<mujoco><compiler inertiagrouprange="{}"/>
+  <default><geom material="wood"/></default>
+  <asset><texture name="t" type="2d" file="{}"/><material name="wood" texture="t"/>
+    <mesh name="look" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>
+  <worldbody><site name="spot" material="wood"/><body name="cup"><freejoint/>
+    <geom name="wall" size=".05"/><geom name="skin" size=".1" group="1" contype="0" conaffinity="0"/>
+    <geom name="handle" type="mesh" mesh="look" group="1" contype="0" conaffinity="0"/>
+    <geom name="listed" size=".02" contype="0" conaffinity="0"/></body>
+    <body name="plate"><geom name="rim" size=".05"/></body></worldbody>
+  <contact><pair geom1="listed" geom2="rim"/></contact></mujoco>"""
+
+
+@pytest.mark.parametrize("door", ["file", "text", "spec"])
+def test_visuals_are_left_out_by_every_door(tmp_path, door):
+    text = _PAINTED.format("0 0", "/elsewhere/huge.png")
+    file = _write(tmp_path, "world.xml", text)
+    source = {"file": file, "text": text, "spec": mujoco.MjSpec.from_string(text)}[door]
+    model = compile_spec(load_spec(source, visuals=False))
+    names = {model.geom(k).name for k in range(model.ngeom)}
+    assert names == {"wall", "listed", "rim"}
+    assert (model.ntex, model.nmat, model.nmesh) == (0, 0, 0)
+    with pytest.raises(SceneError):
+        compile_spec(load_spec(source))
+
+
+def test_bodies_weigh_the_same_without_visuals():
+    text = re.sub("<texture.*?/>", '<texture name="t" type="2d" builtin="flat" width="4" height="4"/>', _PAINTED)
+    for counted in ("0 0", "0 5"):
+        seen, unseen = (compile_spec(load_spec(text.format(counted), visuals=look)) for look in (True, False))
+        cup = seen.body("cup").id
+        np.testing.assert_allclose(unseen.body_mass[cup], seen.body_mass[cup], rtol=1e-9)
+        np.testing.assert_allclose(unseen.body_inertia[cup], seen.body_inertia[cup], rtol=1e-9)
+
+
+def test_textures_beyond_the_budget_do_not_matter_without_visuals(tmp_path):
+    (tmp_path / "huge.png").write_bytes(_png(20_000, 20_000))
+    file = _write(tmp_path, "world.xml", _PAINTED.format("0 0", "huge.png"))
+    assert "visuals=False" in _refusal(file).message
+    assert compile_spec(load_spec(file, visuals=False)).ngeom == 3
+    drawn = "".join(f'<texture name="t{k}" builtin="flat" width="4096"/>' for k in range(40))
+    assert compile_spec(load_spec(f"<mujoco><asset>{drawn}</asset></mujoco>", visuals=False)).ntex == 0
+
+
+def test_meshes_that_do_not_collide_are_screened_all_the_same(tmp_path):
+    """Their inertia may be needed, so that MuJoCo reads them."""
+    (tmp_path / "fine.obj").write_bytes(b"v 0 0 0" + b"\nv 0 0 0" * 1_000_000 + b"\nf 1 2 3")
+    text = """<mujoco><asset><mesh name="m" file="fine.obj"/></asset><worldbody><body>
+      <geom type="mesh" mesh="m" contype="0" conaffinity="0"/></body></worldbody></mujoco>"""
+    with pytest.raises(SceneError, match=r"fine\.obj"):
+        load_spec(_write(tmp_path, "world.xml", text), visuals=False)

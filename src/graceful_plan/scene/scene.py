@@ -112,6 +112,7 @@ class Scene(SceneFacts):
         self_collision: str = "model",
         convex: str | None = None,
         folder: str | Path | None = None,
+        visuals: bool = True,
         body_class: str = "arm_collapse",
         base: DiffDrive | None = None,
         name: str | None = None,
@@ -153,6 +154,8 @@ class Scene(SceneFacts):
                 `coacd` is installed, else hulls, with a warning that names them.
             folder: Folder that contains all files of the model, for models whose `meshdir` leads out of their own
                 folder.
+            visuals: Whether to keep textures, materials and geoms that do not collide. Without them, scenes load
+                faster, bodies keep their mass, and the files of textures are neither checked nor read.
             body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
             base: Drive of a mobile base. Default: the model's custom numerics and texts "<robot>drive/FIELD". Without
                 it, planar joints move in all directions.
@@ -165,7 +168,7 @@ class Scene(SceneFacts):
                 `convex` is "parts" and `coacd` is missing.
             UnknownNameError: If a body, site, joint or class does not exist.
         """
-        spec = load_spec(source, folder)
+        spec = load_spec(source, folder, visuals=visuals)
         add_tool(spec, tool)
         divide_surroundings(spec, robot, convex)
         overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts, joints)

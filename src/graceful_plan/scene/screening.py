@@ -20,7 +20,7 @@ import mujoco
 
 from graceful_plan.exceptions import READ_ERRORS, SceneError, SettingError, TooLargeError, read_error_reason
 from graceful_plan.regular_file import path_of, read_content
-from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, DecompressionError, asset_budget, check_png
+from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, PIXELS, DecompressionError, asset_budget, check_png
 
 MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000
@@ -35,7 +35,7 @@ MAX_CONTACTS = 1_000_000
 MAX_EXTENT = 1e4
 """Largest coordinate or size [m]: the kernels' single precision resolves half a millimetre there."""
 BUDGETS = {
-    "pixels of textures": 4 * 4096**2,
+    PIXELS: 4 * 4096**2,
     "cells of height fields": 4096**2,
     "numbers in <numeric> and <tuple>": 1_000_000,
     "user-defined numbers": 10_000_000,
@@ -67,12 +67,16 @@ _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _BAD_NUMBER = re.compile(r"(?i)^[+-]?(nan|inf|infinity)(\(.*\))?$")
 
 
-def load_spec(source: str | Path | mujoco.MjSpec, folder: str | Path | None = None) -> mujoco.MjSpec:
+def load_spec(
+    source: str | Path | mujoco.MjSpec, folder: str | Path | None = None, *, visuals: bool = True
+) -> mujoco.MjSpec:
     """Load a model from a file or from text that starts with "<", or copy a MjSpec.
 
     Args:
         source: MJCF file, MJCF text or a MjSpec.
         folder: Folder that must contain all files of the model; by default the folder of the model's file.
+        visuals: Whether to keep textures, materials and geoms that do not collide. Without them, bodies keep their mass
+            and inertia, and the files of textures are never opened.
 
     Raises:
         SceneError: If the model is broken or hostile, with file and line.
@@ -81,15 +85,25 @@ def load_spec(source: str | Path | mujoco.MjSpec, folder: str | Path | None = No
     if not isinstance(source, str | Path | mujoco.MjSpec):
         raise SettingError("source", source, "MJCF, the name of a file of it, or a MjSpec")
     if not isinstance(source, str | Path):
-        return source.copy()
+        return _kept(source.copy(), visuals)
     if isinstance(source, str) and source.lstrip().startswith("<"):
-        _Screen(None).text(source)
-        return _parsed(source, None)
+        _Screen(None, visuals=visuals).text(source)
+        return _kept(_parsed(source, None), visuals)
     file = path_of(source)
     if file.suffix.lower() == ".mjb":
         raise SceneError("binary models cannot be screened; give the MJCF", file=str(file))
-    _Screen(_root(file, folder), up=folder is not None).model(file)
-    return _parsed(None, file)
+    _Screen(_root(file, folder), up=folder is not None, visuals=visuals).model(file)
+    return _kept(_parsed(None, file), visuals)
+
+
+def _kept(spec: mujoco.MjSpec, visuals: bool) -> mujoco.MjSpec:
+    """Return a model, without its visual elements unless they are kept."""
+    if not visuals:
+        try:
+            spec.discard_visual()
+        except (ValueError, RuntimeError) as error:
+            raise _translated(error, None) from None
+    return spec
 
 
 def _root(file: Path, folder: str | Path | None) -> Path:
@@ -155,6 +169,8 @@ class _Screen:
     root: Path | None
     up: bool = False
     """Whether absolute paths and ".." may lead from one folder below the root to another."""
+    visuals: bool = True
+    """Whether textures are kept; otherwise their files and sizes do not matter."""
     elements: int = 0
     users: int = 0
     """Number of user-defined values that each element may have."""
@@ -187,7 +203,10 @@ class _Screen:
     def spend(self, what: str, amount: int | float) -> str | None:
         """Count an amount against a budget; return a message if the budget is exceeded."""
         self.spent[what] += amount
-        return None if self.spent[what] <= BUDGETS[what] else f"more than {BUDGETS[what]} {what} in all"
+        if self.spent[what] <= BUDGETS[what]:
+            return None
+        hint = "; Scene.from_mjcf(..., visuals=False) ignores textures" if what == PIXELS else ""
+        return f"more than {BUDGETS[what]} {what} in all{hint}"
 
     def model(self, file: Path) -> None:
         """Screen a file, its includes and its assets."""
@@ -341,9 +360,11 @@ class _XmlReader:
         def number(key: str) -> int:
             return self.count(key, attributes.get(key, "0"))
 
+        if tag == "texture" and not self.screen.visuals:
+            return []
         if tag == "texture" and "builtin" in attributes:
             sides = 1 if attributes.get("type") == "2d" else 6
-            return [("pixels of textures", sides * number("width") * max(number("height"), number("width")))]
+            return [(PIXELS, sides * number("width") * max(number("height"), number("width")))]
         if tag == "hfield":
             return [("cells of height fields", number("nrow") * number("ncol"))]
         if tag in ("numeric", "tuple"):
@@ -362,7 +383,8 @@ class _XmlReader:
         if key in _COUNTS or (tag == "numeric" and key == "size"):
             self.count(key, value)
         elif key.startswith("file") and tag != "include":
-            self.asset(tag, value)
+            if tag != "texture" or self.screen.visuals:
+                self.asset(tag, value)
         elif key in _FOLDERS:
             if self.screen.found(".", [value]) is None:
                 self.refuse(f"{key}={value!r} is outside of the folder of the scene{self.screen.hint}")

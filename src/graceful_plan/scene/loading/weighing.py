@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+PIXELS = "pixels of textures"
+"""Budget of a model that textures count towards."""
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PACKED_TEXTS = (b"zTXt", b"iTXt", b"iCCP")
 _MOST_TEXTS = 8
@@ -46,7 +48,7 @@ def asset_budget(tag: str, content: bytes, suffix: str) -> tuple[str, int | floa
     """
     if tag in ("texture", "hfield"):
         pixels = _png_pixels(content) if content.startswith(_SIGNATURE) else len(content)
-        return "pixels of textures" if tag == "texture" else "cells of height fields", pixels
+        return PIXELS if tag == "texture" else "cells of height fields", pixels
     if tag != "mesh":
         return None
     return "vertices and faces of meshes", mesh_weight(content, suffix)
