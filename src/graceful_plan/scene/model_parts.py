@@ -162,7 +162,7 @@ _FINITE_FIELDS: Mapping[mujoco.mjtObj | None, tuple[str, ...]] = {
 
 
 def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
-    """Return the robot's bodies: the subtree of the body of this name, else all bodies whose names start with it.
+    """Return the robot's bodies: the body of this name, else all bodies whose names start with it, with their subtrees.
 
     Raises:
         UnknownNameError: If there is no such body.
@@ -176,7 +176,7 @@ def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
         prefixes = {name.partition("/")[0] + "/" for name in every if "/" in name}
         roots = {every[b] for b in range(1, model.nbody) if model.body_parentid[b] == 0}
         raise UnknownNameError("robot prefix or root body", robot, prefixes | roots)
-    return found
+    return frozenset().union(*(subtree(model, body) for body in found))  # grippers may have another prefix
 
 
 def add_tool(spec: mujoco.MjSpec, tool: str) -> None:

@@ -88,6 +88,7 @@ def _fingers(
         driven = behind.values() - followers(model).keys() - passive_joints(model, planned)
         if behind and not driven:
             raise SettingError("fingers", fingers, f"positions by joint name, as none leads: {', '.join(behind)}")
+        _check_shared(model, {name: j for name, j in behind.items() if j in driven}, fingers)
         fingers = {name: fingers for name, j in behind.items() if j in driven}
     for name in fingers:
         if name not in held:
@@ -95,8 +96,26 @@ def _fingers(
     return {held[name]: _inside(model, held[name], position) for name, position in fingers.items()}
 
 
+def _check_shared(model: mujoco.MjModel, joints: Mapping[str, int], position: float) -> None:
+    """Check that one position suits all fingers; those of mirrored grippers have opposite signs.
+
+    Raises:
+        SettingError: If it does not; the message has positions by name that do.
+    """
+    ranges = {name: _limits(model, j) for name, j in joints.items()}
+    if not is_real(position) or all(lower - _SLACK <= position <= upper + _SLACK for lower, upper in ranges.values()):
+        return
+    mirrored = {name: -position if lower <= -position <= upper else position for name, (lower, upper) in ranges.items()}
+    if len(joints) > 1 and all(ranges[name][0] <= value <= ranges[name][1] for name, value in mirrored.items()):
+        raise SettingError("fingers", position, f"positions by joint name, such as fingers={mirrored}")
+
+
+def _limits(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    return joint_range(model, joint) if model.jnt_limited[joint] else (-np.inf, np.inf)
+
+
 def _inside(model: mujoco.MjModel, joint: int, position: object) -> float:
-    lower, upper = joint_range(model, joint) if model.jnt_limited[joint] else (-np.inf, np.inf)
+    lower, upper = _limits(model, joint)
     if not is_real(position) or not lower - _SLACK <= position <= upper + _SLACK or not np.isfinite(position):
         raise SettingError(f"position of {model.joint(joint).name}", position, f"between {lower:g} and {upper:g}")
     return float(position)

@@ -122,7 +122,8 @@ class Scene(SceneFacts):
         Args:
             source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first, and may
                 refer only to files in their own folder and below, or in `folder`; a MjSpec is trusted.
-            robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
+            robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body. Bodies below these are
+                parts of the robot, whatever their names.
             tool: Name of a site that serves as the tool, or of a body whose frame does.
             carried: Body in the gripper, if any; `at`, `X_TO` and `contents` as in `attach`.
             at: Configuration in which the gripper holds the carried body where it is.
