@@ -132,3 +132,44 @@ def test_no_point_of_either_arm_moves_farther_than_a_step() -> None:
     bound = certified_clearance(path, compile_scene(scene).proof)
     exact = compile_scene(scene).kernels.clearance(np.linspace(*path.q, 2000)).min()
     assert bound.bound <= exact + 1e-6
+
+
+_TWO_PREFIXES = """<mujoco><compiler angle="radian"/><worldbody>
+  <body name="robot0_base"><geom size=".05"/>
+    <body name="robot0_hand" pos="0 0 .5"><joint name="turn" axis="0 1 0" range="-2 2"/>
+      <geom type="capsule" fromto="0 0 0 0 0 .4" size=".04"/>
+      <body name="gripper0_palm" pos="0 0 .5"><site name="gripper0_grip" pos="0 0 .15"/><geom size=".03"/>
+        <body name="gripper0_left" pos="0 .02 .1"><joint name="left" type="slide" axis="0 1 0" range="0 .04"/>
+          <geom size=".01"/></body>
+        <body name="gripper0_right" pos="0 -.02 .1"><joint name="right" type="slide" axis="0 1 0" range="-.04 0"/>
+          <geom size=".01"/></body></body></body></body>
+  <body name="cup" pos="1 0 .5"><freejoint/><geom size=".03"/></body></worldbody></mujoco>"""
+"""A gripper whose bodies have another prefix than the arm's, with fingers that mirror each other."""
+
+
+def _two_prefixes(**given):
+    options = {"robot": "robot0_", "tool": "gripper0_grip", "velocity": [1.0], "acceleration": [5.0]}
+    return gp.Scene.from_mjcf(_TWO_PREFIXES, **(options | given))
+
+
+@pytest.mark.parametrize("robot", ["robot0_", "robot0_base"])
+def test_a_gripper_with_another_prefix_is_part_of_the_robot(robot):
+    scene = _two_prefixes(robot=robot)
+    assert {scene.model.body(b).name for b in scene.robot_bodies} == {
+        "robot0_base",
+        "robot0_hand",
+        "gripper0_palm",
+        "gripper0_left",
+        "gripper0_right",
+    }
+    assert scene.joints == ("turn",)
+
+
+def test_mirrored_fingers_are_told_by_name():
+    with pytest.raises(SettingError, match="fingers={'left': 0.03, 'right': -0.03}"):
+        _two_prefixes(fingers=0.03)
+    with pytest.raises(SettingError, match=r"position of left = 0\.05"):
+        _two_prefixes(fingers=0.05)
+    scene = _two_prefixes(fingers={"left": 0.03, "right": -0.03})
+    assert scene.home_qpos[1:3].tolist() == [0.03, -0.03]
+    assert _two_prefixes(fingers=0.0).home_qpos[1:3].tolist() == [0.0, 0.0]
