@@ -33,6 +33,7 @@ from graceful_plan.scene.loading.self_contacts import (
     MAX_OVERLAP_FRACTION,
     link_contacts,
     touching,
+    warn_of_overlapping_links,
     warn_of_untested_links,
 )
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
@@ -203,6 +204,9 @@ class Scene(SceneFacts):
         warn_of_untested_links(scene.model, scene.robot_bodies, robot)
         if state is not None:
             scene = scene.in_state(state)
+        warn_of_overlapping_links(
+            scene.model, scene.home_qpos, scene.robot_bodies, scene.joint_ids, scene.collision_pairs()
+        )
         scene = scene if carried is None else scene.attach(carried, at=at, X_TO=X_TO, contents=contents)
         warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
         warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)

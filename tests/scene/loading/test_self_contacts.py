@@ -84,3 +84,40 @@ def test_kinds_are_two_and_a_bit_is_needed() -> None:
     full = _arm(f'contype="{2**31 - 1}" conaffinity="0"')
     with pytest.raises(UnsupportedError, match="contype"):
         _scene(full, self_collision="links")
+
+
+_LINKAGE = """<mujoco><compiler angle="radian"/><worldbody>
+  <body name="a"><joint name="turn" axis="0 1 0" range="-2 2"/><geom type="capsule" size=".04" fromto="0 0 0 0 0 .3"/>
+    <body name="palm" pos="0 0 .4"><site name="tip" pos="0 0 .2"/><geom size=".05"/>
+      <body name="knuckle" pos="0 .06 .05"><joint name="k" axis="1 0 0" range="-1 1"/><geom size=".02"/></body>
+      <body name="finger" pos="0 .06 .07"><joint name="f" axis="1 0 0" range="-1 1"/><geom size=".02"/>
+        <body name="nail" pos="0 0 .01"><geom size=".02"/></body></body></body></body>
+  </worldbody></mujoco>"""
+"""The knuckle and the finger are siblings that overlap, so the filters of the model test them."""
+
+
+def _linkage(**given):
+    return gp.Scene.from_mjcf(
+        _LINKAGE, robot="a", tool="tip", velocity=[1.0], acceleration=[3.0], **({"self_collision": "model"} | given)
+    )
+
+
+def test_links_that_always_overlap_are_told_with_the_line_to_paste(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "graceful_plan"):
+        scene = _linkage()
+    assert "allowed_contacts=[gp.AllowedContact('knuckle', 'finger')]" in caplog.text
+    assert not exactly_free(np.array([[0.0]]), scene).any()
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, "graceful_plan"):
+        pasted = _linkage(allowed_contacts=[gp.AllowedContact("knuckle", "finger")])
+        links = _linkage(self_collision="links")
+    assert "overlap in nearly" not in caplog.text
+    for scene in (pasted, links):
+        assert exactly_free(np.array([[0.0], [1.0]]), scene).all()
+
+
+def test_links_that_overlap_only_in_the_state_at_loading_are_not_told(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "graceful_plan"):
+        scene = _scene(_arm("").replace('pos="0 0 .4">', 'pos="0 0 .15">'))
+    assert not exactly_free(np.array([[0.0, 0.0, 0.0]]), scene).any()
+    assert "overlap in nearly" not in caplog.text

@@ -1,4 +1,4 @@
-"""Detect links that overlap in nearly all configurations, and warn if a model's filters disable self-collision."""
+"""Detect links that overlap in nearly all configurations, and warn of filters that test these, or no links at all."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import final
 import mujoco
 import numpy as np
 
+from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SceneError, SettingError, UnsupportedError
 from graceful_plan.scene.contacts import tested_pairs, unchecked_links
 from graceful_plan.scene.elements import AllowedContact
@@ -87,7 +88,7 @@ def touching(
         if model.body_jntnum[body] and (parent := int(model.body_parentid[body])) in bodies
     }
     planned = planned_joints(model, tool_body(model, tool, bodies), bodies, joints)
-    touched = _touched(model, group, planned)
+    touched = _touched(model, model.qpos0, group, planned)
     count = Counter(pair for depths in touched for pair in depths)
     reasons = dict.fromkeys((pair for pair, found in count.items() if found >= _ALWAYS * _SAMPLES), "overlap")
     reasons |= dict.fromkeys(pairs, "adjacent")
@@ -167,6 +168,38 @@ def warn_of_untested_links(model: mujoco.MjModel, robot: frozenset[int], name: s
         )
 
 
+def warn_of_overlapping_links(
+    model: mujoco.MjModel,
+    qpos: Float[Array, " model_nq"],
+    robot: frozenset[int],
+    joints: Sequence[int],
+    pairs: Int[Array, "pair 2"],
+) -> None:
+    """Log a warning of links that may not touch, but overlap in nearly all configurations: no start would be free.
+
+    Args:
+        model: The model.
+        qpos: State of the whole model. If no links overlap in it, no others are sampled.
+        robot: Bodies of the robot.
+        joints: Planned joints.
+        pairs: Pairs of geoms that may not touch.
+    """
+    group = {body: _rigid_root(model, body, robot) for body in robot}
+    ends = [(group[a], group[b]) for a, b in model.geom_bodyid[pairs].tolist() if a in group and b in group]
+    apart = {(min(pair), max(pair)) for pair in ends}
+    if not apart & _overlaps(model, mujoco.MjData(model), qpos, group).keys():
+        return
+    count = Counter(pair for depths in _touched(model, qpos, group, joints) for pair in depths)
+    always = sorted(pair for pair in apart if count[pair] >= _ALWAYS * _SAMPLES)
+    if always:
+        told = ", ".join(f"gp.AllowedContact{tuple(names(model, _OBJ.mjOBJ_BODY, pair))}" for pair in always)
+        _LOG.warning(
+            "links that may not touch overlap in nearly all configurations; to allow them, pass allowed_contacts=[%s], "
+            "or self_collision='links', which allows such pairs",
+            told,
+        )
+
+
 def _mover(model: mujoco.MjModel, body: int, planned: Sequence[int]) -> int:
     """Return the last planned joint that moves a body; -1 if none does."""
     while body > 0:
@@ -186,24 +219,33 @@ def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:
 
 
 def _touched(
-    model: mujoco.MjModel, group: Mapping[int, int], joints: Sequence[int]
+    model: mujoco.MjModel, qpos: Float[Array, " model_nq"], group: Mapping[int, int], joints: Sequence[int]
 ) -> list[dict[tuple[int, int], float]]:
     """Return the pairs of links that touch in each of the sampled configurations, with the depth of the overlap [m]."""
-    data, rng, touched = mujoco.MjData(model), np.random.default_rng(0), list[dict[tuple[int, int], float]]()
+    sampled, rng, touched = np.array(qpos), np.random.default_rng(0), list[dict[tuple[int, int], float]]()
+    data = mujoco.MjData(model)
     for _ in range(_SAMPLES):
         for joint in joints:
-            data.qpos[model.jnt_qposadr[joint]] = rng.uniform(*_range(model, joint))
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        overlap = data.contact.dist < 0.0
-        bodies = model.geom_bodyid[data.contact.geom[overlap]].tolist()
-        depths: dict[tuple[int, int], float] = {}
-        for (a, b), dist in zip(bodies, data.contact.dist[overlap].tolist(), strict=True):
-            if a in group and b in group:
-                pair = min(group[a], group[b]), max(group[a], group[b])
-                depths[pair] = max(depths.get(pair, 0.0), -dist)
-        touched.append(depths)
+            sampled[model.jnt_qposadr[joint]] = rng.uniform(*_range(model, joint))
+        touched.append(_overlaps(model, data, sampled, group))
     return touched
+
+
+def _overlaps(
+    model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[Array, " model_nq"], group: Mapping[int, int]
+) -> dict[tuple[int, int], float]:
+    """Return the pairs of links that touch in a state of the model, with the depth of the overlap [m]."""
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_collision(model, data)
+    overlap = data.contact.dist < 0.0
+    bodies = model.geom_bodyid[data.contact.geom[overlap]].tolist()
+    depths: dict[tuple[int, int], float] = {}
+    for (a, b), dist in zip(bodies, data.contact.dist[overlap].tolist(), strict=True):
+        if a in group and b in group:
+            pair = min(group[a], group[b]), max(group[a], group[b])
+            depths[pair] = max(depths.get(pair, 0.0), -dist)
+    return depths
 
 
 def _range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
