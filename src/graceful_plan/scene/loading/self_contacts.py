@@ -194,8 +194,8 @@ def warn_of_overlapping_links(
     if always:
         told = ", ".join(f"gp.AllowedContact{tuple(names(model, _OBJ.mjOBJ_BODY, pair))}" for pair in always)
         _LOG.warning(
-            "links that may not touch overlap in nearly all configurations; to allow them, pass allowed_contacts=[%s], "
-            "or self_collision='links', which allows such pairs",
+            "links that may not touch overlap in nearly all configurations: move the fingers (fingers=, state=), allow "
+            "the contacts (allowed_contacts=[%s]), or pass self_collision='links', which allows such pairs",
             told,
         )
 
