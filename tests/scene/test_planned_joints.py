@@ -166,7 +166,7 @@ def test_a_gripper_with_another_prefix_is_part_of_the_robot(robot):
 
 
 def test_mirrored_fingers_are_told_by_name():
-    with pytest.raises(SettingError, match="fingers={'left': 0.03, 'right': -0.03}"):
+    with pytest.raises(SettingError, match=r"fingers=\{'left': 0\.03, 'right': -0\.03\}"):
         _two_prefixes(fingers=0.03)
     with pytest.raises(SettingError, match=r"position of left = 0\.05"):
         _two_prefixes(fingers=0.05)

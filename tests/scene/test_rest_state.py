@@ -171,3 +171,22 @@ def test_mocap_bodies_of_a_keyframe_are_compared(caplog: pytest.LogCaptureFixtur
 def test_fingers_are_finite() -> None:
     with pytest.raises(SettingError, match="position of r/jaw"):
         _scene(fingers=float("nan"))
+
+
+def test_states_of_a_simulation_may_leave_soft_equalities_open(caplog: pytest.LogCaptureFixture) -> None:
+    """A finger on an object: its two joints are tied, but the tie gives way."""
+    text = """<mujoco><compiler angle="radian"/><worldbody>
+      <body name="r"><joint name="turn" axis="0 0 1" range="-2 2"/><geom size=".05"/><site name="tip" pos=".3 0 0"/>
+        <body name="near" pos=".2 0 0"><joint name="near" axis="0 1 0" range="0 2"/><geom size=".02"/>
+          <body name="far" pos=".1 0 0"><joint name="far" axis="0 1 0" range="0 2"/><geom size=".02"/></body>
+        </body></body></worldbody>
+      <tendon><fixed name="tie"><joint joint="near" coef="1"/><joint joint="far" coef="-1"/></fixed></tendon>
+      <equality><tendon tendon1="tie"/></equality>
+      <actuator><position joint="near"/></actuator>
+      <keyframe><key name="settled" qpos="0 .7 .1"/></keyframe></mujoco>"""
+    scene = gp.Scene.from_mjcf(text, robot="r", tool="tip", velocity=[1.0], acceleration=[5.0], state="settled")
+    assert scene.home_qpos.tolist() == [0.0, 0.7, 0.1]
+    assert "stay open by 0.6" in caplog.text
+    np.testing.assert_allclose(scene.with_state({"near": 0.4, "far": 0.4}).home_qpos, [0.0, 0.4, 0.4])
+    closed = gp.Scene.from_mjcf(text, robot="r", tool="tip", velocity=[1.0], acceleration=[5.0], state={"near": 0.7})
+    np.testing.assert_allclose(closed.home_qpos, [0.0, 0.7, 0.7], atol=1e-6)

@@ -115,7 +115,8 @@ def follow(
         planned: Planned joints, which stay.
 
     Raises:
-        SettingError: If given positions contradict an equality, or leave a chain open.
+        SettingError: If given positions contradict an equality, or leave a chain open although some of its passive
+            joints are not given. If all are given, as in states of a simulation, an open chain is a warning.
     """
     if not model.neq:
         return _with(model, qpos, given)
