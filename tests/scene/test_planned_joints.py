@@ -147,14 +147,15 @@ _TWO_PREFIXES = """<mujoco><compiler angle="radian"/><worldbody>
 """A gripper whose bodies have another prefix than the arm's, with fingers that mirror each other."""
 
 
-def _two_prefixes(**given):
-    options = {"robot": "robot0_", "tool": "gripper0_grip", "velocity": [1.0], "acceleration": [5.0]}
-    return gp.Scene.from_mjcf(_TWO_PREFIXES, **(options | given))
+def _two_prefixes(robot: str = "robot0_", fingers: float | dict[str, float] | None = None) -> gp.Scene:
+    return gp.Scene.from_mjcf(
+        _TWO_PREFIXES, robot=robot, tool="gripper0_grip", velocity=[1.0], acceleration=[5.0], fingers=fingers
+    )
 
 
 @pytest.mark.parametrize("robot", ["robot0_", "robot0_base"])
-def test_a_gripper_with_another_prefix_is_part_of_the_robot(robot):
-    scene = _two_prefixes(robot=robot)
+def test_a_gripper_with_another_prefix_is_part_of_the_robot(robot: str) -> None:
+    scene = _two_prefixes(robot)
     assert {scene.model.body(b).name for b in scene.robot_bodies} == {
         "robot0_base",
         "robot0_hand",
@@ -165,7 +166,7 @@ def test_a_gripper_with_another_prefix_is_part_of_the_robot(robot):
     assert scene.joints == ("turn",)
 
 
-def test_mirrored_fingers_are_told_by_name():
+def test_mirrored_fingers_are_told_by_name() -> None:
     with pytest.raises(SettingError, match=r"fingers=\{'left': 0\.03, 'right': -0\.03\}"):
         _two_prefixes(fingers=0.03)
     with pytest.raises(SettingError, match=r"position of left = 0\.05"):

@@ -532,7 +532,7 @@ _PAINTED = """<mujoco><compiler inertiagrouprange="{}"/>
 
 
 @pytest.mark.parametrize("door", ["file", "text", "spec"])
-def test_visuals_are_left_out_by_every_door(tmp_path, door):
+def test_visuals_are_left_out_by_every_door(tmp_path: Path, door: str) -> None:
     text = _PAINTED.format("0 0", "/elsewhere/huge.png")
     file = _write(tmp_path, "world.xml", text)
     source = {"file": file, "text": text, "spec": mujoco.MjSpec.from_string(text)}[door]
@@ -544,7 +544,7 @@ def test_visuals_are_left_out_by_every_door(tmp_path, door):
         compile_spec(load_spec(source))
 
 
-def test_bodies_weigh_the_same_without_visuals():
+def test_bodies_weigh_the_same_without_visuals() -> None:
     text = re.sub("<texture.*?/>", '<texture name="t" type="2d" builtin="flat" width="4" height="4"/>', _PAINTED)
     for counted in ("0 0", "0 5"):
         seen, unseen = (compile_spec(load_spec(text.format(counted), visuals=look)) for look in (True, False))
@@ -553,7 +553,7 @@ def test_bodies_weigh_the_same_without_visuals():
         np.testing.assert_allclose(unseen.body_inertia[cup], seen.body_inertia[cup], rtol=1e-9)
 
 
-def test_textures_beyond_the_budget_do_not_matter_without_visuals(tmp_path):
+def test_textures_beyond_the_budget_do_not_matter_without_visuals(tmp_path: Path) -> None:
     (tmp_path / "huge.png").write_bytes(_png(20_000, 20_000))
     file = _write(tmp_path, "world.xml", _PAINTED.format("0 0", "huge.png"))
     assert "visuals=False" in _refusal(file).message
@@ -562,7 +562,7 @@ def test_textures_beyond_the_budget_do_not_matter_without_visuals(tmp_path):
     assert compile_spec(load_spec(f"<mujoco><asset>{drawn}</asset></mujoco>", visuals=False)).ntex == 0
 
 
-def test_meshes_that_do_not_collide_are_screened_all_the_same(tmp_path):
+def test_meshes_that_do_not_collide_are_screened_all_the_same(tmp_path: Path) -> None:
     """Their inertia may be needed, so that MuJoCo reads them."""
     (tmp_path / "fine.obj").write_bytes(b"v 0 0 0" + b"\nv 0 0 0" * 1_000_000 + b"\nf 1 2 3")
     text = """<mujoco><asset><mesh name="m" file="fine.obj"/></asset><worldbody><body>

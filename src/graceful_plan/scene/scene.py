@@ -156,8 +156,9 @@ class Scene(SceneFacts):
                 `coacd` is installed, else hulls, with a warning that names them.
             folder: Folder that contains all files of the model, for models whose `meshdir` leads out of their own
                 folder.
-            visuals: Whether to keep textures, materials and geoms that do not collide. Without them, scenes load
-                faster, bodies keep their mass, and the files of textures are neither checked nor read.
+            visuals: Whether to keep textures, materials and geoms that do not collide, also those that show contents.
+                Without them, scenes load faster, bodies keep their mass, and the files of textures are neither checked
+                nor read.
             body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
             base: Drive of a mobile base. Default: the model's custom numerics and texts "<robot>drive/FIELD". Without
                 it, planar joints move in all directions.

@@ -96,9 +96,15 @@ _LINKAGE = """<mujoco><compiler angle="radian"/><worldbody>
 """The knuckle and the finger are siblings that overlap, so the filters of the model test them."""
 
 
-def _linkage(**given):
+def _linkage(self_collision: str = "model", allowed_contacts: tuple[gp.AllowedContact, ...] = ()) -> gp.Scene:
     return gp.Scene.from_mjcf(
-        _LINKAGE, robot="a", tool="tip", velocity=[1.0], acceleration=[3.0], **({"self_collision": "model"} | given)
+        _LINKAGE,
+        robot="a",
+        tool="tip",
+        velocity=[1.0],
+        acceleration=[3.0],
+        self_collision=self_collision,
+        allowed_contacts=allowed_contacts,
     )
 
 
@@ -109,7 +115,7 @@ def test_links_that_always_overlap_are_told_with_the_line_to_paste(caplog: pytes
     assert not exactly_free(np.array([[0.0]]), scene).any()
     caplog.clear()
     with caplog.at_level(logging.WARNING, "graceful_plan"):
-        pasted = _linkage(allowed_contacts=[gp.AllowedContact("knuckle", "finger")])
+        pasted = _linkage(allowed_contacts=(gp.AllowedContact("knuckle", "finger"),))
         links = _linkage(self_collision="links")
     assert "overlap in nearly" not in caplog.text
     for scene in (pasted, links):
