@@ -451,6 +451,8 @@ class Scene(SceneFacts):
     def detach(self) -> Scene:
         """Return this scene with an empty gripper; the object is back at its initial pose.
 
+        `with_state({body: X_WO})` moves it to where it was put down.
+
         Raises:
             SceneError: If the gripper is empty.
         """

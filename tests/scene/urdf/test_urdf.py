@@ -367,3 +367,18 @@ def test_a_mimic_joint_of_a_planned_joint_is_refused() -> None:
     text = ARM.replace('mimic joint="grip"', 'mimic joint="reach"')
     with pytest.raises(UnsupportedError, match=r"joint equality .*of arm/grip_too and arm/reach"):
         gp.Scene.from_urdf(text, tool="tip", acceleration=4.0)
+
+
+def test_limits_that_contradict_each_other_are_refused_and_missing_ones_named(caplog: pytest.LogCaptureFixture) -> None:
+    def arm(limit: str) -> str:
+        geometry = '<collision><geometry><box size=".1 .1 .1"/></geometry></collision>'
+        mass = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
+        links = "".join(f'<link name="{name}">{mass}{geometry}</link>' for name in ("base", "tip"))
+        joint = f'<parent link="base"/><child link="tip"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/>{limit}'
+        return f'<robot name="arm">{links}<joint name="turn" type="revolute">{joint}</joint></robot>'
+
+    with pytest.raises(SceneError, match="'turn'.*2.*1"):
+        read_urdf(arm('<limit lower="2" upper="1" effort="1" velocity="1"/>'))
+    with caplog.at_level("WARNING"):
+        read_urdf(arm(""))
+    assert "'turn'" in caplog.text

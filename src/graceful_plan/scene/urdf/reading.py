@@ -7,6 +7,7 @@ bare file names. Only collision geometry is used.
 from __future__ import annotations
 
 import copy
+import logging
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping, Sequence
@@ -26,6 +27,7 @@ from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content, mesh_trian
 _MOST_BYTES = 10_000_000
 _MOST_OF_MESHES = 2_000_000
 """Largest number of vertices and faces of all meshes together."""
+_LOG = logging.getLogger(__name__)
 _MOVING = ("revolute", "continuous", "prismatic")
 _LEAST_INERTIA = 1e-7
 """Least principal moment of a link [kg m^2]: MuJoCo needs one, and links that are only sensor frames often lack it."""
@@ -299,11 +301,25 @@ def _joint(element: ET.Element) -> UrdfJoint:
         parent=parent.get("link", ""),
         child=child.get("link", ""),
         velocity=velocity if velocity > 0.0 else np.inf,
-        position=None
-        if kind == "continuous" or limit is None
-        else (_number(limit, "lower", 0.0, name), _number(limit, "upper", 0.0, name)),
+        position=_position_limits(limit, kind, name),
         mimic=follows,
     )
+
+
+def _position_limits(limit: ET.Element | None, kind: str, joint: str) -> tuple[float, float] | None:
+    """Return the position limits of a joint; None if it has none.
+
+    Joints other than continuous ones need limits by the format, but many readers accept files without.
+    """
+    if kind not in ("revolute", "prismatic"):
+        return None
+    if limit is None:
+        _LOG.warning("the %s joint %r has no <limit>; it is planned as if it had none", kind, joint)
+        return None
+    lower, upper = _number(limit, "lower", 0.0, joint), _number(limit, "upper", 0.0, joint)
+    if lower > upper:
+        raise SceneError(f"joint {joint!r}: the lower limit {lower:g} is above the upper limit {upper:g}")
+    return lower, upper
 
 
 def _number(element: ET.Element | None, attribute: str, default: float, joint: str) -> float:
