@@ -377,7 +377,7 @@ def test_limits_that_contradict_each_other_are_refused_and_missing_ones_named(ca
         joint = f'<parent link="base"/><child link="tip"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/>{limit}'
         return f'<robot name="arm">{links}<joint name="turn" type="revolute">{joint}</joint></robot>'
 
-    with pytest.raises(SceneError, match="'turn'.*2.*1"):
+    with pytest.raises(SceneError, match=r"'turn'.*2.*1"):
         read_urdf(arm('<limit lower="2" upper="1" effort="1" velocity="1"/>'))
     with caplog.at_level("WARNING"):
         read_urdf(arm(""))
