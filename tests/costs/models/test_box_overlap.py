@@ -101,5 +101,5 @@ def test_three_transcriptions_agree(name):
     q = np.concatenate([q, np.linspace(task.start, task.goal[0], 5)])
     pairs = [(component, entity) for component in ("body", "carried") for entity in task.scene.entities]
     found = np.array([_by_all(task.scene, q, *pair) for pair in pairs])
-    assert ((found > 0.0) & (found < 1.0)).sum() > 20
+    assert ((found > 0.0) & (found < 1.0)).sum() > 10
     assert (found == 0.0).sum() > 20
