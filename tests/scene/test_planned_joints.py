@@ -12,6 +12,8 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.judge.exact import exactly_free
 from graceful_plan.judge.kinematics import kinematics
 from graceful_plan.judge.motion_samples import motion_samples
+from graceful_plan.judge.torque_check import joint_torques
+from graceful_plan.timing.dynamics import RobotDynamics
 
 
 def _arm(side: str, y: float) -> str:
@@ -174,3 +176,11 @@ def test_mirrored_fingers_are_told_by_name() -> None:
     scene = _two_prefixes(fingers={"left": 0.03, "right": -0.03})
     assert scene.home_qpos[1:3].tolist() == [0.03, -0.03]
     assert _two_prefixes(fingers=0.0).home_qpos[1:3].tolist() == [0.0, 0.0]
+
+
+def test_the_judge_computes_the_torques_of_both_arms_as_mujoco_does() -> None:
+    scene = _scene(["r/torso", *LEFT, *RIGHT], torque=[100.0] * 7)
+    q, qd, qdd = np.random.default_rng(0).normal(size=(3, 20, 7))
+    inverse = RobotDynamics(scene)
+    expected = [inverse(*state) for state in zip(q, qd, qdd, strict=True)]
+    np.testing.assert_allclose(joint_torques(q, qd, qdd, scene), expected, atol=1e-9)

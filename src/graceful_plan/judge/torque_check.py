@@ -1,7 +1,7 @@
 """The check of joint torques along a motion: inverse dynamics of robot and carried object, with the judge's kinematics.
 
-All times are evaluated together. The links form a chain, so in world coordinates the recursions of Newton and Euler are
-sums: of velocities and accelerations from the base outwards, and of forces and moments from the tool inwards.
+All times are evaluated together. In world coordinates the recursions of Newton and Euler are sums: of velocities and
+accelerations over the joints that move a link, and of forces and moments over the links that a joint moves.
 
 References:
     R. Featherstone, "Rigid Body Dynamics Algorithms", Springer 2008, section 5.3.
@@ -34,7 +34,7 @@ FEW, MANY = 24, 256
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ChainDynamics:
+class LinkDynamics:
     """Masses of the links of a scene's robot, with the carried object, and forces of its joints.
 
     | field     | meaning                                                                | unit       | shape    |
@@ -111,27 +111,26 @@ def joint_torques(
     axes, R, shift = known.joint_axes(links), links[1:, :, :3, :3], links[1:, :, :3, 3]
     p, z = axes[:, :, :3, 0], axes[:, :, :3, 1]
     v, a = qd.T[..., None], qdd.T[..., None]
-    hinge = ~known.slides[:, None, None]
+    hinge, moves = ~known.slides[:, None, None], known.carries[:, 1:]
     turn = z * (hinge * v)
-    w = np.cumsum(turn, axis=0)
+    w = _sums(moves.T, turn)
     before = w - turn
-    alpha = np.cumsum(z * (hinge * a) + _cross(before, turn), axis=0)
+    alpha = _sums(moves.T, z * (hinge * a) + _cross(before, turn))
     # Times the offset of two points of a link, B is the difference of their accelerations.
     B = cross_matrix(alpha) + w[..., :, None] * w[..., None, :] - np.square(w).sum(axis=-1)[..., None, None] * np.eye(3)
     c = _placed(R, shift, of.centre)
-    offsets = np.zeros((*p.shape, 2))
-    offsets[..., 0], offsets[:-1, ..., 1] = c - p, p[1:] - p[:-1]
-    moved = B @ offsets
-    onwards = np.concatenate([np.zeros_like(moved[:1, ..., 1]), moved[:-1, ..., 1]])
+    below = known.parent - 1  # the joint of the link on which a joint is; that of the base does not move
+    offsets = (p - p[below]) * (below >= 0)[:, None, None]
+    onwards = (B[below] @ offsets[..., None])[..., 0]
     if known.slides.any():
         onwards += ~hinge * (z * a + 2.0 * _cross(before, z * v))
-    force = of.mass[:, None, None] * (moved[..., 0] + np.cumsum(onwards, axis=0) - of.gravity)
+    force = of.mass[:, None, None] * ((B @ (c - p)[..., None])[..., 0] + _sums(moves.T, onwards) - of.gravity)
     spins = B @ (R @ (of.spread[:, None] @ np.swapaxes(R, 2, 3)))
     moment = _cross(c, force) + spins[..., _SECOND, _FIRST] - spins[..., _FIRST, _SECOND]
-    torque = _felt_at(p, z, hinge, force, moment)
+    torque = _felt_at(p, z, hinge, moves, force, moment)
     if of.lifted.any():
         up = np.broadcast_to(-of.lifted[:, None, None] * of.gravity, c.shape)
-        torque -= of.relieved * _felt_at(p, z, hinge, up, _cross(_placed(R, shift, of.lifted_at), up))
+        torque -= of.relieved * _felt_at(p, z, hinge, moves, up, _cross(_placed(R, shift, of.lifted_at), up))
     return torque + of.armature * qdd + of.damping * qd + of.stiffness * (q - of.relaxed)
 
 
@@ -139,13 +138,19 @@ def _felt_at(
     p: Float[Array, "nq n 3"],
     z: Float[Array, "nq n 3"],
     hinge: Bool[Array, "nq 1 1"],
+    moves: Bool[Array, "nq nq"],
     force: Float[Array, "nq n 3"],
     moment: Float[Array, "nq n 3"],
 ) -> Float[Array, "n nq"]:
     """Return the torques of joints that apply forces [N] and moments about the origin of W [N m] to the links."""
-    both = np.cumsum(np.concatenate([force, moment], axis=-1)[::-1], axis=0)[::-1]
+    both = _sums(moves, np.concatenate([force, moment], axis=-1))
     force, moment = both[..., :3], both[..., 3:]
     return (z * np.where(hinge, moment - _cross(p, force), force)).sum(axis=-1).T
+
+
+def _sums(chosen: Bool[Array, "nq nq"], values: Float[Array, "nq n size"]) -> Float[Array, "nq n size"]:
+    """Return the sums of the chosen joints or links, one row for each sum."""
+    return (chosen.astype(float) @ values.reshape(len(values), -1)).reshape(values.shape)
 
 
 def _cross(a: Float[Array, "nq n 3"], b: Float[Array, "nq n 3"]) -> Float[Array, "nq n 3"]:
@@ -159,7 +164,7 @@ def _placed(
 
 
 @per_scene
-def _dynamics(scene: Scene) -> ChainDynamics:
+def _dynamics(scene: Scene) -> LinkDynamics:
     placement, known = own_placement(scene), kinematics(scene)
     nq = len(scene.joints)
     data, model = placement.place(np.zeros(nq)), placement.model
@@ -181,7 +186,7 @@ def _dynamics(scene: Scene) -> ChainDynamics:
         lifted[k] = carried.sum()
         lifted_at[k] = carried @ x / lifted[k] if lifted[k] else centre[k]
     dofs = model.jnt_dofadr[joints]
-    return ChainDynamics(
+    return LinkDynamics(
         mass=mass,
         centre=centre,
         spread=spread,
