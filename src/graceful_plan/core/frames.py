@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.scene.model_parts import body_joints, subtree
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.placement import PlacementPool
 from graceful_plan.scene.scene import Scene
@@ -50,12 +51,11 @@ def pose_matrix(rotation: Array, position: Array) -> Float[Array, "4 4"]:
 def moving_frames(scene: Scene, data: mujoco.MjData) -> MovingFrames:
     """Return the frames of a scene at the reference configuration; the carried object is on the tool's."""
     model = scene.model
-    joint_ids = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in scene.qpos_adr]
-    frame_of_joint = {joint: k + 1 for k, joint in enumerate(joint_ids)}
-    of_body, parent, X_W = [0] * model.nbody, [-1] + [0] * len(joint_ids), [np.eye(4)] * (len(joint_ids) + 1)
+    frame_of_joint = {joint: k + 1 for k, joint in enumerate(scene.joint_ids)}
+    of_body, parent, X_W = [0] * model.nbody, [-1] + [0] * len(frame_of_joint), [np.eye(4)] * (len(frame_of_joint) + 1)
     for body in range(1, model.nbody):
         frame = of_body[model.body_parentid[body]]
-        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        for joint in body_joints(model, body):
             if joint not in frame_of_joint:
                 continue
             parent[frame_of_joint[joint]], frame = frame, frame_of_joint[joint]
@@ -64,16 +64,9 @@ def moving_frames(scene: Scene, data: mujoco.MjData) -> MovingFrames:
     if scene.carried is not None:
         tool_body = model.site_bodyid[model.site(scene.tool).id]
         root = model.body(scene.carried.body).id
-        for body in range(model.nbody):
-            if _is_below(model, body, root):
-                of_body[body] = of_body[tool_body]
+        for body in subtree(model, root):
+            of_body[body] = of_body[tool_body]
     return MovingFrames(parent=parent, X_W=np.stack(X_W), reference=model.qpos0[scene.qpos_adr].copy(), of_body=of_body)
-
-
-def _is_below(model: mujoco.MjModel, body: int, root: int) -> bool:
-    while body > 0 and body != root:
-        body = int(model.body_parentid[body])
-    return body == root
 
 
 def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:

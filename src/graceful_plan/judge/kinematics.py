@@ -19,7 +19,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.judge.preparation import own_placement
-from graceful_plan.scene.model_parts import subtree
+from graceful_plan.scene.model_parts import body_joints, subtree
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
@@ -123,7 +123,7 @@ def kinematics(scene: Scene) -> Kinematics:
     number = {joint: k for k, joint in enumerate(joints)}
     for body, parent in enumerate(model.body_parentid.tolist()):  # parents precede children; the world is its own
         link[body] = link[parent]
-        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        for joint in body_joints(model, body):
             if joint in number:
                 before[number[joint]], link[body] = link[body], number[joint] + 1
     held = Frames(link=link[model.site_bodyid[[tool]]], X_WF=_matrices(data.site_xpos[[tool]], data.site_xmat[[tool]]))

@@ -17,7 +17,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, UnsupportedError
-from graceful_plan.scene.model_parts import names
+from graceful_plan.scene.model_parts import ancestors, body_joints, names
 
 Array = np.ndarray
 
@@ -278,11 +278,7 @@ def _bodies(model: mujoco.MjModel, e: int) -> tuple[int, int]:
 
 
 def _joints_above(model: mujoco.MjModel, body: int) -> set[int]:
-    found: set[int] = set()
-    while body > 0:
-        found.update(range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]))
-        body = int(model.body_parentid[body])
-    return found
+    return {joint for carrier in ancestors(model, body) for joint in body_joints(model, carrier)}
 
 
 def _tendon_joints(model: mujoco.MjModel, tendon: int) -> set[int]:

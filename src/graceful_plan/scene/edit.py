@@ -16,7 +16,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, ShapeError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array, plain_numbers, real_array
 from graceful_plan.scene.loading.naming import check_new
-from graceful_plan.scene.model_parts import find
+from graceful_plan.scene.model_parts import ancestors, find
 from graceful_plan.scene.roles import free_joint, rigid_pose
 
 Array = np.ndarray
@@ -148,19 +148,15 @@ def removed(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, kept: frozens
         SceneError: If the body must stay.
     """
     body = find(model, mujoco.mjtObj.mjOBJ_BODY, "body", name)
-    if body == 0 or body in _above(model, kept):
+    if body == 0 or body in _carrying(model, kept):
         raise SceneError(f"{name!r} is part of the robot, or holds it or is held by it; it cannot be removed")
     if spec.body(name) is not None:  # it may have gone with another
         spec.delete(spec.body(name))
 
 
-def _above(model: mujoco.MjModel, bodies: frozenset[int]) -> set[int]:
-    found: set[int] = set()
-    for body in bodies:
-        while body > 0:
-            found.add(body)
-            body = int(model.body_parentid[body])
-    return found
+def _carrying(model: mujoco.MjModel, kept: frozenset[int]) -> set[int]:
+    """Return the given bodies with all bodies that carry them."""
+    return {body for other in kept for body in ancestors(model, other)}
 
 
 def moved(
@@ -182,7 +178,7 @@ def moved(
     new_spec, new_model = spec.copy(), copy.copy(model)
     for name, pose in poses.items():
         body = find(model, mujoco.mjtObj.mjOBJ_BODY, "body", name)
-        if body == 0 or body in _above(model, kept):
+        if body == 0 or body in _carrying(model, kept):
             raise SceneError(f"{name!r} is part of the robot, or holds it or is held by it; it cannot be moved")
         adr, declared = free_joint(model, body), new_spec.body(name)
         joints = int(model.body_jntnum[body])

@@ -67,6 +67,21 @@ def subtree(model: mujoco.MjModel, body: int) -> frozenset[int]:
     return frozenset(inside)
 
 
+def ancestors(model: mujoco.MjModel, body: int) -> tuple[int, ...]:
+    """Return a body and all bodies that carry it, from the body on; without the world."""
+    found: list[int] = []
+    while body > 0:
+        found.append(body)
+        body = int(model.body_parentid[body])
+    return tuple(found)
+
+
+def body_joints(model: mujoco.MjModel, body: int) -> range:
+    """Return the joints between a body and its parent."""
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body]))
+
+
 def rigid_group(model: mujoco.MjModel, body: int) -> frozenset[int]:
     """Return a body and all descendants that are rigidly attached to it."""
     return frozenset(b for b in subtree(model, body) if model.body_weldid[b] == model.body_weldid[body])
@@ -239,12 +254,7 @@ def planned_joints(
     """
     if tool_body not in robot:
         raise SceneError(f"the tool is on body {model.body(tool_body).name!r}, which is not part of the robot")
-    chain: list[int] = []
-    body = tool_body
-    while body != 0:
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        chain[:0] = range(first, first + count)
-        body = int(model.body_parentid[body])
+    chain = [joint for body in reversed(ancestors(model, tool_body)) for joint in body_joints(model, body)]
     if wanted is not None:
         return _wanted_joints(model, chain, robot, wanted)
     other = [j for j in chain if int(model.jnt_type[j]) not in _SCALAR_JOINTS]
@@ -278,18 +288,12 @@ def gripper_bodies(model: mujoco.MjModel, tool_body: int, planned: Collection[in
     The body of the joint itself counts if the tool is on it, a finger joint is directly on it, or nothing else has
     colliding geoms. Otherwise it is the last link of the arm, which no held object may touch.
     """
-    last = tool_body
-    while last > 0 and not _has_joint(model, last, planned):
-        last = int(model.body_parentid[last])
+    jointed = (body for body in ancestors(model, tool_body) if not set(body_joints(model, body)).isdisjoint(planned))
+    last = next(jointed, 0)
     behind = subtree(model, last)
     fingers = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if j not in planned]
     is_palm = last == tool_body or any(int(model.body_parentid[body]) == last for body in fingers)
     return behind if is_palm or not colliding_geoms(model, behind - {last}) else behind - {last}
-
-
-def _has_joint(model: mujoco.MjModel, body: int, joints: Collection[int]) -> bool:
-    first = int(model.body_jntadr[body])
-    return any(joint in joints for joint in range(first, first + int(model.body_jntnum[body])))
 
 
 def check_base(model: mujoco.MjModel, joints: tuple[int, ...], base: DiffDrive) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from graceful_plan.scene.model_parts import colliding_geoms
+from graceful_plan.scene.model_parts import ancestors, colliding_geoms
 
 _LOG = logging.getLogger(__name__)
 
@@ -58,16 +58,7 @@ def warn_of_extents(
 def _reach(model: mujoco.MjModel, joints: Collection[int]) -> float:
     """Return the length of the chain of the planned joints [m]."""
     bodies = {int(model.jnt_bodyid[j]) for j in joints}
-    chain = [body for body in _above(model, max(bodies)) if (_above(model, body) - {body}) & bodies]
+    chain = [body for body in ancestors(model, max(bodies)) if not bodies.isdisjoint(ancestors(model, body)[1:])]
     slides = [j for j in joints if int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)]
     strokes = np.minimum(np.ptp(model.jnt_range[slides], axis=1), _STROKE)
     return float(np.linalg.norm(model.body_pos[chain], axis=1).sum() + strokes.sum())
-
-
-def _above(model: mujoco.MjModel, body: int) -> set[int]:
-    """Return a body with all bodies that carry it."""
-    found: set[int] = set()
-    while body > 0:
-        found.add(body)
-        body = int(model.body_parentid[body])
-    return found

@@ -15,7 +15,15 @@ from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SceneError, SettingError, UnsupportedError
 from graceful_plan.scene.contacts import tested_pairs, unchecked_links
 from graceful_plan.scene.elements import AllowedContact
-from graceful_plan.scene.model_parts import colliding_geoms, names, planned_joints, robot_bodies, tool_body
+from graceful_plan.scene.model_parts import (
+    ancestors,
+    body_joints,
+    colliding_geoms,
+    names,
+    planned_joints,
+    robot_bodies,
+    tool_body,
+)
 from graceful_plan.scene.screening import MAX_EXTENT, compile_spec
 
 Array = np.ndarray
@@ -202,13 +210,8 @@ def warn_of_overlapping_links(
 
 def _mover(model: mujoco.MjModel, body: int, planned: Sequence[int]) -> int:
     """Return the last planned joint that moves a body; -1 if none does."""
-    while body > 0:
-        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
-        mine = [joint for joint in joints if joint in planned]
-        if mine:
-            return mine[-1]
-        body = int(model.body_parentid[body])
-    return -1
+    above = (joint for carrier in ancestors(model, body) for joint in reversed(body_joints(model, carrier)))
+    return next((joint for joint in above if joint in planned), -1)
 
 
 def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:
