@@ -35,11 +35,10 @@ from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interaction import InteractionModel
 from graceful_plan.costs.models.drop.loss import CARRIED_LOSS, carried_mass
 from graceful_plan.costs.models.drop.release import heights, release
-from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
+from graceful_plan.costs.models.drop.tables import drop_tables, highest_tops
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.native_model import NativeModel, moving_model
 from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
-from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
@@ -126,7 +125,8 @@ def arrival_energy(batch: StateBatch) -> Float[Array, "n entity"]:
     tables = drop_tables(batch.scene)
     state = release(batch, tables)
     low = heights(state, tables)[0].min(axis=1)
-    height = np.maximum(low[:, None] - _tops(batch.scene, tables), 0.0)
+    tops = highest_tops(batch.scene)
+    height = np.maximum(low[:, None] - np.where(np.isfinite(tops), tops, np.inf), 0.0)
     return carried_mass(batch.scene) * (_GRAVITY * height + 0.5 * (state.v**2).sum(axis=1)[:, None])
 
 
@@ -157,12 +157,3 @@ def _normal(z: float) -> float:
 
 def _log_normal(z: float) -> float:
     return math.log(max(_normal(z), 1e-300))
-
-
-def _tops(scene: Scene, tables: DropTables) -> Float[Array, " entity"]:
-    """Height of the highest point of each entity [m]; infinite for entities without colliding geoms."""
-    top = np.full(len(scene.entities), np.inf)
-    for entity in range(len(top)):
-        own = tables.target_height[tables.target_entity == entity, 1]
-        top[entity] = own.max(initial=-np.inf) if len(own) else np.inf
-    return top

@@ -3,22 +3,12 @@
 #include "impact/drop.hpp"
 #include "impact/drop_gradient.hpp"
 #include "impact/flight/flight.hpp"
+#include "impact/normal.hpp"
 #include "lanes.hpp"
 #include "single.hpp"
 #include "tables.hpp"
 
 namespace gp::GP_ISA {
-
-// The normal distribution function Q and its derivative, by Bowling et al. 2009: [1] of the specification.
-template <class V> struct Normal {
-  V value, slope;
-
-  [[gnu::always_inline]] explicit Normal(V z) {
-    const V z2 = z * z;
-    value = reciprocal(1.0 + odds(-z * (1.5976 + 0.07056 * z2)));
-    slope = value * (1.0 - value) * (1.5976 + 0.21168 * z2);
-  }
-};
 
 // P(damage | hit) of one entity, as a function of the height of the object's lowest point and of its squared speed.
 template <class V> struct EntityDamage {
@@ -31,8 +21,10 @@ template <class V> struct EntityDamage {
     const V a = maximum(logarithm(energy) - entity.strength, V{} - 6.0 * sigma);  // less is no damage
     const V z = a * entity.sharpness, lost = exponential(-a * (1.0 / b) + 0.5 * sigma * sigma / (b * b));
     const Normal<V> acts(z), misses(z - sigma / b);
-    value = relu(acts.value - lost * misses.value);
-    const V by_a = (acts.slope - lost * misses.slope) * entity.sharpness + lost * misses.value * (1.0 / b);
+    const V p = reciprocal(1.0 + acts.above), r = reciprocal(1.0 + misses.above);
+    value = relu(p - lost * r);
+    const V d_p = p * (1.0 - p) * acts.grade, d_r = r * (1.0 - r) * misses.grade;
+    const V by_a = (d_p - lost * d_r) * entity.sharpness + lost * r * (1.0 / b);
     const V by_energy = where((value > 0.0) & (z > -6.0), by_a * reciprocal(energy), V{});
     d_low = by_energy * kGravity * fallen * reciprocal(soft), d_v = by_energy;
   }

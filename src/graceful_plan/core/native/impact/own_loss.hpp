@@ -3,6 +3,7 @@
 #include "cutoffs.hpp"
 #include "impact/drop.hpp"
 #include "impact/flight/flight.hpp"
+#include "impact/normal.hpp"
 #include "lanes.hpp"
 #include "single.hpp"
 #include "tables.hpp"
@@ -15,14 +16,12 @@ template <class V> struct Damage {
 
   [[gnu::always_inline]] Damage(const LossTables& loss, const Surface& s, V log_energy) {
     const V z = (log_energy - s.strength) * loss.sharpness, a = z - loss.shift[0], b = z - loss.shift[1];
-    const V a2 = a * a, b2 = b * b;
-    // The normal distribution function of a and b, by Bowling et al. 2009: [1] of the specification.
-    const V over_a = odds(-a * (1.5976 + 0.07056 * a2)), over_b = odds(-b * (1.5976 + 0.07056 * b2));
-    const V both = reciprocal((1.0 + over_a) * (1.0 + over_b));
-    const V below_a = (1.0 + over_b) * both, below_b = (1.0 + over_a) * both;
+    const Normal<V> of_a(a), of_b(b);
+    const V both = reciprocal((1.0 + of_a.above) * (1.0 + of_b.above));  // one division for both
+    const V below_a = (1.0 + of_b.above) * both, below_b = (1.0 + of_a.above) * both;
     value = loss.weight[0] * below_a + loss.weight[1] * below_b;
-    slope = (loss.weight[0] * below_a * (1.0 - below_a) * (1.5976 + 0.21168 * a2) +
-             loss.weight[1] * below_b * (1.0 - below_b) * (1.5976 + 0.21168 * b2)) *
+    slope = (loss.weight[0] * below_a * (1.0 - below_a) * of_a.grade +
+             loss.weight[1] * below_b * (1.0 - below_b) * of_b.grade) *
             loss.sharpness;
   }
 };

@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.costs.models.drop.tables import drop_tables
+from graceful_plan.costs.models.drop.tables import drop_tables, highest_tops
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
@@ -57,10 +57,15 @@ def loss_tables(scene: Scene, fragility: FragilityTable) -> LossTables:
     own = fragility.of_carried(scene.components["carried"].component_class)
     categories = [entity.category for entity in scene.entities.values()]
     struck = [fragility.of("" if k < 0 else categories[k]) for k in drop_tables(scene).target_entity]
-    mass = carried_mass(scene)
     medians = np.array([own.median / row.hardness for row in struck])
-    strength = np.full(len(medians), _INDESTRUCTIBLE) if mass <= 0.0 else np.log(medians / mass)
-    return LossTables(strength=np.minimum(strength, _INDESTRUCTIBLE), spread=own.spread)
+    return LossTables(strength=_strength(medians, carried_mass(scene)), spread=own.spread)
+
+
+def _strength(median: Float[Array, " n"], mass: float) -> Float[Array, " n"]:
+    """Return ln of the energy per mass at which half of the things with these median energies are damaged [ln J/kg]."""
+    if mass <= 0.0:
+        return np.full(len(median), _INDESTRUCTIBLE)
+    return np.minimum(np.log(median / mass), _INDESTRUCTIBLE)
 
 
 @per_scene(most=4)
@@ -75,14 +80,10 @@ def damage_tables(scene: Scene, fragility: FragilityTable) -> Float[Array, "enti
         Rows of the height of the highest point [m], ln of the energy per mass at which half of the hits do damage
         [ln J/kg], and the inverse of the standard deviation of that logarithm.
     """
-    tables, mass = drop_tables(scene), carried_mass(scene)
-    rows = np.zeros((len(scene.entities), 3))
-    for e, entity in enumerate(scene.entities.values()):
-        own = fragility.of(entity.category)
-        strength = _INDESTRUCTIBLE if mass <= 0.0 else min(math.log(own.median / mass), _INDESTRUCTIBLE)
-        tops = tables.target_height[tables.target_entity == e, 1]
-        rows[e] = tops.max(initial=-np.inf) if len(tops) else 0.0, strength, 1.0 / own.spread
-    return rows
+    own = [fragility.of(entity.category) for entity in scene.entities.values()]
+    strength = _strength(np.array([row.median for row in own]), carried_mass(scene))
+    tops = highest_tops(scene)
+    return np.column_stack([np.where(np.isfinite(tops), tops, 0.0), strength, [1.0 / row.spread for row in own]])
 
 
 def carried_mass(scene: Scene) -> float:

@@ -107,6 +107,18 @@ def drop_tables(scene: Scene) -> DropTables:
     return DropTables(**_object(scene), **_targets(scene, reference_data(scene)))
 
 
+def highest_tops(scene: Scene) -> Float[Array, " entity"]:
+    """Return the height of the highest target of each entity of a scene with a carried object [m]; -inf if it has none.
+
+    Raises:
+        UnsupportedError: If the scene cannot be compiled.
+    """
+    tables, tops = drop_tables(scene), np.full(len(scene.entities), -np.inf)
+    of_entity = tables.target_entity >= 0
+    np.maximum.at(tops, tables.target_entity[of_entity], tables.target_height[of_entity, 1])
+    return tops
+
+
 def _collides(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
