@@ -25,7 +25,6 @@ from graceful_plan.query.arguments import (
     checked_planner,
     checked_refine,
     checked_risk,
-    checked_scene,
     checked_seed,
     checked_speed,
     checked_start_tolerance,
@@ -47,7 +46,7 @@ from graceful_plan.query.request import Request, Stop
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
 from graceful_plan.result import PlanResult, PlanStatus
-from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.scene import Scene, checked_scene
 
 Array = np.ndarray
 

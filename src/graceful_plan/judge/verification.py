@@ -29,7 +29,7 @@ from graceful_plan.path import Path, finite_array, is_real, plain_numbers
 from graceful_plan.result import Check, CostBreakdown, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.rules.rules import Ruled, default_rules
-from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -122,8 +122,7 @@ def verify(
         ShapeError: If motion, start or goal do not fit the scene's joints.
         SettingError: If there is no such exposure, or the step is not a positive distance.
     """
-    if not isinstance(scene, Scene):
-        raise SettingError("scene", scene, "a Scene, such as load_scene() returns")
+    checked_scene(scene)
     if not isinstance(motion, Path | Trajectory):
         raise SettingError("motion", motion, "a Path or a Trajectory")
     nq = len(scene.joints)

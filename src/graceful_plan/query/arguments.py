@@ -172,13 +172,6 @@ def checked_callback(callback: Callback | None) -> Callback | None:
     return callback
 
 
-def checked_scene(scene: object) -> Scene:
-    """Return a scene; refuse other objects."""
-    if not isinstance(scene, Scene):
-        raise SettingError("scene", scene, "a Scene, such as load_scene() returns")
-    return scene
-
-
 def checked_time_limit(time_limit: object, iterations: object) -> float:
     """Return the time limit of the call [s]; infinite if only iterations limit it."""
     whole = isinstance(iterations, numbers.Integral) and not isinstance(iterations, bool)

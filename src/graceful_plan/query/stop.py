@@ -20,9 +20,8 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import RetimingError, SettingError
 from graceful_plan.judge.verification import verify
 from graceful_plan.path import is_real
-from graceful_plan.query.arguments import checked_scene
 from graceful_plan.result import PlanResult, PlanStatus
-from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.retiming import slowdown, slowed
 from graceful_plan.timing.topp import SpecificForceLevels, fastest
@@ -74,7 +73,7 @@ def plan_stop(
     started = time.perf_counter()
     if not isinstance(motion, Trajectory):
         raise SettingError("motion", motion, "a Trajectory")
-    scene = checked_scene(scene)
+    checked_scene(scene)
     if not is_real(at) or not np.isfinite(at):
         raise SettingError("at", at, "a finite time [s]")
     asked = tuple(default_constraints(scene) if constraints is None else constraints)

@@ -8,9 +8,8 @@ from functools import wraps
 from threading import Lock
 from typing import Concatenate, ParamSpec, TypeVar, overload
 
-from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.facts import Layout
-from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.scene import Scene, checked_scene
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -69,8 +68,7 @@ def _kept(make: _Maker[P, T], owner: Callable[[Scene], Scene | Layout], most: in
 
     @wraps(make)
     def get(scene: Scene, *args: P.args, **kwargs: P.kwargs) -> T:
-        if not isinstance(scene, Scene):
-            raise SettingError("scene", scene, "a Scene, such as load_scene() returns")
+        checked_scene(scene)
         key = args, tuple(sorted(kwargs.items()))
         own = kept.setdefault(owner(scene), {})
         try:

@@ -683,3 +683,14 @@ class Task:
             return self.world
         declared = self.world.notes.objects[self.object_name].X_TO
         return self.world.attach(self.object_name, at=self.start if declared is None else None, support=self.support)
+
+
+def checked_scene(scene: object) -> Scene:
+    """Return a scene; refuse other objects.
+
+    Raises:
+        SettingError: If it is none.
+    """
+    if not isinstance(scene, Scene):
+        raise SettingError("scene", scene, "a Scene, such as load_scene() returns")
+    return scene
