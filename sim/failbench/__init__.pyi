@@ -18,18 +18,10 @@ from failbench.recording.healthy import HealthyHarm as HealthyHarm
 from failbench.recording.records import ContactEvent as ContactEvent
 from failbench.recording.records import Job as Job
 from failbench.recording.records import Rollout as Rollout
-from failbench.recording.score import (
-    energy_impact as energy_impact,
-)
-from failbench.recording.score import (
-    observed_impact as observed_impact,
-)
-from failbench.recording.score import (
-    own_loss as own_loss,
-)
-from failbench.recording.score import (
-    secondary_impact as secondary_impact,
-)
+from failbench.recording.score import energy_impact as energy_impact
+from failbench.recording.score import observed_impact as observed_impact
+from failbench.recording.score import own_loss as own_loss
+from failbench.recording.score import secondary_impact as secondary_impact
 from failbench.report import EntityReport as EntityReport
 from failbench.report import ValidationReport as ValidationReport
 from failbench.rollouts.execution import Execution as Execution

@@ -41,77 +41,33 @@ from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid as Occupancy
 from graceful_plan.mobile.planners.drive_lattice import DriveLattice as DriveLattice
 from graceful_plan.path import Path as Path
 from graceful_plan.plan import plan as plan
-from graceful_plan.planners import (
-    CHOMP as CHOMP,
-)
-from graceful_plan.planners import (
-    PLANNERS as PLANNERS,
-)
-from graceful_plan.planners import (
-    STOMP as STOMP,
-)
-from graceful_plan.planners import (
-    Anytime as Anytime,
-)
-from graceful_plan.planners import (
-    Auto as Auto,
-)
-from graceful_plan.planners import (
-    CasADi as CasADi,
-)
-from graceful_plan.planners import (
-    Planner as Planner,
-)
-from graceful_plan.planners import (
-    PRMStar as PRMStar,
-)
-from graceful_plan.planners import (
-    RRTConnect as RRTConnect,
-)
-from graceful_plan.planners import (
-    RRTStar as RRTStar,
-)
+from graceful_plan.planners import CHOMP as CHOMP
+from graceful_plan.planners import PLANNERS as PLANNERS
+from graceful_plan.planners import STOMP as STOMP
+from graceful_plan.planners import Anytime as Anytime
+from graceful_plan.planners import Auto as Auto
+from graceful_plan.planners import CasADi as CasADi
+from graceful_plan.planners import Planner as Planner
+from graceful_plan.planners import PRMStar as PRMStar
+from graceful_plan.planners import RRTConnect as RRTConnect
+from graceful_plan.planners import RRTStar as RRTStar
 from graceful_plan.query.cartesian.straight import plan_cartesian as plan_cartesian
 from graceful_plan.query.stop import plan_stop as plan_stop
-from graceful_plan.result import (
-    CostBreakdown as CostBreakdown,
-)
-from graceful_plan.result import (
-    PlanningFailed as PlanningFailed,
-)
-from graceful_plan.result import (
-    PlanResult as PlanResult,
-)
-from graceful_plan.result import (
-    PlanStatus as PlanStatus,
-)
-from graceful_plan.result import (
-    Verdict as Verdict,
-)
+from graceful_plan.result import CostBreakdown as CostBreakdown
+from graceful_plan.result import PlanningFailed as PlanningFailed
+from graceful_plan.result import PlanResult as PlanResult
+from graceful_plan.result import PlanStatus as PlanStatus
+from graceful_plan.result import Verdict as Verdict
 from graceful_plan.roadmap import Roadmap as Roadmap
 from graceful_plan.scene.edit import StaticBody as StaticBody
-from graceful_plan.scene.elements import (
-    AllowedContact as AllowedContact,
-)
-from graceful_plan.scene.elements import (
-    EntityAnnotation as EntityAnnotation,
-)
-from graceful_plan.scene.elements import (
-    Granular as Granular,
-)
-from graceful_plan.scene.elements import (
-    Liquid as Liquid,
-)
+from graceful_plan.scene.elements import AllowedContact as AllowedContact
+from graceful_plan.scene.elements import EntityAnnotation as EntityAnnotation
+from graceful_plan.scene.elements import Granular as Granular
+from graceful_plan.scene.elements import Liquid as Liquid
 from graceful_plan.scene.harm.severity import SeverityTable as SeverityTable
-from graceful_plan.scene.loading.bundled import (
-    load_scene as load_scene,
-)
-from graceful_plan.scene.loading.bundled import (
-    mobile_scenes as mobile_scenes,
-)
-from graceful_plan.scene.loading.bundled import (
-    scenes as scenes,
-)
+from graceful_plan.scene.loading.bundled import load_scene as load_scene
+from graceful_plan.scene.loading.bundled import mobile_scenes as mobile_scenes
+from graceful_plan.scene.loading.bundled import scenes as scenes
 from graceful_plan.scene.mobile.base_pose import BasePose as BasePose
 from graceful_plan.scene.mobile.diff_drive import DiffDrive as DiffDrive
 from graceful_plan.scene.moving import MovingEntity as MovingEntity
