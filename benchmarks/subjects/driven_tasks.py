@@ -69,6 +69,8 @@ class Corridor:
     """As planned [s]."""
     impact: tuple[float, float]
     """At equal duration."""
+    others: tuple[float, float]
+    """The same without the loss of the carried object."""
 
 
 def run(options: suite.Options) -> str:
@@ -89,7 +91,7 @@ HEADER = ("task", "first [ms]", "bound [s]", "w = 0 [s]", "default [s]", "impact
 
 
 CORRIDOR_HEADER = ("corridor", "duration [s], whole body", "arm fixed", "impact at equal duration, whole body",
-                   "arm fixed", "x less")  # fmt: skip
+                   "arm fixed", "x less", "others, whole body", "arm fixed", "x less")  # fmt: skip
 
 
 def _passed(name: str, options: suite.Options) -> Corridor:
@@ -109,9 +111,18 @@ def _passed(name: str, options: suite.Options) -> Corridor:
         result = gp.plan(start, goal, scene, planner=DriveLattice(moves_arm=moves_arm), time_limit=seconds)
         motions.append(result.unwrap())
     longest = max(motion.duration for motion in motions)
-    impact = [gp.evaluate(_slowed(motion, longest / motion.duration), scene).impact for motion in motions]
-    whole, fixed = motions
-    return Corridor(name=name, duration=(whole.duration, fixed.duration), impact=(impact[0], impact[1]))
+    costs = [gp.evaluate(_slowed(motion, longest / motion.duration), scene) for motion in motions]
+    return Corridor(
+        name=name,
+        duration=_pair([motion.duration for motion in motions]),
+        impact=_pair([cost.impact for cost in costs]),
+        others=_pair([_of_others(cost, scene) for cost in costs]),
+    )
+
+
+def _pair(values: list[float]) -> tuple[float, float]:
+    whole, fixed = values
+    return whole, fixed
 
 
 def _slowed(motion: gp.Trajectory, factor: float) -> gp.Trajectory:
@@ -120,16 +131,24 @@ def _slowed(motion: gp.Trajectory, factor: float) -> gp.Trajectory:
 
 
 def _corridor_row(one: Corridor) -> list[str]:
-    figures = (*one.duration, *one.impact, one.impact[1] / max(one.impact[0], 1e-9))
+    figures = (*one.duration, *one.impact, _less(one.impact), *one.others, _less(one.others))
     return [one.name, *(f"{figure:.2f}" for figure in figures)]
+
+
+def _less(impact: tuple[float, float]) -> float:
+    whole, fixed = impact
+    return fixed / max(whole, 1e-9)
 
 
 def _corridor_targets(passed: list[Corridor]) -> Iterator[report.Target]:
     if passed:
-        less = float(np.median([one.impact[1] / max(one.impact[0], 1e-9) for one in passed]))
+        less, whole = (float(np.median([_less(of) for of in pairs])) for pairs in (
+            [one.others for one in passed], [one.impact for one in passed],
+        ))  # fmt: skip
         yield report.Target(
-            what="predicted impact past a standing person, arm fixed over whole body at equal duration, median",
-            wanted="2 x less", measured=f"{less:.2f} x less", met=less >= 2.0,
+            what="predicted impact past a standing person, without the loss of the carried object, arm fixed over "
+            "whole body at equal duration, median",
+            wanted="2 x less", measured=f"{less:.2f} x less ({whole:.2f} with that loss)", met=less >= 2.0,
         )  # fmt: skip
 
 
