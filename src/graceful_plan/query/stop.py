@@ -84,15 +84,13 @@ def plan_stop(
         whole = _joined(motion, stop)
         verdict = verify(whole, scene, constraints=held.constraints, clearance=proof)
         if verdict.passed:
-            seconds = time.perf_counter() - started
-            path = stop.path
             return PlanResult(
                 status=PlanStatus.SOLVED,
-                path=path,
+                path=stop.path,
                 trajectory=stop,
                 verdict=verdict,
                 detail=what,
-                stats={"total_time": seconds},
+                stats={"total_time": time.perf_counter() - started},
             )
         detail = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
     assert verdict is not None  # the rest of the motion is always a candidate
@@ -145,7 +143,10 @@ def _quickest(
         else:
             long, found = middle, trial
     stop, excess = found
-    return None if stop is None or excess > _SLACK + 10.0 * _CLOSE else _begun(slowed(stop, excess), motion, at)
+    if stop is None or excess > _SLACK + 10.0 * _CLOSE:
+        return None
+    stop = slowed(stop, excess)
+    return Trajectory(at + stop.t, stop.q, stop.qd, stop.qdd, stop.joints)
 
 
 def _timed(
@@ -192,14 +193,6 @@ def _faded(motion: Trajectory, at: float, after: float) -> Trajectory:
     speed, acceleration = 0.5 * (1.0 + np.cos(phase))[:, None], -0.5 * np.pi / seconds * np.sin(phase)[:, None]
     state = motion.at(at + s)
     return Trajectory(at + t, state.q, state.qd * speed, state.qdd * speed**2 + state.qd * acceleration, motion.joints)
-
-
-def _begun(stop: Trajectory, motion: Trajectory, at: float) -> Trajectory:
-    """Return a stop on the clock of the motion, with exactly its state at the beginning."""
-    state = motion.at(at)
-    q, qd = stop.q.copy(), stop.qd.copy()
-    q[0], qd[0] = state.q, state.qd
-    return Trajectory(stop.t - stop.t[0] + at, q, qd, stop.qdd, stop.joints)
 
 
 def _rest(motion: Trajectory, at: float) -> Trajectory:
