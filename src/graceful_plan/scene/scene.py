@@ -175,9 +175,6 @@ class Scene(SceneFacts):
         add_tool(spec, tool)
         divide_surroundings(spec, robot, convex)
         overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts, joints)
-        described = described_drive(spec, robot)
-        if base is None and described is not None and (joints is None or set(described.joints).issubset(joints)):
-            base = described
         table, overrides = given_severity(severity)
         notes = Notes(
             name=name or spec.modelname,
@@ -190,7 +187,7 @@ class Scene(SceneFacts):
             velocity=None if velocity is None else tuple(velocity),
             acceleration=None if acceleration is None else tuple(acceleration),
             torque=None if torque is None else tuple(torque),
-            base=base,
+            base=base or described_drive(spec, robot, joints),
             entities={
                 k: v if isinstance(v, EntityAnnotation) else EntityAnnotation(category=v)
                 for k, v in (entities or {}).items()
@@ -202,15 +199,9 @@ class Scene(SceneFacts):
         )
         scene = cls.build(spec, notes)
         check_keyframes(notes, scene.limits)
-        warn_of_untested_links(scene.model, scene.robot_bodies, robot)
-        if state is not None:
-            scene = scene.in_state(state)
-        warn_of_overlapping_links(
-            scene.model, scene.home_qpos, scene.robot_bodies, scene.joint_ids, scene.collision_pairs()
-        )
+        scene = scene if state is None else scene.in_state(state)
         scene = scene if carried is None else scene.attach(carried, at=at, X_TO=X_TO, contents=contents)
-        warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
-        warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
+        warn_of_mistakes(scene)
         return scene
 
     @classmethod
@@ -683,6 +674,16 @@ class Task:
             return self.world
         declared = self.world.notes.objects[self.object_name].X_TO
         return self.world.attach(self.object_name, at=self.start if declared is None else None, support=self.support)
+
+
+def warn_of_mistakes(scene: Scene) -> None:
+    """Log warnings of probable mistakes in a loaded model: in links, their sizes, and couplings that are ignored."""
+    warn_of_untested_links(scene.model, scene.robot_bodies, scene.robot)
+    warn_of_overlapping_links(
+        scene.model, scene.home_qpos, scene.robot_bodies, scene.joint_ids, scene.collision_pairs()
+    )
+    warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
+    warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
 
 
 def checked_scene(scene: object) -> Scene:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.exceptions import SceneError, SettingError, UnsupportedError
 from graceful_plan.judge.exact import exactly_free
 from graceful_plan.scene.loading.self_contacts import touching
 
@@ -127,3 +128,23 @@ def test_links_that_overlap_only_in_the_state_at_loading_are_not_told(caplog: py
         scene = _scene(_arm("").replace('pos="0 0 .4">', 'pos="0 0 .15">'))
     assert not exactly_free(np.array([[0.0, 0.0, 0.0]]), scene).any()
     assert "overlap in nearly" not in caplog.text
+
+
+def test_scene_files_follow_the_same_rule(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "linkage.xml").write_text(_LINKAGE)
+    file = tmp_path / "linkage.yaml"
+    told = "version: 1\nworld: linkage.xml\ntool: tip\nrobot: {prefix: a, velocity: [1], acceleration: [3]}\n"
+
+    def free(more: str) -> bool:
+        caplog.clear()
+        file.write_text(told + more)
+        with caplog.at_level(logging.WARNING, "graceful_plan"):
+            return bool(exactly_free(np.array([[0.0], [1.0]]), gp.load_scene(file)).all())
+
+    assert not free("")
+    assert "AllowedContact('knuckle', 'finger')" in caplog.text
+    for more in ("allowed_contacts: [{first: knuckle, second: finger}]", "self_collision: links"):
+        assert free(more)
+        assert not caplog.records
+    with pytest.raises(SceneError, match=r"linkage\.yaml:5: .*'all'.*'links'"):
+        free("self_collision: all")

@@ -5,13 +5,13 @@ name: tabletop                   # default: the file's name
 description: One sentence.
 world: tabletop.xml              # MJCF in the same folder or below it
 convex: parts                    # what its meshes count as: hull or parts; default: parts if coacd is installed
+self_collision: links            # which links may touch, as in Scene.from_mjcf; default: model
 robot:
-    model: panda                   # a bundled robot or an MJCF file beside this one; omit if the world contains the
-    robot
-    prefix: panda/                 # prefix of the names of the robot's bodies, joints, sites; default "<model>/"
+  model: panda                   # a bundled robot or an MJCF file beside this one; omit if the world has the robot
+  prefix: panda/                 # prefix of the names of the robot's bodies, joints, sites; default "<model>/"
   position: [0, 0, 0]            # of the base in W
   quaternion: [1, 0, 0, 0]       # wxyz
-    body_class: arm_collapse       # how the robot fails: arm_collapse, arm_braked or base_coast
+  body_class: arm_collapse       # how the robot fails: arm_collapse, arm_braked or base_coast
   velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
   limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
   joints: [panda/joint1, ...]    # planned joints; default: those between world and tool
@@ -23,7 +23,7 @@ fingers: 0.04                    # position of the joints behind the last planne
 state: {drawer: 0.2}             # of other joints and free bodies: {name: position}, or a keyframe of the model
 entities:                        # things that can be harmed: each body with its subtree
   mug: glass                     # its class
-    vase: {class: heirloom, severity: 40}    # or by component or component class: {body: 40, carried: 30, hot: 9}
+  vase: {class: heirloom, severity: 40}    # or by component or component class: {body: 40, carried: 30, hot: 9}
 severity:                        # replaces values of the shipped table, by entity class
   table: {medium: 1}             # by component class, or one number for all
 objects:                         # objects that can be carried: defaults of attach() and of tasks
@@ -37,10 +37,10 @@ objects:                         # objects that can be carried: defaults of atta
 moving:                          # moving entities: can be harmed, but are not obstacles; see MovingEntity
   person:
     class: adult
-        size: [0.25, 0.85]           # upright cylinder: radius and half height; box: three half sizes
+    size: [0.25, 0.85]           # upright cylinder: radius and half height; box: three half sizes
     t: [0, 3]
     position: [[1, -2, 0.85], [1, 2, 0.85]]    # of the centre at these times; yaw: [...] likewise, for boxes
-        spread: 0.05                 # standard deviation of the position at the first time, 0 by default
+    spread: 0.05                 # standard deviation of the position at the first time, 0 by default
     growth: 0.1                  # standard deviation of the velocity, 0 by default; severity: as for entities
 keyframes:
   ready: [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
@@ -50,7 +50,7 @@ tasks:
     start: ready                 # keyframe or configuration
     goal: [by_plate, by_window]  # keyframe, configuration, or a list of those to choose from
     object: mug
-        support: {start: counter, goal: table}    # supports of the object at the ends: bodies or geoms
+    support: {start: counter, goal: table}    # supports of the object at the ends: bodies or geoms
 allowed_contacts:
   - {first: cable, second: pedestal, when: always}    # or: ends
 """
@@ -67,7 +67,6 @@ import numpy as np
 
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.scene import roles, screening
-from graceful_plan.scene.couplings import warn_of_couplings
 from graceful_plan.scene.elements import (
     AllowedContact,
     Contents,
@@ -80,21 +79,21 @@ from graceful_plan.scene.elements import (
 )
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.concave import divide_surroundings
-from graceful_plan.scene.loading.extents import warn_of_extents
 from graceful_plan.scene.loading.robot_models import robot_file, robots
+from graceful_plan.scene.loading.self_contacts import link_contacts
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import described_drive
 from graceful_plan.scene.model_parts import add_tool
 from graceful_plan.scene.moving import MovingEntity
-from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.scene import Scene, warn_of_mistakes
 from graceful_plan.scene.tasks import check_keyframes
 from graceful_plan.yaml_file import Block, read_yaml
 
 T = TypeVar("T")
 
 _KEYS = (
-    "version", "name", "description", "world", "convex", "robot", "base", "tool", "fingers", "state", "entities",
-    "severity", "objects", "moving", "keyframes", "tasks", "allowed_contacts",
+    "version", "name", "description", "world", "convex", "self_collision", "robot", "base", "tool", "fingers", "state",
+    "entities", "severity", "objects", "moving", "keyframes", "tasks", "allowed_contacts",
 )  # fmt: skip
 _ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque",
                 "limits", "joints")  # fmt: skip
@@ -117,16 +116,19 @@ def read_scene(file: Path) -> Scene:
     convex = root.get("convex")
     with notes.about("convex"):
         divide_surroundings(spec, notes.robot, convex.string() if convex else None)
+    self_collision = root.get("self_collision")
+    with notes.about("self_collision"):
+        kind = self_collision.string() if self_collision else "model"
+        overlaps = link_contacts(spec, notes.robot, notes.tool, kind, notes.allowed, notes.joints)
     with notes.about("base"):
-        notes = replace(notes, base=notes.base or described_drive(spec, notes.robot))
-    scene = Scene.build(spec, notes)
+        base = notes.base or described_drive(spec, notes.robot, notes.joints)
+    scene = Scene.build(spec, replace(notes, base=base, allowed=(*overlaps, *notes.allowed)))
     state = root.get("state")
     if state is not None:
         with scene.notes.about("state"):
             scene = scene.in_state(_state(state))
     _check_promises(scene)
-    warn_of_extents(scene.model, scene.spec, scene.robot_bodies, scene.joint_ids)
-    warn_of_couplings(scene.model, scene.joint_ids, scene.robot_bodies, scene.held_bodies)
+    warn_of_mistakes(scene)
     return replace(scene, notes=replace(scene.notes, file=None, lines={}))
 
 

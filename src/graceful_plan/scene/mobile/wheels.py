@@ -6,6 +6,7 @@ and hinges and motors at its wheels. Everything else is equal.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import MISSING, fields
 
 import mujoco
@@ -28,7 +29,7 @@ _WHEEL = "wheel"
 """Default class of the hinges and motors of wheels, after the robot's prefix."""
 
 
-def described_drive(spec: mujoco.MjSpec, robot: str) -> DiffDrive | None:
+def described_drive(spec: mujoco.MjSpec, robot: str, planned: Collection[str] | None = None) -> DiffDrive | None:
     """Read the drive of a robot from its model: texts and numerics "<robot>drive/FIELD", with the fields of DiffDrive.
 
     Names of joints and wheels are without prefix, separated by spaces.
@@ -36,9 +37,10 @@ def described_drive(spec: mujoco.MjSpec, robot: str) -> DiffDrive | None:
     Args:
         spec: The model.
         robot: Prefix of the names of the robot's bodies, or its root body.
+        planned: Names of the joints to plan; all by default.
 
     Returns:
-        The base; None if the model does not describe one.
+        The base; None if the model does not describe one, or not all of its joints are planned.
 
     Raises:
         SceneError: If the description is incomplete or has unknown fields.
@@ -62,7 +64,8 @@ def described_drive(spec: mujoco.MjSpec, robot: str) -> DiffDrive | None:
         raise SceneError(f"the drive of {robot!r} in its model {what}; its fields are {', '.join(known)}")
     if "reverse" in told:
         told["reverse"] = bool(told["reverse"])
-    return DiffDrive(**told)  # pyright: ignore[reportArgumentType]  checked by DiffDrive
+    drive = DiffDrive(**told)  # pyright: ignore[reportArgumentType]  checked by DiffDrive
+    return drive if planned is None or set(drive.joints).issubset(planned) else None
 
 
 def rolling_spec(scene: SceneFacts) -> mujoco.MjSpec:
