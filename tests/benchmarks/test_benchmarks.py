@@ -97,8 +97,8 @@ def test_the_reference_of_gaps_is_the_best_of_file_and_run(folder, record):
 @pytest.mark.long
 def test_runs_record_when_each_cost_was_reached(record):
     assert record.solved and record.first <= record.trace[0].time < record.seconds
-    assert record.total_at(record.seconds) == pytest.approx(record.total)
-    assert record.total_at(0.0) == np.inf
+    assert record.totals_at(record.seconds) == pytest.approx(record.total)
+    assert record.totals_at(0.0) == np.inf
     task = suite.task(TASK)
     trajectory = record.trajectory(task.scene.joints)
     assert trajectory is not None

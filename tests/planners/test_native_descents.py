@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from saddles import saddle
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import saddle
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.path import Path

@@ -1,7 +1,7 @@
-"""Quality of predicted probabilities: scores, calibration, ranking, and their uncertainty.
+"""Quality of predicted probabilities: scores, calibration, and their uncertainty.
 
-Per event: Brier score, logarithmic loss, area under the ROC curve, calibration error and reliability curve. Per
-trajectory: rank correlations. Events of one motion are correlated, so intervals resample whole motions.
+Scores are the Brier score, the logarithmic loss, the area under the ROC curve, the calibration error and the
+reliability curve. Events of one motion are correlated, so intervals resample whole motions.
 
 References:
     [Brier1950] Verification of forecasts expressed in terms of probability.
@@ -73,12 +73,6 @@ def figures(predicted: ArrayLike, happened: ArrayLike, bins: int = 10) -> Figure
         ratio=predicted_ratio(p, y),
         log_loss=log_loss(p, y),
     )
-
-
-def brier(predicted: ArrayLike, happened: ArrayLike) -> float:
-    """Return the mean squared difference of predicted probability and outcome; 0 is best."""
-    p, y = _events(predicted, happened)
-    return float(np.mean((p - y) ** 2))
 
 
 def brier_skill(predicted: ArrayLike, happened: ArrayLike) -> float:
@@ -165,36 +159,6 @@ def reliability(
     low, high = np.nanquantile(rates, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence], axis=1)
     observed = hits.sum(axis=1) / counts.sum(axis=1)
     return Reliability(np.array([p[m].mean() for m in parts]), observed, low, high, counts.sum(axis=1).astype(int))
-
-
-def spearman(predicted: ArrayLike, observed: ArrayLike) -> float:
-    """Return Spearman's rank correlation, with average ranks for ties; NaN if either input is constant."""
-    from scipy.stats import rankdata
-
-    a, b = (rankdata(finite_array(name, x, ndim=1)) for name, x in (("predicted", predicted), ("observed", observed)))
-    _check_pairs(a, b)
-    a, b = a - a.mean(), b - b.mean()
-    scale = math.sqrt(float(a @ a) * float(b @ b))
-    return float(a @ b) / scale if scale else math.nan
-
-
-def kendall(predicted: ArrayLike, observed: ArrayLike) -> float:
-    """Return Kendall's tau-b, which is corrected for ties; NaN if either input is constant."""
-    from scipy.stats import kendalltau
-
-    a, b = finite_array("predicted", predicted, ndim=1), finite_array("observed", observed, ndim=1)
-    _check_pairs(a, b)
-    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
-        return math.nan
-    return float(np.asarray(kendalltau(a, b))[0])
-
-
-def slope(predicted: ArrayLike, observed: ArrayLike) -> float:
-    """Return the slope of the least-squares line of observed over predicted values; NaN for constant predictions."""
-    a, b = finite_array("predicted", predicted, ndim=1), finite_array("observed", observed, ndim=1)
-    _check_pairs(a, b)
-    a = a - a.mean()
-    return float(a @ b / (a @ a)) if a.any() else math.nan
 
 
 def bootstrap(

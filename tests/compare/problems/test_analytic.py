@@ -6,16 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from saddles import mechanical_work, saddle, saddle_density
 
-from graceful_plan.compare.problems.analytic import (
-    analytic_problems,
-    disc,
-    free_space,
-    saddle,
-    saddle_density,
-    two_media,
-)
-from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem, mechanical_work
+from graceful_plan.compare.problems.analytic import analytic_problems, disc, free_space, two_media
+from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import path_total

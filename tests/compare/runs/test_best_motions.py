@@ -47,7 +47,7 @@ def stored(found, motions) -> BestMotion:
 def test_slow_measurements_can_be_skipped(found):
     assert found.solved and found.first <= found.trace[0].time < found.seconds
     assert np.isnan([found.jerk_peak, found.jerk_rms, found.clearance, found.self_clearance, found.certified]).all()
-    assert found.total_at(found.seconds) == pytest.approx(found.total)
+    assert found.totals_at(found.seconds) == pytest.approx(found.total)
 
 
 def test_a_stored_motion_comes_back(stored, motions):

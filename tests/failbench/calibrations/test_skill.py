@@ -49,7 +49,6 @@ def test_certainty_and_the_base_rate(data: tuple[Array, Array]) -> None:
     if y.all() or not y.any():
         assert math.isnan(skill.brier_skill(np.full(len(y), 0.5), y))
         return
-    assert skill.brier(y, y) == 0.0
     assert skill.brier_skill(y, y) == skill.auc(y, y) == skill.predicted_ratio(y, y) == 1.0
     assert skill.calibration_error(y, y, bins=1) == 0.0
     constant = np.full(len(y), y.mean())
@@ -60,7 +59,6 @@ def test_certainty_and_the_base_rate(data: tuple[Array, Array]) -> None:
 def test_calibrated_events_have_the_known_scores() -> None:
     p, y = _sample()
     # Of p uniform and y ~ Bernoulli(p): E (p-y)^2 = 1/6, base rate 1/2, log loss 1/2, AUC 5/6.
-    assert skill.brier(p, y) == pytest.approx(1.0 / 6.0, abs=0.01)
     assert skill.brier_skill(p, y) == pytest.approx(1.0 / 3.0, abs=0.02)
     assert skill.log_loss(p, y) == pytest.approx(0.5, abs=0.02)
     assert skill.auc(p, y) == pytest.approx(5.0 / 6.0, abs=0.01)
@@ -125,28 +123,6 @@ def test_bands_widen_if_events_of_a_motion_are_alike() -> None:
     assert (together.high - together.low).mean() > 1.5 * (apart.high - apart.low).mean()
 
 
-@given(hnp.arrays(float, 12, elements=st.floats(-10.0, 10.0), unique=True))
-def test_ranks_do_not_care_about_scale(x: Array) -> None:
-    for rank in (skill.spearman, skill.kendall):
-        assert rank(x, np.arctan(x / 5.0) if len(np.unique(np.arctan(x / 5.0))) == 12 else x) == pytest.approx(1.0)
-        assert rank(x, -x) == pytest.approx(-1.0)
-
-
-def test_ranks_against_formulas() -> None:
-    a, b = np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([2.0, 1.0, 4.0, 3.0, 5.0])
-    # 1 - 6 sum d^2 / (n (n^2 - 1)); (concordant - discordant) / pairs
-    assert skill.spearman(a, b) == pytest.approx(1.0 - 6.0 * 4.0 / (5.0 * 24.0))
-    assert skill.kendall(a, b) == pytest.approx((8 - 2) / 10)
-    assert math.isnan(skill.spearman(a, np.ones(5)))
-    assert math.isnan(skill.kendall(a, np.ones(5)))
-
-
-def test_slope_of_a_line() -> None:
-    x = np.linspace(0.0, 1.0, 7)
-    assert skill.slope(x, 3.0 - 0.5 * x) == pytest.approx(-0.5)
-    assert math.isnan(skill.slope(np.ones(3), np.arange(3.0)))
-
-
 def test_bootstrap_intervals_are_repeatable_and_contain_the_figure() -> None:
     p, y = _sample(400)
     first = skill.bootstrap(skill.brier_skill, p, y, resamples=200)
@@ -169,7 +145,7 @@ def test_bootstrap_intervals_are_repeatable_and_contain_the_figure() -> None:
 )
 def test_invalid_arguments_are_refused(p: list[float], y: list[float], error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
-        skill.brier(p, y)
+        skill.brier_skill(p, y)
     with pytest.raises(error, match=text):
         skill.auc(p, y)
 

@@ -4,13 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from failbench.mobile.coasting import BaseFailure, coasting
-from failbench.mobile.following import within_reach
-from failbench.mobile.wheeled import wheeled
-from graceful_plan.mobile.coast.closed_forms import (
+from closed_forms import (
     coasting_distance,
     overshoot_of_delay,
     pivot_radius,
@@ -23,6 +17,12 @@ from graceful_plan.mobile.coast.closed_forms import (
     spin_rate,
     straightening_angle,
 )
+from hypothesis import given
+from hypothesis import strategies as st
+
+from failbench.mobile.coasting import BaseFailure, coasting
+from failbench.mobile.following import within_reach
+from failbench.mobile.wheeled import wheeled
 from graceful_plan.mobile.coast.constants import CoastSettings
 from graceful_plan.mobile.coast.four_wheel import Case, integrated, one_sided_trajectories
 from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, OneSideSteering, reference_motion

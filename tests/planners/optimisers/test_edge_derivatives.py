@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from body_twin import BodyTwin
+from saddles import saddle
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import analytic_problems, disc, saddle
+from graceful_plan.compare.problems.analytic import analytic_problems, disc
 from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.models.body.constants import BodySettings

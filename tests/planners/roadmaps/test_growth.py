@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from saddles import saddle
 
-from graceful_plan.compare.problems.analytic import analytic_problems, saddle
+from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import path_total

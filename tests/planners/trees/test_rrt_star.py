@@ -6,9 +6,10 @@ import itertools
 
 import numpy as np
 import pytest
+from saddles import saddle
 
 import graceful_plan as gp
-from graceful_plan.compare.problems.analytic import disc, free_space, saddle
+from graceful_plan.compare.problems.analytic import disc, free_space
 from graceful_plan.compare.problems.function_problem import DensityObjective, FunctionProblem
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from saddles import SaddleProblem, mechanical_work, saddle, saddle_density
 
-from graceful_plan.compare.problems.analytic import SaddleProblem, disc, saddle, saddle_density
-from graceful_plan.compare.problems.function_problem import DensityObjective, mechanical_work
+from graceful_plan.compare.problems.analytic import disc
+from graceful_plan.compare.problems.function_problem import DensityObjective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.interruptible import InterruptibleProblem

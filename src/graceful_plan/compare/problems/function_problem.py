@@ -13,7 +13,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import Path, finite_array
+from graceful_plan.path import finite_array
 from graceful_plan.planners.planner import Problem
 
 Array = np.ndarray
@@ -165,13 +165,3 @@ class DensityObjective:
         d_q0 = self.w * _sums((1.0 - pieces.t)[:, None] * slope, pieces) - longer
         d_q1 = self.w * _sums(pieces.t[:, None] * slope, pieces) + longer
         return np.stack([length, length * mean], axis=1), d_q0, d_q1
-
-
-def mechanical_work(density: Density, path: Path, step: float = 0.01) -> float:
-    """Sum the increases of `density` along a path, the quantity that T-RRT keeps low.
-
-    References:
-        [Jaillet2010] Sampling-based path planning on configuration-space costmaps, Sec. III.
-    """
-    cost = density(path.resampled(step).q)
-    return float(np.maximum(0.0, np.diff(cost)).sum())

@@ -117,10 +117,6 @@ class Run:
         totals = np.minimum.accumulate([math.inf, *(point.total for point in trace)])
         return totals[np.searchsorted(times, seconds, side="right")]
 
-    def total_at(self, seconds: float) -> float:
-        """Return the total cost of the best path at one time; see `totals_at`."""
-        return float(self.totals_at([seconds])[0])
-
     def to_json(self) -> str:
         """Return one line of strict JSON; non-finite numbers become null."""
         document = asdict(self)
