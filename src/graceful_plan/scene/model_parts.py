@@ -1,36 +1,26 @@
-"""Find the parts of a scene in a MuJoCo model: robot bodies, planned joints and their limits, geoms of bodies.
+"""Find the parts of a scene in a MuJoCo model: robot bodies, planned joints, geoms of bodies.
 
-Except for `add_tool` and `set_limits`, the functions only read the model. They raise if a needed part is missing.
+Except for `add_tool`, the functions only read the model. They raise if a needed part is missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Bool
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
-from graceful_plan.scene.elements import Limits, Notes
 from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-from graceful_plan.scene.screening import MAX_EXTENT, compile_spec
 
 Array = np.ndarray
 
 _OBJ = mujoco.mjtObj
 _GEOM = mujoco.mjtGeom
 _JOINT = mujoco.mjtJoint
-_NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _SCALAR_JOINTS = (int(_JOINT.mjJNT_HINGE), int(_JOINT.mjJNT_SLIDE))
-
-_BASE_JOINTS = 3
-"""Joints of a base: along x, along y, heading."""
-
-SUPPORTED_GEOMS = (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CAPSULE, _GEOM.mjGEOM_ELLIPSOID,
-                   _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_BOX, _GEOM.mjGEOM_MESH)  # fmt: skip
-"""Supported types of colliding geoms; meshes count as their convex hulls, as in MuJoCo."""
 
 
 def names(model: mujoco.MjModel, kind: mujoco.mjtObj, ids: Iterable[int]) -> list[str]:
@@ -100,82 +90,6 @@ def colliding_geoms(model: mujoco.MjModel, bodies: Collection[int]) -> tuple[int
     return tuple(np.flatnonzero(mine & collides(model)).tolist())
 
 
-def checked_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a model and check that a scene can represent it.
-
-    Raises:
-        SceneError: If it cannot be compiled or contains numbers that are not finite.
-        UnsupportedError: If it has unsupported features.
-    """
-    model = compile_spec(spec)
-    check_numbers(model)
-    check_supported(model)
-    return model
-
-
-def check_supported(model: mujoco.MjModel) -> None:
-    """Check that a model uses only supported geoms, contacts and bodies.
-
-    Raises:
-        UnsupportedError: If it does not; the message lists all unsupported features.
-    """
-    problems = []
-    for geom in np.flatnonzero(collides(model)).tolist():
-        kind = _GEOM(model.geom_type[geom])
-        if kind not in SUPPORTED_GEOMS:
-            problems.append(f"geom {geom_label(model, geom)!r} of type {kind.name.removeprefix('mjGEOM_').lower()}")
-    if model.opt.disableflags & _NO_CONTACTS:
-        problems.append("contacts switched off by <flag>")
-    problems += ["flexible bodies"] * bool(model.nflex) + ["plugins"] * bool(model.nplugin)
-    if problems:
-        known = ", ".join(kind.name.removeprefix("mjGEOM_").lower() for kind in SUPPORTED_GEOMS)
-        raise UnsupportedError(f"not supported: {', '.join(problems)}; geoms that collide may be {known}")
-
-
-def check_numbers(model: mujoco.MjModel) -> None:
-    """Check that numbers are finite, the timestep is above 0, and lengths are at most `MAX_EXTENT`.
-
-    MuJoCo's compiler does not check this.
-
-    Raises:
-        SceneError: If a check fails; the message names field and object.
-    """
-    if not (np.isfinite(model.opt.timestep) and model.opt.timestep > 0.0):
-        raise SceneError(f"the timestep is {model.opt.timestep}, it has to be above 0")
-    for kind, fields in _FINITE_FIELDS.items():
-        for field in fields:
-            values = np.asarray(getattr(model, field))
-            bad = np.argwhere(~np.isfinite(values))
-            if len(bad):
-                index = int(bad[0, 0])
-                name = "" if kind is None else f" of {names(model, kind, [index])[0]!r}"
-                raise SceneError(f"{field}{name} is not finite")
-    for kind, field in _LENGTHS:
-        values = np.asarray(getattr(model, field))
-        far = np.argwhere(np.abs(values) > MAX_EXTENT)
-        if len(far):
-            index = int(far[0, 0])
-            name = "" if kind is None else f" of {names(model, kind, [index])[0]!r}"
-            raise SceneError(f"{field}{name} is {values[tuple(far[0])]:g} m; single precision takes {MAX_EXTENT:g} m")
-
-
-_LENGTHS = (
-    (_OBJ.mjOBJ_BODY, "body_pos"),
-    (_OBJ.mjOBJ_GEOM, "geom_pos"),
-    (_OBJ.mjOBJ_GEOM, "geom_size"),
-    (_OBJ.mjOBJ_SITE, "site_pos"),
-    (None, "mesh_vert"),
-)
-_FINITE_FIELDS: Mapping[mujoco.mjtObj | None, tuple[str, ...]] = {
-    _OBJ.mjOBJ_BODY: ("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
-    _OBJ.mjOBJ_GEOM: ("geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_margin"),
-    _OBJ.mjOBJ_JOINT: ("jnt_range", "jnt_pos", "jnt_axis", "jnt_stiffness"),
-    _OBJ.mjOBJ_SITE: ("site_pos", "site_quat"),
-    None: ("qpos0", "qpos_spring", "mesh_vert", "dof_armature", "dof_damping", "actuator_gainprm", "actuator_biasprm",
-           "actuator_forcerange", "key_qpos", "numeric_data"),
-}  # fmt: skip
-
-
 def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
     """Return the robot's bodies: the body of this name, else all bodies whose names start with it, with their subtrees.
 
@@ -212,22 +126,6 @@ def tool_body(model: mujoco.MjModel, tool: str, robot: Collection[int]) -> int:
         valid = {*names(model, _OBJ.mjOBJ_SITE, range(model.nsite)), *names(model, _OBJ.mjOBJ_BODY, robot)}
         raise UnknownNameError("tool (site or body)", tool, (name for name in valid if not name.startswith("#")))
     return int(model.site_bodyid[site])
-
-
-def set_limits(model: mujoco.MjModel, robot: Collection[int], limits: Mapping[str, tuple[float, float]]) -> None:
-    """Replace joint limits of the robot in the model, for planner, inverse kinematics and judge alike.
-
-    Raises:
-        UnknownNameError: If the robot has no such hinge or slide joint.
-        SettingError: If a lower limit is not below the upper one.
-    """
-    joints = {model.joint(j).name: j for j in range(model.njnt) if is_scalar(model, j, robot)}
-    for name, (lower, upper) in limits.items():
-        if name not in joints:
-            raise UnknownNameError("joint", name, joints)
-        if not (np.isfinite([lower, upper]).all() and lower < upper):
-            raise SettingError(f"limits of {name}", (lower, upper), "two finite numbers, the lower one first")
-        model.jnt_range[joints[name]], model.jnt_limited[joints[name]] = (lower, upper), 1
 
 
 def is_scalar(model: mujoco.MjModel, joint: int, robot: Collection[int]) -> bool:
@@ -317,89 +215,3 @@ def check_base(model: mujoco.MjModel, joints: tuple[int, ...], base: DiffDrive) 
         if model.jnt_type[joint] != kind or not np.allclose(model.jnt_axis[joint], axis) or not upright or not centred:
             what = "slides along x and y and a hinge about z, in bodies that are neither turned nor moved along x and y"
             raise SceneError(f"the base's joint {model.joint(joint).name!r}: expected {what}")
-
-
-def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -> Limits:
-    """Collect limits: positions and torques from the model, the rest from the notes or custom numbers.
-
-    A hinge without limits gets one turn in each direction, the heading of a base two. Limits of a base come from its
-    `DiffDrive`; velocity and acceleration of the notes are for the other joints. Torque comes from the notes,
-    actuatorfrcrange or the forcerange of the actuators on the joint; it is infinite if none is set.
-
-    Raises:
-        SceneError: If a slide has no limits, or velocity or acceleration limits are missing.
-    """
-    base = notes.base
-    behind = joints if base is None else joints[_BASE_JOINTS:]
-    torque = _limit(model, behind, notes, "torque", notes.torque)
-    if torque is None:
-        torque = np.array([_torque(model, j) for j in behind])
-    velocity, acceleration = (
-        _needed_limit(model, behind, notes, name, given) if behind else np.zeros(0)
-        for name, given in (("velocity", notes.velocity), ("acceleration", notes.acceleration))
-    )
-    position = np.array([joint_range(model, j) for j in joints])
-    if base is not None:
-        fastest, hardest = base.joint_limits
-        velocity, acceleration = np.concatenate([fastest, velocity]), np.concatenate([hardest, acceleration])
-        torque = np.concatenate([np.full(_BASE_JOINTS, np.inf), torque])
-        if not model.jnt_limited[joints[2]]:
-            position[2] *= 2.0
-    limits = Limits(position=position, velocity=velocity, acceleration=acceleration, torque=torque)
-    for values in (limits.position, limits.velocity, limits.acceleration, limits.torque):
-        values.flags.writeable = False
-    return limits
-
-
-def _needed_limit(
-    model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes, name: str, given: tuple[float, ...] | None
-) -> Float[Array, " nq"]:
-    found = _limit(model, joints, notes, name, given)
-    if found is None:
-        custom = _custom(model, notes, name)
-        raise SceneError(
-            f"no {name} limits: give {name}=[{len(joints)} numbers], or the model a custom numeric {custom!r}"
-        )
-    return found
-
-
-def _custom(model: mujoco.MjModel, notes: Notes, name: str) -> str:
-    is_body = lookup(model, _OBJ.mjOBJ_BODY, notes.robot) > 0
-    prefix = notes.robot[: notes.robot.rfind("/") + 1] if is_body else notes.robot
-    return f"{prefix}{name}_limit"
-
-
-def _limit(
-    model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes, name: str, given: tuple[float, ...] | None
-) -> Float[Array, " nq"] | None:
-    custom = mujoco.mj_name2id(model, _OBJ.mjOBJ_NUMERIC, _custom(model, notes, name))
-    if given is None and custom < 0:
-        return None
-    values = np.array(model.numeric(custom).data if given is None else given, dtype=float)
-    if values.shape != (len(joints),) or not np.isfinite(values).all() or (values <= 0.0).any():
-        raise SettingError(
-            f"{name} limits", values.tolist(), f"{len(joints)} finite numbers above 0, one per planned joint"
-        )
-    return values
-
-
-def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """Return the limits of a hinge or slide; a hinge without limits gets a turn each way.
-
-    Raises:
-        SceneError: If a slide has no limits.
-    """
-    if model.jnt_limited[joint]:
-        return tuple(model.jnt_range[joint])
-    if int(model.jnt_type[joint]) == int(_JOINT.mjJNT_SLIDE):
-        raise SceneError(f"the sliding joint {model.joint(joint).name!r} has no range")
-    return -2.0 * np.pi, 2.0 * np.pi
-
-
-def _torque(model: mujoco.MjModel, joint: int) -> float:
-    if model.jnt_actfrclimited[joint]:
-        return float(np.abs(model.jnt_actfrcrange[joint]).max())
-    on_joint = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)) & (model.actuator_trnid[:, 0] == joint)
-    limited = np.flatnonzero(on_joint & (model.actuator_forcelimited != 0))
-    forces = np.abs(model.actuator_forcerange[limited]).max(axis=1) * np.abs(model.actuator_gear[limited, 0])
-    return float(forces.sum()) if len(limited) else np.inf

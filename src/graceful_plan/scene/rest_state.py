@@ -17,8 +17,9 @@ from graceful_plan.exceptions import SettingError, UnknownNameError, Unsupported
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.couplings import coupled, follow, followers, passive_joints
 from graceful_plan.scene.elements import Notes
+from graceful_plan.scene.joint_limits import joint_range
 from graceful_plan.scene.loading.naming import is_name, lookup
-from graceful_plan.scene.model_parts import is_scalar, joint_range
+from graceful_plan.scene.model_parts import is_scalar
 from graceful_plan.scene.roles import rigid_pose
 
 Array = np.ndarray

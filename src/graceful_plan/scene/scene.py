@@ -27,6 +27,7 @@ from graceful_plan.scene.edit import StaticBody, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
+from graceful_plan.scene.joint_limits import joint_limits, set_limits
 from graceful_plan.scene.loading.concave import divide_surroundings
 from graceful_plan.scene.loading.extents import warn_of_extents
 from graceful_plan.scene.loading.self_contacts import (
@@ -38,17 +39,15 @@ from graceful_plan.scene.loading.self_contacts import (
 )
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import described_drive
+from graceful_plan.scene.model_checks import checked_model
 from graceful_plan.scene.model_parts import (
     add_tool,
     check_base,
-    checked_model,
     find,
     gripper_bodies,
-    joint_limits,
     names,
     planned_joints,
     robot_bodies,
-    set_limits,
     subtree,
     tool_body,
 )
