@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from graceful_plan import disk_cache
-from graceful_plan.core import covers, sphere_cover
+from graceful_plan.core import covers, greedy_cover, sphere_cover
 from graceful_plan.core.covers import group_cover, hull_triangles
 
 _MESHES = """
@@ -77,8 +77,8 @@ def test_a_large_base_is_covered_once_by_large_spheres(monkeypatch: pytest.Monke
     mesh = f'<mesh name="m" vertex="{" ".join(f"{x:.5f}" for x in points.ravel())}"/>'
     geom = '<geom type="mesh" mesh="m"/>'
     model = mujoco.MjModel.from_xml_string(_MESHES.format(assets=mesh, geoms=geom))
-    asked, cover_of = [], sphere_cover.hull_cover
-    monkeypatch.setattr(sphere_cover, "hull_cover", lambda *given: asked.append(given[1]) or cover_of(*given))
+    asked, cover_of = [], greedy_cover.hull_cover
+    monkeypatch.setattr(greedy_cover, "hull_cover", lambda *given: asked.append(given[1]) or cover_of(*given))
     X = _poses(model)
     cover = group_cover(model, (0,), X, base=True)
     assert asked == [covers.BASE_PROTRUSION]
@@ -100,7 +100,7 @@ def test_a_cover_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("made again")
 
-    monkeypatch.setattr(sphere_cover, "hull_cover", refuse)
+    monkeypatch.setattr(greedy_cover, "hull_cover", refuse)
     again = group_cover(model, geoms, X, base=False)  # from the cache folder
     np.testing.assert_array_equal(again.spheres, first.spheres)
 
@@ -153,8 +153,8 @@ def test_heights_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> Non
     rng = np.random.default_rng(5)
     planes = np.column_stack([np.linalg.qr(rng.normal(size=(3, 3)))[0].repeat(5, axis=0), rng.uniform(0, 1, 15)])
     points = rng.normal(size=(101, 3))
-    whole = sphere_cover.heights(points, planes)
-    monkeypatch.setattr(sphere_cover, "_CHUNK", 40)
-    for a, b in zip(whole, sphere_cover.heights(points, planes), strict=True):
+    whole = greedy_cover.heights(points, planes)
+    monkeypatch.setattr(greedy_cover, "_CHUNK", 40)
+    for a, b in zip(whole, greedy_cover.heights(points, planes), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)
     np.testing.assert_allclose(whole[0], (points @ planes[:, :3].T - planes[:, 3]).max(axis=1))

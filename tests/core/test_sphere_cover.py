@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from graceful_plan.core import sphere_cover
+from graceful_plan.core import greedy_cover, sphere_cover
 
 _COVERED = 1e-9
 sizes = st.floats(0.004, 0.08)
@@ -77,7 +77,7 @@ def test_ellipsoid_is_covered_and_barely_exceeded(semi_axes):
     rng = np.random.default_rng(0)
     unit = rng.normal(size=(5000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    cover = sphere_cover.ellipsoid_cover(semi_axes)
+    cover = greedy_cover.ellipsoid_cover(semi_axes)
     assert _uncovered(unit * semi_axes, cover) <= _COVERED
     assert _greatest_height(cover, lambda p: (np.linalg.norm(p / semi_axes, axis=1) - 1) * min(semi_axes)) <= 0.01
 
@@ -94,7 +94,7 @@ def test_hull_of_a_cube_is_covered_and_barely_exceeded():
     half = np.array([0.03, 0.03, 0.03])
     corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) * half
     planes = np.concatenate([np.column_stack([s * np.eye(3), half]) for s in (1, -1)])
-    cover = sphere_cover.hull_cover([(corners, planes)])
+    cover = greedy_cover.hull_cover([(corners, planes)])
     assert _uncovered(_in_box(half, np.random.default_rng(0)), cover) <= _COVERED
     assert np.max(cover[1] - np.min(half - np.abs(cover[0]), axis=1)) <= sphere_cover.MAX_PROTRUSION + 1e-9
 
@@ -105,14 +105,14 @@ def test_hulls_of_many_faces_are_covered_by_few_of_them() -> None:
     points *= np.array([0.05, 0.04, 0.09]) / np.linalg.norm(points, axis=1, keepdims=True)
     hull = ConvexHull(points)
     planes = np.column_stack([hull.equations[:, :3], -hull.equations[:, 3]])
-    few = sphere_cover.fewer_planes(points, planes)
+    few = greedy_cover.fewer_planes(points, planes)
     assert len(few) < len(planes) / 4
     assert (points @ few[:, :3].T - few[:, 3]).max() < 1e-9  # every point is inside
-    centres, radii = sphere_cover.hull_cover([(points, planes)])
+    centres, radii = greedy_cover.hull_cover([(points, planes)])
     mixed = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(4), 4000), points[rng.integers(len(points), size=(4000, 4))])
     inside = np.concatenate([points, mixed])
     assert (np.linalg.norm(inside[:, None] - centres, axis=2) - radii).min(axis=1).max() < 1e-9
-    depth = -sphere_cover.heights(centres, planes)[0]
+    depth = -greedy_cover.heights(centres, planes)[0]
     assert (radii - depth).max() < 0.01
 
 
@@ -127,14 +127,14 @@ def _hull(seed: int, shift: float) -> tuple[np.ndarray, np.ndarray]:
 def test_overlapping_hulls_are_covered_together(shift: float) -> None:
     """The cover contains both hulls, no ball sticks out of both, and the shared part is covered once."""
     rng, hulls = np.random.default_rng(0), [_hull(0, 0.0), _hull(1, shift)]
-    centres, radii = cover = sphere_cover.hull_cover(hulls)
+    centres, radii = cover = greedy_cover.hull_cover(hulls)
     for points, _ in hulls:
         mixed = rng.dirichlet(np.ones(4), 4000)
         inside = np.einsum("nk,nki->ni", mixed, points[rng.integers(len(points), size=(4000, 4))])
         assert _uncovered(np.concatenate([points, inside]), cover) <= _COVERED
-    depth = np.max([-sphere_cover.heights(centres, planes)[0] for _, planes in hulls], axis=0)
+    depth = np.max([-greedy_cover.heights(centres, planes)[0] for _, planes in hulls], axis=0)
     assert (radii - depth).max() < 0.01
-    alone = sum(len(sphere_cover.hull_cover([hull])[1]) for hull in hulls)
+    alone = sum(len(greedy_cover.hull_cover([hull])[1]) for hull in hulls)
     assert len(radii) <= (0.7 if shift < 0.1 else 1.05) * alone
 
 
@@ -142,9 +142,9 @@ def test_no_ball_of_a_cover_is_idle() -> None:
     """Each ball contains a point that no other ball certainly covers."""
     points, planes = _hull(2, 0.0)
     pitch = 0.006
-    near, height = sphere_cover.samples_of_convex(points, planes, pitch)
+    near, height = greedy_cover.samples_of_convex(points, planes, pitch)
     gap = pitch * np.sqrt(5.0) / 4.0
-    centres, radii = sphere_cover.greedy_cover(near, -height, sphere_cover.MAX_PROTRUSION, gap)
+    centres, radii = greedy_cover.greedy_cover(near, -height, sphere_cover.MAX_PROTRUSION, gap)
     covers = np.linalg.norm(near[:, None] - centres, axis=2) <= radii - gap + 1e-7
     assert covers.any(axis=1).all()
     assert (covers & (covers.sum(axis=1) == 1)[:, None]).any(axis=0).all()
@@ -154,7 +154,7 @@ def test_no_ball_of_a_cover_is_idle() -> None:
 def test_samples_are_near_everything_in_a_hull(pitch: float) -> None:
     """The spacing is that of a body-centred cubic lattice."""
     points, planes = _hull(3, 0.0)
-    near, height = sphere_cover.samples_of_convex(points, planes, pitch)
+    near, height = greedy_cover.samples_of_convex(points, planes, pitch)
     assert height.max() < 1e-5
     rng = np.random.default_rng(1)
     inside = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(4) / 4, 3000), points[rng.integers(60, size=(3000, 4))])
@@ -166,7 +166,7 @@ def test_samples_are_near_everything_in_a_hull(pitch: float) -> None:
 def test_a_sheet_keeps_all_its_faces() -> None:
     points = np.column_stack([np.random.default_rng(0).uniform(size=(200, 2)), np.zeros(200)])
     planes = np.tile([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, -1.0, 0.0]], (80, 1))
-    assert sphere_cover.fewer_planes(points, planes) is planes
+    assert greedy_cover.fewer_planes(points, planes) is planes
 
 
 @given(st.integers(1, 30), st.integers(0, 999))
@@ -186,7 +186,7 @@ def test_depths_in_an_ellipsoid_equal_the_nearest_of_many_points(semi_axes) -> N
     unit = rng.normal(size=(200_000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     points = np.concatenate([unit[:20] * axes * rng.uniform(0.0, 1.0, (20, 1)), np.zeros((1, 3)), np.eye(3) * axes])
-    depth = sphere_cover._ellipsoid_depth(points, axes)
+    depth = greedy_cover._ellipsoid_depth(points, axes)
     nearest = np.array([np.linalg.norm(unit * axes - point, axis=1).min() for point in points])
     assert (depth <= nearest + 1e-8).all() and np.abs(depth - nearest).max() < 0.005
     np.testing.assert_allclose(depth[-3:], 0.0, atol=1e-8)

@@ -17,7 +17,7 @@ import numpy as np
 
 from graceful_plan import disk_cache
 from graceful_plan.array_types import Float
-from graceful_plan.core import sphere_cover
+from graceful_plan.core import greedy_cover, sphere_cover
 from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.exceptions import UnsupportedError
 
@@ -202,7 +202,7 @@ def _geom_cover(
     if kind == "cylinder":
         return sphere_cover.cylinder_cover(size[0], size[1], protrusion)
     if kind == "ellipsoid":
-        return sphere_cover.ellipsoid_cover(size, protrusion)
+        return greedy_cover.ellipsoid_cover(size, protrusion)
     raise UnsupportedError(
         f"geom {geom_name(model, geom)!r} of the robot or the carried object is a {kind or 'geom of unknown type'}; "
         "use spheres, capsules, boxes, cylinders, ellipsoids or convex meshes"
@@ -221,7 +221,7 @@ def _mesh_cover(hulls: list[Float[Array, "triangle 3 3"]], protrusion: float) ->
         return found[:, :3], found[:, 3]
     started = time.perf_counter()
     bodies = [(corners, _planes(triangles)) for corners, triangles in zip(vertices, hulls, strict=True)]
-    cover = sphere_cover.hull_cover(bodies, protrusion)
+    cover = greedy_cover.hull_cover(bodies, protrusion)
     if time.perf_counter() - started > _SLOW:
         disk_cache.write(digest, np.column_stack(cover))
     return cover
