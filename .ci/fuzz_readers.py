@@ -44,8 +44,8 @@ from failbench.policies.mlp import Mlp
 from failbench.sweeps import dataset
 from failbench.sweeps.card import write_card
 from failbench.sweeps.dataset import read_manifest
+from failbench.sweeps.definition import Sweep, SweepMotion
 from failbench.sweeps.sweep import read_sweep
-from failbench.sweeps.work import Sweep, SweepMotion
 from failbench.traces.folder import chosen
 from graceful_plan import disk_cache, documents
 from graceful_plan.annotation.annotations import Annotation, Annotations

@@ -12,7 +12,7 @@ import pytest
 from jaxtyping import TypeCheckError
 
 import graceful_plan as gp
-from failbench.sweeps.work import Sweep, SweepMotion
+from failbench.sweeps.definition import Sweep, SweepMotion
 from graceful_plan import documents
 from graceful_plan.compare.runs.records import Run
 from graceful_plan.compare.runs.runner import RAISED

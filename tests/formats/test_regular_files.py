@@ -16,8 +16,8 @@ import graceful_plan as gp
 from failbench.calibrations.failures import read_failures
 from failbench.cli import main as failbench_main
 from failbench.policies.mlp import Mlp
+from failbench.sweeps.definition import Sweep, SweepMotion
 from failbench.sweeps.sweep import generate_dataset, read_sweep
-from failbench.sweeps.work import Sweep, SweepMotion
 from graceful_plan import disk_cache, documents
 from graceful_plan.annotation.annotations import Annotations
 from graceful_plan.compare.problems.suite import load_suite

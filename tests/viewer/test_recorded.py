@@ -24,8 +24,8 @@ _LONG = 60.0
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A sweep of two faults on one short motion, two rollouts of each."""
+    from failbench.sweeps.definition import PlanSettings
     from failbench.sweeps.sweep import sweep_of
-    from failbench.sweeps.work import PlanSettings
 
     folder = tmp_path_factory.mktemp("sweep") / "data"
     patterns = [f"tabletop/lift_to_goal/{fault}/severe" for fault in ("gripper_failure", "noise")]

@@ -12,7 +12,7 @@ from failbench.commands.output import Answer, Bar
 from failbench.front_validation import validate_front
 from failbench.report import FAILURES_PER_HOUR
 from failbench.simulated.world import SimSettings
-from failbench.sweeps.work import scene_of
+from failbench.sweeps.definition import scene_of
 from failbench.validation import validate
 
 

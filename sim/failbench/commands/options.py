@@ -12,7 +12,7 @@ from failbench.commands.output import Answer
 from failbench.fault.registry import to_document
 from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
-from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion, scene_of
+from failbench.sweeps.definition import PlanSettings, Sweep, SweepMotion, scene_of
 from graceful_plan import documents
 from graceful_plan.exceptions import SettingError
 

@@ -14,8 +14,9 @@ from failbench.pictures.playback import replay
 from failbench.report import loudly
 from failbench.scenario import scenarios
 from failbench.sweeps import summary
+from failbench.sweeps.definition import scene_of
 from failbench.sweeps.sweep import read_sweep
-from failbench.sweeps.work import execution_of, jobs_of, run_chunk, scene_of
+from failbench.sweeps.work import execution_of, jobs_of, run_chunk
 
 
 def add(commands: Any) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 
 from failbench.commands.options import add_command, add_motion, motion_of, plan_settings, sim_settings
 from failbench.commands.output import Answer, Bar
+from failbench.sweeps.definition import Sweep
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.sweep import Generated, generate_dataset, resume, sweep_of
-from failbench.sweeps.work import Sweep
 from graceful_plan.exceptions import SettingError
 
 

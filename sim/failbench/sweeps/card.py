@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from failbench.basics.tables import TABLES
-from failbench.sweeps.work import Sweep
+from failbench.sweeps.definition import Sweep
 
 CARD = "README.md"
 _MARK = "<!-- made by failbench generate -->"

@@ -27,7 +27,7 @@ from graceful_plan.untrusted_json import parse_json
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from failbench.sweeps.work import Sweep
+    from failbench.sweeps.definition import Sweep
 
 MANIFEST = "manifest.json"
 PART_ROWS = 5_000
@@ -56,7 +56,7 @@ class Dataset:
     @property
     def sweep(self) -> Sweep:
         """The sweep that made the dataset."""
-        from failbench.sweeps.work import Sweep
+        from failbench.sweeps.definition import Sweep
 
         return Sweep.from_document(self.manifest["sweep"], f"sweep of {MANIFEST}")
 

@@ -27,9 +27,10 @@ from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.card import write_card
 from failbench.sweeps.dataset import check_arrow, read_dataset, write_dataset
+from failbench.sweeps.definition import PlanSettings, Sweep, SweepMotion, fault_of, own_file
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.journal import SweepJournal
-from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion, execution_of, fault_of, own_file, run_chunk
+from failbench.sweeps.work import execution_of, run_chunk
 from graceful_plan.exceptions import FormatError, SettingError
 from graceful_plan.regular_file import path_of
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from failbench.rollouts.sampling import check_whole
 from failbench.sweeps.card import CARD, write_own
 from failbench.sweeps.dataset import MANIFEST, check_arrow, read_manifest
-from failbench.sweeps.work import Sweep, execution_of, jobs_of
+from failbench.sweeps.definition import Sweep
+from failbench.sweeps.work import execution_of, jobs_of
 from failbench.traces.trace import Sampling, trace
 from graceful_plan.exceptions import READ_ERRORS, FormatError, SettingError, read_error_reason
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from failbench.rollouts.sampling import check_whole
 from failbench.sweeps.dataset import check_arrow, read_dataset
-from failbench.sweeps.work import Sweep, execution_of
+from failbench.sweeps.definition import Sweep
+from failbench.sweeps.work import execution_of
 from failbench.traces.folder import chosen, make_folder, traced
 from failbench.traces.trace import Sampling
 from graceful_plan.exceptions import SettingError

@@ -156,9 +156,10 @@ def recorded_replay(rollouts: RecordedRollouts, number: int) -> Replay:
     Raises:
         SettingError: If its fault is defined in a custom file, which is not run here.
     """
-    work, row = importlib.import_module("failbench.sweeps.work"), rollouts[number]
+    definition, work = (importlib.import_module(f"failbench.sweeps.{name}") for name in ("definition", "work"))
+    row = rollouts[number]
     motion_index, fault_index, i = rollouts.sweep.place(number)
-    if file := work.own_file(rollouts.sweep.faults[fault_index]):
+    if file := definition.own_file(rollouts.sweep.faults[fault_index]):
         what = f"a fault of FailBench's; `failbench replay` runs {file}, if you trust it"
         raise SettingError(f"fault of rollout {number}", row.fault, what)
     motion = rollouts.shown(number)[1].motions[0]

@@ -127,7 +127,7 @@ class RecordedRollouts:
         return self._shown[index]
 
     def _answer(self, motion: Any) -> tuple[Question, PlanAnswer]:
-        scene = importlib.import_module("failbench.sweeps.work").scene_of(motion.scene, motion.task)
+        scene = importlib.import_module("failbench.sweeps.definition").scene_of(motion.scene, motion.task)
         w = DEFAULT_WEIGHT if motion.plan is None else float(motion.plan.w)
         question = Question(
             scene=scene,

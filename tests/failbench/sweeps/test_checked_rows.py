@@ -14,8 +14,8 @@ from failbench.fault.registry import faults, to_document
 from failbench.sweeps import journal
 from failbench.sweeps import sweep as sweeping
 from failbench.sweeps.dataset import MANIFEST
+from failbench.sweeps.definition import Sweep, SweepMotion
 from failbench.sweeps.sweep import JOURNAL, generate_dataset, resume
-from failbench.sweeps.work import Sweep, SweepMotion
 from graceful_plan import Trajectory
 from graceful_plan.exceptions import FormatError
 

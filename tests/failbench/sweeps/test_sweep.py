@@ -16,10 +16,10 @@ from failbench.fault.registry import faults, to_document
 from failbench.sweeps import sweep as sweeping
 from failbench.sweeps.card import CARD, write_card
 from failbench.sweeps.dataset import MANIFEST, read_dataset
+from failbench.sweeps.definition import PlanSettings, Sweep, SweepMotion
 from failbench.sweeps.executors import LocalExecutor
 from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.sweep import JOURNAL, generate_dataset, read_sweep, resume, sweep_of, versions
-from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 from sizes import first_quick
 from support.sweeps.kill_sweep import Trial

@@ -14,8 +14,9 @@ from failbench.recording.records import ContactEvent, Rollout
 from failbench.rollouts.rollout import run_rollouts
 from failbench.simulated.world import SimSettings
 from failbench.sweeps import summary, work
+from failbench.sweeps.definition import CHUNK, PlanSettings, Sweep, SweepMotion, fault_of
 from failbench.sweeps.rows import contact_rows, rollout_row
-from failbench.sweeps.work import CHUNK, PlanSettings, Sweep, SweepMotion, execution_of, fault_of, jobs_of, run_chunk
+from failbench.sweeps.work import execution_of, jobs_of, run_chunk
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 DROP, LOOSE = (to_document(faults()[name]()) for name in ("gripper_failure", "loose_joint"))

@@ -13,8 +13,8 @@ from motions import execution
 import failbench as fb
 from failbench.cli import main
 from failbench.fault.registry import GripperFailure, to_document
+from failbench.sweeps.definition import Sweep, SweepMotion
 from failbench.sweeps.executors import LocalExecutor
-from failbench.sweeps.work import Sweep, SweepMotion
 from failbench.traces.folder import write_traces
 from failbench.traces.lerobot import write_lerobot
 from failbench.traces.trace import Sampling, trace

@@ -20,9 +20,9 @@ from pathlib import Path
 
 from failbench.fault.registry import faults, to_document
 from failbench.sweeps.dataset import read_dataset
+from failbench.sweeps.definition import PlanSettings, Sweep, SweepMotion
 from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.sweep import JOURNAL
-from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from support.sweeps.ray_nodes import RayNodes
 
 FAULTS = ("gripper_failure", "loose_joint", "noise", "power_loss")

@@ -20,8 +20,8 @@ pytestmark = [
 def viewer(browser_parts, tmp_path_factory):
     """A viewer of a sweep of two faults on one short motion, two rollouts of each."""
     pytest.importorskip("pyarrow")
+    from failbench.sweeps.definition import PlanSettings
     from failbench.sweeps.sweep import sweep_of
-    from failbench.sweeps.work import PlanSettings
 
     folder = tmp_path_factory.mktemp("sweep") / "data"
     patterns = [f"tabletop/lift_to_goal/{fault}/severe" for fault in ("gripper_failure", "noise")]
