@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain, count
 from typing import final
 
@@ -29,6 +30,8 @@ _KINDS = {
     "capsule": (_GEOM.mjGEOM_CAPSULE, 2),
 }
 """MuJoCo type and number of sizes of each kind of geom."""
+Pose = tuple[Float[Array, " 3"], Float[Array, " wxyz"]]
+"""Position [m] and quaternion in W."""
 POSES = ("body_pos", "body_quat", "qpos0", "qpos_spring")
 """Fields of a model that `moved` changes."""
 
@@ -128,7 +131,7 @@ def _pose(name: str, pose: ArrayLike) -> Float[Array, "4 4"]:
     return X_WO
 
 
-def _position_and_quaternion(X: Float[Array, "4 4"]) -> tuple[Float[Array, " 3"], Float[Array, " wxyz"]]:
+def _position_and_quaternion(X: Float[Array, "4 4"]) -> Pose:
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, X[:3, :3].ravel())
     return X[:3, 3].copy(), quaternion
@@ -159,10 +162,45 @@ def _carrying(model: mujoco.MjModel, kept: frozenset[int]) -> set[int]:
     return {body for other in kept for body in ancestors(model, other)}
 
 
+@final
+class PosedSpec:
+    """A MjSpec in which some bodies have other poses; it is copied only when `spec` is read.
+
+    Compiled models of robots with meshes are large, and so are their MjSpecs: moving an obstacle must not copy one.
+
+    Args:
+        base: The MjSpec, which must not change any more.
+        poses: Position [m] and quaternion wxyz in W by body, for children of the world body without a frame.
+    """
+
+    def __init__(self, base: mujoco.MjSpec, poses: Mapping[str, Pose] | None = None) -> None:
+        self._base, self._poses = base, dict(poses or {})
+
+    def moved(self, poses: Mapping[str, Pose]) -> PosedSpec:
+        """Return the same MjSpec with more bodies elsewhere."""
+        return PosedSpec(self._base, {**self._poses, **poses})
+
+    def in_frame(self, body: str) -> bool:
+        """Return whether the pose of a body is given in another frame."""
+        return self._base.body(body).frame is not None
+
+    @cached_property
+    def spec(self) -> mujoco.MjSpec:
+        """The MjSpec with all bodies in their poses; must not be changed."""
+        if not self._poses:
+            return self._base
+        spec = self._base.copy()
+        for name, (position, quaternion) in self._poses.items():
+            body = spec.body(name)
+            body.pos, body.quat = position, quaternion
+            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        return spec
+
+
 def moved(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, poses: Mapping[str, ArrayLike], kept: frozenset[int]
-) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Return copies of a MjSpec and its model with some bodies moved; nothing is recompiled.
+    spec: PosedSpec, model: mujoco.MjModel, poses: Mapping[str, ArrayLike], kept: frozenset[int]
+) -> tuple[PosedSpec, mujoco.MjModel]:
+    """Return a MjSpec and a copy of its model with some bodies moved; nothing is recompiled.
 
     Args:
         spec: The MjSpec from which the model was compiled.
@@ -175,22 +213,22 @@ def moved(
         SceneError: If the body must stay.
         UnsupportedError: If its parent is not the world, or its pose is given in another frame.
     """
-    new_spec, new_model = spec.copy(), copy.copy(model)
+    if not poses:
+        return spec, model
+    new_model, declared = copy.copy(model), {}
+    carrying = _carrying(model, kept)
     for name, pose in poses.items():
         body = find(model, mujoco.mjtObj.mjOBJ_BODY, "body", name)
-        if body == 0 or body in _carrying(model, kept):
+        if body == 0 or body in carrying:
             raise SceneError(f"{name!r} is part of the robot, or holds it or is held by it; it cannot be moved")
-        adr, declared = free_joint(model, body), new_spec.body(name)
-        joints = int(model.body_jntnum[body])
-        if model.body_parentid[body] != 0 or joints > (adr >= 0) or declared.frame is not None:
+        adr, joints = free_joint(model, body), int(model.body_jntnum[body])
+        if model.body_parentid[body] != 0 or joints > (adr >= 0) or spec.in_frame(name):
             raise UnsupportedError(f"{name!r} is not a child of the world body; move its parent")
-        X_WB = _pose(name, pose)
-        position, quaternion = _position_and_quaternion(X_WB)
+        position, quaternion = _position_and_quaternion(_pose(name, pose))
         if np.ndim(pose) == 1:
             quaternion = np.array(new_model.body_quat[body])
         new_model.body_pos[body], new_model.body_quat[body] = position, quaternion
         if adr >= 0:
             new_model.qpos0[adr : adr + 7] = new_model.qpos_spring[adr : adr + 7] = [*position, *quaternion]
-        declared.pos, declared.quat = position, quaternion
-        declared.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    return new_spec, new_model
+        declared[name] = position, quaternion
+    return spec.moved(declared), new_model

@@ -18,6 +18,7 @@ from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import allowed_pairs, geoms_named, tested_pairs, without
+from graceful_plan.scene.edit import PosedSpec
 from graceful_plan.scene.elements import AllowedContact, Carried, Component, Contents, Entity, Limits, Notes
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.model_parts import gripper_bodies
@@ -52,7 +53,7 @@ class SceneFacts:
     | allowed_contacts | contacts that are allowed                                                       |
     | robot_bodies     | ids of the robot's bodies                                                       |
     | notes            | everything that was declared                                                    |
-    | spec             | the MjSpec from which the model was compiled; copy it before any change         |
+    | posed            | the MjSpec from which the model was compiled, and bodies moved since            |
     """
 
     model: mujoco.MjModel
@@ -69,7 +70,12 @@ class SceneFacts:
     allowed_contacts: tuple[AllowedContact, ...]
     robot_bodies: frozenset[int]
     notes: Notes
-    spec: mujoco.MjSpec
+    posed: PosedSpec
+
+    @property
+    def spec(self) -> mujoco.MjSpec:
+        """The MjSpec of the model; copy it before any change."""
+        return self.posed.spec
 
     # --- declarations -------------------------------------------------------------------------------------------------
 

@@ -23,7 +23,7 @@ from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
 from graceful_plan.scene.couplings import check_couplings, warn_of_couplings
-from graceful_plan.scene.edit import StaticBody, moved, removed
+from graceful_plan.scene.edit import PosedSpec, StaticBody, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
@@ -301,10 +301,11 @@ class Scene(SceneFacts):
         return scene if state is None else scene.in_state(state)
 
     @classmethod
-    def build(cls, spec: mujoco.MjSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
+    def build(cls, spec: mujoco.MjSpec | PosedSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
         """Build a scene from notes and a MjSpec that must not change any more. For loaders; users call `from_mjcf`."""
+        posed = spec if isinstance(spec, PosedSpec) else PosedSpec(spec)
         with notes.about("world"):
-            model = checked_model(spec) if compiled is None else compiled
+            model = checked_model(posed.spec) if compiled is None else compiled
         with notes.about("robot"):
             robot = robot_bodies(model, notes.robot)
             if compiled is None:
@@ -345,7 +346,7 @@ class Scene(SceneFacts):
             allowed_contacts=declared_contacts(model, notes, gripper),
             notes=notes,
             robot_bodies=robot,
-            spec=spec,
+            posed=posed,
         )
 
     # --- tasks and summary --------------------------------------------------------------------------------------------
@@ -422,7 +423,7 @@ class Scene(SceneFacts):
         )
         notes = replace(self.notes, held=held, support=tuple(support))
         if roles.free_joint(self.model, self.model.body(held.body).id) >= 0:
-            return Scene.build(self.spec, notes, self.model)
+            return Scene.build(self.posed, notes, self.model)
         spec = self.spec.copy()
         spec.body(held.body).add_freejoint(name=f"{held.body}_free")
         return Scene.build(spec, notes)
@@ -448,7 +449,7 @@ class Scene(SceneFacts):
         """
         if self.notes.held is None:
             raise SceneError("nothing is in the gripper")
-        return Scene.build(self.spec, replace(self.notes, held=None, support=()), self.model)
+        return Scene.build(self.posed, replace(self.notes, held=None, support=()), self.model)
 
     def with_severity(self, severity: SeverityTable | Mapping[str, float | Mapping[str, float]]) -> Scene:
         """Return this scene with changed severities.
@@ -466,7 +467,7 @@ class Scene(SceneFacts):
         table, overrides = given_severity(severity)
         table = table if isinstance(severity, SeverityTable) else self.notes.severity
         notes = replace(self.notes, severity=table, overrides=dict(self.notes.overrides) | overrides)
-        return Scene.build(self.spec, notes, self.model)
+        return Scene.build(self.posed, notes, self.model)
 
     def with_state(self, state: Mapping[str, float | ArrayLike] | None = None, *, keyframe: str | None = None) -> Scene:
         """Return this scene with joints that are not planned elsewhere: fingers, doors, drawers, free bodies.
@@ -491,7 +492,7 @@ class Scene(SceneFacts):
         given = given_state(self.model, self.joint_ids, held, state or {})
         whole = {} if keyframe is None else keyframe_state(self.model, self.joint_ids, held, self.notes, keyframe)
         notes = replace(self.notes, state={**self.notes.state, **whole, **given})
-        return Scene.build(self.spec, notes, self.model)
+        return Scene.build(self.posed, notes, self.model)
 
     def in_state(self, state: Mapping[str, float | ArrayLike] | str) -> Scene:
         """Return this scene in a state or in that of a keyframe; given `fingers` stay. For loaders."""
@@ -501,7 +502,7 @@ class Scene(SceneFacts):
         if self.notes.fingers is None:
             return scene
         notes = replace(scene.notes, state=without_bodies(self.model, scene.notes.state, self.gripper_bodies))
-        return Scene.build(self.spec, notes, self.model)
+        return Scene.build(self.posed, notes, self.model)
 
     def with_moving(self, *entities: MovingEntity) -> Scene:
         """Return this scene with additional moving entities; a prediction replaces an earlier one of the same name.
@@ -525,7 +526,7 @@ class Scene(SceneFacts):
         return self._among({})
 
     def _among(self, moving: Mapping[str, MovingEntity]) -> Scene:
-        scene = Scene.build(self.spec, replace(self.notes, moving=MappingProxyType(moving)), self.model)
+        scene = Scene.build(self.posed, replace(self.notes, moving=MappingProxyType(moving)), self.model)
         # Moving entities are not in collision checks, so these caches survive the frequent updates of predictions.
         vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene
@@ -542,7 +543,7 @@ class Scene(SceneFacts):
         for constraint in constraints:
             if not callable(getattr(constraint, "rule", None)):
                 raise SettingError("constraints", constraint, "graceful_plan.Constraint objects, such as Upright()")
-        return Scene.build(self.spec, replace(self.notes, constraints=constraints), self.model)
+        return Scene.build(self.posed, replace(self.notes, constraints=constraints), self.model)
 
     def with_allowed_contacts(self, *contacts: AllowedContact) -> Scene:
         """Return this scene with additional allowed contacts, such as two links of the robot; `describe` lists them.
@@ -554,7 +555,7 @@ class Scene(SceneFacts):
             if not isinstance(contact, AllowedContact):
                 raise SettingError("contacts", contact, "AllowedContact objects")
         notes = replace(self.notes, allowed=(*self.notes.allowed, *contacts))
-        return Scene.build(self.spec, notes, self.model)
+        return Scene.build(self.posed, notes, self.model)
 
     def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with a static box.
@@ -615,11 +616,12 @@ class Scene(SceneFacts):
             UnsupportedError: If the parent of a body to move is not the world.
         """
         kept = self.robot_bodies | self.held_bodies
-        spec, model = moved(self.spec, self.model, move or {}, kept)
+        posed, model = moved(self.posed, self.model, move or {}, kept)
         gone, solids = list(remove), list(add)
         elsewhere = frozenset(model.body(name).id for name in move or {})
         if not gone and not solids:
-            return self._with_model(spec, model, elsewhere)
+            return self._with_model(posed, model, elsewhere)
+        spec = posed.spec.copy()
         for name in gone:
             removed(spec, self.model, name, kept)
             elsewhere |= subtree(self.model, self.model.body(name).id)
@@ -636,7 +638,7 @@ class Scene(SceneFacts):
         state = without_bodies(self.model, self.notes.state, elsewhere)
         return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides, state=state))
 
-    def _with_model(self, spec: mujoco.MjSpec, model: mujoco.MjModel, elsewhere: frozenset[int]) -> Scene:
+    def _with_model(self, posed: PosedSpec, model: mujoco.MjModel, elsewhere: frozenset[int]) -> Scene:
         """Return this scene with bodies moved: roles are unchanged, and free bodies start at their new poses."""
         home = self.home_qpos.copy()
         for adr in (roles.free_joint(model, body) for body in elsewhere):
@@ -644,7 +646,7 @@ class Scene(SceneFacts):
                 home[adr : adr + 7] = model.qpos0[adr : adr + 7]
         home.flags.writeable = False
         notes = replace(self.notes, state=without_bodies(model, self.notes.state, elsewhere))
-        scene = replace(self, spec=spec, model=model, home_qpos=home, notes=notes)
+        scene = replace(self, posed=posed, model=model, home_qpos=home, notes=notes)
         # These caches do not depend on the poses of obstacles.
         vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene
