@@ -14,7 +14,7 @@ from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.models.spill.tables import spill_tables
 from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
 from graceful_plan.judge.exact import Judge, state_contacts
-from graceful_plan.scene.edit import StaticBody
+from graceful_plan.scene.edit import PosedModel, StaticBody
 from graceful_plan.scene.scene import Scene
 
 
@@ -107,6 +107,23 @@ def test_moved_bodies_leave_no_outdated_tables(place, quat) -> None:
     if results[0].status is gp.PlanStatus.SOLVED:
         assert results[0].cost.total == pytest.approx(results[1].cost.total, rel=1e-9)
         assert results[0].trajectory.duration == pytest.approx(results[1].trajectory.duration, rel=1e-9)
+
+
+def test_planning_after_a_move_copies_neither_model_nor_spec(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop moves obstacles in each cycle, and models of robots with meshes take tens of megabytes."""
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    scene = task.scene.add_box("crate", _CRATE, [0.3, 3.0, 0.9], entity="robust")
+    gp.plan(task.start, task.goal, scene, stop="first", iterations=100)
+
+    def refuse(self: PosedModel) -> mujoco.MjModel:
+        raise AssertionError("the model was copied")
+
+    for name in ("model", "spec"):
+        monkeypatch.setattr(PosedModel, name, property(refuse))
+    for y in (2.0, 2.5):
+        scene = scene.edit(move={"crate": [0.3, y, 0.9]})
+        result = gp.plan(task.start, task.goal, scene, stop="first", iterations=100)
+        assert result.status is gp.PlanStatus.SOLVED
 
 
 def test_scenes_that_differ_by_poses_are_judged_in_turns() -> None:

@@ -152,7 +152,7 @@ class Annotations:
         said = {name: EntityAnnotation(category=row.category, severity=row.severity) for name, row in self.rows.items()}
         left = {name: value for name, value in notes.overrides.items() if name not in self.rows}
         changed = replace(notes, entities={**notes.entities, **said}, overrides=left)
-        return Scene.build(scene.spec, changed, scene.model)
+        return Scene.assemble(scene.posed, changed)
 
     def fragility(self, table: FragilityTable | None = None) -> FragilityTable:
         """Return a table with these fragilities, for `ImpactCost(consequence=...)`.

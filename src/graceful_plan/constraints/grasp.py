@@ -137,7 +137,7 @@ class GraspHolds(SpecificForceConstraint):
 
     def _resting_load(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return the load at rest as a fraction of the pads' capacity."""
-        gravity = -float(batch.scene.model.opt.gravity[2])
+        gravity = -float(batch.scene.shapes.opt.gravity[2])
         facets, room = _facets(batch.scene, self.friction, self.force)
         load = np.einsum("fi,ni->nf", facets, batch.object_poses[:, 2, :3]) * gravity / room
         return load.max(axis=1)

@@ -70,13 +70,13 @@ def compile_scene(scene: Scene) -> CompiledScene:
         UnsupportedError: If the kernels cannot represent the scene; names the geom.
         TooLargeError: If compiling needs more memory than the machine has.
     """
-    with within_memory(f"compiling scene {scene.name!r} with {scene.model.ngeom} geoms"):
+    with within_memory(f"compiling scene {scene.name!r} with {scene.shapes.ngeom} geoms"):
         return _compiled(scene)
 
 
 def _compiled(scene: Scene) -> CompiledScene:
     data, parts = reference_data(scene), _robot_parts(scene)
-    impact_tables = replace(parts.impact_tables, target_box=_world_boxes(scene.model, data, parts.targets))
+    impact_tables = replace(parts.impact_tables, target_box=_world_boxes(scene.shapes, data, parts.targets))
     blocked = _blocked(scene, data, parts)
     robot = replace(
         parts.arrays,
@@ -246,8 +246,8 @@ def _blocked(scene: Scene, data: mujoco.MjData, parts: _RobotParts) -> Int[Array
 
     Kernels do not test the base against obstacles.
     """
-    near = parts.obstacles.near_base(scene.model, data)
-    overlapping = overlapping_geoms(scene.model, data) if near else frozenset()
+    near = parts.obstacles.near_base(scene.shapes, data)
+    overlapping = overlapping_geoms(scene.shapes, data) if near else frozenset()
     links = [
         len(scene.joints) + 1 + a
         for a, group in enumerate(parts.groups)

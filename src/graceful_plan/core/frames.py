@@ -31,7 +31,7 @@ def reference_data(scene: Scene) -> mujoco.MjData:
 
     The returned data is shared: the next call in this thread for a scene of the same layout overwrites it.
     """
-    return _placements(scene).of(scene).place(scene.model.qpos0[scene.qpos_adr])
+    return _placements(scene).of(scene).place(scene.shapes.qpos0[scene.qpos_adr])
 
 
 @per_layout

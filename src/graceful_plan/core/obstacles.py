@@ -78,7 +78,7 @@ def find_obstacles(scene: Scene, groups: list[LinkGroup]) -> Obstacles:
 
 def world_arrays(scene: Scene, data: mujoco.MjData, obstacles: Obstacles) -> WorldArrays:
     """Return the obstacles as the kernels read them, at the poses of `data`."""
-    model = scene.model
+    model = scene.shapes
     # Nearest to the base first, since these obstacles collide most often.
     away = np.linalg.norm(data.geom_xpos[obstacles.geom] - data.xpos[min(scene.robot_bodies)], axis=1)
     order = np.argsort(away - model.geom_rbound[obstacles.geom], kind="stable")

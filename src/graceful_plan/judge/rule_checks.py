@@ -105,7 +105,7 @@ class FrameMotion:
             p = _at(self.poses["object"], point)
             np.subtract(p[2:], 2.0 * p[1:-1] - p[:-2], out=felt[1:-1])
             felt *= self.dt**-2
-        felt[:, 2] -= float(self.scene.model.opt.gravity[2])
+        felt[:, 2] -= float(self.scene.shapes.opt.gravity[2])
         return felt
 
 

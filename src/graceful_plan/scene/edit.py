@@ -32,8 +32,8 @@ _KINDS = {
 """MuJoCo type and number of sizes of each kind of geom."""
 Pose = tuple[Float[Array, " 3"], Float[Array, " wxyz"]]
 """Position [m] and quaternion in W."""
-POSES = ("body_pos", "body_quat", "qpos0", "qpos_spring")
-"""Fields of a model that `moved` changes."""
+_POSES = ("body_pos", "body_quat", "qpos0", "qpos_spring")
+"""Fields of a model that depend on the poses of its bodies."""
 
 
 @final
@@ -163,33 +163,61 @@ def _carrying(model: mujoco.MjModel, kept: frozenset[int]) -> set[int]:
 
 
 @final
-class PosedSpec:
-    """A MjSpec in which some bodies have other poses; it is copied only when `spec` is read.
+class PosedModel:
+    """A model and its MjSpec in which some bodies have been moved; both are copied only when they are read.
 
-    Compiled models of robots with meshes are large, and so are their MjSpecs: moving an obstacle must not copy one.
+    Models of robots with meshes take tens of megabytes, so a scene whose obstacles move must not copy one.
 
     Args:
-        base: The MjSpec, which must not change any more.
-        poses: Position [m] and quaternion wxyz in W by body, for children of the world body without a frame.
+        declared: The MjSpec, which must not change any more.
+        shapes: The model compiled from it, which must not change either.
+        poses: Position [m] and quaternion wxyz in W by body, for children of the world body.
     """
 
-    def __init__(self, base: mujoco.MjSpec, poses: Mapping[str, Pose] | None = None) -> None:
-        self._base, self._poses = base, dict(poses or {})
+    def __init__(
+        self, declared: mujoco.MjSpec, shapes: mujoco.MjModel, poses: Mapping[str, Pose] | None = None
+    ) -> None:
+        self._declared, self.shapes, self._poses = declared, shapes, dict(poses or {})
 
-    def moved(self, poses: Mapping[str, Pose]) -> PosedSpec:
-        """Return the same MjSpec with more bodies elsewhere."""
-        return PosedSpec(self._base, {**self._poses, **poses})
+    def moved(self, poses: Mapping[str, Pose]) -> PosedModel:
+        """Return the same model with more bodies elsewhere."""
+        return PosedModel(self._declared, self.shapes, {**self._poses, **poses}) if poses else self
 
     def in_frame(self, body: str) -> bool:
-        """Return whether the pose of a body is given in another frame."""
-        return self._base.body(body).frame is not None
+        """Return whether the MjSpec gives the pose of a body in another frame."""
+        return self._declared.body(body).frame is not None
+
+    def pose(self, body: str) -> Pose:
+        """Return the position [m] and orientation in W of a child of the world body."""
+        declared = self.shapes.body(body)
+        return self._poses[body] if body in self._poses else (np.array(declared.pos), np.array(declared.quat))
+
+    def copy_poses_to(self, model: mujoco.MjModel) -> None:
+        """Give the bodies of another copy of the model their poses."""
+        for name in _POSES:
+            getattr(model, name)[:] = getattr(self.shapes, name)
+        for name, (position, quaternion) in self._poses.items():
+            body = model.body(name).id
+            model.body_pos[body], model.body_quat[body] = position, quaternion
+            adr = free_joint(model, body)
+            if adr >= 0:
+                model.qpos0[adr : adr + 7] = model.qpos_spring[adr : adr + 7] = [*position, *quaternion]
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The model with all bodies in their poses; read only."""
+        if not self._poses:
+            return self.shapes
+        model = copy.copy(self.shapes)
+        self.copy_poses_to(model)
+        return model
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:
-        """The MjSpec with all bodies in their poses; must not be changed."""
+        """The MjSpec with all bodies in their poses; copy it before any change."""
         if not self._poses:
-            return self._base
-        spec = self._base.copy()
+            return self._declared
+        spec = self._declared.copy()
         for name, (position, quaternion) in self._poses.items():
             body = spec.body(name)
             body.pos, body.quat = position, quaternion
@@ -197,14 +225,11 @@ class PosedSpec:
         return spec
 
 
-def moved(
-    spec: PosedSpec, model: mujoco.MjModel, poses: Mapping[str, ArrayLike], kept: frozenset[int]
-) -> tuple[PosedSpec, mujoco.MjModel]:
-    """Return a MjSpec and a copy of its model with some bodies moved; nothing is recompiled.
+def moved(posed: PosedModel, poses: Mapping[str, ArrayLike], kept: frozenset[int]) -> PosedModel:
+    """Return a model with some bodies moved; nothing is recompiled or copied.
 
     Args:
-        spec: The MjSpec from which the model was compiled.
-        model: The model.
+        posed: The model.
         poses: New poses in W by body, as 4 x 4 matrices, or as positions that keep the orientation.
         kept: Bodies that must stay.
 
@@ -213,22 +238,15 @@ def moved(
         SceneError: If the body must stay.
         UnsupportedError: If its parent is not the world, or its pose is given in another frame.
     """
-    if not poses:
-        return spec, model
-    new_model, declared = copy.copy(model), {}
+    model, new = posed.shapes, {}
     carrying = _carrying(model, kept)
     for name, pose in poses.items():
         body = find(model, mujoco.mjtObj.mjOBJ_BODY, "body", name)
         if body == 0 or body in carrying:
             raise SceneError(f"{name!r} is part of the robot, or holds it or is held by it; it cannot be moved")
         adr, joints = free_joint(model, body), int(model.body_jntnum[body])
-        if model.body_parentid[body] != 0 or joints > (adr >= 0) or spec.in_frame(name):
+        if model.body_parentid[body] != 0 or joints > (adr >= 0) or posed.in_frame(name):
             raise UnsupportedError(f"{name!r} is not a child of the world body; move its parent")
         position, quaternion = _position_and_quaternion(_pose(name, pose))
-        if np.ndim(pose) == 1:
-            quaternion = np.array(new_model.body_quat[body])
-        new_model.body_pos[body], new_model.body_quat[body] = position, quaternion
-        if adr >= 0:
-            new_model.qpos0[adr : adr + 7] = new_model.qpos_spring[adr : adr + 7] = [*position, *quaternion]
-        declared[name] = position, quaternion
-    return spec.moved(declared), new_model
+        new[name] = position, posed.pose(name)[1] if np.ndim(pose) == 1 else quaternion
+    return posed.moved(new)

@@ -18,7 +18,7 @@ from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import allowed_pairs, geoms_named, tested_pairs, without
-from graceful_plan.scene.edit import PosedSpec
+from graceful_plan.scene.edit import PosedModel
 from graceful_plan.scene.elements import AllowedContact, Carried, Component, Contents, Entity, Limits, Notes
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.model_parts import gripper_bodies
@@ -39,7 +39,6 @@ class SceneFacts:
 
     | field            | meaning                                                                         |
     |------------------|---------------------------------------------------------------------------------|
-    | model            | the full dynamics model; read only                                              |
     | joints           | names of the planned joints, from the base to the tool                          |
     | qpos_adr         | address of each planned joint in the model's qpos                               |
     | limits           | limits of the planned joints                                                    |
@@ -53,10 +52,9 @@ class SceneFacts:
     | allowed_contacts | contacts that are allowed                                                       |
     | robot_bodies     | ids of the robot's bodies                                                       |
     | notes            | everything that was declared                                                    |
-    | posed            | the MjSpec from which the model was compiled, and bodies moved since            |
+    | posed            | model, MjSpec, and the poses of bodies that were moved since it was compiled    |
     """
 
-    model: mujoco.MjModel
     joints: tuple[str, ...]
     qpos_adr: Int[Array, " nq"]
     limits: Limits
@@ -70,11 +68,21 @@ class SceneFacts:
     allowed_contacts: tuple[AllowedContact, ...]
     robot_bodies: frozenset[int]
     notes: Notes
-    posed: PosedSpec
+    posed: PosedModel
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The full dynamics model; read only."""
+        return self.posed.model
+
+    @property
+    def shapes(self) -> mujoco.MjModel:
+        """The model, except that moved bodies have earlier poses. If obstacles move often, it is cheaper to read."""
+        return self.posed.shapes
 
     @property
     def spec(self) -> mujoco.MjSpec:
-        """The MjSpec of the model; copy it before any change."""
+        """The MjSpec from which the model was compiled; copy it before any change."""
         return self.posed.spec
 
     # --- declarations -------------------------------------------------------------------------------------------------
@@ -130,28 +138,28 @@ class SceneFacts:
     @cached_property
     def joint_ids(self) -> tuple[int, ...]:
         """Ids of the planned joints in the model."""
-        return tuple(int(np.flatnonzero(self.model.jnt_qposadr == adr)[0]) for adr in self.qpos_adr)
+        return tuple(int(np.flatnonzero(self.shapes.jnt_qposadr == adr)[0]) for adr in self.qpos_adr)
 
     @cached_property
     def held_bodies(self) -> frozenset[int]:
         """Ids of the bodies in the gripper."""
-        return roles.held_bodies(self.model, self.notes)
+        return roles.held_bodies(self.shapes, self.notes)
 
     @cached_property
     def gripper_bodies(self) -> frozenset[int]:
         """Ids of the gripper's bodies: those that hang on the last planned joint before the tool."""
-        tool = int(self.model.site_bodyid[self.model.site(self.tool).id])
-        return gripper_bodies(self.model, tool, self.joint_ids)
+        tool = int(self.shapes.site_bodyid[self.shapes.site(self.tool).id])
+        return gripper_bodies(self.shapes, tool, self.joint_ids)
 
     @cached_property
     def endless(self) -> Bool[Array, " nq"]:
         """Which planned joints are hinges without limits: a full turn returns to the same configuration."""
-        return np.asarray(self.hinges & (self.model.jnt_limited[list(self.joint_ids)] == 0), dtype=bool)
+        return np.asarray(self.hinges & (self.shapes.jnt_limited[list(self.joint_ids)] == 0), dtype=bool)
 
     @cached_property
     def hinges(self) -> Bool[Array, " nq"]:
         """Which planned joints are hinges rather than slides."""
-        hinge = self.model.jnt_type[list(self.joint_ids)] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        hinge = self.shapes.jnt_type[list(self.joint_ids)] == int(mujoco.mjtJoint.mjJNT_HINGE)
         return np.asarray(hinge, dtype=bool)
 
     # --- queries ------------------------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.scene.edit import POSES
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -45,8 +44,7 @@ class Placement:
 
     def go_to(self, scene: Scene) -> None:
         """Switch to another scene of the same layout; the placement must own its model."""
-        for name in POSES:
-            getattr(self.model, name)[:] = getattr(scene.model, name)
+        scene.posed.copy_poses_to(self.model)
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = scene.home_qpos
 
@@ -86,7 +84,8 @@ class PlacementPool:
         """Return this thread's placement, switched to a scene; the thread's next call may switch it to another."""
         found: Placement | None = getattr(self._own, "placement", None)
         if found is None:
-            model = copy.copy(scene.model)
+            model = copy.copy(scene.shapes)
+            scene.posed.copy_poses_to(model)
             if self._masks is not None:
                 model.geom_contype[:], model.geom_conaffinity[:] = self._masks
             found = self._own.placement = Placement(scene, model)

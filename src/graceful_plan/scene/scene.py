@@ -23,7 +23,7 @@ from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
 from graceful_plan.scene.couplings import check_couplings, warn_of_couplings
-from graceful_plan.scene.edit import PosedSpec, StaticBody, moved, removed
+from graceful_plan.scene.edit import PosedModel, StaticBody, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
@@ -301,15 +301,20 @@ class Scene(SceneFacts):
         return scene if state is None else scene.in_state(state)
 
     @classmethod
-    def build(cls, spec: mujoco.MjSpec | PosedSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
+    def build(cls, spec: mujoco.MjSpec, notes: Notes) -> Scene:
         """Build a scene from notes and a MjSpec that must not change any more. For loaders; users call `from_mjcf`."""
-        posed = spec if isinstance(spec, PosedSpec) else PosedSpec(spec)
         with notes.about("world"):
-            model = checked_model(posed.spec) if compiled is None else compiled
+            model = checked_model(spec)
+        with notes.about("robot"):
+            set_limits(model, robot_bodies(model, notes.robot), notes.limits)
+        return cls.assemble(PosedModel(spec, model), notes)
+
+    @classmethod
+    def assemble(cls, posed: PosedModel, notes: Notes) -> Scene:
+        """Build a scene from notes and a compiled model. For loaders, too."""
+        model = posed.model
         with notes.about("robot"):
             robot = robot_bodies(model, notes.robot)
-            if compiled is None:
-                set_limits(model, robot, notes.limits)
         with notes.about("tool"):
             hand = tool_body(model, notes.tool, robot)
             joints = planned_joints(model, hand, robot, notes.joints)
@@ -332,7 +337,6 @@ class Scene(SceneFacts):
             states=notes.states or model_states(model, joints),
         )
         return cls(
-            model=model,
             joints=tuple(names(model, _OBJ.mjOBJ_JOINT, joints)),
             qpos_adr=qpos_adr,
             limits=limits,
@@ -423,7 +427,7 @@ class Scene(SceneFacts):
         )
         notes = replace(self.notes, held=held, support=tuple(support))
         if roles.free_joint(self.model, self.model.body(held.body).id) >= 0:
-            return Scene.build(self.posed, notes, self.model)
+            return Scene.assemble(self.posed, notes)
         spec = self.spec.copy()
         spec.body(held.body).add_freejoint(name=f"{held.body}_free")
         return Scene.build(spec, notes)
@@ -449,7 +453,7 @@ class Scene(SceneFacts):
         """
         if self.notes.held is None:
             raise SceneError("nothing is in the gripper")
-        return Scene.build(self.posed, replace(self.notes, held=None, support=()), self.model)
+        return Scene.assemble(self.posed, replace(self.notes, held=None, support=()))
 
     def with_severity(self, severity: SeverityTable | Mapping[str, float | Mapping[str, float]]) -> Scene:
         """Return this scene with changed severities.
@@ -467,7 +471,7 @@ class Scene(SceneFacts):
         table, overrides = given_severity(severity)
         table = table if isinstance(severity, SeverityTable) else self.notes.severity
         notes = replace(self.notes, severity=table, overrides=dict(self.notes.overrides) | overrides)
-        return Scene.build(self.posed, notes, self.model)
+        return Scene.assemble(self.posed, notes)
 
     def with_state(self, state: Mapping[str, float | ArrayLike] | None = None, *, keyframe: str | None = None) -> Scene:
         """Return this scene with joints that are not planned elsewhere: fingers, doors, drawers, free bodies.
@@ -492,7 +496,7 @@ class Scene(SceneFacts):
         given = given_state(self.model, self.joint_ids, held, state or {})
         whole = {} if keyframe is None else keyframe_state(self.model, self.joint_ids, held, self.notes, keyframe)
         notes = replace(self.notes, state={**self.notes.state, **whole, **given})
-        return Scene.build(self.posed, notes, self.model)
+        return Scene.assemble(self.posed, notes)
 
     def in_state(self, state: Mapping[str, float | ArrayLike] | str) -> Scene:
         """Return this scene in a state or in that of a keyframe; given `fingers` stay. For loaders."""
@@ -502,7 +506,7 @@ class Scene(SceneFacts):
         if self.notes.fingers is None:
             return scene
         notes = replace(scene.notes, state=without_bodies(self.model, scene.notes.state, self.gripper_bodies))
-        return Scene.build(self.posed, notes, self.model)
+        return Scene.assemble(self.posed, notes)
 
     def with_moving(self, *entities: MovingEntity) -> Scene:
         """Return this scene with additional moving entities; a prediction replaces an earlier one of the same name.
@@ -526,7 +530,9 @@ class Scene(SceneFacts):
         return self._among({})
 
     def _among(self, moving: Mapping[str, MovingEntity]) -> Scene:
-        scene = Scene.build(self.posed, replace(self.notes, moving=MappingProxyType(moving)), self.model)
+        notes = replace(self.notes, moving=MappingProxyType(moving))
+        severity = roles.moving_severities(self.shapes, notes, self.components)
+        scene = replace(self, notes=notes, moving_severity=severity)
         # Moving entities are not in collision checks, so these caches survive the frequent updates of predictions.
         vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene
@@ -543,7 +549,7 @@ class Scene(SceneFacts):
         for constraint in constraints:
             if not callable(getattr(constraint, "rule", None)):
                 raise SettingError("constraints", constraint, "graceful_plan.Constraint objects, such as Upright()")
-        return Scene.build(self.posed, replace(self.notes, constraints=constraints), self.model)
+        return Scene.assemble(self.posed, replace(self.notes, constraints=constraints))
 
     def with_allowed_contacts(self, *contacts: AllowedContact) -> Scene:
         """Return this scene with additional allowed contacts, such as two links of the robot; `describe` lists them.
@@ -555,7 +561,7 @@ class Scene(SceneFacts):
             if not isinstance(contact, AllowedContact):
                 raise SettingError("contacts", contact, "AllowedContact objects")
         notes = replace(self.notes, allowed=(*self.notes.allowed, *contacts))
-        return Scene.build(self.posed, notes, self.model)
+        return Scene.assemble(self.posed, notes)
 
     def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with a static box.
@@ -616,15 +622,15 @@ class Scene(SceneFacts):
             UnsupportedError: If the parent of a body to move is not the world.
         """
         kept = self.robot_bodies | self.held_bodies
-        posed, model = moved(self.posed, self.model, move or {}, kept)
+        posed, model = moved(self.posed, move or {}, kept), self.shapes
         gone, solids = list(remove), list(add)
         elsewhere = frozenset(model.body(name).id for name in move or {})
         if not gone and not solids:
-            return self._with_model(posed, model, elsewhere)
+            return self._moved(posed, elsewhere)
         spec = posed.spec.copy()
         for name in gone:
-            removed(spec, self.model, name, kept)
-            elsewhere |= subtree(self.model, self.model.body(name).id)
+            removed(spec, model, name, kept)
+            elsewhere |= subtree(model, model.body(name).id)
         for solid in solids:
             if not callable(getattr(solid, "add_to", None)):
                 raise SettingError("add", solid, "each a StaticBody, PointCloud or HeightMap")
@@ -638,15 +644,15 @@ class Scene(SceneFacts):
         state = without_bodies(self.model, self.notes.state, elsewhere)
         return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides, state=state))
 
-    def _with_model(self, posed: PosedSpec, model: mujoco.MjModel, elsewhere: frozenset[int]) -> Scene:
+    def _moved(self, posed: PosedModel, elsewhere: frozenset[int]) -> Scene:
         """Return this scene with bodies moved: roles are unchanged, and free bodies start at their new poses."""
-        home = self.home_qpos.copy()
-        for adr in (roles.free_joint(model, body) for body in elsewhere):
-            if adr >= 0:
-                home[adr : adr + 7] = model.qpos0[adr : adr + 7]
+        model, home = posed.shapes, self.home_qpos.copy()
+        for body in elsewhere:
+            if (adr := roles.free_joint(model, body)) >= 0:
+                home[adr : adr + 7] = np.concatenate(posed.pose(model.body(body).name))
         home.flags.writeable = False
         notes = replace(self.notes, state=without_bodies(model, self.notes.state, elsewhere))
-        scene = replace(self, posed=posed, model=model, home_qpos=home, notes=notes)
+        scene = replace(self, posed=posed, home_qpos=home, notes=notes)
         # These caches do not depend on the poses of obstacles.
         vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene

@@ -140,7 +140,7 @@ def _check_promises(scene: Scene) -> None:
         with notes.about(f"objects.{name}"):
             X_TO = roles.FROM_ABOVE if notes.objects[name].X_TO is None else None  # the start of a task decides
             held = roles.held_note(scene.model, notes, scene.robot_bodies, name, X_TO=X_TO)
-            Scene.build(scene.spec, replace(notes, held=held, file=None), scene.model)
+            Scene.assemble(scene.posed, replace(notes, held=held, file=None))
     scene.tasks  # noqa: B018  raises if a task refers to a missing name
 
 

@@ -89,4 +89,4 @@ def damage_tables(scene: Scene, fragility: FragilityTable) -> Float[Array, "enti
 def carried_mass(scene: Scene) -> float:
     """Return the mass of the carried object and everything attached to it [kg]."""
     assert scene.carried is not None
-    return float(scene.model.body_subtreemass[scene.model.body(scene.carried.body).id])
+    return float(scene.shapes.body_subtreemass[scene.shapes.body(scene.carried.body).id])

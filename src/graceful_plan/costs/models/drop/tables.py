@@ -237,7 +237,7 @@ def _surfaces(scene: Scene) -> _Surfaces:
 
 def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
     found = _surfaces(scene)
-    boxes, source = simplified(_turned_boxes(scene.model, data, found.geom), found.body)
+    boxes, source = simplified(_turned_boxes(scene.shapes, data, found.geom), found.body)
     order = np.argsort(-boxes[:, 10], kind="stable")
     boxes, source = boxes[order], source[order]
     return {
