@@ -132,6 +132,7 @@ class Injection:
             fields={name: fields[name] for name in fault.FIELDS},
         )
         self._world = execution.world
+        self._reset = [(values, getattr(execution.world.model, name)) for name, values in self.plant.fields.items()]
         self._wheels = _Wheels(execution, self.plant, onset, qpos, qvel) if execution.base is not None else None
         self._end = steps if fault.duration is None else max(1, round(fault.duration / execution.dt))
         self._level: float | None = None
@@ -170,7 +171,8 @@ class Injection:
     def told(self, step: int, until: int) -> Array:
         """Return the inputs of the simulation for a range of steps: commands, and poses of moving entities."""
         plant = self.plant
-        return np.hstack([plant.command[step:until], plant.walk[step:until]])
+        commands = plant.command[step:until]
+        return np.hstack([commands, plant.walk[step:until]]) if plant.walk.shape[1] else commands
 
     def seen(self, step: int, until: int) -> Array:
         """Return the poses of moving entities before each step of a range, and before the step after it."""
@@ -201,7 +203,9 @@ class Injection:
 
     def _restore(self) -> None:
         plant = self.plant
-        for name, values in (*plant.fields.items(), *self.brakes.items()):
+        for values, healthy in self._reset:
+            values[...] = healthy
+        for name, values in self.brakes.items():
             values[...] = getattr(self._world.model, name)
         plant.ahead[...] = plant.healthy[plant.step :]
         plant.walk[plant.step :] = self._walk[plant.step :]

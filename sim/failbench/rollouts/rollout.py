@@ -56,10 +56,8 @@ def run_rollouts(
         execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS, job.fault.rates)
     if not jobs:
         return []
-    # Faults of a kind act in the same steps, so they are grouped; periodic faults take longest and come first.
-    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.period is None, jobs[i].fault.NAME, i))
     size = min(batch, -(-len(jobs) // threads))
-    groups = [order[first : first + size] for first in range(0, len(jobs), size)]
+    groups = [alike[first : first + size] for alike in _by_period(jobs) for first in range(0, len(alike), size)]
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
     rollouts: dict[int, Rollout] = {}
 
@@ -74,6 +72,15 @@ def run_rollouts(
     with warnings_counted_only():
         _in_threads(work, batches, iter(groups))
     return [rollouts[i] for i in range(len(jobs))]
+
+
+def _by_period(jobs: Sequence[Job]) -> list[list[int]]:
+    """Group jobs whose faults act in the same steps; those that act most often take longest and come first."""
+    found: dict[float, list[int]] = {}
+    for i in sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.NAME, i)):
+        period = jobs[i].fault.period
+        found.setdefault(math.inf if period is None else period, []).append(i)
+    return [found[period] for period in sorted(found)]
 
 
 def _in_threads(work: Callable[[Batch], None], batches: Sequence[Batch], groups: Iterator[list[int]]) -> None:
