@@ -18,6 +18,7 @@ from graceful_plan.query.arguments import (
     checked_speed,
     checked_time_limit,
 )
+from graceful_plan.query import preparation
 from graceful_plan.result import PlanningFailed
 
 _NAMES = sorted(gp.PLANNERS)
@@ -45,11 +46,33 @@ def test_a_solved_plan_keeps_its_promises(task):
 
 def test_long_compile_times_are_reported(task, monkeypatch):
     # The bundled scenes compile within milliseconds.
-    monkeypatch.setattr(sys.modules["graceful_plan.plan"], "_COMPILED_SOON", 0.0)
+    monkeypatch.setattr(preparation, "_COMPILED_SOON", 0.0)
     told = gp.plan(task.start, task.goal, task.scene.edit(move={}), time_limit=1e-6)
     assert told.status is gp.PlanStatus.TIMEOUT
     assert told.detail.startswith("compiled for ")
     assert "compiled" not in _quick(task).detail
+
+
+def test_compiling_counts_against_a_given_time_limit_only(task, monkeypatch):
+    monkeypatch.setattr(sys.modules["graceful_plan.query.arguments"], "DEFAULT_TIME_LIMIT", 0.4)
+    compiled = preparation.compile_scene
+    monkeypatch.setattr(preparation, "compile_scene", lambda scene: time.sleep(0.5) or compiled(scene))
+    by_default = gp.plan(task.start, task.goal, task.scene)
+    assert by_default.status is gp.PlanStatus.SOLVED
+    assert by_default.stats["total_time"] > by_default.stats["compile_time"] >= 0.5
+    assert "robot" in by_default.detail
+    assert gp.plan(task.start, task.goal, task.scene, time_limit=0.4).status is gp.PlanStatus.TIMEOUT
+
+
+def test_a_prepared_scene_compiles_nothing_more(task, monkeypatch):
+    scene = task.scene.edit(add=[gp.StaticBody(name="crate", kind="box", size=[0.01] * 3, pose=[0.0, 3.0, 1.0])])
+    assert set(gp.prepare(scene)) == {"robot", "impact", "constraints", "judge"}
+
+    def refuse(*_):
+        raise AssertionError("compiled again")
+
+    monkeypatch.setattr(sys.modules["graceful_plan.core.compile"], "_compiled", refuse)
+    assert gp.plan(task.start, task.goal, scene, iterations=300).status is gp.PlanStatus.SOLVED
 
 
 def test_a_verdict_recomputes_the_cost_of_the_published_model_only(task):

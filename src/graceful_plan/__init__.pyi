@@ -52,6 +52,9 @@ from graceful_plan.planners import PRMStar as PRMStar
 from graceful_plan.planners import RRTConnect as RRTConnect
 from graceful_plan.planners import RRTStar as RRTStar
 from graceful_plan.query.cartesian.straight import plan_cartesian as plan_cartesian
+from graceful_plan.query.inverse import IKSolutions as IKSolutions
+from graceful_plan.query.inverse import solve_ik as solve_ik
+from graceful_plan.query.preparation import prepare as prepare
 from graceful_plan.query.stop import plan_stop as plan_stop
 from graceful_plan.result import CostBreakdown as CostBreakdown
 from graceful_plan.result import PlanningFailed as PlanningFailed

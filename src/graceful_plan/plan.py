@@ -13,7 +13,7 @@ from graceful_plan.analysis.risk_measures import RiskMeasure
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints, grasp_warnings
 from graceful_plan.costs.cost import NonFiniteCostError
-from graceful_plan.costs.objective import Objective, search_paces
+from graceful_plan.costs.objective import Objective
 from graceful_plan.judge.verification import VerificationSettings
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
@@ -42,6 +42,7 @@ from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
 from graceful_plan.query.endpoints.goals import Goal, poses_of, start_configuration
 from graceful_plan.query.endpoints.real_start import START_TOLERANCE, real_start
+from graceful_plan.query.preparation import prepared
 from graceful_plan.query.request import Request, Stop
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
@@ -49,9 +50,6 @@ from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene, checked_scene
 
 Array = np.ndarray
-
-_COMPILED_SOON = 0.1
-"""Compile times below this are not reported [s]; several times that of bundled scenes."""
 
 
 def plan(
@@ -90,7 +88,8 @@ def plan(
         planner: Name of a planner (see `PLANNERS`) or a settings object.
         objective: Objective to minimise; default: joint length plus `w` times the impact of carried object and
             contents.
-        time_limit: Time budget of the whole call [s]; 1 by default, unlimited if `iterations` is given.
+        time_limit: Time budget of the whole call, compiling the scene included [s]. Default: 1 s without the time to
+            compile the scene at its first use (see `prepare`); unlimited if `iterations` is given.
         iterations: Planner iterations. Without a time limit, the result then depends only on the seed. With
             `iterations`, `time_limit` only stops the call early.
         stop: When to end. "first": with the first verified motion. "converged": once 32 descents in a row have
@@ -128,9 +127,8 @@ def plan(
     )  # imports what bases need, which takes 0.2 s
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
-    bound = checked_objective(objective, w).bind(scene, search_paces(share))  # compiles the scene
-    asked = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
-    compiled = time.perf_counter() - started
+    ready = prepared(scene, checked_objective(objective, w), constraints, share)
+    bound, asked = ready.objective, ready.constraints
     request = Request(
         planner=chosen,
         objective=bound,
@@ -144,7 +142,8 @@ def plan(
         callback=checked_callback(callback),
     )
     rng, limit = checked_seed(seed), checked_time_limit(time_limit, iterations)
-    budget = Budget(limit, iterations, checked_cancelled(cancelled), started)
+    # Compiling counts against a time limit that the caller has set, not against the default one.
+    budget = Budget(limit, iterations, checked_cancelled(cancelled), started + (time_limit is None) * ready.total)
     real = real_start(start_configuration(start, scene), asked, checked_start_tolerance(start_tolerance), share)
     if passed := checked_via(via, scene):
         settings = {"planner": planner, "objective": bound.objective, "stop": stop, "refine": refine, "seed": seed}
@@ -164,7 +163,7 @@ def plan(
         )
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
-    notes = [*_compiled(compiled, limit), *(grasp_warnings(scene) if constraints is None else ())]
+    notes = [*ready.notes(limit), *(grasp_warnings(scene) if constraints is None else ())]
     if (driving := base_planning(scene)) is not None and not isinstance(ends, PlanResult):
         ends = driving.ends(ends)
     if isinstance(ends, PlanResult):
@@ -178,13 +177,8 @@ def plan(
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     result = _with_notes(result, [*notes, *ends.notes, *_waived(asked)])
-    return replace(result, stats={**result.stats, "total_time": budget.elapsed})
-
-
-def _compiled(seconds: float, limit: float) -> list[str]:
-    """Return a note with the compile time, if it took a large part of the time budget."""
-    took_long = seconds > max(_COMPILED_SOON, min(limit / 10.0, 1.0))
-    return [f"compiled for {seconds:.1f} s"] if took_long else []
+    times = {"compile_time": ready.total, "total_time": time.perf_counter() - started}
+    return replace(result, stats={**result.stats, **times})
 
 
 def _with_notes(result: PlanResult, notes: Sequence[str]) -> PlanResult:

@@ -91,7 +91,7 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class TracePoint:
-    """An improvement: seconds since the call began, and the estimated cost of a path or the cost of a timed motion."""
+    """An improvement: seconds since the time limit began to count, and the estimated cost of a path or the cost of a timed motion."""
 
     time: float
     total: float

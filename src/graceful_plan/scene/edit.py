@@ -187,10 +187,10 @@ class PosedModel:
         """Return whether the MjSpec gives the pose of a body in another frame."""
         return self._declared.body(body).frame is not None
 
-    def pose(self, body: str) -> Pose:
-        """Return the position [m] and orientation in W of a child of the world body."""
-        declared = self.shapes.body(body)
-        return self._poses[body] if body in self._poses else (np.array(declared.pos), np.array(declared.quat))
+    def pose(self, body: int) -> Pose:
+        """Return the pose of a body in its parent: position [m] and quaternion."""
+        moved = self._poses.get(self.shapes.body(body).name)
+        return (np.array(self.shapes.body_pos[body]), np.array(self.shapes.body_quat[body])) if moved is None else moved
 
     def copy_poses_to(self, model: mujoco.MjModel) -> None:
         """Give the bodies of another copy of the model their poses."""
@@ -248,5 +248,5 @@ def moved(posed: PosedModel, poses: Mapping[str, ArrayLike], kept: frozenset[int
         if model.body_parentid[body] != 0 or joints > (adr >= 0) or posed.in_frame(name):
             raise UnsupportedError(f"{name!r} is not a child of the world body; move its parent")
         position, quaternion = _position_and_quaternion(_pose(name, pose))
-        new[name] = position, posed.pose(name)[1] if np.ndim(pose) == 1 else quaternion
+        new[name] = position, posed.pose(body)[1] if np.ndim(pose) == 1 else quaternion
     return posed.moved(new)

@@ -20,6 +20,7 @@ from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import allowed_pairs, geoms_named, tested_pairs, without
 from graceful_plan.scene.edit import PosedModel
 from graceful_plan.scene.elements import AllowedContact, Carried, Component, Contents, Entity, Limits, Notes
+from graceful_plan.scene.kinematics import Chain
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.model_parts import gripper_bodies
 from graceful_plan.scene.moving import MovingEntity
@@ -184,6 +185,41 @@ class SceneFacts:
             mujoco.mj_kinematics(self.model, data)
         mujoco.mj_comPos(self.model, data)
         return data
+
+    def pose(self, q: ArrayLike, frame: str | None = None) -> Float[Array, "*batch 4 4"]:
+        """Return the pose of a frame in W, as 4 x 4 matrices.
+
+        Frames on the carried object move with the tool. Everything that is not planned is in the state of the scene.
+
+        Args:
+            q: Configurations of the planned joints [rad or m].
+            frame: Name of a site, body or geom, in this order where a name is used twice; the tool by default.
+
+        Raises:
+            UnknownNameError: If there is no such frame.
+            ShapeError: If the last axis of `q` does not have one number per planned joint.
+            NonFiniteError: If `q` contains a NaN or an infinity.
+        """
+        return self._chain(frame).pose(finite_array("q", q, last=len(self.joints)))
+
+    def jacobian(self, q: ArrayLike, frame: str | None = None) -> Float[Array, "*batch 6 nq"]:
+        """Return the Jacobian of a frame: rows 0 to 2 give its velocity, rows 3 to 5 its angular velocity, both in W.
+
+        Columns are per rad/s for hinges and per m/s for slides. Arguments and errors as in `pose`.
+        """
+        return self._chain(frame).jacobian(finite_array("q", q, last=len(self.joints)))
+
+    def _chain(self, frame: str | None) -> Chain:
+        name = self.tool if frame is None else frame
+        if name not in self._chains:
+            planned = {joint: k for k, joint in enumerate(self.joint_ids)}
+            self._chains[name] = Chain(self.posed, planned, self.home_qpos, self.tool, self.carried, name)
+        return self._chains[name]
+
+    @cached_property
+    def _chains(self) -> dict[str, Chain]:
+        """Chains from the world to frames, by the name of the frame."""
+        return {}
 
     def collision_pairs(self) -> Int[Array, "pair 2"]:
         """Return every geom pair to keep apart: pairs that MuJoCo would test and that may not always touch.

@@ -649,7 +649,7 @@ class Scene(SceneFacts):
         model, home = posed.shapes, self.home_qpos.copy()
         for body in elsewhere:
             if (adr := roles.free_joint(model, body)) >= 0:
-                home[adr : adr + 7] = np.concatenate(posed.pose(model.body(body).name))
+                home[adr : adr + 7] = np.concatenate(posed.pose(body))
         home.flags.writeable = False
         notes = replace(self.notes, state=without_bodies(model, self.notes.state, elsewhere))
         scene = replace(self, posed=posed, home_qpos=home, notes=notes)

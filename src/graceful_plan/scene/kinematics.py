@@ -1,0 +1,172 @@
+"""Pose and Jacobian of one frame for batches of configurations.
+
+Frames: W world, F the frame asked for. The chain of bodies from the world to F is multiplied out in double precision,
+with everything that is not planned in the state of the scene. `core.kernels` evaluates all links at once instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.scene.edit import PosedModel
+from graceful_plan.scene.elements import Carried
+from graceful_plan.scene.model_parts import ancestors, body_joints, lookup, names
+from graceful_plan.scene.roles import free_joint
+
+Array = np.ndarray
+
+_OBJ = mujoco.mjtObj
+_KINDS = (_OBJ.mjOBJ_SITE, _OBJ.mjOBJ_BODY, _OBJ.mjOBJ_GEOM)
+"""What a frame can be, in the order of preference where several have the same name."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Turn:
+    """A planned joint of a chain: a constant pose, then a rotation about or a translation along an axis.
+
+    | field  | meaning                                                             | unit     | shape |
+    |--------|---------------------------------------------------------------------|----------|-------|
+    | X_PJ   | pose of the joint in the frame after the previous joint             |          | 4 4   |
+    | column | index of the planned joint                                          |          |       |
+    | zero   | position at which the joint does not move its body                  | rad or m |       |
+    | axis   | unit vector along the joint's axis in its frame                     |          | 3     |
+    | slides | whether the joint is a slide                                        |          |       |
+    """
+
+    X_PJ: Float[Array, "4 4"]
+    column: int
+    zero: float
+    axis: Float[Array, " 3"]
+    slides: bool
+
+
+class Chain:
+    """The joints between the world and a frame.
+
+    Args:
+        posed: Model of the scene.
+        planned: Index of each planned joint among the planned ones, by joint.
+        home: qpos of the whole model.
+        tool: Name of the tool's site.
+        carried: The object in the gripper, if any.
+        frame: Name of a site, body or geom; the first of these that exists.
+
+    Raises:
+        UnknownNameError: If there is no such frame.
+    """
+
+    def __init__(
+        self,
+        posed: PosedModel,
+        planned: Mapping[int, int],
+        home: Float[Array, " model_nq"],
+        tool: str,
+        carried: Carried | None,
+        frame: str,
+    ) -> None:
+        self._posed, self._model, self._planned, self._home = posed, posed.shapes, planned, home
+        self._turns: list[_Turn] = []
+        self._so_far = np.eye(4)
+        body, X_BF = self._place(frame)
+        held = -1 if carried is None else self._model.body(carried.body).id
+        above = [b for b in reversed(ancestors(self._model, body)) if b > 0]
+        if carried is not None and held in above:
+            tool_body, X_BT = self._place(tool)
+            for b in reversed(ancestors(self._model, tool_body)):
+                self._add_body(b)
+            self._so_far = self._so_far @ X_BT @ carried.X_TO
+            above = above[above.index(held) + 1 :]
+        for b in above:
+            self._add_body(b)
+        self._X_JF = self._so_far @ X_BF
+
+    def _place(self, frame: str) -> tuple[int, Float[Array, "4 4"]]:
+        """Return the body that a frame is fixed to, and its pose there."""
+        model = self._model
+        found = next(((kind, k) for kind in _KINDS if (k := lookup(model, kind, frame)) >= 0), None)
+        if found is None:
+            counts = (model.nsite, model.nbody, model.ngeom)
+            valid = {n for kind, m in zip(_KINDS, counts, strict=True) for n in names(model, kind, range(m))}
+            raise UnknownNameError("frame (site, body or geom)", frame, (n for n in valid if not n.startswith("#")))
+        kind, k = found
+        if kind == _OBJ.mjOBJ_BODY:
+            return k, np.eye(4)
+        if kind == _OBJ.mjOBJ_SITE:
+            return int(model.site_bodyid[k]), _pose(model.site_pos[k], model.site_quat[k])
+        return int(model.geom_bodyid[k]), _pose(model.geom_pos[k], model.geom_quat[k])
+
+    def _add_body(self, body: int) -> None:
+        model = self._model
+        adr = free_joint(model, body)
+        if adr >= 0:
+            self._so_far = _pose(self._home[adr : adr + 3], self._home[adr + 3 : adr + 7])
+            return
+        self._so_far = self._so_far @ _pose(*self._posed.pose(body))
+        for joint in body_joints(model, body):
+            anchor, back = np.eye(4), np.eye(4)
+            anchor[:3, 3], back[:3, 3] = model.jnt_pos[joint], -model.jnt_pos[joint]
+            adr, slides = int(model.jnt_qposadr[joint]), model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+            axis, zero = np.array(model.jnt_axis[joint]), float(model.qpos0[adr])
+            if joint in self._planned:
+                turn = _Turn(
+                    X_PJ=self._so_far @ anchor, column=self._planned[joint], zero=zero, axis=axis, slides=bool(slides)
+                )
+                self._turns.append(turn)
+                self._so_far = back
+                continue
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
+                moved = _pose(np.zeros(3), self._home[adr : adr + 4])
+            else:
+                moved = _motion(axis, np.array(self._home[adr] - zero), slides=bool(slides))
+            self._so_far = self._so_far @ anchor @ moved @ back
+
+    def pose(self, q: Float[Array, "*batch nq"]) -> Float[Array, "*batch 4 4"]:
+        """Return the pose of the frame in W."""
+        return self._walk(q)[0]
+
+    def jacobian(self, q: Float[Array, "*batch nq"]) -> Float[Array, "*batch 6 nq"]:
+        """Return the Jacobian of the frame's velocity [m/s], then of its angular velocity [rad/s], both in W."""
+        X_WF, joints = self._walk(q)
+        jacobian = np.zeros((*q.shape[:-1], 6, q.shape[-1]))
+        for turn, X_WJ in zip(self._turns, joints, strict=True):
+            axis = X_WJ[..., :3, :3] @ turn.axis
+            if turn.slides:
+                jacobian[..., :3, turn.column] = axis
+            else:
+                jacobian[..., :3, turn.column] = np.cross(axis, X_WF[..., :3, 3] - X_WJ[..., :3, 3])
+                jacobian[..., 3:, turn.column] = axis
+        return jacobian
+
+    def _walk(self, q: Float[Array, "*batch nq"]) -> tuple[Float[Array, "*batch 4 4"], list[Float[Array, "..."]]]:
+        """Return the pose of the frame, and of each joint before it moves, in W."""
+        X, joints = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4)), []
+        for turn in self._turns:
+            X_WJ = X @ turn.X_PJ
+            joints.append(X_WJ)
+            X = X_WJ @ _motion(turn.axis, np.asarray(q[..., turn.column] - turn.zero), slides=turn.slides)
+        return X @ self._X_JF, joints
+
+
+def _pose(position: Float[Array, " 3"], quaternion: Float[Array, " 4"]) -> Float[Array, "4 4"]:
+    R, X = np.empty(9), np.eye(4)
+    mujoco.mju_quat2Mat(R, quaternion)
+    X[:3, :3], X[:3, 3] = R.reshape(3, 3), position
+    return X
+
+
+def _motion(axis: Float[Array, " 3"], amount: Float[Array, "*batch"], *, slides: bool) -> Float[Array, "*batch 4 4"]:
+    """Return translations along an axis [m], or rotations about it [rad] (Rodrigues)."""
+    X = np.broadcast_to(np.eye(4), (*amount.shape, 4, 4)).copy()
+    if slides:
+        X[..., :3, 3] = amount[..., None] * axis
+        return X
+    x, y, z = axis
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    X[..., :3, :3] += np.sin(amount)[..., None, None] * K + (1.0 - np.cos(amount))[..., None, None] * (K @ K)
+    return X
