@@ -32,13 +32,29 @@ class PlanStatus(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class CostBreakdown:
-    """Total cost J = motion + w * impact, and the impact by entity and component. Infinite by default."""
+    """Total cost J = motion + w * impact, and the impact by entity and component. Infinite by default.
+
+    | field               | meaning                                                                | unit         |
+    |---------------------|------------------------------------------------------------------------|--------------|
+    | motion              | V: joint-space length, or the objective's motion cost                  | rad          |
+    | impact              | integral over time of the severity expected if the robot failed then   | severity s   |
+    | w                   | the safety weight of the call                                          | rad/(severity s) |
+    | impact_by_entity    | by entity; other costs in a sum with `ImpactCost` by their class       | severity s   |
+    | impact_by_component | by component of the robot: "body", "carried", "contents"               | severity s   |
+    | exposure            | variable of the integral; "length" gives severity rad, "waypoints" severity | |
+    """
 
     motion: float = np.inf
     impact: float = np.inf
     w: float = 1.0
     impact_by_entity: Mapping[str, float] = field(default_factory=dict)
     impact_by_component: Mapping[str, float] = field(default_factory=dict)
+    exposure: str = field(default="time", compare=False)
+
+    @property
+    def impact_unit(self) -> str:
+        """Unit of the impact."""
+        return {"time": "severity s", "length": "severity rad"}.get(self.exposure, "severity")
 
     @property
     def total(self) -> float:
@@ -154,10 +170,14 @@ class PlanResult:
             goal = "" if self.goal_index is None else f", goal {self.goal_index}"
             lines.append(f"motion: {self.trajectory.duration:.3g} s, {len(self.trajectory)} samples{goal}")
             cost = self.cost
-            lines.append(f"J = {cost.total:.4g} = motion {cost.motion:.4g} + w {cost.w:g} x impact {cost.impact:.4g}")
+            parts = f"motion {cost.motion:.4g} rad + w {cost.w:g} x impact {cost.impact:.4g} {cost.impact_unit}"
+            lines.append(f"J = {cost.total:.4g} rad = {parts}")
+            if self.trajectory.duration > 0.0 and np.isfinite(cost.impact) and cost.exposure == "time":
+                mean = cost.impact / self.trajectory.duration
+                lines.append(f"a failure at a random moment does harm of severity {mean:.3g} on average")
             worst = sorted(cost.impact_by_entity.items(), key=lambda item: -item[1])[:_WORST]
             if harmed := [f"{name} {value:.3g}" for name, value in worst if value > 0.0]:
-                lines.append(f"impact by entity: {', '.join(harmed)}")
+                lines.append(f"impact by entity [{cost.impact_unit}]: {', '.join(harmed)}")
         for name in (*self.verdict.failures, *self.verdict.warnings):
             word = "failed" if name in self.verdict.failures else "warning"
             lines.append(f"{word}: {name}: {self.verdict.checks[name].detail}")

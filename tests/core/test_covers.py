@@ -147,14 +147,3 @@ def test_a_disabled_or_unwritable_cache_is_ignored(tmp_path, monkeypatch: pytest
     monkeypatch.setenv("XDG_CACHE_HOME", str(in_the_way))
     covers.forget()
     assert len(group_cover(model, (0,), _poses(model), base=False).spheres)
-
-
-def test_heights_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(5)
-    planes = np.column_stack([np.linalg.qr(rng.normal(size=(3, 3)))[0].repeat(5, axis=0), rng.uniform(0, 1, 15)])
-    points = rng.normal(size=(101, 3))
-    whole = greedy_cover.heights(points, planes)
-    monkeypatch.setattr(greedy_cover, "_CHUNK", 40)
-    for a, b in zip(whole, greedy_cover.heights(points, planes), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-12)
-    np.testing.assert_allclose(whole[0], (points @ planes[:, :3].T - planes[:, 3]).max(axis=1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -102,3 +103,26 @@ def test_the_floor_extent_of_a_base_makes_no_difference() -> None:
     wider = np.where(np.arange(len(robot.upper)) < 3, 100.0, robot.upper)
     assert slack._key(replace(robot, upper=wider), pair) == slack._key(robot, pair)
     assert slack._key(replace(robot, upper=robot.upper + 0.1), pair) != slack._key(robot, pair)
+
+
+def test_slack_is_stored_for_other_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("GRACEFUL_PLAN_NO_CACHE", raising=False)
+    monkeypatch.setattr(slack, "_SLOW", 0.0)
+    slack.forget()
+    first = compile_scene(_scene(0.006, "-0.01 0.01")).robot.self_slack
+    (file,) = (tmp_path / "graceful_plan").iterdir()
+
+    def refuse(*_: object) -> float:
+        raise AssertionError("computed again")
+
+    slack.forget()
+    computed = slack._slack
+    monkeypatch.setattr(slack, "_slack", refuse)
+    np.testing.assert_array_equal(compile_scene(_scene(0.006, "-0.01 0.01")).robot.self_slack, first)
+    slack.forget()
+    monkeypatch.setattr(slack, "_slack", computed)
+    for nonsense in ([1.0], [np.nan], []):  # clearances above 0 would make collisions free
+        np.savez(file, values=np.array(nonsense))
+        np.testing.assert_array_equal(compile_scene(_scene(0.006, "-0.01 0.01")).robot.self_slack, first)
+        slack.forget()

@@ -150,6 +150,53 @@ def test_no_ball_of_a_cover_is_idle() -> None:
     assert (covers & (covers.sum(axis=1) == 1)[:, None]).any(axis=0).all()
 
 
+@pytest.mark.parametrize(("points", "faces"), [(1, 1), (127, 3), (1000, 40)])
+def test_heights_are_those_over_the_highest_face(points: int, faces: int) -> None:
+    rng = np.random.default_rng(5)
+    x, planes = rng.normal(size=(points, 3)), rng.normal(size=(faces, 4))
+    over = x @ planes[:, :3].T - planes[:, 3]
+    height, face = greedy_cover.heights(x, planes)
+    np.testing.assert_allclose(height, over.max(axis=1), atol=1e-12)
+    np.testing.assert_array_equal(face, over.argmax(axis=1))
+    assert greedy_cover.heights(x[:0], planes)[0].shape == (0,)
+
+
+def test_covers_are_as_small_as_those_of_the_algorithm_in_numpy() -> None:
+    """Rounding decides between equal candidates, so balls may differ, but hardly their number."""
+    points, planes = _hull(2, 0.0)
+    near, height = greedy_cover.samples_of_convex(points, planes, 0.006)
+    gap = 0.006 * np.sqrt(5.0) / 4.0
+    _, radii = greedy_cover.greedy_cover(near, -height, sphere_cover.MAX_PROTRUSION, gap)
+    assert len(radii) == pytest.approx(_numpy_cover(near, -height, sphere_cover.MAX_PROTRUSION, gap), rel=0.05)
+
+
+def _numpy_cover(points: np.ndarray, depth: np.ndarray, protrusion: float, pitch: float) -> int:
+    """Return the number of balls before those are dropped that are not needed, less the dropped ones."""
+    reach = np.maximum(np.maximum(depth, 0.0) + protrusion - pitch, 0.0)
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    covers = apart <= reach[:, None]  # [ball, point]
+    order, picked = np.argsort(depth, kind="stable"), []
+    shell = int(np.searchsorted(depth[order], 2.0 * pitch))
+    for part in (order[:shell], order[shell:]):
+        left = np.zeros(len(points), dtype=bool)
+        left[part] = True
+        left &= ~covers[picked].any(axis=0)
+        while left.any():
+            point = next(k for k in part if left[k])
+            able = np.flatnonzero(covers[:, point])
+            deepest = able[np.argsort(-depth[able], kind="stable")[:40]]
+            spread = able[np.linspace(0, len(able) - 1, min(len(able), 40)).astype(int)]
+            able = np.union1d(deepest, spread)
+            picked.append(able[np.argmax((covers[able] & left).sum(axis=1))])
+            left &= ~covers[picked[-1]]
+    times, needed = covers[picked].sum(axis=0), len(picked)
+    for k in sorted(range(len(picked)), key=lambda k: covers[picked[k]].sum()):
+        if times[covers[picked[k]]].min() > 1:
+            times[covers[picked[k]]] -= 1
+            needed -= 1
+    return needed
+
+
 @pytest.mark.parametrize("pitch", [0.01, 0.02])
 def test_samples_are_near_everything_in_a_hull(pitch: float) -> None:
     """The spacing is that of a body-centred cubic lattice."""

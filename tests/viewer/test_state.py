@@ -63,6 +63,37 @@ def driving():
     return scene, gp.Trajectory(t, q, qd, np.zeros_like(q), scene.joints)
 
 
+def _planned(monkeypatch, *results):
+    """Let the viewer's calls of plan return these results, and return the time limits of the calls."""
+    limits, left = [], list(results)
+
+    def plan(*_, time_limit, **__):
+        limits.append(time_limit)
+        return left.pop(0)
+
+    monkeypatch.setattr("graceful_plan.viewer.question.plan", plan)
+    return limits
+
+
+def test_a_timeout_is_tried_again_with_more_time(question, monkeypatch):
+    solved = gp.plan(question.start, question.goal, question.scene, w=0.0, iterations=100)
+    limits = _planned(monkeypatch, gp.PlanResult(status=gp.PlanStatus.TIMEOUT), solved)
+    assert question.plan(0.0, lambda: False) is solved
+    assert limits[0] == question.time_limit < limits[1]
+
+
+def test_a_motion_worse_than_a_known_one_is_not_shown(question, state, monkeypatch):
+    """A call of a second on a busy machine may find less than an earlier one."""
+    known = state.answer
+    worse = gp.plan(question.start, question.goal, question.scene, w=0.0, iterations=100, speed=0.2)
+    _planned(monkeypatch, *[worse] * 4)
+    for w, best in ((1.1 * question.w, known.chosen), (1e-6, known.ordinary)):
+        shown = answered(dataclasses.replace(question, w=w), known, lambda: False).chosen
+        assert shown.trajectory is best.trajectory and shown.label == "chosen w"
+    elsewhere = dataclasses.replace(question, w=1e-6, way=question.way + 1)
+    assert answered(elsewhere, known, lambda: False).chosen.trajectory is worse.trajectory
+
+
 # --- the shown motion -------------------------------------------------------------------------------------------------
 
 

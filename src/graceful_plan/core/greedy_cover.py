@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
+from graceful_plan.core import _native
 from graceful_plan.core.sphere_cover import MAX_PROTRUSION, Cover
 
 Array = np.ndarray
@@ -36,9 +37,6 @@ _GAP = np.sqrt(5.0) / 4.0
 cubic lattice is about a quarter larger."""
 _POINTS = (12_000, 300_000)
 """Numbers of lattice cells: with fewer, a body gets a finer lattice; with more, a coarser one."""
-_CHUNK = 65_536
-"""Number of heights of points over faces that are computed at a time; 0.5 MB stays in the cache, 16 MB take 4 times as
-long."""
 
 
 def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrusion: float, pitch: float) -> Cover:
@@ -51,48 +49,19 @@ def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrus
         pitch: Density of `points` [m].
     """
     radii = np.maximum(depth, 0.0) + protrusion
-    # A ball surely covers its radius less the gap between samples. |a - b|^2 = a.a + b.b - 2 a.b.
+    # A ball surely covers its radius less the gap between samples.
     within = np.maximum(radii - pitch, 0.0) ** 2 - _ROUNDING
-    square = np.einsum("ni,ni->n", points, points)
     order = np.argsort(depth, kind="stable")  # the surface first, and on it the corners
-    near = int(np.searchsorted(depth[order], _SHELL * pitch))
-    picked: list[int] = []
-    for left in (order[:near], order[near:]):  # few deep points remain once the surface is covered
-        for k in picked:
-            left = left[square[left] + square[k] - 2.0 * (points[left] @ points[k]) > within[k]]
-        while len(left):
-            first = left[0]
-            able = np.flatnonzero(square + square[first] - 2.0 * (points @ points[first]) <= within)
-            deepest = able[np.argsort(-depth[able], kind="stable")[:CANDIDATES]]
-            spread = able[np.linspace(0, len(able) - 1, min(len(able), CANDIDATES)).astype(int)]
-            able = np.union1d(deepest, spread)
-            # The candidates contain the first point, so they cover nothing farther from it than a diameter.
-            from_first = square[left] + square[first] - 2.0 * (points[left] @ points[first])
-            around = np.flatnonzero(from_first <= 4.0 * within[able].max() + _ROUNDING)
-            some = left[around]
-            apart = square[some] + square[able][:, None] - 2.0 * (points[able] @ points[some].T)
-            covered = apart <= within[able][:, None]
-            covered[:, 0] = True
-            best = int(np.argmax(covered.sum(axis=1)))
-            picked.append(int(able[best]))
-            left = np.delete(left, around[covered[best]])
-    needed = _needed(points, within, picked)
+    near = int(np.searchsorted(depth[order], _SHELL * pitch))  # few deep points remain once the surface is covered
+    needed = _native.ball_cover(
+        points=points,
+        reach=within,
+        depth=depth,
+        order=order.astype(np.int32),
+        first=near,
+        candidates=CANDIDATES,
+    )
     return points[needed], radii[needed]
-
-
-def _needed(points: Float[Array, "n 3"], within: Float[Array, " n"], picked: list[int]) -> list[int]:
-    """Drop redundant balls, smallest coverage first; `within` are squared radii [m^2]."""
-    square = np.einsum("ni,ni->n", points, points)
-    covered = [np.flatnonzero(square + square[k] - 2.0 * (points @ points[k]) <= within[k]) for k in picked]
-    times = np.zeros(len(points), dtype=int)
-    for some in covered:
-        times[some] += 1
-    needed = np.ones(len(picked), dtype=bool)
-    for k in np.argsort([len(some) for some in covered], kind="stable"):
-        if times[covered[k]].min() > 1:
-            needed[k] = False
-            times[covered[k]] -= 1
-    return [k for k, stays in zip(picked, needed, strict=True) if stays]
 
 
 def _lattice(lower: Float[Array, " 3"], upper: Float[Array, " 3"], pitch: float) -> Float[Array, "n 3"]:
@@ -124,13 +93,7 @@ def samples_of_convex(
 
 def heights(points: Float[Array, "n 3"], planes: Float[Array, "face 4"]) -> tuple[Float[Array, " n"], Int[Array, " n"]]:
     """Return the largest height of each point over a face [m], negative inside the body, and the index of that face."""
-    height, face = np.empty(len(points)), np.empty(len(points), dtype=int)
-    rows = max(1, _CHUNK // len(planes))
-    for k in range(0, len(points), rows):
-        over = points[k : k + rows] @ planes[:, :3].T - planes[:, 3]
-        face[k : k + rows] = highest = np.argmax(over, axis=1)
-        height[k : k + rows] = over[np.arange(len(over)), highest]
-    return height, face
+    return _native.heights(points=points, planes=planes)
 
 
 Hull = tuple[Float[Array, "_ 3"], Float[Array, "_ 4"]]
@@ -141,14 +104,16 @@ def hull_cover(hulls: Sequence[Hull], protrusion: float = MAX_PROTRUSION) -> Cov
     """Cover convex hulls by balls that stick out of their union; where hulls overlap, one ball may serve several."""
     bounded = [(vertices, fewer_planes(vertices, planes)) for vertices, planes in hulls]
     pitch = max(_pitch(np.ptp(vertices, axis=0), protrusion) for vertices, _ in bounded)
-    samples = []
+    samples, depths = [], []
     for k, (vertices, planes) in enumerate(bounded):
-        points, _ = samples_of_convex(vertices, planes, pitch)
+        points, height = samples_of_convex(vertices, planes, pitch)
         # Points deep inside an earlier hull are dropped; the samples of that hull cover them.
-        own = _depth(points, bounded[:k]) < _GAP * pitch
+        before = _depth(points, bounded[:k])
+        own = before < _GAP * pitch
+        after = _depth(points[own], bounded[k + 1 :])
         samples.append(points[own])
-    points = np.concatenate(samples)
-    return greedy_cover(points, _depth(points, bounded), protrusion, _GAP * pitch)
+        depths.append(np.maximum.reduce([before[own], -height[own], after]))
+    return greedy_cover(np.concatenate(samples), np.concatenate(depths), protrusion, _GAP * pitch)
 
 
 def _depth(points: Float[Array, "n 3"], hulls: Sequence[Hull]) -> Float[Array, " n"]:

@@ -9,6 +9,7 @@ does not use it.
 
 from __future__ import annotations
 
+import time
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,6 +19,7 @@ from threading import Lock
 import mujoco
 import numpy as np
 
+from graceful_plan import disk_cache
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.arrays import ImpactArrays, RobotArrays, WorldArrays
 from graceful_plan.core.kernels import Kernels
@@ -40,6 +42,10 @@ _RESERVE = 0.0005
 """Margin above the largest clearance of spheres at which links touched [m]."""
 _NEVER = 0.003
 """Margin below the deepest overlap of spheres if the links never touched [m]."""
+_METHOD = 1, _SAMPLES, _SAMPLES_OF_MESHES, _FIRST, _EXACT, _LOST, _LOST_OF_MESHES, _RESERVE, _NEVER
+"""Version of the algorithm, and its settings: stored results of others are ignored."""
+_SLOW = 0.05
+"""Robots whose slack took longer to compute are written to the folder [s]."""
 _KEPT = 4096
 """Number of pairs whose slack is cached."""
 _known: OrderedDict[bytes, float] = OrderedDict()
@@ -60,18 +66,40 @@ def self_slack(
         geoms: For each pair of links, the pairs of geoms that may touch.
         impact_tables: Tables of the scene.
     """
+    apart = np.flatnonzero(robot.self_pair[:, 0] != robot.self_pair[:, 1])  # equal links: a base in contact, never free
+    keys = [_key(robot, pair) for pair in robot.self_pair[apart]]
+    began, name = time.perf_counter(), blake2b(repr(_METHOD).encode() + b"".join(keys), digest_size=32).hexdigest()
+    with _lock:
+        found = [_known.get(key) for key in keys]
+    if None in found and (stored := _stored(name, len(keys))) is not None:
+        found = stored
+    values = [
+        _slack(scene, robot, robot.self_pair[k], geoms[k], impact_tables) if known is None else known
+        for k, known in zip(apart.tolist(), found, strict=True)
+    ]
+    if time.perf_counter() - began > _SLOW:
+        disk_cache.write(name, np.array(values))
+    with _lock:
+        _known.update(zip(keys, values, strict=True))
+        while len(_known) > _KEPT:
+            _known.popitem(last=False)
     slack = np.zeros(len(robot.self_pair))
-    for k, (pair, touchable) in enumerate(zip(robot.self_pair, geoms, strict=True)):
-        if pair[0] != pair[1]:  # a pair of equal links is a base in contact, which is never free
-            key = _key(robot, pair)
-            with _lock:
-                known = _known.get(key)
-            slack[k] = _slack(scene, robot, pair, touchable, impact_tables) if known is None else known
-            with _lock:
-                _known[key] = float(slack[k])
-                while len(_known) > _KEPT:
-                    _known.popitem(last=False)
+    slack[apart] = values
     return slack
+
+
+def forget() -> None:
+    """Drop the slack in memory; that in the folder stays."""
+    with _lock:
+        _known.clear()
+
+
+def _stored(name: str, count: int) -> list[float] | None:
+    """Return the slack of all pairs of a robot from the folder of covers, unless the file makes no sense."""
+    found = disk_cache.read(name)
+    if found is None or found.shape != (count,) or not (np.isfinite(found) & (found <= 0.0)).all():
+        return None
+    return found.tolist()
 
 
 def _key(robot: RobotArrays, pair: Int[Array, " 2"]) -> bytes:

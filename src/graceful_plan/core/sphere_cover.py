@@ -17,7 +17,7 @@ Array = np.ndarray
 MAX_PROTRUSION = 0.0095
 """Largest protrusion of a cover from its geom [m]; the rest of the promised 1 cm is for float32 and samples."""
 
-METHOD = 5
+METHOD = 6
 """Version of the algorithm; increase it when covers change, so that old ones in the folder are ignored."""
 MANY = 1500
 """Number of spheres of one geom above which larger ones are used, which stick out farther."""

@@ -213,7 +213,7 @@ class Cost(Contract):
 
     def __add__(self, other: Cost) -> SumCost:
         """Return the sum of both."""
-        return SumCost((*_terms(self), *_terms(other))) if isinstance(other, Cost) else NotImplemented
+        return SumCost((*terms_of(self), *terms_of(other))) if isinstance(other, Cost) else NotImplemented
 
     def __mul__(self, factor: float) -> SumCost:
         """Return the cost times a factor."""
@@ -237,7 +237,7 @@ class SumCost(Cost):
     terms: tuple[tuple[float, Cost], ...]
 
     def __post_init__(self) -> None:
-        flat = [(factor * inner, cost) for factor, term in self.terms for inner, cost in _terms(term)]
+        flat = [(factor * inner, cost) for factor, term in self.terms for inner, cost in terms_of(term)]
         object.__setattr__(self, "terms", tuple(flat))
         for factor, cost in flat:
             if not 0.0 <= factor < np.inf:
@@ -254,7 +254,8 @@ class SumCost(Cost):
         return np.sum(known, axis=0) if len(known) == len(found) else None
 
 
-def _terms(cost: Cost) -> tuple[tuple[float, Cost], ...]:
+def terms_of(cost: Cost) -> tuple[tuple[float, Cost], ...]:
+    """Return the factors and terms of a sum; of another cost, itself."""
     return cost.terms if isinstance(cost, SumCost) else ((1.0, cost),)
 
 

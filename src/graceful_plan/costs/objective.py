@@ -11,6 +11,7 @@ sub-steps of at most `COST_STEP`.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
@@ -22,7 +23,7 @@ from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, ImpactKernel
 from graceful_plan.costs.blocks.native_cost import native_kernel
-from graceful_plan.costs.cost import Cost, StateBatch, checked_state, moving_batch
+from graceful_plan.costs.cost import Cost, StateBatch, checked_state, moving_batch, terms_of
 from graceful_plan.costs.cost_samples import CostSamples, timed_samples
 from graceful_plan.costs.edge_samples import EdgeSamples
 from graceful_plan.costs.impact import ImpactCost
@@ -286,7 +287,9 @@ class SceneObjective:
         motion, impact = self._motion(self._points(path)), self.objective.impact
         if isinstance(impact, ImpactCost) and not impact.harmed_entities(self.scene):
             nothing = dict.fromkeys(self.scene.components, 0.0)
-            return CostBreakdown(motion=motion, impact=0.0, w=self.w, impact_by_component=nothing)
+            return CostBreakdown(
+                motion=motion, impact=0.0, w=self.w, exposure=self.objective.exposure, impact_by_component=nothing
+            )
         samples = self.cost_samples(path, start_time)
         return self._breakdown(motion, samples.batch, samples.weight)
 
@@ -334,21 +337,28 @@ class SceneObjective:
         return EdgeSamples(q0, q1, self.scene.limits.velocity, self.paces, step)
 
     def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
-        impact = self.objective.impact
-        if not isinstance(impact, ImpactCost):
-            total = float(weight @ checked_state(impact, batch))
-            return CostBreakdown(motion=motion, impact=total, w=self.w)
-        exposure = sum(
-            np.tensordot(weight[k : k + _AT_A_TIME], impact.probability(batch[k : k + _AT_A_TIME]), axes=1)
-            for k in range(0, len(batch), _AT_A_TIME)
-        )
-        parts = exposure * impact.severity_table(self.scene)
+        impact, by_entity, by_component = 0.0, Counter[str](), Counter[str]()
+        for factor, cost in terms_of(self.objective.impact):
+            if not isinstance(cost, ImpactCost):
+                total = factor * float(weight @ checked_state(cost, batch))
+                impact += total
+                by_entity[type(cost).__name__] += total  # type: ignore[assignment]  # counters may hold floats
+                continue
+            exposure = sum(
+                np.tensordot(weight[k : k + _AT_A_TIME], cost.probability(batch[k : k + _AT_A_TIME]), axes=1)
+                for k in range(0, len(batch), _AT_A_TIME)
+            )
+            parts = factor * exposure * cost.severity_table(self.scene)
+            impact += float(parts.sum())
+            by_entity.update(dict(zip(cost.harmed_entities(self.scene), parts.sum(axis=0).tolist(), strict=True)))
+            by_component.update(dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)))
         return CostBreakdown(
             motion=motion,
-            impact=float(parts.sum()),
+            impact=impact,
             w=self.w,
-            impact_by_entity=dict(zip(impact.harmed_entities(self.scene), parts.sum(axis=0).tolist(), strict=True)),
-            impact_by_component=dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)),
+            exposure=self.objective.exposure,
+            impact_by_entity=dict(by_entity),
+            impact_by_component=dict(by_component),
         )
 
 

@@ -17,6 +17,7 @@ from graceful_plan.plan import plan
 from graceful_plan.planners.anytime.auto import Auto
 from graceful_plan.query.endpoints.goals import Goal
 from graceful_plan.query.endpoints.ik import solve_ik
+from graceful_plan.query.preparation import prepared
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.placement import Placement
@@ -31,6 +32,8 @@ ORDINARY, CHOSEN = "w = 0", "chosen w"
 """Labels of the two motions."""
 TIME_LIMIT, DRIVING_LIMIT = 1.0, 5.0
 """Default time limits for arms and for bases that drive [s]."""
+_LONGER = 5.0
+"""Factor on the time limit of the second call after a TIMEOUT."""
 
 
 @final
@@ -148,17 +151,28 @@ class Question:
     # --- answer -------------------------------------------------------------------------------------------------------
 
     def plan(self, w: float, cancelled: Callable[[], bool], known: ShownMotion | None = None) -> PlanResult:
-        """Plan one motion; an arm starts from a known one, which a short search might not match."""
-        return plan(
-            self.start,
-            self.goal,
-            self.scene,
-            planner="auto" if known is None or self.scene.base is not None else Auto(initial=known.trajectory.path),
-            objective=Objective(impact=self.impact, w=w),
-            time_limit=self.time_limit,
-            seed=self.seed,
-            cancelled=cancelled,
-        )
+        """Plan one motion; an arm starts from a known one, which a short search might not match.
+
+        Compiling the scene does not count against the time limit, and a busy machine gets a second, longer call.
+        """
+        objective = Objective(impact=self.impact, w=w)
+        prepared(self.scene, objective, None)
+        initial = None if known is None or self.scene.base is not None else known.trajectory.path
+
+        def one(seconds: float) -> PlanResult:
+            return plan(
+                self.start,
+                self.goal,
+                self.scene,
+                planner="auto" if initial is None else Auto(initial=initial),
+                objective=objective,
+                time_limit=seconds,
+                seed=self.seed,
+                cancelled=cancelled,
+            )
+
+        result = one(self.time_limit)
+        return one(_LONGER * self.time_limit) if result.status is PlanStatus.TIMEOUT else result
 
 
 @final
@@ -186,7 +200,8 @@ class PlanAnswer:
 def answered(question: Question, known: PlanAnswer | None, cancelled: Callable[[], bool]) -> PlanAnswer:
     """Plan both motions, except for those known from an earlier answer.
 
-    The chosen motion is reused for the identical request, the ordinary one for an equal `way`.
+    The chosen motion is reused for the identical request, the ordinary one for an equal `way`. For another w, both
+    compete with the new motion by J.
 
     Args:
         question: The request.
@@ -202,8 +217,19 @@ def answered(question: Question, known: PlanAnswer | None, cancelled: Callable[[
     if question.w == 0.0 and ordinary is not None:
         chosen = shown_motion(CHOSEN, ordinary.trajectory, question.scene, question.impact, ordinary.cost)
         return PlanAnswer(question=question, chosen=chosen, ordinary=ordinary, said=(of_ordinary, of_ordinary))
-    chosen, of_chosen = _shown(CHOSEN, question, question.plan(question.w, cancelled, ordinary))
+    planned, of_chosen = _shown(CHOSEN, question, question.plan(question.w, cancelled, ordinary))
+    before = known.chosen if known is not None and known.question.way == question.way else None
+    others = [_again(one, question) for one in (before, ordinary) if one is not None]
+    chosen = _cheapest([*([] if planned is None else [planned]), *others], question.w)
+    if chosen is not None and chosen is not planned:
+        chosen = replace(chosen, label=CHOSEN)
+        of_chosen = f"{PlanStatus.SOLVED.name}: a motion found before is the best for this w"
     return PlanAnswer(question=question, chosen=chosen, ordinary=ordinary, said=(of_chosen, of_ordinary))
+
+
+def _cheapest(motions: list[ShownMotion], w: float) -> ShownMotion | None:
+    """Return the motion of least J, so that moving w never makes the chosen motion worse by chance."""
+    return min(motions, key=lambda motion: motion.cost.motion + w * motion.cost.impact, default=None)
 
 
 def _shown(label: str, question: Question, result: PlanResult) -> tuple[ShownMotion | None, str]:

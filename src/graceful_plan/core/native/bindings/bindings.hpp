@@ -13,6 +13,7 @@ namespace gp {
 using WithoutGil = nb::call_guard<nb::gil_scoped_release>;
 
 void bind_core(nb::module_&);
+void bind_covers(nb::module_&);
 void bind_impact(nb::module_&);  // after bind_core
 void bind_moving(nb::module_&);  // after bind_impact
 void bind_timing(nb::module_&);  // after bind_core
