@@ -11,6 +11,7 @@ import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import Judge, first_collision
 from graceful_plan.judge.reference_cost import reference_cost
+from graceful_plan.query import preparation
 from graceful_plan.query.arguments import (
     checked_objective,
     checked_planner,
@@ -18,7 +19,6 @@ from graceful_plan.query.arguments import (
     checked_speed,
     checked_time_limit,
 )
-from graceful_plan.query import preparation
 from graceful_plan.result import PlanningFailed
 
 _NAMES = sorted(gp.PLANNERS)
@@ -415,6 +415,30 @@ def test_a_planner_class_and_steps_of_zero_are_refused():
             gp.Anytime(**settings)
     with pytest.raises(SettingError, match="range"):
         gp.RRTConnect(range=0.0)
+
+
+def test_impact_by_entity_survives_in_sums_of_costs(task):
+    alone = gp.ImpactCost()
+    both = alone + 20.0 * gp.ClearanceCost(margin=0.1)
+    motion = _quick(task, w=0.5).trajectory
+    plain, summed, scaled = (
+        gp.evaluate(motion, task.scene, gp.Objective(impact=impact, w=0.5)) for impact in (alone, both, 3.0 * alone)
+    )
+    for name, value in plain.impact_by_entity.items():
+        assert summed.impact_by_entity[name] == pytest.approx(value)
+        assert scaled.impact_by_entity[name] == pytest.approx(3.0 * value)
+    assert sum(summed.impact_by_entity.values()) == pytest.approx(summed.impact)
+    assert sum(scaled.impact_by_component.values()) == pytest.approx(scaled.impact)
+    assert summed.impact_by_entity["ClearanceCost"] == pytest.approx(summed.impact - plain.impact)
+
+
+def test_printed_results_have_units_and_checks_say_that_they_passed(task):
+    result = _quick(task, w=0.5)
+    assert result.cost.w == 0.5 and "rad" in str(result) and "severity s" in str(result)
+    assert all(str(check).startswith("passed") for check in result.verdict.checks.values())
+    assert "inside" in result.verdict.checks["position_limits"].detail
+    by_length = gp.evaluate(result.trajectory, task.scene, gp.Objective(exposure="length"))
+    assert by_length.impact_unit == "severity rad"
 
 
 def test_printed_results_are_short_and_name_what_is_harmed_most():

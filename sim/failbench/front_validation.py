@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from failbench.basics.errors import ExecutionRefused
+from failbench.basics.statistics import Estimate
+from failbench.comparison import compare
 from failbench.recording.healthy import HealthyHarm
 from failbench.report import FAILURES_PER_HOUR, ValidationReport, loudly
 from failbench.rollouts.execution import ObjectLost
@@ -79,6 +81,18 @@ class FrontValidation:
         pairs = [float(np.count_nonzero(sign)) for sign in signs]
         return float(np.sum(signs[0] * signs[1]) / np.sqrt(pairs[0] * pairs[1])) if min(pairs) > 0.0 else float("nan")
 
+    @property
+    def against_shortest(self) -> tuple[Estimate | None, ...]:
+        """Observed impact per failure of each point minus that of the shortest motion, failure by failure.
+
+        None for motions that cannot be executed, and for all if the shortest one cannot.
+        """
+        shortest = self.points[0].report
+        return tuple(
+            None if shortest is None or point.report is None else compare(point.report, shortest)
+            for point in self.points
+        )
+
     def to_document(self) -> dict[str, Any]:
         """Return the validation as a document of plain values."""
         points = [
@@ -88,11 +102,12 @@ class FrontValidation:
                 "healthy": None if point.healthy is None else point.healthy.to_document(),
                 "predicted": None if point.report is None else point.report.predicted,
                 "observed": None if point.report is None else asdict(point.report.observed),
+                "against_shortest": None if difference is None else asdict(difference),
                 "duration": None if point.report is None else point.report.duration,
                 "observed_per_task": None if point.report is None else asdict(point.report.observed_per_task),
                 "refused": point.refused,
             }
-            for point in self.points
+            for point, difference in zip(self.points, self.against_shortest, strict=True)
         ]
         tau = self.rank_correlation
         return {

@@ -74,6 +74,11 @@ class Check:
     """Time of the first violation [s]; for a path, the path length there [rad]."""
     detail: str = ""
 
+    def __str__(self) -> str:
+        """Say first whether the check passed."""
+        since = "" if self.first is None else f" from {self.first:.4g} on"
+        return f"{'passed' if self.passed else f'failed{since}'}: {self.detail}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
@@ -107,7 +112,10 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class TracePoint:
-    """An improvement: seconds since the time limit began to count, and the estimated cost of a path or the cost of a timed motion."""
+    """An improvement: its time in the call, and the estimated cost of a path or the cost of a timed motion.
+
+    Times count as the time limit does: from the start of the call, by default without compiling the scene [s].
+    """
 
     time: float
     total: float

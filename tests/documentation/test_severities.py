@@ -5,7 +5,7 @@ import re
 import yaml
 from places import LIBRARY, ROOT
 
-from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.harm.severity import SCALE, SeverityTable
 
 SHIPPED = (LIBRARY / "scene" / "harm" / "severity.yaml").read_text()
 SECTION = (ROOT / "docs" / "faults-prior.md").read_text().split("## Severities")[1].split("\n## ")[0]
@@ -39,3 +39,6 @@ def test_the_scale_equals_that_of_the_file():
     (scale,) = re.findall(r"Scale: (.*?)Values apply", SHIPPED, flags=re.DOTALL)
     shown = [row[0] for row in ROWS if len(row) == 3 and row[0][:1].isdigit()]
     assert shown == re.findall(r"\b\d[\d.]*\b(?! USD)", scale)
+    assert [str(value) for value in SCALE] == [
+        value.removesuffix(".0") + ".0" * ("." not in value) for value in shown[1:]
+    ]

@@ -41,6 +41,9 @@ def test_documents_and_tables_hold_both(found):
         assert entry["observed_per_task"]["mean"] == point.report.observed_per_task.mean
         assert entry["duration"] == point.report.duration > 0.0
     assert str(found).count("\n") == 3 + len(found.points)
+    first, last = (point.report.impacts for point in (found.points[0], found.points[-1]))
+    assert document["points"][0]["against_shortest"]["mean"] == 0.0
+    assert document["points"][-1]["against_shortest"]["mean"] == pytest.approx(np.mean(last - first))
 
 
 def test_motions_that_cannot_be_executed_are_reported(task, front, monkeypatch):

@@ -9,8 +9,10 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.harm.severity import SCALE
 from graceful_plan.tools import cli, validation
 from graceful_plan.tuning.fronts import ChoiceStatus
+from graceful_plan.tuning.points import ParetoPoint
 from graceful_plan.viz.front import draw_front
 from graceful_plan.viz.front_page import write_front_page
 
@@ -152,6 +154,23 @@ def test_the_page_marks_motions_that_could_not_be_executed(task, front, tmp_path
     assert page_data(tmp_path / "front.html")["observed"][:2] == [None, {**seen[1], "high": None}]
     with pytest.raises(SettingError, match="observed"):
         write_front_page(front, task.scene, tmp_path / "front.html", observed=seen[1:])
+
+
+def test_the_page_tells_what_severities_mean_and_how_often_people_are_hit(tmp_path):
+    task = gp.load_scene("dining_table").tasks["serve_tea"]
+    motion = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=60)
+    point = ParetoPoint(motion.path, motion.trajectory, motion.cost, motion.verdict, made_by="descent", made_with=0.0)
+    front = gp.ParetoFront(status=gp.PlanStatus.SOLVED, points=(point,))
+    write_front_page(front, task.scene, tmp_path / "front.html")
+    data = page_data(tmp_path / "front.html")
+    assert dict(data["scale"]) == SCALE
+    people = {name for name, entity in task.scene.entities.items() if entity.category.startswith("adult")}
+    (point,) = data["points"]
+    assert set(point["chances"]) == people and people
+    for name, chance in point["chances"].items():
+        # Its mean severity is at most the greatest one of the person times the probability.
+        worst = max(task.scene.entities[name].severity.values())
+        assert point["by_entity"][name] / point["duration"] <= worst * chance + 1e-9 and chance <= 1.0
 
 
 def test_pictures_of_nothing_are_refused(task, tmp_path):

@@ -8,7 +8,7 @@ motion is verified for Algorithm 1 only, by a slow implementation that shares no
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -230,7 +230,11 @@ def _position(samples: MotionSamples, motion: Path | Trajectory, scene: Scene, s
         # The samples for collisions are dense and show when the violation begins.
         beyond = np.maximum(lower - samples.q, samples.q - upper)
         excess, at = np.concatenate([excess, beyond]), np.append(np.full(len(q), np.nan), samples.at)
-    return _limit_check(excess, at, scene.joints, LIMIT_TOLERANCE, "beyond its position limit [rad or m]")
+    check = _limit_check(excess, at, scene.joints, LIMIT_TOLERANCE, "beyond its position limit [rad or m]")
+    if check.worst > 0.0:
+        return check
+    nearest = scene.joints[int(np.argmax(excess)) % excess.shape[1]]
+    return replace(check, detail=f"joint {nearest!r}: {-check.worst:.6g} inside its position limit [rad or m]")
 
 
 def _turning_points(trajectory: Trajectory) -> tuple[Float[Array, "n nq"], Float[Array, " n"]]:

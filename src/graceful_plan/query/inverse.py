@@ -22,13 +22,13 @@ Array = np.ndarray
 class IKSolutions:
     """Configurations that bring the tool to a pose, the nearest first; possibly none.
 
-    | field             | meaning                                                               | unit     | shape       |
-    |-------------------|-----------------------------------------------------------------------|----------|-------------|
-    | q                 | configurations within the limits and the tolerances of the goal       | rad or m | solution nq |
-    | position_error    | distance of the tool's origin from the goal                           | m        | solution    |
-    | orientation_error | angle between reached and desired orientation; free yaw does not count | rad     | solution    |
-    | best_error        | position and orientation error of the best configuration found, also of one that collides or misses | m, rad | |
-    | colliding         | number of configurations at the pose that were left out as they collide |        |             |
+    | field             | meaning                                                             | unit     | shape       |
+    |-------------------|---------------------------------------------------------------------|----------|-------------|
+    | q                 | configurations within the limits and the tolerances of the goal     | rad or m | solution nq |
+    | position_error    | distance of the tool's origin from the goal                         | m        | solution    |
+    | orientation_error | angle to the goal's orientation; with free yaw, that of the z axes  | rad      | solution    |
+    | best_error        | both errors of the best configuration, also if it collides or misses| m, rad   |             |
+    | colliding         | number of configurations at the pose that are left out: they collide|          |             |
     """
 
     q: Float[Array, "solution nq"]

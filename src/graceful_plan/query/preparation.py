@@ -22,7 +22,7 @@ _COMPILED_SOON = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prepared:
+class Preparation:
     """A compiled scene with its objective and constraints, and the seconds that each step took."""
 
     objective: SceneObjective
@@ -44,7 +44,7 @@ class Prepared:
 
 def prepared(
     scene: Scene, objective: Objective, constraints: Iterable[Constraint] | None, speed: float = 1.0
-) -> Prepared:
+) -> Preparation:
     """Compile a scene for calls with this objective and these constraints; everything is cached with the scene."""
     began = time.perf_counter()
     compile_scene(scene)
@@ -54,7 +54,7 @@ def prepared(
     impact = time.perf_counter()
     asked = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
     seconds = {"robot": robot - began, "impact": impact - robot, "constraints": time.perf_counter() - impact}
-    return Prepared(objective=bound, constraints=asked, seconds=seconds)
+    return Preparation(objective=bound, constraints=asked, seconds=seconds)
 
 
 def prepare(

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.scene.edit import PosedModel
 from graceful_plan.scene.elements import Carried
@@ -123,7 +124,7 @@ class Chain:
             if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
                 moved = _pose(np.zeros(3), self._home[adr : adr + 4])
             else:
-                moved = _motion(axis, np.array(self._home[adr] - zero), slides=bool(slides))
+                moved = _moved(axis, float(self._home[adr]) - zero, slides=bool(slides))
             self._so_far = self._so_far @ anchor @ moved @ back
 
     def pose(self, q: Float[Array, "*batch nq"]) -> Float[Array, "*batch 4 4"]:
@@ -132,25 +133,63 @@ class Chain:
 
     def jacobian(self, q: Float[Array, "*batch nq"]) -> Float[Array, "*batch 6 nq"]:
         """Return the Jacobian of the frame's velocity [m/s], then of its angular velocity [rad/s], both in W."""
-        X_WF, joints = self._walk(q)
+        X_WF, X_WJ = self._walk(q)
         jacobian = np.zeros((*q.shape[:-1], 6, q.shape[-1]))
-        for turn, X_WJ in zip(self._turns, joints, strict=True):
-            axis = X_WJ[..., :3, :3] @ turn.axis
-            if turn.slides:
-                jacobian[..., :3, turn.column] = axis
-            else:
-                jacobian[..., :3, turn.column] = np.cross(axis, X_WF[..., :3, 3] - X_WJ[..., :3, 3])
-                jacobian[..., 3:, turn.column] = axis
+        if not self._turns:
+            return jacobian
+        joints, slides = self._joints, self._joints.slides[:, None]
+        axis = np.einsum("...tij,tj->...ti", X_WJ[..., :3, :3], joints.axis)
+        lever = X_WF[..., None, :3, 3] - X_WJ[..., :3, 3]
+        jacobian[..., :3, joints.column] = np.swapaxes(np.where(slides, axis, np.cross(axis, lever)), -1, -2)
+        jacobian[..., 3:, joints.column] = np.swapaxes(np.where(slides, 0.0, axis), -1, -2)
         return jacobian
 
-    def _walk(self, q: Float[Array, "*batch nq"]) -> tuple[Float[Array, "*batch 4 4"], list[Float[Array, "..."]]]:
+    def _walk(self, q: Float[Array, "*batch nq"]) -> tuple[Float[Array, "*batch 4 4"], Float[Array, "*batch turn 4 4"]]:
         """Return the pose of the frame, and of each joint before it moves, in W."""
-        X, joints = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4)), []
-        for turn in self._turns:
-            X_WJ = X @ turn.X_PJ
-            joints.append(X_WJ)
-            X = X_WJ @ _motion(turn.axis, np.asarray(q[..., turn.column] - turn.zero), slides=turn.slides)
-        return X @ self._X_JF, joints
+        X, joints = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4)), self._joints
+        moved = joints.motions(q)
+        X_WJ = np.empty(moved.shape)
+        for k in range(len(self._turns)):
+            X_WJ[..., k, :, :] = X @ joints.X_PJ[k]
+            X = X_WJ[..., k, :, :] @ moved[..., k, :, :]
+        return X @ self._X_JF, X_WJ
+
+    @cached_property
+    def _joints(self) -> _Joints:
+        turns = self._turns
+        axis = np.array([turn.axis for turn in turns]).reshape(-1, 3)
+        none = np.zeros(len(turns))
+        x, y, z = axis.T
+        return _Joints(
+            X_PJ=np.array([turn.X_PJ for turn in turns]).reshape(-1, 4, 4),
+            column=np.array([turn.column for turn in turns], dtype=int),
+            zero=np.array([turn.zero for turn in turns], dtype=float),
+            axis=axis,
+            slides=np.array([turn.slides for turn in turns], dtype=bool),
+            cross=np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Joints:
+    """The planned joints of a chain side by side, with the cross-product matrices of their axes."""
+
+    X_PJ: Float[Array, "turn 4 4"]
+    column: Int[Array, " turn"]
+    zero: Float[Array, " turn"]
+    axis: Float[Array, "turn 3"]
+    slides: Bool[Array, " turn"]
+    cross: Float[Array, "turn 3 3"]
+
+    def motions(self, q: Float[Array, "*batch nq"]) -> Float[Array, "*batch turn 4 4"]:
+        """Return the motion of each joint: a translation along its axis, or a rotation about it (Rodrigues)."""
+        amount = q[..., self.column] - self.zero
+        angle = np.where(self.slides, 0.0, amount)[..., None, None]
+        X = np.zeros((*amount.shape, 4, 4))
+        X[..., :3, :3] = np.eye(3) + np.sin(angle) * self.cross + (1.0 - np.cos(angle)) * (self.cross @ self.cross)
+        X[..., :3, 3] = np.where(self.slides, amount, 0.0)[..., None] * self.axis
+        X[..., 3, 3] = 1.0
+        return X
 
 
 def _pose(position: Float[Array, " 3"], quaternion: Float[Array, " 4"]) -> Float[Array, "4 4"]:
@@ -160,13 +199,10 @@ def _pose(position: Float[Array, " 3"], quaternion: Float[Array, " 4"]) -> Float
     return X
 
 
-def _motion(axis: Float[Array, " 3"], amount: Float[Array, "*batch"], *, slides: bool) -> Float[Array, "*batch 4 4"]:
-    """Return translations along an axis [m], or rotations about it [rad] (Rodrigues)."""
-    X = np.broadcast_to(np.eye(4), (*amount.shape, 4, 4)).copy()
+def _moved(axis: Float[Array, " 3"], amount: float, *, slides: bool) -> Float[Array, "4 4"]:
+    """Return the motion of a joint that is not planned [rad or m]."""
     if slides:
-        X[..., :3, 3] = amount[..., None] * axis
-        return X
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    X[..., :3, :3] += np.sin(amount)[..., None, None] * K + (1.0 - np.cos(amount))[..., None, None] * (K @ K)
-    return X
+        return _pose(amount * axis, np.array([1.0, 0.0, 0.0, 0.0]))
+    quaternion = np.empty(4)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, amount)
+    return _pose(np.zeros(3), quaternion)

@@ -148,7 +148,7 @@ def run(
     observed = () if validation is None else validation["points"]
     title = f"{front.scene}, {task.name}"
     space = _in_space(front, choice, task.scene)
-    seen = [_seen(entry) for entry in observed]
+    seen = [_seen(entry, failures) for entry in observed]
     write_front_page(front, task.scene, files[-1], choice, seen, title=title, space=space)
     return TuneReport(front=front, choice=choice, validation=validation, files=tuple(files))
 
@@ -168,9 +168,17 @@ def _cells(entry: Mapping[str, Any]) -> list[str]:
     return [f"{entry['predicted']:.3g}", f"{seen['mean']:.3g} [{seen['low']:.3g}, {seen['high']:.3g}]"]
 
 
-def _seen(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return predicted and observed impact of one point; None if it could not be executed."""
+def _seen(entry: Mapping[str, Any], failures: int) -> Mapping[str, Any] | None:
+    """Return predicted and observed impact of one point, and its difference to the shortest; None if not executed."""
     seen = entry["observed"]
     if seen is None:
         return None
-    return {"predicted": entry["predicted"], "observed": seen["mean"], "low": seen["low"], "high": seen["high"]}
+    difference = entry.get("against_shortest")
+    return {
+        "predicted": entry["predicted"],
+        "observed": seen["mean"],
+        "low": seen["low"],
+        "high": seen["high"],
+        "difference": None if difference is None else [difference[name] for name in ("mean", "low", "high")],
+        "failures": failures,
+    }

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.mixture.mixture import FALLING
+from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.harm.severity import SCALE
 from graceful_plan.scene.scene import Scene
 from graceful_plan.tuning.pareto_front import Choice, ParetoFront
 from graceful_plan.tuning.points import ParetoPoint
@@ -22,6 +25,8 @@ Array = np.ndarray
 _TEMPLATE = FilePath(__file__).with_name("front_page.html")
 _SAMPLES = 60
 """Number of drawn samples of each motion."""
+_PEOPLE = ("adult", "adult_head", "child")
+"""Classes of entities that are people."""
 _OBJECTS = 5
 """Number of samples at which the carried object is outlined."""
 _VIEWS: Mapping[str, tuple[int, int, int]] = {"top": (0, 1, 2), "side": (0, 2, 1)}
@@ -45,7 +50,8 @@ def write_front_page(
         file: HTML file to write.
         choice: Chosen point to mark.
         observed: FailBench's result for each point: predicted and observed impact of a failure, the latter with an
-            interval (`predicted`, `observed`, `low`, `high`); None if the simulated robot could not execute the motion.
+            interval (`predicted`, `observed`, `low`, `high`); if known, the difference to the shortest motion with its
+            interval (`difference`) and the number of `failures`. None if the simulated robot could not execute it.
         title: Title of the page; the name of the scene by default.
         space: 3-D view of a motion: its name (`of`), the HTML document (`page`), and the reason for an empty one
             (`why`).
@@ -67,6 +73,8 @@ def write_front_page(
         "observed": list(observed),
         "hypervolume": front.hypervolume(),
         "space": None if space is None else dict(space),
+        "scale": [[value, words] for value, words in SCALE.items()],
+        "default_w": DEFAULT_WEIGHT,
     }
     # A name must not end the script element that contains it.
     text = json.dumps(_plain(data), allow_nan=False).replace("<", "\\u003c")
@@ -91,9 +99,25 @@ def _point(point: ParetoPoint, scene: Scene) -> dict[str, Any]:
         "made_with": point.made_with,
         "duration": duration,
         "by_entity": dict(point.cost.impact_by_entity),
+        "chances": _chances(point, scene),
         "tool": object_positions(scene, path).round(4).tolist(),
         "objects": {view: [shape[view] for shape in shapes if view in shape] for view in _VIEWS},
     }
+
+
+def _chances(point: ParetoPoint, scene: Scene) -> dict[str, float]:
+    """Return the probability that a failure at a random moment hits, or reaches with contents, each person at all.
+
+    It is that of the default impact model, and an upper bound: probabilities of components are added.
+    """
+    people = [name for name, entity in scene.entities.items() if entity.category in _PEOPLE]
+    if not people or point.trajectory.duration == 0.0:
+        return {}
+    impact = ImpactCost()
+    samples = Objective(impact=impact).bind(scene).cost_samples(point.trajectory)
+    exposed = np.tensordot(samples.weight, impact.probability(samples.batch), axes=1) / samples.weight.sum()
+    harmed = impact.harmed_entities(scene)
+    return {name: float(min(1.0, exposed[:, harmed.index(name)].sum())) for name in people}
 
 
 def _carried(scene: Scene, q: Float[Array, " nq"]) -> dict[str, list[list[float]]]:

@@ -18,6 +18,18 @@ from graceful_plan.yaml_file import Block, YamlTable
 ITSELF = "carried"
 """Row of the table for losing the carried object itself, by its class."""
 
+SCALE = MappingProxyType(
+    {
+        0.5: "wipe-up",
+        2.0: "minor damage, up to about 20 USD",
+        5.0: "moderate damage, or pain without injury",
+        10.0: "high damage, from about 200 USD, or first aid",
+        20.0: "major property damage, or a moderate injury",
+        50.0: "serious injury",
+        100.0: "severe injury",
+    }
+)
+"""What severities mean; the source is the head of `severity.yaml`."""
 MAX_SEVERITY = 1e6
 """Largest severity; the shipped table has at most 100. Sums over all entities stay finite."""
 
