@@ -192,3 +192,13 @@ def test_the_document_is_plain():
     document = bench.summarise(rich()).to_document()
     assert [planner["planner"] for planner in document["planners"]] == ["first", "second <&>", "third"]
     assert (document["runs"], document["expected"], len(document["pairs"])) == (42, 42, 3)
+
+
+@pytest.mark.parametrize(("problems", "told"), [(20, "not luck"), (3, "which may be luck")])
+def test_the_headline_says_who_is_best_and_whether_it_is_luck(problems, told):
+    names = tuple(f"p{k}" for k in range(problems))
+    runs = [solved(name, planner, 0, cost) for name in names for planner, cost in (("a", 2.0), ("b", 1.0))]
+    text = page(bench.summarise(comparison(runs, ("a", "b"), names)))
+    assert f"Least cost: b, better than a on {problems} of {problems} problems and worse on 0, {told}" in text
+    assert "Most problems solved: all planners" in text and "First path the soonest" in text
+    assert "Least cost" not in written("no runs") + written("one run") + written("all failed")

@@ -72,6 +72,7 @@ def page(summary: Summary, space: Mapping[str, str] | None = None) -> str:
     parts = [
         f"<h1>{_text(title)}</h1>",
         f'<p class="lead">{_text(_lead(summary))}</p>',
+        *_headline(summary),
         *_warnings(summary),
         *(_sections(summary) if comparison.runs else ["<p>No run is done yet.</p>"]),
         *section(space),
@@ -89,6 +90,36 @@ def _lead(summary: Summary) -> str:
         f"{_count(len(c.problems), 'problem')}, {_count(len(c.planners), 'planner')}, {_count(len(c.seeds), 'seed')}"
     )
     return f"{counts}; every call with time_limit = {c.seconds:g} s and w = {c.w:g}; begun {c.begun}"
+
+
+def _headline(summary: Summary) -> Iterator[str]:
+    """Say which planner is best at what, and whether the difference in cost may be luck."""
+    ran = [planner for planner in summary.planners if planner.runs]
+    if len(ran) < 2:
+        return
+    told = []
+    best, second = sorted(ran, key=lambda planner: planner.gap)[:2]
+    if math.isfinite(best.gap):
+        told.append(f"Least cost: {best.planner}{_against(summary, best.planner, second.planner)}.")
+    most = max(planner.solved / planner.runs for planner in ran)
+    solvers = [planner.planner for planner in ran if planner.solved / planner.runs == most]
+    many = "all planners" if len(solvers) == len(ran) else ", ".join(solvers)
+    told.append(f"Most problems solved: {many} ({percent(most)}).")
+    quickest = min(ran, key=lambda planner: planner.first)
+    if math.isfinite(quickest.first):
+        told.append(f"First path the soonest: {quickest.planner} ({number(1e3 * quickest.first)} ms).")
+    yield f'<p class="lead"><strong>{_text(" ".join(told))}</strong></p>'
+
+
+def _against(summary: Summary, best: str, second: str) -> str:
+    """Return how the cost of the best planner compares with that of the next one, problem by problem."""
+    pair = next((p for p in summary.pairs if {p.first, p.second} == {best, second}), None)
+    if pair is None or not math.isfinite(pair.ratio):
+        return ""
+    mine, other = (pair.wins, pair.losses) if pair.second == best else (pair.losses, pair.wins)
+    p = pair.p if math.isnan(pair.p_holm) else pair.p_holm
+    luck = "not luck" if p < _SIGNIFICANT else "which may be luck"
+    return f", better than {second} on {mine} of {pair.n} problems and worse on {other}, {luck} (p {p_value(p)})"
 
 
 def _warnings(summary: Summary) -> Iterator[str]:
