@@ -419,7 +419,7 @@ def test_a_planner_class_and_steps_of_zero_are_refused():
 
 def test_impact_by_entity_survives_in_sums_of_costs(task):
     alone = gp.ImpactCost()
-    both = alone + 20.0 * gp.ClearanceCost(margin=0.1)
+    both = alone + 20.0 * gp.ClearanceCost(distance=0.1)
     motion = _quick(task, w=0.5).trajectory
     plain, summed, scaled = (
         gp.evaluate(motion, task.scene, gp.Objective(impact=impact, w=0.5)) for impact in (alone, both, 3.0 * alone)

@@ -159,7 +159,8 @@ def test_the_page_marks_motions_that_could_not_be_executed(task, front, tmp_path
 def test_the_page_tells_what_severities_mean_and_how_often_people_are_hit(tmp_path):
     task = gp.load_scene("dining_table").tasks["serve_tea"]
     motion = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=60)
-    point = ParetoPoint(motion.path, motion.trajectory, motion.cost, motion.verdict, made_by="descent", made_with=0.0)
+    kept = {name: getattr(motion, name) for name in ("path", "trajectory", "cost", "verdict")}
+    point = ParetoPoint(**kept, made_by="descent", made_with=0.0)
     front = gp.ParetoFront(status=gp.PlanStatus.SOLVED, points=(point,))
     write_front_page(front, task.scene, tmp_path / "front.html")
     data = page_data(tmp_path / "front.html")
