@@ -64,6 +64,15 @@ def test_compiling_counts_against_a_given_time_limit_only(task, monkeypatch):
     assert gp.plan(task.start, task.goal, task.scene, time_limit=0.4).status is gp.PlanStatus.TIMEOUT
 
 
+def test_calls_that_end_before_the_search_have_times_as_well(task):
+    for ended in (
+        gp.plan(task.start, task.goal, task.scene, cancelled=lambda: True),
+        gp.plan(task.start, task.scene.limits.position[:, 1] + 1.0, task.scene),
+    ):
+        assert ended.status is not gp.PlanStatus.SOLVED or ended.stats["first_motion_time"] > 0.0
+        assert ended.stats["total_time"] >= ended.stats["compile_time"] >= 0.0
+
+
 def test_a_prepared_scene_compiles_nothing_more(task, monkeypatch):
     scene = task.scene.edit(add=[gp.StaticBody(name="crate", kind="box", size=[0.01] * 3, pose=[0.0, 3.0, 1.0])])
     assert set(gp.prepare(scene)) == {"robot", "impact", "constraints", "judge"}

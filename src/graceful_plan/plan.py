@@ -167,7 +167,7 @@ def plan(
     if (driving := base_planning(scene)) is not None and not isinstance(ends, PlanResult):
         ends = driving.ends(ends)
     if isinstance(ends, PlanResult):
-        return _with_notes(ends, notes)
+        return _with_times(_with_notes(ends, notes), ready.total, started)
     request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index))
     try:
         best = BestVerified(request, ends, budget)
@@ -177,12 +177,16 @@ def plan(
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     result = _with_notes(result, [*notes, *ends.notes, *_waived(asked)])
-    times = {"compile_time": ready.total, "total_time": time.perf_counter() - started}
-    return replace(result, stats={**result.stats, **times})
+    return _with_times(result, ready.total, started)
 
 
 def _with_notes(result: PlanResult, notes: Sequence[str]) -> PlanResult:
     return replace(result, detail="; ".join([*notes, *([result.detail] if result.detail else [])]))
+
+
+def _with_times(result: PlanResult, compiled: float, started: float) -> PlanResult:
+    times = {"compile_time": compiled, "total_time": time.perf_counter() - started}
+    return replace(result, stats={**result.stats, **times})
 
 
 def _waived(held: SceneConstraints) -> list[str]:
