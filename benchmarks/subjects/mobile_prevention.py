@@ -163,7 +163,7 @@ class Candidates:
     duration: Array
 
     def halves(self) -> list[tuple[Array, Array]]:
-        """Return harm per task of all motions on the half of the failures that chooses and on the other half; both ways."""
+        """Return harm per task on one half of the failures, which chooses the motion, and on the other; both ways."""
         least = 2.0 * LEAST / self.harm.shape[1] * self.duration
         even, odd = (np.maximum(np.nanmean(self.harm[:, k::2], axis=1), least) for k in (0, 1))
         return [(even, odd), (odd, even)]
