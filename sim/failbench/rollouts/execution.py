@@ -35,7 +35,7 @@ skid-steer is held at an angle of up to 0.15 rad to its path, so that its origin
 _SLIP = 0.02
 """Displacement in the tool frame above which an object counts as lost [m]."""
 _DRAWS = 50
-"""Largest number of draws of the deviations of moving entities; after these, they follow their predictions."""
+"""Largest number of times that deviations of moving entities are drawn again; then they follow their predictions."""
 _FALL = 1.0
 """Simulated time after a healthy run loses its object [s], equal to the default horizon of rollouts."""
 
@@ -130,13 +130,13 @@ class Execution:
         if not model.nmocap:
             return np.zeros((count + 1, 0))
         rng, time = np.random.default_rng([seed, 1]), self.trajectory.t[0] + self.dt * np.arange(step, step + count + 1)
-        for luck in (*[rng] * _DRAWS, None):
-            walk = EntityPoses(model, walkers, luck)
+        walk = EntityPoses(model, walkers, rng)
+        rows, varies = walk.rows(time), any(walker.spread > 0.0 or walker.growth > 0.0 for walker in walkers)
+        for left in reversed(range(_DRAWS)):
+            if not varies or not self._touches_healthy(rows, step):
+                break
+            walk = EntityPoses(model, walkers, rng if left else None)
             rows = walk.rows(time)
-            if luck is None or not any(walker.spread or walker.growth for walker in walkers):
-                break
-            if not self._touches_healthy(rows, step):
-                break
         return walk.reacted(rows, self.dt, self.world.settings.people, self.states_tool(step))
 
     def _touches_healthy(self, rows: Float[Array, "step_and_next mocap"], step: int) -> bool:
