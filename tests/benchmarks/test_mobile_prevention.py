@@ -6,8 +6,13 @@ from benchmarks.subjects.mobile_prevention import Candidates, bound_table
 
 
 def candidates(harm, duration=(1.0, 1.0, 1.0)):
+    harm = np.array(harm)
     return Candidates(
-        task="room/task", names=("w = 0", "default", "w = 1"), harm=np.array(harm), duration=np.array(duration)
+        task="room/task",
+        names=("w = 0", "default", "w = 1"),
+        harm=harm,
+        others=0.5 * np.nanmean(harm, axis=1),
+        duration=np.array(duration),
     )
 
 
@@ -35,3 +40,4 @@ def test_diverged_simulations_do_not_count():
 def test_the_table_names_the_motion_with_the_least_harm():
     text = bound_table([candidates([[2.0] * 4, [1.0] * 4, [0.5] * 4], duration=(1.0, 1.1, 1.2))])
     assert "| room/task | 3 | 2.00 | 4.00 | w = 1 | +20 % |" in text
+    assert "| room/task | 2.00, 2.00, +10 % | 4.00, 4.00, +20 % |" in text
