@@ -173,7 +173,7 @@ class Candidates:
     duration: Array
 
     def less(self, name: str) -> str:
-        """Return how much less harm a motion does than that for w = 0, in all and to others, and its longer duration."""
+        """Return how much less harm a motion does than that for w = 0, in all and to others, and its extra duration."""
         if name not in self.names:
             return ""
         k, least = self.names.index(name), LEAST / self.harm.shape[1] * self.duration
