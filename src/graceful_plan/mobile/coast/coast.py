@@ -43,7 +43,7 @@ and the shapes at its height, its P is computed in the same way; it harms in ful
 
 An object on the deck of a base without an arm goes on when an entity stops the base: friction stops it after
 :math:`v^2 / 2 \mu g`, 0.4 m at 2 m/s. It therefore hits that entity, too, with the same P, whose factor of the energy
-stands for how far the object slides.
+stands for the distance that the object slides.
 
 The model leaves out ramps (scenes have none), deflection of the base by grazing contacts, objects pushed along, hits of
 moving entities by an object on an arm, and contents that are spilled when the base is stopped. One constant is fitted,
