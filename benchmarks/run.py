@@ -71,6 +71,7 @@ def main(arguments: list[str] | None = None) -> int:
         drops=args.drops,
         mixed=args.mixed,
         weights=tuple(args.weights) if args.weights else None,
+        bound=args.bound,
     )
     # For child processes: threads of linear algebra would compete with the processes.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -88,7 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         print(f"\n{text}", flush=True)
         if args.write:
-            write(name, text)
+            write(f"{name}_bound" if args.bound else name, text)
     return failed
 
 
@@ -190,6 +191,7 @@ def _parser() -> argparse.ArgumentParser:
     own.add_argument("--drops", type=int, metavar="N", help="drops per motion")
     own.add_argument("--mixed", type=int, metavar="N", help="mixed failures per motion")
     own.add_argument("--weights", type=float, nargs="+", metavar="W", help="weights of the impact models")
+    parser.add_argument("--bound", action="store_true", help="mobile_prevention: the best of many motions, hours")
     return parser
 
 

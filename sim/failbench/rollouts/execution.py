@@ -9,6 +9,7 @@ from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
 from failbench.basics.errors import ExecutionRefused
+from failbench.recording.contact_query import CARRIED, ROBOT, ContactQuery
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
 from failbench.rollouts.driven import TICK, WheelPlan, wheel_plan
 from failbench.rollouts.healthy_commands import joint_commands, motion_commands
@@ -33,6 +34,8 @@ _STRAYING = (0.2, 0.2, 0.35)
 skid-steer is held at an angle of up to 0.15 rad to its path, so that its origin stays on the path."""
 _SLIP = 0.02
 """Displacement in the tool frame above which an object counts as lost [m]."""
+_DRAWS = 50
+"""Largest number of times that deviations of moving entities are drawn again; then they follow their predictions."""
 _FALL = 1.0
 """Simulated time after a healthy run loses its object [s], equal to the default horizon of rollouts."""
 
@@ -115,17 +118,40 @@ class Execution:
     def walk(self, step: int, count: int, seed: int) -> Float[Array, "step_and_next mocap"]:
         """Return the poses of moving entities before each of `count` steps from `step` on, and after the last.
 
+        Deviations from the prediction with which an entity would touch the healthy robot, too, are drawn again: such a
+        touch is no consequence of the failure.
+
         Args:
             step: First step, at which the robot fails.
             count: Number of steps.
-            seed: Seed of the deviations from the prediction.
+            seed: Seed of the deviations.
         """
-        if not self.world.model.nmocap:
+        model, walkers = self.world.model, self.world.walkers
+        if not model.nmocap:
             return np.zeros((count + 1, 0))
-        walk = EntityPoses(self.world.model, self.world.walkers, np.random.default_rng([seed, 1]))
-        rows = walk.rows(self.trajectory.t[0] + self.dt * np.arange(step, step + count + 1))
-        tool = self.states_tool(step)
-        return walk.reacted(rows, self.dt, self.world.settings.people, tool)
+        rng, time = np.random.default_rng([seed, 1]), self.trajectory.t[0] + self.dt * np.arange(step, step + count + 1)
+        walk = EntityPoses(model, walkers, rng)
+        rows, varies = walk.rows(time), any(walker.spread > 0.0 or walker.growth > 0.0 for walker in walkers)
+        for left in reversed(range(_DRAWS)):
+            if not varies or not self._touches_healthy(rows, step):
+                break
+            walk = EntityPoses(model, walkers, rng if left else None)
+            rows = walk.rows(time)
+        return walk.reacted(rows, self.dt, self.world.settings.people, self.states_tool(step))
+
+    def _touches_healthy(self, rows: Float[Array, "step_and_next mocap"], step: int) -> bool:
+        """Whether a moving entity would touch the healthy robot at a checkpoint, except where its prediction does."""
+        query, names = ContactQuery(self.world), list(self.world.scene.entities)
+        known = {entity for _, entity in self.baseline}
+        ids = [names.index(walker.name) for walker in self.world.walkers if walker.name not in known]
+        for k in range(0, len(rows), CHECKPOINT):
+            state = self.states[min((step + k) // CHECKPOINT, len(self.states) - 1)]
+            query.place(np.concatenate([state[1 : 1 + self.world.model.nq], rows[k]]))
+            owners = query.owners()
+            met = np.isin(owners, ids).any(axis=1) & np.isin(owners, (ROBOT, CARRIED)).any(axis=1)
+            if met.any():
+                return True
+        return False
 
     def states_tool(self, step: int) -> Float[Array, " 3"]:
         """Return the planned tool position before a step, in W [m]."""

@@ -9,6 +9,7 @@ from motions import execution
 
 import failbench as fb
 import graceful_plan as gp
+from failbench.recording.contact_query import CARRIED, ROBOT, ContactQuery
 from failbench.simulated.moving_entities import EntityPoses, append_entity_states
 from graceful_plan.exceptions import SettingError
 
@@ -94,6 +95,29 @@ def test_deviations_from_the_prediction_have_the_stated_spread():
 def test_the_same_seed_gives_the_same_walk_and_another_one_another():
     first, same, other = (watched(done(spread=0.1), job(seed=s), 0.02) for s in (1, 1, 2))
     assert np.array_equal(first, same) and not np.array_equal(first, other)
+
+
+def test_pedestrians_who_would_touch_the_healthy_robot_are_drawn_again():
+    """A child with an uncertain place beside the arm: what it touches at the onset is no consequence of a failure."""
+    here = execution().trajectory.at(np.array(0.5)).q
+    scene = execution().world.scene
+    tool = scene.data_at(here).site_xpos[scene.model.site(scene.tool).id]
+    near = walker(category="child", size=[0.1, 0.6], t=[0.0], position=[[tool[0], tool[1] - 0.35, 0.6]], spread=0.3)
+    moved = gp.load_scene("tabletop").tasks["green_to_blue"].scene.with_moving(near)
+    beside = fb.execute(execution().trajectory, fb.build_world(moved))
+    assert "walker" not in {entity for _, entity in beside.baseline}
+    touched, places = 0, []
+    for seed in range(20):
+        onset = beside.checkpoint(0.5) * 5
+        rows = beside.walk(onset, 50, seed)
+        places.append(rows[0, :2])
+        plain = EntityPoses(beside.world.model, (near,), np.random.default_rng([seed, 1]))
+        touched += not np.array_equal(plain.rows(np.array([0.0]))[0, :2], rows[0, :2])
+        query = ContactQuery(beside.world)
+        query.place(np.concatenate([beside.states[onset // 5][1 : 1 + beside.world.model.nq], rows[0]]))
+        child, owners = list(beside.world.scene.entities).index("walker"), query.owners()
+        assert not ((owners == child).any(axis=1) & np.isin(owners, (ROBOT, CARRIED)).any(axis=1)).any()
+    assert 0 < touched < 20 and np.std(places, axis=0).min() > 0.1  # the others keep their first draw
 
 
 @pytest.mark.parametrize("people", ["stop", "aside"])

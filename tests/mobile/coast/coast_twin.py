@@ -167,9 +167,9 @@ def _family(batch, tables, settings, stops, which, load):
     speed = np.abs(v)[:, None]
     if speed.max() <= _STILL:
         return np.zeros((len(q), len(batch.scene.entities)))
-    free, braked = _ways(speed, every)
+    free, braked = stopping_distances(speed, every)
     far = (free + braked).max(axis=1)
-    free, braked = _ways(speed, stops)
+    free, braked = stopping_distances(speed, stops)
     places = min(SAMPLES, 1 + int(np.ceil(far.max(initial=0.0) / SPACING)))
     way = np.minimum(far[:, None], SPACING * np.arange(places))
     # A shape touched at a place may have been hit anywhere since the previous place.
@@ -204,7 +204,7 @@ def _met_before(touch, owner, entity):
     return np.concatenate([np.zeros_like(met[..., :1]), met[..., :-1]], axis=-1)
 
 
-def _ways(speed, stops):
+def stopping_distances(speed, stops):
     """Return the distances at full speed and while slowing down."""
     _, a, k, delay, *_ = stops.T
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,22 +1,10 @@
-"""Closed forms against integration in time, and the four-wheel model against them and MuJoCo."""
+"""Stopping distances against integration in time, and the four-wheel model against closed forms and MuJoCo."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from closed_forms import (
-    coasting_distance,
-    overshoot_of_delay,
-    pivot_radius,
-    runaway_distance,
-    sideways_of_bias,
-    sideways_of_noise,
-    sliding_distance,
-    slope_acceleration,
-    slope_distance,
-    spin_rate,
-    straightening_angle,
-)
+from coast_twin import stopping_distances
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,7 +17,6 @@ from graceful_plan.mobile.coast.steering import FASTER, MOTORS, TICK, OneSideSte
 from graceful_plan.mobile.coast.tables import coast_tables
 from graceful_plan.mobile.control.diff_drive_controller import Tracking
 from graceful_plan.mobile.control.drive_state import DriveState
-from graceful_plan.scene.mobile.known_bases import known_base
 from hall import hall
 from jackals import jackal
 
@@ -42,33 +29,8 @@ def test_rolling_equals_integration(v, a, k):
     while speed > 0.0:
         far += speed * dt
         speed -= (a + k * speed) * dt
-    assert coasting_distance(v, a, k) == pytest.approx(far, rel=2e-3)
-
-
-def test_distances_of_other_ways():
-    assert sliding_distance(2.0, 0.6) == pytest.approx(4.0 / (2 * 0.6 * 9.81))
-    assert sliding_distance(1.0, 0.6, load=0.5) == pytest.approx(2 * sliding_distance(1.0, 0.6))
-    assert runaway_distance(1.0, 0.25, 2.0) == pytest.approx(0.5)
-    np.testing.assert_allclose(overshoot_of_delay(2.0, 0.1, 0.5), [0.2, 0.01])
-    assert sideways_of_bias(2.0, 0.1) == pytest.approx(0.2)
-    rng, step = np.random.default_rng(0), 0.01
-    bends = 0.05 * rng.normal(size=(4000, 200)) / np.sqrt(step)
-    aside = (np.cumsum(bends * step, axis=1) * step).sum(axis=1)
-    assert aside.std() == pytest.approx(sideways_of_noise(2.0, 0.05), rel=0.05)
-
-
-def test_slopes_move_bases_that_friction_does_not_hold():
-    assert slope_acceleration(0.02, 0.5, 18.0, 60.0) == 0.0
-    assert slope_acceleration(0.3, 0.5, 18.0, 60.0) == pytest.approx(9.81 * np.sin(0.3) * 0.3 - 0.5)
-    assert slope_acceleration(-0.3, 0.5, 18.0, 60.0) < 0.0
-    assert slope_distance(1.0, 2.0, 0.0, 0.5, 1.0) == pytest.approx(coasting_distance(1.0, 0.5))
-    rate = float(slope_acceleration(0.2, 0.5, 0.3, 1.0))
-    assert slope_distance(1.0, 2.0, 0.2, 0.5, 0.3) == pytest.approx(2.0 + 2.0 * rate)
-
-
-def test_a_skid_steer_turns_on_by_a_moderate_angle():
-    base = known_base("jackal")
-    assert np.rad2deg(straightening_angle(2.0, base, 18.4, 0.7)) == pytest.approx(27.0, abs=12.0)
+    _, braked = stopping_distances(v, np.array([[1.0, a, k, 0.0, 0.0, 0.0]]))
+    assert braked[0] == pytest.approx(far, rel=2e-3)
 
 
 def case(held, *, delay=10.0, left=True, friction=0.6):
@@ -78,7 +40,7 @@ def case(held, *, delay=10.0, left=True, friction=0.6):
 def test_a_blocked_side_spins_a_skid_steer_at_the_rate_of_its_slip():
     places = integrated(BODY, np.array(1.0), np.array(0.0), case(True, delay=3.0))
     rate = np.gradient(places[:, 2], places[:, 4])[140]  # in steps of 0.02 s; long before the other side stops
-    assert rate == pytest.approx(spin_rate(1.0, BODY.base), rel=0.1)
+    assert rate == pytest.approx(1.0 / (BODY.base.slip * BODY.base.track), rel=0.1)
 
 
 def test_two_wheels_pivot_about_the_one_that_is_held():
@@ -87,7 +49,7 @@ def test_two_wheels_pivot_about_the_one_that_is_held():
     x, y = places[100:140, 0], places[100:140, 1]
     turned = places[100:140, 2]
     radius = np.hypot(np.diff(x), np.diff(y)).sum() / (turned[-1] - turned[0])
-    assert radius == pytest.approx(pivot_radius(body.base), rel=0.1)
+    assert radius == pytest.approx(0.5 * body.base.track, rel=0.1)
 
 
 def test_left_and_right_are_mirror_images_and_rest_stays_rest():

@@ -163,6 +163,29 @@ def test_an_object_on_the_arm_is_swung_into_entities_beside_the_base():
     assert not Coast().probability(moving_batch(empty, q[None], qd[None]))[0, 1:].any()
 
 
+def test_an_object_on_a_deck_hits_what_stops_the_base():
+    scene = gp.load_scene("apartment").tasks["bring_parcel"].scene
+    person = gp.MovingEntity("ann", "adult", size=[0.25, 0.85], t=[0.0], position=[[3.0, 2.0, 0.85]])
+    scene = scene.with_moving(person)
+    rng, n = np.random.default_rng(0), 200
+    q = np.column_stack([rng.uniform(0.5, 6.5, n), rng.uniform(0.5, 3.5, n), rng.uniform(-3, 3, n)])
+    v = rng.uniform(-2, 2, n)
+    qd = np.column_stack([v * np.cos(q[:, 2]), v * np.sin(q[:, 2]), rng.uniform(-2, 2, n)])
+    batch, rows = moving_batch(scene, q, qd), list(scene.components)
+    P = Coast().probability(batch)
+    assert (P[:, 0] > 0.1).sum() > 10
+    np.testing.assert_array_equal(P[:, rows.index("carried")], P[:, 0])
+    severity = np.array([e.severity.get("body", 0.0) for e in scene.entities.values()])
+    more = np.array([e.severity.get("carried", 0.0) for e in scene.entities.values()])
+    table = np.zeros((len(rows), len(severity)))
+    table[0], table[rows.index("carried")] = severity, more
+    kernel = Coast().kernel(scene, table, (1.0, 1.0))
+    np.testing.assert_allclose(kernel.moving_states(q, qd), P[:, 0] @ (severity + more), atol=1e-7)
+    met = Coast().moving().sources(moving_batch(scene, q, qd, np.zeros(n)))["coast"]
+    assert (met[:, 0] > 0.1).any()
+    np.testing.assert_array_equal(met[:, rows.index("carried")], met[:, 0])
+
+
 def test_cached_tables_are_read_and_broken_ones_recomputed(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     body = coast_tables(SCENE).body

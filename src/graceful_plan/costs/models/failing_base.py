@@ -33,7 +33,12 @@ class FailingBase(ABC):
 
     @abstractmethod
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
-        """Return P(the base hits entity | it fails), times the factor `worth`; zero except for the body."""
+        """Return P(the base hits entity | it fails), times the factor `worth`."""
+
+    def hits_with(self, scene: Scene) -> tuple[str, ...]:
+        """Return the components that hit the entities which the base hits; by default the body alone."""
+        del scene
+        return ("body",)
 
     @abstractmethod
     def meeting(self, scene: Scene) -> _native.MovingSource:

@@ -114,7 +114,8 @@ class MovingModel:
         if self.collapse > 0.0 and body.any():
             yield _Failure("collapse", aboard * self.collapse, body, moving_arm(scene))
         if base is not None and coast > 0.0 and body.any():
-            yield _Failure("coast", coast, body, (base.roughly() if rough else base).meeting(scene))
+            hit = np.array([name in base.hits_with(scene) and name in components for name in scene.components])
+            yield _Failure("coast", coast, hit, (base.roughly() if rough else base).meeting(scene))
 
     def kernels(
         self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]
