@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,11 @@ ABOVE = 0.02
 """Height above its support at which the object is taken over and put down [m]."""
 _DEEP = (0.035, 0.025, 0.015, 0.005, -0.003)
 """Depths of the tool below the top of the held part [m]."""
-_YAWS, _GOAL_YAWS = 12, 8
+_YAWS, _GOAL_YAWS = 8, 8
+_PARTS, _TRIED = 6, 6
+"""Parts of the object that are tried, the nearest to its middle first, and grasps for which motions are tried."""
+_BESIDE = 0.06
+"""Width beside the object's outline that the hand needs [m]: it stays above a basket."""
 _FREE = 0.003
 """Least clearance at both ends [m]."""
 _STROKE = 0.04
@@ -92,8 +97,7 @@ def transport(folder: Path) -> Transport:
     target = max((name for name in things if place.startswith(name)), key=len, default="")
     reference = next(iter(empty.keyframes.values()))
     at = np.array(state["sites"][place][:2]) if place in state["sites"] else _middle(empty, things[place])
-    for grasp in _grasps(empty, body):
-        X_WT, fingers = grasp
+    for X_WT, fingers in islice(_grasps(empty, body), _TRIED):
         X_TO = np.linalg.inv(X_WT) @ _pose(empty, body)
         scene = empty.attach(
             body,
@@ -223,7 +227,7 @@ def _grasps(scene: gp.Scene, body: str) -> Iterator[tuple[Array, float]]:
     centres += [np.append(0.5 * (a + b)[:2], b[2]) for a, b in zip(low, high, strict=True)]
     centres.sort(key=lambda p: float(np.linalg.norm(p[:2] - middle[:2])))
     hand = _Hand(scene, geoms)
-    for p in centres:
+    for p in centres[: _PARTS + 1]:
         for deep in _DEEP:
             for k in range(_YAWS):
                 X_WT = _turned(np.diag([1.0, -1.0, -1.0, 1.0]), np.pi * k / _YAWS)
@@ -321,7 +325,7 @@ def _goals(empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, 
     for k in range(_GOAL_YAWS):
         turned = _turned(X_WO, 2.0 * np.pi * k / _GOAL_YAWS)
         centre = turned[:3, :3] @ X_WO[:3, :3].T @ (0.5 * (low + high) - X_WO[:3, 3])
-        top = _highest(empty, geoms, data, at, 0.5 * float(np.max((high - low)[:2])))
+        top = _highest(empty, geoms, data, at, 0.5 * float(np.max((high - low)[:2])) + _BESIDE)
         turned[:3, 3] = [*(at - centre[:2]), top + ABOVE + X_WO[2, 3] - low[2]]
         found += list(_reached(scene, turned @ np.linalg.inv(X_TO), start, count=1))
         if len(found) >= 4:
