@@ -68,8 +68,8 @@ def _sections(heads: Sequence[Done], without: Sequence[Done], asked: int, resamp
     calls = sorted(motion.first for x in heads for motion in list(x.motions.values())[:1])
     return [
         MEASURED,
-        f"{len(heads)} of {asked} tasks, {heads[0].drops} drops a motion, {len(OBJECTIVES)} motions a task; fingers hold"
-        f" in {len(heads) - len(welds)} of them. First call of a scene: median {calls[len(calls) // 2]:.1f} s, at most"
+        f"{len(heads)} of {asked} tasks, {heads[0].drops} drops a motion, {len(OBJECTIVES)} motions a task; fingers"
+        f" hold in {len(heads) - len(welds)} of them. First call of a scene: median {calls[len(calls) // 2]:.1f} s, at most"
         f" {calls[-1]:.1f} s.\n",
         *(f"No transport: {x.refused.partition(': ')[2]}.\n" for x in without),
         *(f"Refused: {x}.\n" for x in refused),
