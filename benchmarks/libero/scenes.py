@@ -47,8 +47,8 @@ ABOVE = 0.02
 """Height above its support at which the object is taken over and put down [m]."""
 _DEEP = (0.035, 0.025, 0.015, 0.005, -0.003)
 """Depths of the tool below the top of the held part [m]."""
-_YAWS, _GOAL_YAWS = 8, 8
-_PARTS, _TRIED = 6, 6
+_YAWS, _GOAL_YAWS = 12, 8
+_PARTS, _TRIED = 8, 12
 """Parts of the object that are tried, the nearest to its middle first, and grasps for which motions are tried."""
 _BESIDE = 0.06
 """Width beside the object's outline that the hand needs [m]: it stays above a basket."""
@@ -225,16 +225,18 @@ def _grasps(scene: gp.Scene, body: str) -> Iterator[tuple[Array, float]]:
     middle = 0.5 * (low.min(axis=0) + high.max(axis=0))
     centres = [np.append(middle[:2], high[:, 2].max())]
     centres += [np.append(0.5 * (a + b)[:2], b[2]) for a, b in zip(low, high, strict=True)]
+    centres = [p for p in centres if p[2] > high[:, 2].max() - _DEEP[0]]  # fingers reach no deeper than these tops
     centres.sort(key=lambda p: float(np.linalg.norm(p[:2] - middle[:2])))
     hand = _Hand(scene, geoms)
     for p in centres[: _PARTS + 1]:
-        for deep in _DEEP:
-            for k in range(_YAWS):
-                X_WT = _turned(np.diag([1.0, -1.0, -1.0, 1.0]), np.pi * k / _YAWS)
+        for k in range(_YAWS):
+            X_WT = _turned(np.diag([1.0, -1.0, -1.0, 1.0]), np.pi * k / _YAWS)
+            for deep in _DEEP:
                 X_WT[:3, 3] = p - [0.0, 0.0, deep]
                 found = hand.close(X_WT)
                 if found is not None:
                     yield found
+                    break
 
 
 class _Hand:

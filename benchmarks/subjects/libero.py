@@ -69,8 +69,8 @@ def _sections(heads: Sequence[Done], without: Sequence[Done], asked: int, resamp
     return [
         MEASURED,
         f"{len(heads)} of {asked} tasks, {heads[0].drops} drops a motion, {len(OBJECTIVES)} motions a task; fingers"
-        f" hold in {len(heads) - len(welds)} of them. First call of a scene: median {calls[len(calls) // 2]:.1f} s, at most"
-        f" {calls[-1]:.1f} s.\n",
+        f" hold in {len(heads) - len(welds)} of them. First call of a scene: median {calls[len(calls) // 2]:.1f} s, at"
+        f" most {calls[-1]:.1f} s.\n",
         *(f"No transport: {x.refused.partition(': ')[2]}.\n" for x in without),
         *(f"Refused: {x}.\n" for x in refused),
         report.targets(figures.targets(heads, events, resamples, asked)),
