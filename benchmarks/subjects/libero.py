@@ -1,4 +1,4 @@
-"""Transports of LIBERO: predictions of hits and harm of drops, in scenes that nobody wrote for this library."""
+"""Transports of LIBERO, a public benchmark: predictions of hits, and harm of drops."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.libero import draw, export, figures
 from benchmarks.libero.runs import OBJECTIVES, SEED, SPEED, Done, Job, do, read
 
 TITLE = "LIBERO: hits and harm of drops in scenes from a public benchmark"
-QUESTION = "Do predictions hold, and does planning prevent harm, in scenes that nobody wrote for this library?"
+QUESTION = "Do predictions hold, and does planning prevent harm, in scenes from a public benchmark?"
 HEADLINE = "Brier skill, all"
 DEPENDS_ON = (*suite.PLANNING, *suite.SIMULATION, "benchmarks/libero", "benchmarks/events.py")
 PYTHON = "LIBERO_PYTHON"
@@ -42,7 +42,7 @@ times the harm by contact at w = 0.
 
 
 def run(options: suite.Options) -> str:
-    """Export, plan and drop what is left to do, and report on all finished tasks."""
+    """Do the remaining tasks, and report on all finished ones."""
     names = _drawn()[: options.pick(TASKS, quick=1, long=None)]
     with store.folder_of(options, STORE) as folder:
         drops = options.drops or options.pick(DROPS, quick=2, long=64)
