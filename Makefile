@@ -13,7 +13,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Keep bytecode: otherwise every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet films gallery test test-long test-robots test-policies test-viewer fuzz mutants audit lint docs bench wheel \
+.PHONY: help demo picture sheet films gallery test test-long test-robots test-policies test-viewer fuzz mutants audit lint docs bench bench-libero wheel \
   release lock clean bench-stale
 .DELETE_ON_ERROR:
 
@@ -30,6 +30,7 @@ help:
 	@echo "make lint   check style and types"
 	@echo "make docs   build the site into site/; every warning is an error"
 	@echo "make bench  run the benchmarks, about 75 minutes"
+	@echo "make bench-libero  run the benchmark in scenes of LIBERO (1.5 GB in an environment of its own), about an hour"
 	@echo "make bench-stale  list benchmark results that are older than the code they measure"
 	@echo "make wheel  build a wheel into dist/"
 	@echo "make release  build source distribution and wheel of the last commit twice and compare the bytes"
@@ -101,6 +102,10 @@ docs: $(VENV)/.docs
 bench: $(VENV)/.package
 	$(BIN)/python benchmarks/run.py $(ARGS)
 
+# Scenes of LIBERO are exported once, by an environment of their own, into benchmarks/libero_scenes.
+bench-libero: $(VENV)/.package $(VENV)/.libero
+	LIBERO_PYTHON=$(VENV)/libero/bin/python $(BIN)/python benchmarks/run.py libero $(ARGS)
+
 bench-stale: $(VENV)/.package
 	$(BIN)/python benchmarks/run.py --stale
 
@@ -118,6 +123,13 @@ $(VENV)/.robots: requirements/robots.txt $(VENV)/.dev
 # The file lists every dependency that is needed.
 $(VENV)/.policies: requirements/policies.txt $(VENV)/.dev
 	$(PINNED) --no-deps -r $<
+	@touch $@
+
+# The file lists every dependency that is needed. Only bddl has no wheel; its source has a pinned hash, too.
+$(VENV)/.libero: requirements/libero.txt $(VENV)/.python
+	$(PYTHON) -m venv $(VENV)/libero
+	$(VENV)/libero/bin/python -m pip --disable-pip-version-check install -q --require-hashes --no-deps \
+	  --only-binary :all: --no-binary bddl -r $<
 	@touch $@
 
 # viser needs older websockets than the other packages pin; all of them work with the older ones.
@@ -140,6 +152,8 @@ lock: $(VENV)/.python
 	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
 	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c requirements/dev.txt -o $(VENV)/all_checks.txt requirements/checks.in
 	sed '/^yattag==/,/# via/d' $(VENV)/all_checks.txt > requirements/checks.txt
+	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
+	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -o requirements/libero.txt requirements/libero.in
 	sed '/^websockets==/,/# via/d' requirements/runtime.txt > $(VENV)/others.txt
 	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
 	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c $(VENV)/others.txt -o requirements/viewer.txt requirements/viewer.in

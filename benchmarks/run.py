@@ -46,9 +46,12 @@ SUBJECTS = (
     "driven_tasks",
     "mobile_prevention",
     "failbench_speed",
+    "libero",
 )
 """In the order of the index. Each is a module of `benchmarks.subjects` with TITLE, QUESTION, HEADLINE, DEPENDS_ON and
 run(options)."""
+APART = ("libero",)
+"""Subjects that only run when they are named; they need packages in an environment of their own."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -77,7 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     print(machine.described())
     failed = 0
-    for name in args.subjects or SUBJECTS:
+    for name in args.subjects or [name for name in SUBJECTS if name not in APART]:
         try:
             text = measured(name, options, arguments)
         except report.NotMeasured as reason:

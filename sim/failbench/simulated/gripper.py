@@ -39,17 +39,16 @@ def find_gripper(scene: Scene) -> Gripper:
     fingers = {int(model.jnt_bodyid[j]) for j in joints}
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     pads = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in fingers and collides[g]]
-    ends = [_posture(scene, joints, end) for end in (0, 1)]
-    wide = int(ends[1].spread >= ends[0].spread)
-    home = _posture(scene, joints, None)
+    wide, closed = _ends(scene, joints)
+    open_, shut, home = (_posture(scene, joints, q).length[actuators] for q in (wide, closed, None))
     return Gripper(
         bodies=bodies,
         pads=np.array(pads, dtype=int),
         joints=np.array(joints, dtype=int),
         actuators=np.array(actuators, dtype=int),
-        open=ends[wide].length[actuators],
-        closed=ends[1 - wide].length[actuators],
-        home=home.length[actuators],
+        open=open_,
+        closed=shut,
+        home=home,
     )
 
 
@@ -63,12 +62,12 @@ def clear_opening(scene: Scene, gripper: Gripper) -> float:
         return 0.0
     model = scene.model
     data = scene.data_at(np.array([model.qpos0[a] for a in scene.qpos_adr]))
-    adr, ends = model.jnt_qposadr[gripper.joints], model.jnt_range[gripper.joints]
-    wide = int(_posture(scene, gripper.joints.tolist(), 1).spread >= _posture(scene, gripper.joints.tolist(), 0).spread)
+    adr = model.jnt_qposadr[gripper.joints]
+    wide, closed = _ends(scene, gripper.joints.tolist())
     held = scene.components["carried"].geoms
 
     def touches(opening: float) -> bool:
-        data.qpos[adr] = ends[:, 1 - wide] + opening * (ends[:, wide] - ends[:, 1 - wide])
+        data.qpos[adr] = closed + opening * (wide - closed)
         mujoco.mj_kinematics(model, data)
         return any(
             mujoco.mj_geomDistance(model, data, int(p), int(g), 1.0, None) <= 0 for p in gripper.pads for g in held
@@ -88,13 +87,31 @@ class _Posture(NamedTuple):
     """Length of every actuator, which its servo controls."""
 
 
-def _posture(scene: Scene, joints: list[int], end: int | None) -> _Posture:
-    """Measure the gripper with its joints at the lower (0) or upper (1) ends of their ranges, or at home (None)."""
+def _ends(scene: Scene, joints: list[int]) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
+    """Return the positions of the joints with the gripper open and closed.
+
+    Each joint by itself, between the middles of the others, opens towards the end at which the moving bodies are
+    farther apart: mirrored fingers have opposite signs.
+    """
+    ends = scene.model.jnt_range[joints]
+    middle, wide = ends.mean(axis=1), np.ones(len(joints), dtype=int)
+    for k in range(len(joints)):
+        lower, upper = (
+            _posture(scene, joints, np.where(np.arange(len(joints)) == k, ends[:, end], middle)).spread
+            for end in (0, 1)
+        )
+        wide[k] = upper >= lower
+    each = np.arange(len(joints))
+    return ends[each, wide], ends[each, 1 - wide]
+
+
+def _posture(scene: Scene, joints: list[int], q: Float[Array, " joint"] | None) -> _Posture:
+    """Measure the gripper with its joints at positions, or at home (None)."""
     model = scene.model
     data = mujoco.MjData(model)
     data.qpos[:] = scene.home_qpos
-    if end is not None:
-        data.qpos[model.jnt_qposadr[joints]] = model.jnt_range[joints, end]
+    if q is not None:
+        data.qpos[model.jnt_qposadr[joints]] = q
     mujoco.mj_fwdPosition(model, data)
     centres = data.xipos[model.jnt_bodyid[joints]]
     spread = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).sum())

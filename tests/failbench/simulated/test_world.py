@@ -89,13 +89,24 @@ def test_without_fingers_only_a_weld_holds():
     assert made.robot.weld == made.hold >= 0
 
 
-@pytest.mark.parametrize("axes", ["0 1 0|0 -1 0", "0 -1 0|0 1 0"])
-def test_the_gripper_opens_as_the_fingers_part(axes):
-    first, second = axes.split("|")
-    fingers = FINGERS.replace('axis="0 1 0"', f'axis="{first}"').replace('axis="0 -1 0"', f'axis="{second}"')
+@pytest.mark.parametrize(
+    ("signs", "place", "opened", "closed"),
+    [
+        ((1, -1), 0.02, [0.04, 0.04], [0.0, 0.0]),
+        ((-1, 1), 0.06, [0.0, 0.0], [0.04, 0.04]),
+        ((1, 1), 0.02, [0.04, -0.04], [0.0, 0.0]),  # mirrored: both axes along y
+    ],
+)
+def test_the_gripper_opens_as_the_fingers_part(signs, place, opened, closed):
+    parts = zip(("finger", "thumb"), signs, (place, -place), zip(opened, closed, strict=True), strict=True)
+    fingers = "".join(
+        f"""<body name="{name}" pos="0.3 0 0">
+              <joint name="{name}" type="slide" axis="0 {sign} 0" range="{min(ends)} {max(ends)}"/>
+              <geom name="{name}" type="box" size="0.02 0.005 0.01" pos="0 {y} 0"/></body>"""
+        for name, sign, y, ends in parts
+    )
     servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
     robot = build_world(arm(fingers=fingers, actuators=servos, carried="block", X_TO=gp.FROM_ABOVE)).robot
-    opened, closed = ([0.04, 0.04], [0.0, 0.0]) if first == "0 1 0" else ([0.0, 0.0], [0.04, 0.04])
     assert robot.grip_open == pytest.approx(opened)
     assert robot.grip_closed == pytest.approx(closed)
 

@@ -6,6 +6,7 @@ colliding geoms are targets, with or without a severity, since obstacles catch f
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
@@ -24,6 +25,8 @@ from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
+
+_LOG = logging.getLogger(__name__)
 
 SHAPE_CLASSES = ("box", "cylinder", "plate", "ball")
 """Classes of carried objects, each with its own constants."""
@@ -60,7 +63,6 @@ class DropTables:
     | part_rotation  | axes of each part in the link                                    |      | part 3 3   |
     | part_half      | half sizes; of round parts radius, radius, half length           | m    | part 3     |
     | part_kind      | FLAT, ROUND or BALL                                              |      | part       |
-    | part_excess    | how far merged parts reach beyond the object; 0 if none is       | m    |            |
     | main           | part with the largest volume of its box                          |      |            |
     | size           | root mean square of the object's half sizes                      | m    |            |
     | target_entity  | index of the entity, -1 for an obstacle; by top, highest first   |      | target     |
@@ -83,7 +85,6 @@ class DropTables:
     part_rotation: Float[Array, "part 3 3"]
     part_half: Float[Array, "part 3"]
     part_kind: Int[Array, " part"]
-    part_excess: float
     main: int
     size: float
     target_entity: Int[Array, " target"]
@@ -141,7 +142,7 @@ def _object(scene: Scene) -> Mapping[str, Any]:
     place = place + np.einsum("pij,pj->pi", R_OG, model.geom_aabb[held, :3])
     half, kind = model.geom_aabb[held, 3:], np.array([_part_kind(int(model.geom_type[geom])) for geom in held])
     around = np.einsum("pij,pj->pi", np.abs(R_OG), half)
-    place, R_OG, half, kind, around, excess = _merged(place, R_OG, half, kind, around)
+    place, R_OG, half, kind, around = _merged(scene.carried.body, place, R_OG, half, kind, around)
     size = 0.5 * ((place + around).max(axis=0) - (place - around).min(axis=0))
     com = R_WO.T @ (_centre_of_mass(model, data, body) - p_WO)
     main = int(np.argmax(half.prod(axis=1)))
@@ -157,17 +158,23 @@ def _object(scene: Scene) -> Mapping[str, Any]:
         "part_rotation": X_LO[:3, :3] @ R_OG,
         "part_half": half.copy(),
         "part_kind": kind,
-        "part_excess": excess,
         "main": main,
         "size": float(np.sqrt(np.mean(size**2))),
     }
 
 
-def _merged(place: Array, R_OG: Array, half: Array, kind: Array, around: Array) -> tuple[Any, ...]:
+def _merged(name: str, place: Array, R_OG: Array, half: Array, kind: Array, around: Array) -> tuple[Any, ...]:
     """Return parts of which no more than the core takes are left; several that become one are a box around them."""
     group, excess = groups(place, around, CAPACITY["carried parts"])
     if len(group) == group.max(initial=-1) + 1:
-        return place, R_OG, half, kind, around, 0.0
+        return place, R_OG, half, kind, around
+    _LOG.warning(
+        "%r has %d parts; the drop model joins them to %d boxes, which reach up to %.0f mm beyond the object",
+        name,
+        len(group),
+        group.max() + 1,
+        1e3 * excess,
+    )
     first = np.array([int(np.argmax(group == k)) for k in range(group.max() + 1)])
     place, R_OG, half, kind, around = place.copy(), R_OG.copy(), half.copy(), kind.copy(), around.copy()
     for k, part in enumerate(first.tolist()):
@@ -176,7 +183,7 @@ def _merged(place: Array, R_OG: Array, half: Array, kind: Array, around: Array) 
             low, high = (place - around)[mine].min(axis=0), (place + around)[mine].max(axis=0)
             place[part], half[part], around[part] = 0.5 * (low + high), 0.5 * (high - low), 0.5 * (high - low)
             R_OG[part], kind[part] = np.eye(3), FLAT
-    return place[first], R_OG[first], half[first], kind[first], around[first], excess
+    return place[first], R_OG[first], half[first], kind[first], around[first]
 
 
 def _centre_of_mass(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> Float[Array, " 3"]:

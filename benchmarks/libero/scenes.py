@@ -1,0 +1,360 @@
+"""Transports in exported scenes of LIBERO: classes by name, a grasp, and the place where the object is put down.
+
+Nothing of a scene is changed except that the floor gets a body of its own, so that it can be an entity, and that
+geoms that do not collide are left out.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import graceful_plan as gp
+from graceful_plan.query.endpoints.ik import solve_ik
+
+Array = np.ndarray
+
+CLASSES = (
+    (r"plate|bowl|ramekin|mug|porcelain|wine_bottle", "glass"),
+    (r"book", "paper"),
+    (r"table|cabinet|shelf|rack|caddy|tray|basket", "table"),
+    (r"floor", "floor"),
+    (r".*", "robust"),
+)
+"""Class of an entity by its name, the first pattern that is found: ceramics and glass; books; furniture and containers;
+the floor; groceries in cans and boxes, pans, pots, stove and microwave."""
+KINDS = (
+    (r"floor", "floor"),
+    (r"rack|shelf|caddy|tray|basket", "racks and containers"),
+    (r"table|cabinet|stove|microwave", "furniture"),
+    (r"plate|bowl|ramekin|mug|porcelain", "bowls, plates, mugs"),
+    (r".*", "groceries, books, pans"),
+)
+"""Kind of an entity in the tables of the predictions."""
+_TOOL, _ROBOT = "gripper0_grip_site", "robot0_"
+_VELOCITY = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
+_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
+"""Limits of the Panda, from its data sheet [rad/s and rad/s2]."""
+ABOVE = 0.02
+"""Height above its support at which the object is taken over and put down [m]."""
+_DEEP = (0.035, 0.025, 0.015, 0.005, -0.003)
+"""Depths of the tool below the top of the held part [m]."""
+_YAWS, _GOAL_YAWS = 12, 8
+_PARTS, _TRIED = 8, 12
+"""Parts of the object that are tried, the nearest to its middle first, and grasps for which motions are tried."""
+_BESIDE = 0.06
+"""Width beside the object's outline that the hand needs [m]: it stays above a basket."""
+_FREE = 0.003
+"""Least clearance at both ends [m]."""
+_STROKE = 0.04
+"""Opening of a finger [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Transport:
+    """A transport: scene with the object in the gripper, configurations, and the entity it is put on."""
+
+    name: str
+    scene: gp.Scene
+    start: Array
+    goal: Array
+    target: str
+
+
+class NoTransport(Exception):
+    """Raised if a task has no grasp or no reachable place."""
+
+
+def class_of(name: str) -> str:
+    """Return the class of an entity."""
+    return _found(CLASSES, name)
+
+
+def kind_of(name: str) -> str:
+    """Return the kind of an entity."""
+    return _found(KINDS, name)
+
+
+def transport(folder: Path) -> Transport:
+    """Build the transport of an exported task.
+
+    Raises:
+        NoTransport: If no grasp or no place was found.
+    """
+    state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
+    carried, place = next((a, b) for _, a, b in (g for g in state["goal"] if len(g) == 3) if a in state["objects"])
+    body = state["objects"][carried]
+    empty = load(folder, state)
+    things = {**state["objects"], **state["fixtures"]}
+    target = max((name for name in things if place.startswith(name)), key=len, default="")
+    reference = next(iter(empty.keyframes.values()))
+    at = np.array(state["sites"][place][:2]) if place in state["sites"] else _middle(empty, things[place])
+    for X_WT, fingers in islice(_grasps(empty, body), _TRIED):
+        X_TO = np.linalg.inv(X_WT) @ _pose(empty, body)
+        scene = empty.attach(
+            body,
+            X_TO=X_TO,
+            fingers={"gripper0_finger_joint1": fingers, "gripper0_finger_joint2": -fingers},
+            object_class="glass" if class_of(carried) == "glass" else None,
+        )
+        lifted = _moved(X_WT, [0.0, 0.0, ABOVE])
+        starts = _reached(scene, lifted, reference)
+        if not len(starts):
+            continue
+        goals = _goals(empty, scene, body, X_TO, at, starts[0])
+        if len(goals):
+            on = things.get(target, _table(empty))
+            return Transport(name=folder.name, scene=scene, start=starts[0], goal=goals, target=on)
+    raise NoTransport(f"{folder.name}: no grasp of {carried} from which {place} is reached")
+
+
+def load(folder: Path, state: Mapping[str, Any]) -> gp.Scene:
+    """Load a scene with its settled state and an empty gripper."""
+    spec = mujoco.MjSpec.from_file(str(folder / "model.xml"))
+    for geom in [geom for geom in spec.worldbody.geoms if geom.name == "floor"]:
+        body = spec.worldbody.add_body(name="floor")
+        body.add_geom(name="floor_top", type=geom.type, size=geom.size, pos=geom.pos, quat=geom.quat)
+        spec.delete(geom)
+    model = spec.compile()
+    arm = [f"{_ROBOT}joint{k}" for k in range(1, 8)]
+    return gp.Scene.from_mjcf(
+        spec,
+        robot=_ROBOT,
+        tool=_TOOL,
+        entities={name: class_of(name) for name in _bodies(model)},
+        state={
+            name: value if len(value) > 1 else value[0] for name, value in state["joints"].items() if name not in arm
+        },
+        velocity=_VELOCITY,
+        acceleration=_ACCELERATION,
+        keyframes={"exported": np.concatenate([state["joints"][name] for name in arm])},
+        self_collision="links",
+        convex="hull",
+        visuals=False,
+        name=folder.name,
+    )
+
+
+def _bodies(model: mujoco.MjModel) -> Iterator[str]:
+    """Yield the bodies of the world that collide, or below which something does; without the robot."""
+    collides = model.geom_contype != 0
+    for b in range(1, model.nbody):
+        name = model.body(b).name
+        if int(model.body_parentid[b]) == 0 and not name.startswith(_ROBOT):
+            below = [g for g in range(model.ngeom) if _under(model, int(model.geom_bodyid[g]), b) and collides[g]]
+            if below:
+                yield name
+
+
+def _under(model: mujoco.MjModel, body: int, root: int) -> bool:
+    while body > root:
+        body = int(model.body_parentid[body])
+    return body == root
+
+
+def _found(table: Sequence[tuple[str, str]], name: str) -> str:
+    return next(value for pattern, value in table if re.search(pattern, name))
+
+
+# --- poses ------------------------------------------------------------------------------------------------------------
+
+
+def _pose(scene: gp.Scene, body: str) -> Array:
+    """Return the pose of a body in W at the exported configuration."""
+    data, X = scene.data_at(scene.keyframes["exported"]), np.eye(4)
+    X[:3, :3], X[:3, 3] = data.body(body).xmat.reshape(3, 3), data.body(body).xpos
+    return X
+
+
+def _moved(X: Array, by: Sequence[float] | Array) -> Array:
+    moved = X.copy()
+    moved[:3, 3] += by
+    return moved
+
+
+def _turned(X: Array, angle: float) -> Array:
+    """Return a pose turned about the vertical through its origin."""
+    turned, c, s = X.copy(), np.cos(angle), np.sin(angle)
+    turned[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ X[:3, :3]
+    return turned
+
+
+def _geoms(scene: gp.Scene, body: str) -> list[int]:
+    """Return the geoms of a body and of those below it."""
+    model, root = scene.model, int(scene.model.body(body).id)
+    return [g for g in range(model.ngeom) if _under(model, int(model.geom_bodyid[g]), root)]
+
+
+def _boxes(scene: gp.Scene, geoms: Sequence[int], data: mujoco.MjData) -> tuple[Array, Array]:
+    """Return the lower and upper corners of the boxes around geoms, along the axes of W [m]."""
+    model, R = scene.model, data.geom_xmat[geoms].reshape(-1, 3, 3)
+    centre = data.geom_xpos[geoms] + np.einsum("gij,gj->gi", R, model.geom_aabb[geoms, :3])
+    half = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[geoms, 3:])
+    return centre - half, centre + half
+
+
+def _middle(scene: gp.Scene, body: str) -> Array:
+    low, high = _boxes(scene, _geoms(scene, body), scene.data_at(scene.keyframes["exported"]))
+    return 0.5 * (low.min(axis=0) + high.max(axis=0))[:2]
+
+
+def _table(scene: gp.Scene) -> str:
+    """Return the table that everything stands on, or the floor."""
+    return next((name for name in scene.entities if "table" in name), "floor")
+
+
+# --- grasps and places ------------------------------------------------------------------------------------------------
+
+
+def _grasps(scene: gp.Scene, body: str) -> Iterator[tuple[Array, float]]:
+    """Yield poses of the tool that points down at an object, with the opening of a finger at which both touch it.
+
+    Parts near the middle of the object come first; the open hand touches nothing.
+    """
+    data = scene.data_at(scene.keyframes["exported"])
+    geoms = _geoms(scene, body)
+    low, high = _boxes(scene, geoms, data)
+    middle = 0.5 * (low.min(axis=0) + high.max(axis=0))
+    centres = [np.append(middle[:2], high[:, 2].max())]
+    centres += [np.append(0.5 * (a + b)[:2], b[2]) for a, b in zip(low, high, strict=True)]
+    centres = [p for p in centres if p[2] > high[:, 2].max() - _DEEP[0]]  # fingers reach no deeper than these tops
+    centres.sort(key=lambda p: float(np.linalg.norm(p[:2] - middle[:2])))
+    hand = _Hand(scene, geoms)
+    for p in centres[: _PARTS + 1]:
+        for k in range(_YAWS):
+            X_WT = _turned(np.diag([1.0, -1.0, -1.0, 1.0]), np.pi * k / _YAWS)
+            for deep in _DEEP:
+                X_WT[:3, 3] = p - [0.0, 0.0, deep]
+                found = hand.close(X_WT)
+                if found is not None:
+                    yield found
+                    break
+
+
+class _Hand:
+    """The hand alone, moved freely to try grasps."""
+
+    def __init__(self, scene: gp.Scene, held: Sequence[int]) -> None:
+        model = scene.model
+        self.scene, self.model, self.held = scene, model, list(held)
+        self.data = scene.data_at(scene.keyframes["exported"])
+        site = self.data.site(scene.tool)
+        self.R_WT, self.p_WT = site.xmat.reshape(3, 3).copy(), site.xpos.copy()
+        gripper = sorted(scene.gripper_bodies)
+        self.geoms = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in gripper]
+        self.others = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) not in scene.robot_bodies]
+        self.finger = [
+            [g for g in self.geoms if re.search(pattern, model.body(int(model.geom_bodyid[g])).name)]
+            for pattern in ("leftfinger|joint1", "rightfinger|joint2")
+        ]
+        self.joints = [int(model.jnt_qposadr[model.joint(f"gripper0_finger_joint{k}").id]) for k in (1, 2)]
+        self.home = {opening: self._opened(opening) for opening in np.linspace(_STROKE, 0.0, 41).round(4)}
+
+    def close(self, X_WT: Array) -> tuple[Array, float] | None:
+        """Return the pose at which both fingers touch alike, and their opening; None if the hand cannot be there."""
+        if not self._free(X_WT):
+            return None
+        touched = [self._touches(X_WT, finger) for finger in self.finger]
+        first, second = touched
+        if first is None or second is None:
+            return None
+        axis = self._closing(X_WT)
+        centred = _moved(X_WT, 0.5 * (first - second) * axis)
+        return (centred, 0.5 * (first + second)) if self._free(centred) else None
+
+    def _closing(self, X_WT: Array) -> Array:
+        """Return the direction in W in which the first finger opens."""
+        wide, closed = self.home[_STROKE][self.finger[0][0]][0], self.home[0.0][self.finger[0][0]][0]
+        return X_WT[:3, :3] @ ((wide - closed) / np.linalg.norm(wide - closed))
+
+    def _opened(self, opening: float) -> Mapping[int, tuple[Array, Array]]:
+        """Return the poses of the hand's geoms in the tool frame."""
+        self.data.qpos[self.joints] = opening, -opening
+        mujoco.mj_kinematics(self.model, self.data)
+        X = self.data.geom_xpos, self.data.geom_xmat
+        R = self.R_WT.T
+        return {g: (R @ (X[0][g] - self.p_WT), R @ X[1][g].reshape(3, 3)) for g in self.geoms}
+
+    def _put(self, X_WT: Array, opening: float, geoms: Sequence[int]) -> None:
+        for g in geoms:
+            p, R = self.home[opening][g]
+            self.data.geom_xpos[g] = X_WT[:3, :3] @ p + X_WT[:3, 3]
+            self.data.geom_xmat[g] = (X_WT[:3, :3] @ R).ravel()
+
+    def _distance(self, geoms: Sequence[int], others: Sequence[int]) -> float:
+        gaps = [mujoco.mj_geomDistance(self.model, self.data, g, h, 0.05, None) for g in geoms for h in others]
+        return min(gaps, default=0.05)
+
+    def _free(self, X_WT: Array) -> bool:
+        self._put(X_WT, _STROKE, self.geoms)
+        near = [h for h in self.others if self._near(X_WT, h)]
+        return self._distance(self.geoms, near) > 0.0
+
+    def _near(self, X_WT: Array, g: int) -> bool:
+        radius = self.model.geom_rbound[g]
+        return radius == 0.0 or bool(np.linalg.norm(self.data.geom_xpos[g] - X_WT[:3, 3]) < radius + 0.25)
+
+    def _touches(self, X_WT: Array, finger: Sequence[int]) -> float | None:
+        """Return the opening at which a finger touches the object; None if it closes without."""
+        for opening in self.home:
+            self._put(X_WT, opening, finger)
+            if self._distance(finger, self.held) <= 0.0:
+                return float(opening)
+        return None
+
+
+def _reached(scene: gp.Scene, X_WT: Array, reference: Array, count: int = 2) -> Array:
+    """Return free configurations with the tool at a pose."""
+    found = solve_ik(gp.PoseGoal(X_WT), scene, reference, count=4)
+    free = [q for q in found.q if gp.clearance(q, scene) >= _FREE]
+    return np.array(free[:count]).reshape(-1, len(reference))
+
+
+def _goals(empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, start: Array) -> Array:
+    """Return configurations that hold the object straight above a place, turned about the vertical."""
+    X_WO, data = _pose(empty, body), empty.data_at(empty.keyframes["exported"])
+    geoms = _geoms(empty, body)
+    low, high = (x[0] for x in (c.reshape(1, 3) for c in _extent(empty, geoms, data)))
+    found = []
+    for k in range(_GOAL_YAWS):
+        turned = _turned(X_WO, 2.0 * np.pi * k / _GOAL_YAWS)
+        centre = turned[:3, :3] @ X_WO[:3, :3].T @ (0.5 * (low + high) - X_WO[:3, 3])
+        top = _highest(empty, geoms, data, at, 0.5 * float(np.max((high - low)[:2])) + _BESIDE)
+        turned[:3, 3] = [*(at - centre[:2]), top + ABOVE + X_WO[2, 3] - low[2]]
+        found += list(_reached(scene, turned @ np.linalg.inv(X_TO), start, count=1))
+        if len(found) >= 4:
+            break
+    return np.array(found).reshape(-1, len(start))
+
+
+def _extent(scene: gp.Scene, geoms: Sequence[int], data: mujoco.MjData) -> tuple[Array, Array]:
+    low, high = _boxes(scene, geoms, data)
+    return low.min(axis=0), high.max(axis=0)
+
+
+def _highest(scene: gp.Scene, own: Sequence[int], data: mujoco.MjData, at: Array, half: float) -> float:
+    """Return the greatest height below a square around a place, of everything but robot and object [m]."""
+    model = scene.model
+    ignored = {int(model.geom_bodyid[g]) for g in own} | set(scene.robot_bodies)
+    highest, geom = -np.inf, np.zeros(1, dtype=np.int32)
+    for dx in np.linspace(-half, half, 9):
+        for dy in np.linspace(-half, half, 9):
+            p = np.array([at[0] + dx, at[1] + dy, 3.0])
+            while True:
+                gap = mujoco.mj_ray(model, data, p, np.array([0.0, 0.0, -1.0]), None, 1, -1, geom)
+                if gap < 0.0:
+                    break
+                p[2] -= gap
+                if int(model.geom_bodyid[geom[0]]) not in ignored:
+                    highest = max(highest, float(p[2]))
+                    break
+                p[2] -= 1e-4
+    return highest
