@@ -15,12 +15,11 @@ from graceful_plan.compare.problems.function_problem import DensityObjective, Fu
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.exceptions import CostError, NonFiniteError, SettingError, ShapeError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, evenly
 from graceful_plan.planners.optimisers.optimiser import joined_to_ends
 from graceful_plan.planners.optimisers.rollouts import Rollouts, weights
 from graceful_plan.planners.optimisers.stomp import STOMP
 from graceful_plan.planners.planner import Budget, path_total
-from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
 from sizes import first_quick
 
