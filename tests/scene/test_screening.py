@@ -458,7 +458,7 @@ _TEXT = (_SCENES / "tabletop.xml").read_text()
 _SNIPPETS = ["nan", "-1", "1e999", "../", "<replicate count='9999999'>", "&", "<", "\x00", '"', "inf", "0", ""]
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(st.integers(0, len(_TEXT)), st.integers(0, 12), st.sampled_from(_SNIPPETS)), min_size=1, max_size=3
