@@ -15,7 +15,7 @@ import graceful_plan as gp
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError, TooLargeError
 from graceful_plan.scene.loading.weighing import mesh_weight
 from graceful_plan.scene.model_checks import check_numbers, check_supported
-from graceful_plan.scene.screening import compile_spec, load_spec, within_memory
+from graceful_plan.scene.specs import compile_spec, load_spec, within_memory
 from graceful_plan.scene.urdf.reading import read_urdf
 
 _SCENES = LIBRARY / "scene" / "scenes"
