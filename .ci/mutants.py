@@ -61,6 +61,7 @@ MODULES = {
         "tests/scene/urdf",
     ),
     "scene/screening.py": ("tests/scene/test_screening.py",),
+    "scene/specs.py": ("tests/scene/test_screening.py",),
 }
 """Modules on which verdicts depend, and their tests."""
 

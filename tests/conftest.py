@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import graceful_plan as gp
 
 # No timed asserts, since the machine may be busy. Examples differ from run to run, so few per run suffice.
-settings.register_profile("unhurried", deadline=None, max_examples=40)
+settings.register_profile("unhurried", deadline=None, max_examples=20)
 settings.load_profile("unhurried")
 
 shape_checks.install()

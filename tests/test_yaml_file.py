@@ -123,7 +123,7 @@ _TREES = st.recursive(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.dictionaries(_KEYS, _TREES, max_size=3), st.sampled_from([True, False, None]))
 def test_dumped_values_can_be_read(tree: dict, flow: bool | None) -> None:
     text = yaml.safe_dump(tree, default_flow_style=flow)
@@ -133,7 +133,7 @@ def test_dumped_values_can_be_read(tree: dict, flow: bool | None) -> None:
         assert _plain(parse_yaml(text, "a.yaml")) == tree
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.text("ab:-[]{}&*!|>'\"#%@`,?~ \n\t1.", max_size=40))
 def test_any_text_is_read_or_refused(text: str) -> None:
     try:

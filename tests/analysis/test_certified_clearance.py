@@ -103,7 +103,6 @@ def _exact_clearance(scene: Scene, q: Array) -> float:
 
 
 @given(offset=st.floats(0.31, 1.0), start=st.floats(-3.0, -0.7), end=st.floats(0.7, 3.0))
-@settings(max_examples=20, deadline=None)
 def test_a_ball_passes_a_ball_at_a_known_distance(offset: float, start: float, end: float):
     found = certified_clearance(Path(np.array([[start, offset], [end, offset]])), _kernels(_BALL.format(_SPHERE), 2))
     true = offset - 0.3

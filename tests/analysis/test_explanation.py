@@ -233,7 +233,7 @@ def test_a_picture_is_drawn(task, result, name, tmp_path):
     assert np.ptp(imread(tmp_path / "picture.png")[..., :3], axis=(0, 1)).max() > 0.5
 
 
-@pytest.mark.parametrize("section", ["A motion, explained", "A scene, mapped"])
+@pytest.mark.parametrize("section", first_quick(["A motion, explained", "A scene, mapped"]))
 def test_the_guide_runs(section, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "docs" / "explain.md").read_text().partition(f"## {section}")[2]

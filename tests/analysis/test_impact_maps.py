@@ -7,7 +7,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import graceful_plan as gp
@@ -141,7 +141,6 @@ def test_a_cell_has_the_impact_of_the_robot_there(name, model):
 
 
 @given(st.floats(-0.3, 0.3), st.floats(0.0, 2.0), st.floats(0.0, 2.0 * np.pi))
-@settings(max_examples=20)
 def test_a_cell_with_a_velocity_has_the_impact_of_the_robot_there(x, speed, direction):
     scene = boxes((0.0, 0.0), (0.35, 0.1))
     found = gp.impact_map(

@@ -73,7 +73,7 @@ def exact_load(grip, felt):
 
 
 @pytest.mark.parametrize("name", CARRIED)
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(numbers, numbers, numbers)
 def test_facets_are_inside_of_the_ellipsoid_and_near_it(name, x, y, z):
     direction = np.array([x, y, z])

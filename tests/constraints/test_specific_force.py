@@ -94,7 +94,6 @@ def test_limits_violated_at_rest_are_reported(coffee: gp.Task) -> None:
     assert str(ours.value) == str(twin.value)
 
 
-@settings(max_examples=20)
 @given(st.integers(0, 100), st.floats(0.15, 0.8), st.sampled_from([1.0, 0.6]))
 def test_timing_in_the_core_is_timing_within_all_rows(seed: int, angle: float, speed: float) -> None:
     """Compared with the twin, at both ends of every interval, including rows that the core omits."""

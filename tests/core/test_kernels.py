@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from ball import scene_of
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from places import ROOT
 
@@ -268,7 +268,6 @@ def test_the_documents_state_the_capacities_of_the_core():
 
 
 @given(st.sampled_from([(), (1,), (2, 3), (0,), (17,)]), st.integers(0, 99))
-@settings(max_examples=20, deadline=None)
 def test_batch_axes_pass_through(batch, seed):
     scene = gp.load_scene("tabletop_l1")
     kernels = compile_scene(scene).kernels

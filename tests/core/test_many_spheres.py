@@ -36,6 +36,14 @@ def compiled() -> CompiledScene:
     return compile_scene(gp.Scene.from_mjcf(_BOXES, robot="arm/", tool="arm/tool"))
 
 
+@pytest.fixture(scope="module", params=[3.0, 0.02], ids=["apart", "together"])
+def sampled(compiled: CompiledScene, request: pytest.FixtureRequest) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations, spread out or close together, and their clearance over all pairs."""
+    rng, spread = np.random.default_rng(1), request.param
+    q = np.clip(rng.uniform(-2.5, 2.5, 4) * (spread < 1.0) + rng.uniform(-spread, spread, (70, 4)), -3.0, 3.0)
+    return q, _all_pairs(compiled, q)
+
+
 def _all_pairs(compiled: CompiledScene, q: np.ndarray) -> np.ndarray:
     """Return the clearance over all sphere pairs of links, and to ground and ball."""
     robot = compiled.robot
@@ -62,14 +70,13 @@ def _frames(robot: RobotArrays) -> np.ndarray:
 
 
 @pytest.mark.parametrize("isa", instruction_sets())
-@pytest.mark.parametrize("spread", [3.0, 0.02])
-def test_clearance_and_free_equal_those_over_all_pairs(compiled: CompiledScene, isa: str, spread: float) -> None:
+def test_clearance_and_free_equal_those_over_all_pairs(
+    compiled: CompiledScene, isa: str, sampled: tuple[np.ndarray, np.ndarray]
+) -> None:
     robot = compiled.robot
     assert np.bincount(robot.sphere_link).max() > 24  # several clusters
-    rng = np.random.default_rng(1)
-    q = np.clip(rng.uniform(-2.5, 2.5, 4) * (spread < 1.0) + rng.uniform(-spread, spread, (70, 4)), -3.0, 3.0)
+    q, expected = sampled
     kernels = Kernels(robot, compiled.world, compiled.impact_tables, isa)
-    expected = _all_pairs(compiled, q)
     np.testing.assert_allclose(kernels.clearance(q), expected, atol=_FLOAT32)
     np.testing.assert_array_equal(kernels.clearance(q), [kernels.clearance(one) for one in q])
     for margin in (0.0, 0.03, -0.02):
@@ -78,7 +85,7 @@ def test_clearance_and_free_equal_those_over_all_pairs(compiled: CompiledScene, 
 
 
 def test_the_gradient_belongs_to_the_nearest_pair(compiled: CompiledScene) -> None:
-    q = np.random.default_rng(2).uniform(-2.9, 2.9, (20, 4))
+    q = np.random.default_rng(2).uniform(-2.9, 2.9, (8, 4))
     clearance, gradient = compiled.kernels.clearance_gradient(q)
     np.testing.assert_allclose(clearance, _all_pairs(compiled, q), atol=_FLOAT32)
     step, smooth = 1e-6, 0
@@ -87,4 +94,4 @@ def test_the_gradient_belongs_to_the_nearest_pair(compiled: CompiledScene) -> No
         slope, bent = (ahead - behind) / (2.0 * step), np.abs(ahead + behind - 2.0 * clearance) > 3e-6
         np.testing.assert_allclose(gradient[~bent, k], slope[~bent], atol=1e-3)
         smooth += int((~bent).sum())
-    assert smooth > 50
+    assert smooth > 20

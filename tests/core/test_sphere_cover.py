@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from graceful_plan.core import greedy_cover, sphere_cover
+from sizes import first_quick
 
 _COVERED = 1e-9
 sizes = st.floats(0.004, 0.08)
@@ -101,7 +102,7 @@ def test_hull_of_a_cube_is_covered_and_barely_exceeded():
 
 def test_hulls_of_many_faces_are_covered_by_few_of_them() -> None:
     rng = np.random.default_rng(0)
-    points = rng.normal(size=(5000, 3))
+    points = rng.normal(size=(2500, 3))
     points *= np.array([0.05, 0.04, 0.09]) / np.linalg.norm(points, axis=1, keepdims=True)
     hull = ConvexHull(points)
     planes = np.column_stack([hull.equations[:, :3], -hull.equations[:, 3]])
@@ -109,7 +110,7 @@ def test_hulls_of_many_faces_are_covered_by_few_of_them() -> None:
     assert len(few) < len(planes) / 4
     assert (points @ few[:, :3].T - few[:, 3]).max() < 1e-9  # every point is inside
     centres, radii = greedy_cover.hull_cover([(points, planes)])
-    mixed = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(4), 4000), points[rng.integers(len(points), size=(4000, 4))])
+    mixed = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(4), 1500), points[rng.integers(len(points), size=(1500, 4))])
     inside = np.concatenate([points, mixed])
     assert (np.linalg.norm(inside[:, None] - centres, axis=2) - radii).min(axis=1).max() < 1e-9
     depth = -greedy_cover.heights(centres, planes)[0]
@@ -123,7 +124,7 @@ def _hull(seed: int, shift: float) -> tuple[np.ndarray, np.ndarray]:
     return hull.points, np.column_stack([hull.equations[:, :3], -hull.equations[:, 3]])
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.03, 0.3])
+@pytest.mark.parametrize("shift", first_quick([0.03, 0.0, 0.3]))
 def test_overlapping_hulls_are_covered_together(shift: float) -> None:
     """The cover contains both hulls, no ball sticks out of both, and the shared part is covered once."""
     rng, hulls = np.random.default_rng(0), [_hull(0, 0.0), _hull(1, shift)]
@@ -230,10 +231,10 @@ def test_enclosing_sphere_encloses(n, seed):
 @pytest.mark.parametrize("semi_axes", [(0.1, 0.2, 0.3), (0.1, 0.1, 0.1), (0.02, 0.5, 0.5), (0.1, 0.1, 0.4)])
 def test_depths_in_an_ellipsoid_equal_the_nearest_of_many_points(semi_axes) -> None:
     rng, axes = np.random.default_rng(0), np.array(semi_axes)
-    unit = rng.normal(size=(200_000, 3))
+    unit = rng.normal(size=(60_000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     points = np.concatenate([unit[:20] * axes * rng.uniform(0.0, 1.0, (20, 1)), np.zeros((1, 3)), np.eye(3) * axes])
     depth = greedy_cover._ellipsoid_depth(points, axes)
     nearest = np.array([np.linalg.norm(unit * axes - point, axis=1).min() for point in points])
-    assert (depth <= nearest + 1e-8).all() and np.abs(depth - nearest).max() < 0.005
+    assert (depth <= nearest + 1e-8).all() and np.abs(depth - nearest).max() < 0.01
     np.testing.assert_allclose(depth[-3:], 0.0, atol=1e-8)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -38,6 +38,7 @@ def same(a: gp.Trajectory, b: gp.Trajectory) -> None:
         np.testing.assert_array_equal(getattr(a, key), getattr(b, key))
 
 
+@settings(max_examples=15)
 @given(made=samples())
 def test_every_form_survives_a_round_trip(made, tmp_path_factory):
     trajectory = gp.Trajectory(*made)

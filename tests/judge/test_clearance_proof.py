@@ -76,13 +76,13 @@ def test_verdicts_equal_those_of_exact_geometry(task) -> None:
     scene = task.scene
     clearance = compile_scene(scene).proof.clearance
     refused = 0
-    for motion in _motions(scene, 10):
+    for motion in _motions(scene, 5):
         exact, fast = verify(motion, scene), verify(motion, scene, clearance=clearance)
         assert fast.passed == exact.passed
         assert fast.checks["collision"].first == exact.checks["collision"].first
         assert fast.checks["collision"].worst == exact.checks["collision"].worst
         refused += "collision" in exact.failures
-    assert 1 < refused < 10
+    assert 0 < refused < 5
 
 
 def test_samples_are_the_same_with_a_proof_and_without(task) -> None:

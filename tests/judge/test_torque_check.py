@@ -61,6 +61,7 @@ def test_fast_motions_need_more_torque_than_slow_ones():
     assert fast > slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "task"), [("tabletop", "green_to_blue"), ("dining_table", "pass_bottle")])
 def test_plans_of_bundled_tasks_stay_within_the_torques(name, task):
     task = gp.load_scene(name).tasks[task]

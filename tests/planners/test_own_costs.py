@@ -18,6 +18,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline, grid_points
 from graceful_plan.transcription.motion_charges import ImpactCharge
+from sizes import first_quick
 from support.costs.own_costs import Bowl, Crosswise, Haste, Height
 
 Array = np.ndarray
@@ -152,7 +153,7 @@ class Leaning(gp.Cost):
         return 2.0 * batch.q * (np.arange(batch.q.shape[1]) == 1)
 
 
-@pytest.mark.parametrize("planner", ["chomp", "casadi", "auto"])
+@pytest.mark.parametrize("planner", first_quick(["chomp", "casadi", "auto"]))
 def test_planners_evaluate_gradients_in_batches(task: gp.Task, planner: str) -> None:
     pytest.importorskip("casadi") if planner == "casadi" else None
     cost = Leaning()

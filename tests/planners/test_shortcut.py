@@ -93,7 +93,6 @@ def test_gives_up_after_its_patience() -> None:
 
 @pytest.mark.parametrize("move", sorted(set(MOVES), key=lambda move: move.__name__), ids=lambda move: move.__name__)
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
 def test_replacements_start_and_end_on_vertices(move, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(int(rng.integers(2, 9)), 3))

@@ -105,8 +105,8 @@ def test_cancelling_before_a_solution_has_its_status(task: gp.Task):
 
 
 def test_an_uncancelled_plan_equals_one_without_a_callback(task: gp.Task):
-    first = gp.plan(task.start, task.goal, task.scene, iterations=500, seed=5)
-    second = gp.plan(task.start, task.goal, task.scene, iterations=500, seed=5, cancelled=lambda: False)
+    first = gp.plan(task.start, task.goal, task.scene, iterations=200, seed=5)
+    second = gp.plan(task.start, task.goal, task.scene, iterations=200, seed=5, cancelled=lambda: False)
     assert first.unwrap().q.tobytes() == second.unwrap().q.tobytes()
 
 
@@ -158,7 +158,7 @@ def _fingerprint(task: gp.Task, planner: str) -> bytes:
 
 @pytest.mark.parametrize(
     ("planner", "count"),
-    [("anytime", 10), ("rrt_star", 2), pytest.param("rrt_connect", 3, marks=pytest.mark.long)],
+    [("anytime", 5), *(pytest.param(name, 3, marks=pytest.mark.long) for name in ("rrt_star", "rrt_connect"))],
 )
 def test_interrupts_leave_nothing_broken(task: gp.Task, planner: str, count: int):
     expected = _fingerprint(task, planner)
@@ -167,12 +167,12 @@ def test_interrupts_leave_nothing_broken(task: gp.Task, planner: str, count: int
         with pytest.raises(KeyboardInterrupt), _interrupt_after(float(moment)):
             gp.plan(task.start, task.goal, task.scene, planner=planner, **_ENDLESS)
             signal.pause()  # a planner that ends by itself is interrupted afterwards
-    assert _fingerprint(task, planner) == expected == _fingerprint(task, planner)
+    assert _fingerprint(task, planner) == expected
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # see `_interrupt_after`
 def test_an_interrupt_while_the_scene_is_compiled(task: gp.Task):
-    for moment in (0.001, 0.003, 0.006, 0.01, 0.015):
+    for moment in (0.001, 0.006, 0.015):
         fresh = task.scene.add_box("crate", [0.05, 0.05, 0.05], [0.6, 0.6, 0.05])
         with pytest.raises(KeyboardInterrupt), _interrupt_after(moment):
             gp.plan(task.start, task.goal, fresh, **_ENDLESS)

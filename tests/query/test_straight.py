@@ -7,7 +7,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import graceful_plan as gp
@@ -70,7 +70,6 @@ _vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
 
 
 @pytest.mark.long
-@settings(max_examples=40)
 @given(
     name=st.sampled_from(_SCENES),
     seed=st.integers(0, 10_000),

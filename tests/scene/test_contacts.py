@@ -55,7 +55,7 @@ def _contacts(model: mujoco.MjModel) -> set[tuple[int, int]]:
     return {(min(a, b), max(a, b)) for a, b in data.contact.geom.tolist()}
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(heaps(), st.data())
 def test_pairs_equal_those_tested_by_mujoco(model: mujoco.MjModel, data: st.DataObject) -> None:
     moving = data.draw(st.sets(st.integers(1, model.nbody - 1), min_size=1))

@@ -150,7 +150,7 @@ def test_concurrent_plans_in_one_scene_equal_sequential_ones():
     task = fresh("tabletop").tasks["right_to_left"]
 
     def planned(seed):
-        return gp.plan(task.start, task.goal, task.scene, seed=seed, iterations=60).unwrap().q
+        return gp.plan(task.start, task.goal, task.scene, seed=seed, iterations=25).unwrap().q
 
     alone = [planned(seed) for seed in (0, 1)]
     with ThreadPoolExecutor(4) as pool:

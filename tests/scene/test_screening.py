@@ -15,7 +15,7 @@ import graceful_plan as gp
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError, TooLargeError
 from graceful_plan.scene.loading.weighing import mesh_weight
 from graceful_plan.scene.model_checks import check_numbers, check_supported
-from graceful_plan.scene.screening import compile_spec, load_spec, within_memory
+from graceful_plan.scene.specs import compile_spec, load_spec, within_memory
 from graceful_plan.scene.urdf.reading import read_urdf
 
 _SCENES = LIBRARY / "scene" / "scenes"
@@ -458,7 +458,7 @@ _TEXT = (_SCENES / "tabletop.xml").read_text()
 _SNIPPETS = ["nan", "-1", "1e999", "../", "<replicate count='9999999'>", "&", "<", "\x00", '"', "inf", "0", ""]
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(st.integers(0, len(_TEXT)), st.integers(0, 12), st.sampled_from(_SNIPPETS)), min_size=1, max_size=3

@@ -58,7 +58,6 @@ def _assert_within_limits(trajectory: Trajectory, limits: Limits) -> None:
 
 
 @given(st.floats(1e-4, 6.0), st.floats(0.1, 5.0), st.floats(0.1, 20.0))
-@settings(max_examples=50)
 def test_straight_line_takes_the_closed_form_time(length: float, v: float, a: float) -> None:
     trajectory = retime(_path([[0.0], [length]]), _limits([v], [a]))
     exact = length / v + v / a if length > v * v / a else 2.0 * np.sqrt(length / a)
@@ -68,7 +67,6 @@ def test_straight_line_takes_the_closed_form_time(length: float, v: float, a: fl
 
 
 @given(st.integers(0, 10**6), st.integers(2, 12), st.floats(0.01, 1.0), st.sampled_from([0.0, 0.003, 0.05, 0.3]))
-@settings(max_examples=40, deadline=None)
 def test_zigzags_keep_the_limits_and_start_and_end_at_rest(seed: int, n: int, size: float, deviation: float) -> None:
     path = _zigzag(seed, n, size)
     trajectory = retime(path, _PANDA, deviation=deviation)
@@ -79,7 +77,6 @@ def test_zigzags_keep_the_limits_and_start_and_end_at_rest(seed: int, n: int, si
 
 
 @given(st.integers(0, 10**6), st.integers(3, 12), st.sampled_from([0.0, 0.003, 0.05]))
-@settings(max_examples=40, deadline=None)
 def test_the_motion_stays_within_the_deviation(seed: int, n: int, deviation: float) -> None:
     path = _zigzag(seed, n, 0.3)
     q = retime(path, _PANDA, deviation=deviation).at(np.linspace(0.0, 30.0, 600)).q

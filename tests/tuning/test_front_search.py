@@ -202,7 +202,6 @@ def candidate(motion: float, impact: float) -> Candidate:
     return Candidate(q=np.zeros((2, 1)), edges=np.array([[motion, impact]]), made_by="weight", made_with=1.0)
 
 
-@settings(max_examples=50, deadline=None)
 @given(clouds, st.randoms())
 def test_archives_hold_the_front_of_all_offers(costs, random):
     archive, order = Archive(), costs.tolist()

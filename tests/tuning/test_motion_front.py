@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import graceful_plan as gp
@@ -25,7 +25,6 @@ clouds = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=9).map(np.ar
 POINTS = 4
 
 
-@settings(max_examples=50, deadline=None)
 @given(clouds)
 def test_weights_lead_to_their_points_where_the_front_is_convex(costs):
     front = costs[non_dominated(costs)]

@@ -3,7 +3,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from graceful_plan import CostBreakdown, ParetoFront, Path, PlanStatus, Trajectory, Verdict
@@ -37,7 +37,6 @@ DENTED = ((1.0, 4.0), (1.9, 3.6), (3.0, 1.0))  # the middle lies above the chord
 # --- laws -------------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
 @given(clouds)
 def test_a_front_holds_the_points_that_none_is_better_than(costs):
     kept = non_dominated(costs)
@@ -49,7 +48,6 @@ def test_a_front_holds_the_points_that_none_is_better_than(costs):
         assert keeps == (not better.any() and not earlier_equal)
 
 
-@settings(max_examples=40, deadline=None)
 @given(clouds, st.randoms())
 def test_a_front_does_not_depend_on_the_order(costs, random):
     shuffled = costs.tolist()
@@ -57,7 +55,6 @@ def test_a_front_does_not_depend_on_the_order(costs, random):
     np.testing.assert_array_equal(front(costs).costs, front(shuffled).costs)
 
 
-@settings(max_examples=40, deadline=None)
 @given(clouds, clouds)
 def test_hypervolume_grows_with_points_and_shrinks_with_none(some, more):
     reference = np.array([11.0, 11.0])
@@ -68,7 +65,6 @@ def test_hypervolume_grows_with_points_and_shrinks_with_none(some, more):
     assert after <= before + dominated_area(more, reference) + 1e-9
 
 
-@settings(max_examples=40, deadline=None)
 @given(clouds)
 def test_hypervolume_is_the_area_of_cells_that_are_dominated(costs):
     """Oracle: a grid through all coordinates."""
@@ -83,7 +79,6 @@ def test_hypervolume_is_the_area_of_cells_that_are_dominated(costs):
     assert dominated_area(costs, reference) == pytest.approx(area, abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
 @given(clouds, st.floats(0.0, 100.0))
 def test_points_are_best_for_their_weights(costs, w):
     found = front(costs)
@@ -94,7 +89,6 @@ def test_points_are_best_for_their_weights(costs, w):
     assert any(p.weights is not None and p.weights[0] <= w <= p.weights[1] for p in found.points)
 
 
-@settings(max_examples=40, deadline=None)
 @given(clouds)
 def test_weights_are_intervals_from_nothing_to_infinity(costs):
     intervals = [weights for weights in (p.weights for p in front(costs).points) if weights is not None]

@@ -30,7 +30,7 @@ from graceful_plan.core.sphere_cover import MAX_PROTRUSION
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
-from graceful_plan.scene.screening import within_memory
+from graceful_plan.scene.specs import within_memory
 
 Array = np.ndarray
 

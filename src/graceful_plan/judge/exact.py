@@ -22,7 +22,7 @@ from graceful_plan.judge.preparation import prepare
 from graceful_plan.path import Path
 from graceful_plan.scene.model_parts import geom_label
 from graceful_plan.scene.scene import Scene
-from graceful_plan.scene.screening import within_memory
+from graceful_plan.scene.specs import within_memory
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray

@@ -11,7 +11,7 @@ from graceful_plan.array_types import Bool, Int
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.placement import Placement, PlacementPool
 from graceful_plan.scene.scene import Scene
-from graceful_plan.scene.screening import within_memory
+from graceful_plan.scene.specs import within_memory
 
 Array = np.ndarray
 

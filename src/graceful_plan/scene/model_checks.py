@@ -9,7 +9,8 @@ import numpy as np
 
 from graceful_plan.exceptions import SceneError, UnsupportedError
 from graceful_plan.scene.model_parts import collides, geom_label, names
-from graceful_plan.scene.screening import MAX_EXTENT, compile_spec
+from graceful_plan.scene.screening import MAX_EXTENT
+from graceful_plan.scene.specs import compile_spec
 
 _OBJ = mujoco.mjtObj
 _GEOM = mujoco.mjtGeom

@@ -53,9 +53,9 @@ from graceful_plan.scene.model_parts import (
 )
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.rest_state import given_state, keyframe_state, model_states, rest_state, without_bodies
-from graceful_plan.scene.screening import load_spec
 from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
+from graceful_plan.scene.specs import load_spec
 from graceful_plan.scene.summary import summary
 from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, named_configuration, task_ends
 from graceful_plan.scene.urdf.composing import TOOL, chosen_joints, composed, velocities

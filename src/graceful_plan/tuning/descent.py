@@ -23,10 +23,9 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.path import Path
+from graceful_plan.path import Path, evenly
 from graceful_plan.planners.interruptible import Interrupted, checked_costs, out_of_time
 from graceful_plan.planners.planner import Budget, DifferentiableObjective, Problem
-from graceful_plan.planners.resampling import evenly
 from graceful_plan.tuning.archive import Candidate, EdgeTest, Target
 
 Array = np.ndarray

@@ -136,6 +136,7 @@ def test_two_processes_do_not_share_a_journal(tmp_path):
         opened(tmp_path)
 
 
+@pytest.mark.long
 def test_only_missing_runs_are_repeated(tmp_path):
     suite, out = suite_file(tmp_path), tmp_path / "out"
     whole = bench.compare(suite, planners=["rrt_connect"], out=out, processes=0)

@@ -111,7 +111,8 @@ def test_the_core_is_the_specification(odd):
     np.testing.assert_allclose(found[0], twin.distances(q[0], qd[0], ahead[0]), atol=_SAME)
 
 
-@pytest.mark.parametrize("name", ["tabletop", pytest.param("dining_table", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["tabletop", "dining_table"])
 def test_the_core_is_the_specification_in_bundled_scenes(name):
     task = next(iter(gp.load_scene(name).tasks.values()))
     constants = replace(SETTINGS, steps=1)

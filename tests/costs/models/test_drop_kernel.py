@@ -98,7 +98,7 @@ def test_the_kernel_is_the_specification(name):
 
 
 @given(seed=st.integers(0, 10_000), scale=st.floats(0.2, 4.0), fastest=st.floats(0.0, 20.0))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_constants_of_all_sizes(scene, seed, scale, fastest):
     rng = np.random.default_rng(seed)
     tables = drop_tables(scene)
@@ -175,11 +175,11 @@ def test_planners_run_on_the_drop_model():
     objective = gp.Objective(impact=gp.ImpactCost(model="mixture"), w=2.0).bind(task.scene)
     problem = SceneProblem(kernels=compile_scene(task.scene).kernels, start=task.start, goals=np.atleast_2d(task.goal))
     assert type(native_space(problem, objective)).__name__ == "SceneSpace"
-    native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=500)
+    native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=250)
     assert native.path is not None
     assert native.cost.total == pytest.approx(objective.breakdown(native.trajectory).total, rel=1e-9)
     # A plan that ignores impact costs more under this objective.
-    ordinary = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500)
+    ordinary = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=250)
     assert ordinary.path is not None and objective.breakdown(ordinary.trajectory).total > 1.05 * native.cost.total
 
 

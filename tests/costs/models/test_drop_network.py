@@ -163,7 +163,6 @@ def test_planners_are_given_the_same(task: gp.Task) -> None:
 # --- laws -------------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), bound=st.floats(0.0, 6.0))
 def test_odds_stay_within_the_bound_and_each_state_stands_by_itself(seed: int, bound: float) -> None:
     task = over_the_desk()
@@ -294,7 +293,7 @@ def test_other_files_are_refused(tmp_path: Path, changes: dict[str, object]) -> 
         DropNetwork.read(broken)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(at=st.floats(0.0, 1.0), flip=st.integers(1, 255), cut=st.booleans())
 def test_damaged_files_are_refused_or_harmless(
     tmp_path_factory: pytest.TempPathFactory, at: float, flip: int, cut: bool

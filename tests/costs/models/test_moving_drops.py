@@ -68,7 +68,6 @@ rates = st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4)
 # --- laws -------------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40)
 @given(states, rates, places, places, st.floats(0.0, 2.0), st.floats(0.0, 1.0), st.sampled_from(sorted(_SIZES)))
 def test_probabilities_are_probabilities(scene, q, qd, x, y, speed, spread, size):
     entity = walker(x, y, size=size, speed=speed, spread=spread)

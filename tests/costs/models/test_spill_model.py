@@ -134,7 +134,6 @@ def test_the_core_is_the_specification(name):
 
 
 @given(seed=st.integers(0, 10_000), scale=st.floats(1.1, 4.0), fastest=st.floats(0.0, 20.0))
-@settings(max_examples=20, deadline=None)
 def test_constants_of_all_sizes(scenes, seed, scale, fastest):
     rng, scene = np.random.default_rng(seed), scenes[seed % len(scenes)]
     odd = SpillConstants(**{name: x * scale ** rng.uniform(-1.0, 1.0) for name, x in asdict(SPILL.dropped).items()})

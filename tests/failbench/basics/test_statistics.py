@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from failbench.basics.statistics import (
@@ -167,7 +167,6 @@ def test_effective_sample_size() -> None:
     assert effective_sample_size([]) == 0.0
 
 
-@settings(max_examples=20, deadline=None)
 @given(st.integers(1, 6), st.integers(1, 5))
 def test_copies_within_a_cluster_tell_nothing_new(clusters: int, copies: int) -> None:
     y = np.random.default_rng(clusters).normal(size=clusters)

@@ -58,6 +58,7 @@ def parts():
     return [failure_jobs.run_job(job) for job in jobs[:2]]
 
 
+@pytest.mark.long
 def test_labels_hold_the_struck_entities(parts):
     labels = parts[0].faults
     scene = gp.load_scene("tabletop_l1")
@@ -67,6 +68,7 @@ def test_labels_hold_the_struck_entities(parts):
     assert labels == tuple(map(fault_label, faults_of(scene)))
 
 
+@pytest.mark.long
 def test_hits_belong_to_the_failed_joint(parts):
     scenes = scenes_of(parts, gp.load_scene)
     settings = BodySettings.shipped()

@@ -72,6 +72,7 @@ def test_the_document_has_a_provenance(calibrated: family_fit.FamilyCalibration,
     assert "tabletop_l1" in str(calibrated)
 
 
+@pytest.mark.long
 def test_one_scene_is_not_enough() -> None:
     with pytest.raises(SettingError, match="at least two"):
         family_fit.fit_family(GaussianFamily(), drops(SCENES[:1]), model="gaussian")

@@ -62,6 +62,7 @@ def test_intervals_shrink_with_more_motions() -> None:
     assert (widths[1] < 0.6 * widths[0]).all()  # expected: a third
 
 
+@pytest.mark.long
 def test_intervals_cover() -> None:
     inside = 0
     for seed in range(10):

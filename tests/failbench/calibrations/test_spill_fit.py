@@ -96,6 +96,7 @@ def test_the_model_reads_the_file_of_the_command(
         assert dataclasses.asdict(read.of(use)) == pytest.approx(dataclasses.asdict(expected.of(use)), rel=1e-4)
 
 
+@pytest.mark.long
 def test_shared_constants_are_written_for_both_uses(
     parts: list[Failures], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from breaking import Nothing, Record, healthy_run
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from motions import EVERY_DEGREE
 from mujoco.batch import MODEL_FIELDS
@@ -179,7 +179,6 @@ def made(chosen):
 
 
 @given(chosen=GIVEN, seed=st.integers(0, 2**31), when=st.floats(0.0, 1.0))
-@settings(max_examples=40, deadline=None)
 def test_any_fault_leaves_finite_numbers_and_ends_in_time(chosen, seed, when):
     fault, done = made(chosen), healthy_run()
     record = Record(fault, when=when, seed=seed, horizon=0.12)

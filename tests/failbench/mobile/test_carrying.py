@@ -55,12 +55,12 @@ def test_an_object_on_a_base_tips_over_if_the_base_brakes_hard(half_width, falls
     assert execution.healthy.harmless and execution.slip < 0.01  # 1.5 m/s2 tips neither
     assert (half_width / half_height < GRIP) == falls
     locked = fb.faults()["stuck_position"](degree="critical", targets=("all",))
-    onsets = [0.4 * execution.duration, 0.5 * execution.duration]
-    for rollout in run_rollouts(execution, [Job(fault=locked, onset=t, seed=0) for t in onsets], horizon=1.5):
-        _, x, y, _ = rollout.poses["carried"][:4]
-        upright = 1.0 - 2.0 * (x**2 + y**2)  # z component of its axis
-        assert rollout.status == "completed" and rollout.dropped == falls
-        assert abs(upright) < 0.2 if falls else upright > 0.95  # it lies on its side
+    job = Job(fault=locked, onset=0.45 * execution.duration, seed=0)
+    (rollout,) = run_rollouts(execution, [job], horizon=1.5)
+    _, x, y, _ = rollout.poses["carried"][:4]
+    upright = 1.0 - 2.0 * (x**2 + y**2)  # z component of its axis
+    assert rollout.status == "completed" and rollout.dropped == falls
+    assert abs(upright) < 0.2 if falls else upright > 0.95  # it lies on its side
 
 
 @pytest.mark.long

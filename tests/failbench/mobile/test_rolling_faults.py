@@ -137,7 +137,7 @@ def test_native_rollouts_are_the_same_bit_by_bit(driven):
 def test_hits_of_a_failing_base_count_by_speed():
     scene = jackal((1.2, 0.05))
     motion = gp.plan([-3.0, -0.9, 0.0], gp.BasePose(0.0, 0.0), scene, w=0.0, iterations=1500)
-    report = fb.validate(motion, scene, fault("bias_drift", targets=LEFT), n=8, horizon=2.0, threads=1)
+    report = fb.validate(motion, scene, fault("bias_drift", targets=LEFT), n=4, horizon=1.0, threads=1)
     worst = scene.entities["child0"].severity["body"]
     assert report.diverged == 0 and 0.0 <= report.observed.mean <= worst
     assert set(report.by_entity) == {"child0"} and report.duration == pytest.approx(motion.trajectory.duration)

@@ -48,14 +48,14 @@ def states(n=400, seed=0):
 
 
 def test_the_core_equals_the_twin():
-    q, qd = states(200)
+    q, qd = states(80)
     cost = gp.ImpactCost(model=Coast())
     kernel = Coast().kernel(SCENE, cost.severity(SCENE), (1.0, 1.0))
     batch = moving_batch(SCENE, q, qd)
     P = hits(batch, coast_tables(SCENE), SHIPPED, SHIPPED.straightens)
     np.testing.assert_allclose(Coast().probability(batch)[:, 0], P, atol=1e-9)
     expected = P @ cost.severity(SCENE)[0]
-    assert (expected > 0.1).sum() > 10
+    assert (expected > 0.1).sum() > 3
     np.testing.assert_allclose(cost.state(batch), expected, atol=1e-7)
     np.testing.assert_allclose(kernel.moving_states(q, qd), expected, atol=1e-7)
     value, by_q, _ = kernel.state_slopes(q, qd)
@@ -99,9 +99,9 @@ def test_instruction_sets_agree(scene, isa):
         np.testing.assert_allclose(own, other, rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("scene", CROWDED)
-def test_the_core_equals_the_twin_among_many_entities(scene):
-    q, qd = states_in(scene, 2, n=50)
+@pytest.mark.parametrize(("scene", "n"), [(CROWDED[0], 20), (CROWDED[1], 50)])
+def test_the_core_equals_the_twin_among_many_entities(scene, n):
+    q, qd = states_in(scene, 2, n=n)
     batch = moving_batch(scene, q, qd)
     P = hits(batch, coast_tables(scene), SHIPPED, SHIPPED.straightens if scene.base.slip > SKIDS else 1e6)
     assert ((P > 1e-4).sum(axis=1) > 1).any()

@@ -50,7 +50,7 @@ def test_plan_works_on_maps(planner):
     )
     scene = OccupancyGrid(occupancy=occupied, resolution=0.05, entities=(person,)).to_scene()
     start, goal = np.array([0.6, 0.7, 0.0]), gp.BasePose(0.6, 2.4, 3.0)
-    result = gp.plan(start, goal, scene, w=0.1, planner=planner, iterations=1000)
+    result = gp.plan(start, goal, scene, w=0.1, planner=planner, iterations=300)
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.passed
     np.testing.assert_allclose(result.trajectory.q[-1, :2], [0.6, 2.4], atol=1e-6)
 

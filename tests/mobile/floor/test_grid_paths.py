@@ -44,7 +44,6 @@ def reference(grid):
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
 def test_dijkstra_and_a_star_are_exact(seed):
     grid = case(seed)
     start, goal = grid.floor.centres([[0, 0], np.array(grid.floor.shape[::-1]) - 1])

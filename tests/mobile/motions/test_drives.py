@@ -12,7 +12,7 @@ SCENE = hall()
 
 
 def planned(goal, scene=SCENE, start="west", **given):
-    given.setdefault("iterations", 4000)
+    given.setdefault("iterations", 2000)
     return gp.plan(start, goal, scene, **given)
 
 

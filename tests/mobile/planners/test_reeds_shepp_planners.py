@@ -11,6 +11,7 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.mobile.planners import DRIVING, PoseSpace, ReedsSheppPRM, ReedsSheppRRT, ReedsSheppRRTStar
 from graceful_plan.planners.planner import Budget, path_total
 from hall import BASE, hall
+from sizes import first_quick
 
 SCENE = hall()
 PLANNERS = (ReedsSheppRRT, ReedsSheppRRTStar, ReedsSheppPRM)
@@ -22,7 +23,7 @@ def found(planner, scene=SCENE, iterations=120, w=0.0):
     return paths, problem, objective
 
 
-@pytest.mark.parametrize("planner", PLANNERS, ids=lambda planner: planner.name)
+@pytest.mark.parametrize("planner", first_quick(PLANNERS), ids=lambda planner: planner.name)
 def test_paths_roll_are_free_and_improve(planner):
     paths, problem, objective = found(planner())
     totals = [path_total(objective, path) for path in paths]

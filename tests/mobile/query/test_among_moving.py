@@ -76,7 +76,7 @@ def test_legs_through_poses_meet_moving_entities_where_they_then_are(monkeypatch
         return result
 
     monkeypatch.setattr(sys.modules["graceful_plan.plan"], "plan", told)
-    result = plan("west", "east", SCENE.with_moving(CROSSING), via=[[-1.0, -0.5, 0.0]], iterations=50)
+    result = plan("west", "east", SCENE.with_moving(CROSSING), via=[[-1.0, -0.5, 0.0]], iterations=20)
     assert result.status is gp.PlanStatus.SOLVED
     (first, seconds), (second, _) = legs
     np.testing.assert_allclose(first.t, CROSSING.t)

@@ -94,7 +94,6 @@ def test_smoothness_without_cost_needs_one_step(memory: int) -> None:
 
 
 @given(seed=st.integers(0, 1000), size=st.integers(1, 8))
-@settings(max_examples=20, deadline=None)
 def test_memory_reproduces_the_last_curvature(seed: int, size: int) -> None:
     """L-BFGS maps the last change of the gradient exactly to its step, and gives a descent direction."""
     rng = np.random.default_rng(seed)

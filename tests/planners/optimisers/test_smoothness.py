@@ -15,7 +15,6 @@ _TETHERED = st.builds(Smoothness, st.integers(1, 40), st.sampled_from([1, 2]), s
 
 
 @given(metric=_TETHERED)
-@settings(max_examples=20, deadline=None)
 def test_matrix_is_banded_symmetric_and_its_inverse_inverts_it(metric: Smoothness) -> None:
     n = metric.n
     np.testing.assert_array_equal(metric.matrix, metric.matrix.T)

@@ -15,12 +15,11 @@ from graceful_plan.compare.problems.function_problem import DensityObjective, Fu
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.exceptions import CostError, NonFiniteError, SettingError, ShapeError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, evenly
 from graceful_plan.planners.optimisers.optimiser import joined_to_ends
 from graceful_plan.planners.optimisers.rollouts import Rollouts, weights
 from graceful_plan.planners.optimisers.stomp import STOMP
 from graceful_plan.planners.planner import Budget, path_total
-from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
 from sizes import first_quick
 
@@ -61,7 +60,7 @@ def test_reaches_known_optima_from_a_bad_path_of_the_right_class(name: str, seed
     assert 1.0 - 1e-4 <= path_total(exact, last) / instance.optimum <= 1.02
 
 
-@pytest.mark.parametrize("build", [disc, two_media])
+@pytest.mark.parametrize("build", first_quick([disc, two_media]))
 def test_reaches_known_optima_in_seven_dimensions(build) -> None:
     instance = build(7)
     flat = np.array(_DETOURS[instance.name])

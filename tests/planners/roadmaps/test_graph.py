@@ -61,7 +61,7 @@ def test_the_front_equals_that_of_all_paths(case, data):
     assert [tuple(row) for row in found.cost.tolist()] == brute_force_front(edges, start, goals)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(graphs(whole=False))
 def test_the_front_of_costs_that_round(case):
     n, edges = case
@@ -73,7 +73,7 @@ def test_the_front_of_costs_that_round(case):
         assert any(np.allclose(point, other, rtol=1e-9) for other in every)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(graphs())
 def test_paths_lead_from_start_to_goal_at_the_stated_cost(case):
     n, edges = case
@@ -87,7 +87,7 @@ def test_paths_lead_from_start_to_goal_at_the_stated_cost(case):
         assert len(set(nodes)) == len(nodes)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(graphs(), st.floats(0.0, 5.0))
 def test_cheapest_paths_are_on_the_front_and_none_is_cheaper(case, w):
     n, edges = case
@@ -102,7 +102,7 @@ def test_cheapest_paths_are_on_the_front_and_none_is_cheaper(case, w):
     assert ends == ([0], [n - 1]) or len(steps) == 0
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(graphs(), st.floats(0.0, 1.0))
 def test_epsilon_fronts_are_within_epsilon(case, epsilon):
     n, edges = case

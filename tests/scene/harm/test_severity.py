@@ -3,7 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
@@ -126,7 +126,6 @@ def test_errors_of_broken_tables_name_the_place(tmp_path: Path, text: str, line:
     assert caught.value.file == str(tmp_path / "table.yaml")
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.floats(0.0, 1e6), st.sampled_from(_TABLE.classes), st.sampled_from(_TABLE.components))
 def test_overrides_are_returned(value: float, category: str, component: str) -> None:
     changed = _TABLE.with_overrides({category: {component: value}})

@@ -294,7 +294,7 @@ _VALUES = [
 ]
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(st.integers(0, len(_SCENE)), st.integers(0, 8), st.sampled_from(_VALUES)), min_size=1, max_size=2

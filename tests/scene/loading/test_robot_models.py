@@ -90,7 +90,7 @@ def _kinematics(model: mujoco.MjModel, q: np.ndarray) -> mujoco.MjData:
     return data
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), min_size=7, max_size=7))
 def test_forward_kinematics_follows_the_published_table(fractions: list[float]) -> None:
     model = mujoco.MjModel.from_xml_path(str(robot_file("panda")))

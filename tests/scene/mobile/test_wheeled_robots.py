@@ -7,7 +7,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import graceful_plan as gp
@@ -166,7 +166,6 @@ def test_joints_of_a_fetch_are_the_published_ones():
         assert model.joint(f"fetch/{side}_finger").range == pytest.approx([0.0, 0.05])
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), min_size=8, max_size=8), st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
 def test_kinematics_of_a_fetch_follow_the_published_table(fractions, x, y, yaw):
     model = scene_of("fetch").model

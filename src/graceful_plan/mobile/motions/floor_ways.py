@@ -16,7 +16,7 @@ from graceful_plan.core import _native
 from graceful_plan.mobile.floor.grid_paths import FloorGrid
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid
 from graceful_plan.mobile.planners.footprint import floor_around, footprint, radii
-from graceful_plan.planners.resampling import evenly
+from graceful_plan.path import evenly
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core.kernels import FINE_STEP
-from graceful_plan.path import Path
+from graceful_plan.path import Path, evenly
 from graceful_plan.planners.interruptible import InterruptibleProblem
-from graceful_plan.planners.resampling import evenly
 
 Array = np.ndarray
 

@@ -27,13 +27,12 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import Path, plain_numbers
+from graceful_plan.path import Path, evenly, plain_numbers
 from graceful_plan.planners.interruptible import Interrupted, InterruptibleProblem
 from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.rollouts import Rollouts, finely_checked, weights
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
-from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.settings import count, positive
 
 Array = np.ndarray

@@ -66,7 +66,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
-from graceful_plan.scene import roles, screening
+from graceful_plan.scene import roles
 from graceful_plan.scene.elements import (
     AllowedContact,
     Contents,
@@ -86,6 +86,7 @@ from graceful_plan.scene.mobile.wheels import described_drive
 from graceful_plan.scene.model_parts import add_tool
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene, warn_of_mistakes
+from graceful_plan.scene.specs import load_spec
 from graceful_plan.scene.tasks import check_keyframes
 from graceful_plan.yaml_file import Block, read_yaml
 
@@ -242,7 +243,7 @@ def _prefix(robot: Block) -> str:
 def _spec(root: Block, file: Path, prefix: str) -> mujoco.MjSpec:
     """Compose world and robot into one MjSpec."""
     world = _relative(file, root["world"])
-    spec = screening.load_spec(world)
+    spec = load_spec(world)
     block = root["robot"].get("model")
     if block is None:
         return spec
@@ -253,7 +254,7 @@ def _spec(root: Block, file: Path, prefix: str) -> mujoco.MjSpec:
         quat=_quaternion(quaternion) if quaternion else (1.0, 0.0, 0.0, 0.0),
     )
     try:
-        spec.attach(screening.load_spec(model), prefix=prefix, frame=frame)
+        spec.attach(load_spec(model), prefix=prefix, frame=frame)
     except ValueError as error:
         raise root["robot"].error(" ".join(str(error).split())) from None
     return spec

@@ -24,7 +24,8 @@ from graceful_plan.scene.model_parts import (
     robot_bodies,
     tool_body,
 )
-from graceful_plan.scene.screening import MAX_EXTENT, compile_spec
+from graceful_plan.scene.screening import MAX_EXTENT
+from graceful_plan.scene.specs import compile_spec
 
 Array = np.ndarray
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.scene.roles import rigid_pose
-from graceful_plan.scene.screening import load_spec
+from graceful_plan.scene.specs import load_spec
 from graceful_plan.scene.urdf.reading import UrdfJoint, UrdfRobot
 from graceful_plan.scene.urdf.srdf import Srdf
 
