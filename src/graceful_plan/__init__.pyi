@@ -81,6 +81,7 @@ from graceful_plan.scene.scene import Task as Task
 from graceful_plan.scene.sensed.cloud import PointCloud as PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap as HeightMap
 from graceful_plan.timing.retiming import retime as retime
+from graceful_plan.timing.trajectory import State as State
 from graceful_plan.timing.trajectory import Trajectory as Trajectory
 from graceful_plan.transcription.trajectory_optimisation import optimise_trajectory as optimise_trajectory
 from graceful_plan.tuning.fronts import ParetoFront as ParetoFront

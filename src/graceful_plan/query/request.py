@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
+
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import VerificationSettings
+from graceful_plan.path import Path
 from graceful_plan.planners import Planner
 from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
+from graceful_plan.query.endpoints.lead_in import LeadIn
 from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.timing.trajectory import Trajectory
 
 Stop = Literal["first", "converged", "time_limit"]
 """When to end: at the first verified motion, at convergence, or at the end of the budget."""
@@ -35,6 +40,9 @@ class Request:
     | refine       | whether paths become smooth motions that descend along the objective  |      |
     | stop         | when to end                                                           |      |
     | callback     | called with every improvement                                         |      |
+    | lead         | lead-in of a moving start; None from rest                             |      |
+    | before       | motion up to the start, which ends at time 0; None: liquids are calm  |      |
+    | onward       | a path from the start from which descents may start; None: there is none |   |
     """
 
     planner: Planner
@@ -48,6 +56,14 @@ class Request:
     refine: bool = True
     stop: Stop = "time_limit"
     callback: Callback | None = None
+    lead: LeadIn | None = None
+    before: Trajectory | None = None
+    onward: Path | None = None
+
+    @property
+    def start_speed(self) -> float:
+        """Size of the velocity at the start [rad/s]."""
+        return 0.0 if self.lead is None else float(np.linalg.norm(self.lead.velocity))
 
     @property
     def only_length(self) -> bool:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
+from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.impact import ImpactCost
@@ -14,6 +17,9 @@ from graceful_plan.query.candidates.motions import Motion
 from graceful_plan.query.request import Request
 from graceful_plan.result import Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.timing.trajectory import State, Trajectory
+
+Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +33,10 @@ class VerifiedMotion:
 def judged(motion: Motion, request: Request) -> VerifiedMotion:
     """Verify a motion of a request."""
     pose = request.pose(motion.arrival)
-    verdict = verdict_of(motion, request.objective, request.constraints, pose, request.verification)
+    leaving = None if request.lead is None else request.lead.velocity
+    verdict = verdict_of(
+        motion, request.objective, request.constraints, pose, request.verification, leaving, request.before
+    )
     return VerifiedMotion(motion=motion, verdict=verdict)
 
 
@@ -48,8 +57,20 @@ def verdict_of(
     constraints: SceneConstraints,
     pose: PoseGoal | None = None,
     verification: VerificationSettings | None = None,
+    leaving: Float[Array, " nq"] | None = None,
+    before: Trajectory | None = None,
 ) -> Verdict:
-    """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given."""
+    """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given.
+
+    Args:
+        motion: The motion.
+        objective: Objective and scene.
+        constraints: Constraints along the motion.
+        pose: Pose of the tool at the end; None: the end of the path.
+        verification: Resolution of the judge.
+        leaving: Velocity at the start [rad/s or m/s]; None: at rest.
+        before: Motion up to the start, by which liquids swing there.
+    """
     scene, looks = objective.scene, verification or VerificationSettings()
     impact, exposure = objective.objective.impact, objective.objective.exposure
     # The judge can recompute only the published model, over length or time: it has no second implementation of others.
@@ -58,7 +79,8 @@ def verdict_of(
     return verify(
         motion.trajectory,
         scene,
-        start=motion.path.q[0],
+        start=motion.path.q[0] if leaving is None else State(motion.path.q[0], leaving),
+        before=before,
         goal=motion.path.q[-1] if pose is None else pose,
         cost=motion.cost if recomputable else None,
         components=impact.components if isinstance(impact, ImpactCost) else (),

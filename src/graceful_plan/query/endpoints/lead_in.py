@@ -1,0 +1,56 @@
+"""What a moving start adds to a query: the velocity, and a straight path in which the robot is able to stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.path import Path
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.timing.trajectory import State, Trajectory
+
+Array = np.ndarray
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Takeover:
+    """The start of a motion that takes over from another one.
+
+    | field  | meaning                                                                      |
+    |--------|------------------------------------------------------------------------------|
+    | state  | where and how fast the robot is                                              |
+    | before | the motion up to there, which ends at time 0; liquids swing by it            |
+    | stop   | a stop along that motion, from time 0 on; None if there is none              |
+    | onward | the rest of that motion's path, from which descents may start; None for none |
+    """
+
+    state: State
+    before: Trajectory
+    stop: Trajectory | None = None
+    onward: Path | None = None
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LeadIn:
+    """A moving start.
+
+    | field    | meaning                                                     | unit  | shape |
+    |----------|-------------------------------------------------------------|-------|-------|
+    | velocity | velocity at the start                                       | rad/s | nq    |
+    | path     | straight path along it, in which the robot is able to stop  | rad   | 2 nq  |
+    | is_clear | whether the fast checker finds that path free               |       |       |
+    """
+
+    velocity: Float[Array, " nq"]
+    path: Path
+    is_clear: bool
+
+    def leading_to(self, ends: Endpoints) -> Endpoints:
+        """Return the endpoints of a search from the end of the lead-in, with the lead-in before the departure."""
+        departure = Path(np.vstack([self.path.q[:1], ends.departure.q]))
+        return replace(ends, departure=departure, clear_lead=self.is_clear and len(ends.departure) == 1)
