@@ -42,7 +42,7 @@ class LeadIn:
     | field    | meaning                                                     | unit  | shape |
     |----------|-------------------------------------------------------------|-------|-------|
     | velocity | velocity at the start                                       | rad/s | nq    |
-    | path     | straight path along it, in which the robot is able to stop  | rad   | 2 nq  |
+    | path     | path along it, in which the robot is able to stop           | rad   | n nq  |
     | is_clear | whether the fast checker finds that path free               |       |       |
     """
 
@@ -52,5 +52,5 @@ class LeadIn:
 
     def leading_to(self, ends: Endpoints) -> Endpoints:
         """Return the endpoints of a search from the end of the lead-in, with the lead-in before the departure."""
-        departure = Path(np.vstack([self.path.q[:1], ends.departure.q]))
+        departure = Path(np.vstack([self.path.q[:-1], ends.departure.q]))
         return replace(ends, departure=departure, clear_lead=self.is_clear and len(ends.departure) == 1)

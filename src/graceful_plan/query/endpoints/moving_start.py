@@ -31,10 +31,11 @@ Array = np.ndarray
 
 _SHORTEST = 1e-3
 """Least length of a lead-in [rad]: timing merges vertices that are closer than 1e-5."""
-_LONGER = (1.0001, 1.02, 1.2, 1.5, 2.0, 3.0, 5.0)
-"""Lengths of lead-ins to try, relative to the braking distance within the limits of the joints."""
+_LONGER = (1.0001, 1.05, 1.25, 1.5, 2.0, 2.5, 3.5, 5.0)
+"""Lengths of lead-ins to try, relative to the braking distance within the limits of the joints; without a carried
+object whose specific force is limited, only the first two."""
 _SAMPLES = 9
-"""Configurations along a lead-in that are checked by the fast checker."""
+"""Configurations of a lead-in that the fast checker checks, and vertices of one that is not straight."""
 _ROUNDING = 1e-9
 """Relative reserve of a start velocity below its limit."""
 
@@ -116,10 +117,10 @@ def _stoppable(
             problems = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
             why = why or f"the straight stop takes {stop.duration:.3g} s; {problems}"
             continue
-        if is_straight and not stops:
-            path = Path(stop.q[[0, -1]])
-            between = path.q[0] + np.linspace(0.0, 1.0, _SAMPLES)[:, None] * (path.q[1] - path.q[0])
-            is_clear = bool((held.clearance(between) >= TARGET_CLEARANCE).all())
+        if not stops and (is_straight or (takeover is not None and takeover.onward is not None)):
+            path = Path(stop.at(np.linspace(stop.t[0], stop.t[-1], _SAMPLES)).q).without_duplicates()
+            is_clear = bool((held.clearance(path.q) >= TARGET_CLEARANCE).all())
+            path = Path(path.q[[0, -1]]) if is_straight else path
             return RealStart(stop.q[-1], turns), LeadIn(state.qd, path, is_clear)
         return RealStart(stop.q[-1], turns, stop, before=before, note="it stops first"), None
     return PlanResult(status=PlanStatus.INVALID_START, detail=f"start: the robot moves and cannot stop; {why}")
@@ -128,29 +129,27 @@ def _stoppable(
 def _stops(
     state: State, held: SceneConstraints, speed: float, along: Trajectory | None
 ) -> Iterator[tuple[Trajectory, bool]]:
-    """Yield stops to try: a straight one, one in which every joint brakes by itself, and one along the former motion.
+    """Yield stops to try: straight ones, one along the former motion, and one in which every joint brakes by itself.
 
     Each comes with whether it is straight.
     """
-    if (straight := _straight(state, held, speed)) is not None:
-        yield straight, True
-    yield _each_joint(state, held.scene, speed), False
+    yield from ((straight, True) for straight in _straight(state, held, speed))
     if along is not None:
         yield along, False
+    yield _each_joint(state, held.scene, speed), False
 
 
-def _straight(state: State, held: SceneConstraints, speed: float) -> Trajectory | None:
-    """Return the shortest straight stop that timing finds; None if there is none."""
+def _straight(state: State, held: SceneConstraints, speed: float) -> Iterator[Trajectory]:
+    """Yield straight stops from the shortest one on; with contents, longer ones are gentler."""
     size = float(np.linalg.norm(state.qd))
     seconds = float((np.abs(state.qd) / (speed**2 * held.scene.limits.acceleration)).max())
-    for longer in _LONGER:
+    for longer in _LONGER if held.felt else _LONGER[:2]:
         length = max(_SHORTEST, longer * 0.5 * size * seconds)
         line = Path(np.stack([state.q, state.q + length / size * state.qd]))
         try:
-            return held.retimed(line, deviation=0.0, speed=speed, start_speed=size)
+            yield held.retimed(line, deviation=0.0, speed=speed, start_speed=size)
         except RetimingError:
             continue
-    return None
 
 
 def _each_joint(state: State, scene: Scene, speed: float) -> Trajectory:

@@ -92,7 +92,8 @@ TimedCurve travelled(Reals step, Reals q, Reals slope, Reals bend, Reals speeds,
   if (!travel({n, dim, step.data(), slope.data(), bend.data(), nullptr}, q.data(), squared, motion, halted))
     return {{}, {}, {-1, halted, true}, dim};
   motion.excess = cubics_excess(motion.t.size(), dim, motion.t.data(), motion.q.data(), motion.qd.data(),
-                                motion.qdd.data(), velocity.data(), acceleration.data());
+                                motion.qdd.data(), velocity.data(), acceleration.data())
+                      .both();
   return found;
 }
 
@@ -101,7 +102,7 @@ double excess(Reals t, Reals q, Reals qd, Reals qdd, Reals velocity, Reals accel
   require_numbers(t, "times");
   for (const Reals& part : {q, qd, qdd}) require_numbers(part, n * dim, "samples of a motion");
   require_limits(velocity, acceleration);
-  return cubics_excess(n, dim, t.data(), q.data(), qd.data(), qdd.data(), velocity.data(), acceleration.data());
+  return cubics_excess(n, dim, t.data(), q.data(), qd.data(), qdd.data(), velocity.data(), acceleration.data()).both();
 }
 
 // First and second derivatives of a point of a link along a curve: [2, n, 3].

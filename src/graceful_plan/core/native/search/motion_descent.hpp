@@ -469,7 +469,7 @@ class MotionDescent {
   static constexpr double kPassing = 0.15;  // wanted clearance to moving entities [m]; the judge requires more than 0
   static constexpr double kPassingWeight = 20.0;  // weight of its square, relative to that of other clearance
   static constexpr double kSlowest = 1e-9;        // lower bound of speeds of the curve parameter [1/s]
-  static constexpr double kStartRoom = 1.05;      // wanted room for the squared speed at a moving start
+  static constexpr double kStartRoom = 1.1;       // wanted room for the squared speed at a moving start
 
   Space& space_;
   const MotionSettings settings_;

@@ -6,8 +6,8 @@
 // motion is slowed down. The fastest motion of all levels is the result.
 //
 // A motion may begin with a given speed. It cannot be slowed down as a whole then, so the result is that of the first
-// level at which the surface stays below the rim. Where sampling lets it exceed a limit, it is timed again from a speed
-// that is as much higher, and then stretched to the given one.
+// level at which the surface stays below the rim. Where sampling lets it exceed a limit, it is timed again with limits
+// that are as much tighter.
 #pragma once
 #include "core.hpp"
 #include "timing/felt.hpp"
@@ -47,8 +47,9 @@ class CurveTiming {
       for (size_t j = 0; j < curve.dim; ++j) size += curve.slope[j] * curve.slope[j];
       start_ = start * start / (speed * speed * std::max(size, kLeastSlope));
     }
-    const std::vector<Box>& box = profile_.enter(curve, start_);
     move(curve, q);
+    if (moving()) return run_from_speed(curve, q, {limit, further}, speed);
+    const std::vector<Box>& box = profile_.enter(curve);
     bool found = false;
     for (const Level& level : levels_) {
       trouble_ = {};
@@ -58,19 +59,13 @@ class CurveTiming {
       }
       const double longest = found ? best_.duration() : std::numeric_limits<double>::infinity();
       if (now_.duration() >= longest) break;
-      if (moving()) {
-        if (!is_calm(curve, level, 1.0)) continue;
-        best_ = now_, best_speed_ = speed_;
-        return true;
-      }
       const double slower = slowdown(curve, level, longest);
       now_.stretch(slower);
       if (now_.duration() < longest) best_ = now_, best_speed_ = speed_;
       found = true;
       if (slower == 1) break;
     }
-    if (!found) trouble_ = {-1, 0, true};
-    return found;
+    return true;
   }
   const Travel& motion() const { return best_; }
   // Speed of the parameter at each point before any slowdown, also for a motion that comes to a halt.
@@ -84,7 +79,7 @@ class CurveTiming {
   static constexpr double kSlowdown = 1.01;   // factor of each slowdown
   static constexpr int kMostSlowdowns = 310;  // most of them: a factor of 22 in all
   static constexpr double kLeastSlope = 1e-12;
-  static constexpr int kRetimings = 4;            // of a motion with a given start, for limits between samples
+  static constexpr int kRetimings = 5;            // of a motion with a given start, for limits between samples
   static constexpr double kRetimingRoom = 1.2;    // factor on the excess from one of them to the next
   static constexpr double kStartTolerance = 1e-9;  // relative excess of the given squared speed over the feasible one
 
@@ -144,27 +139,44 @@ class CurveTiming {
     }
     for (size_t l = 0; l < level.size(); ++l)
       if (tightest[l] < kLeastRoom * level[l].gravity) return trouble_ = {int(l), where[l], true}, false;
-    double slower = 1;
+    squared_ = profile_.compute(curve, rows_, start_);
+    if (moving() && profile_.reachable() < start_ * (1 - kStartTolerance)) return trouble_ = {-1, 0, true}, false;
+    speed_.resize(n + 1);
+    for (size_t i = 0; i <= n; ++i) speed_[i] = std::sqrt(squared_[i]);
+    size_t halted = 0;
+    if (!travel(curve, q, squared_, now_, halted)) return trouble_ = {-1, halted, true}, false;
+    excess_ = cubics_excess(now_.t.size(), curve.dim, now_.t.data(), now_.q.data(), now_.qd.data(), now_.qdd.data(),
+                            velocity_.data(), acceleration_.data());
+    now_.excess = moving() ? 1.0 : excess_.both();
+    stretched_ = (moving() ? 1.0 : now_.excess * (1 + kRounding)) / speed;
+    now_.stretch(stretched_);
+    return true;
+  }
+
+  // Times a motion that begins with a speed, with tighter limits as long as it exceeds the given ones between samples.
+  bool run_from_speed(const CurveSamples& curve, const double* q, const Further& further, double speed) {
+    Excess tighter;
     for (int tried = 0; tried < kRetimings; ++tried) {
-      const double start = moving() ? slower * slower * start_ : start_;
-      squared_ = profile_.compute(curve, rows_, start);
-      if (moving() && profile_.reachable() < start * (1 - kStartTolerance)) return trouble_ = {-1, 0, true}, false;
-      speed_.resize(n + 1);
-      for (size_t i = 0; i <= n; ++i) speed_[i] = std::sqrt(squared_[i]);
-      size_t halted = 0;
-      if (!travel(curve, q, squared_, now_, halted)) return trouble_ = {-1, halted, true}, false;
-      now_.excess = cubics_excess(now_.t.size(), curve.dim, now_.t.data(), now_.q.data(), now_.qd.data(),
-                                  now_.qdd.data(), velocity_.data(), acceleration_.data());
-      const double least = now_.excess * (1 + kRounding);
-      if (!moving()) slower = least;
-      if (least <= slower * (1 + kRounding)) {
-        stretched_ = slower / speed;
-        now_.stretch(stretched_);
+      profile_ = SpeedProfile(divided(velocity_, tighter.velocity),
+                              divided(acceleration_, tighter.acceleration * tighter.acceleration));
+      const std::vector<Box>& box = profile_.enter(curve, start_);
+      for (const Level& level : levels_) {
+        trouble_ = {};
+        if (!time(curve, q, level, further, box, speed)) return false;
+        if (excess_.both() > 1 + kRounding) break;
+        if (!is_calm(curve, level, 1.0)) continue;
+        best_ = now_, best_speed_ = speed_;
         return true;
       }
-      slower = 1 + kRetimingRoom * (least - 1);
+      if (excess_.both() <= 1 + kRounding) break;  // a liquid swings too far at every level
+      tighter.velocity *= 1 + kRetimingRoom * (excess_.velocity - 1);
+      tighter.acceleration *= 1 + kRetimingRoom * (excess_.acceleration - 1);
     }
     return trouble_ = {-1, 0, true}, false;
+  }
+  static Point divided(Point limits, double factor) {
+    for (double& limit : limits) limit /= factor;
+    return limits;
   }
 
   // Whether no surface exceeds its rim in the motion slowed down by a factor.
@@ -200,6 +212,7 @@ class CurveTiming {
   std::vector<VesselMotion> vessel_;
   double stretched_ = 1, start_ = SpeedProfile::kUnbounded;
   Travel now_, best_;
+  Excess excess_;
   Trouble trouble_;
 };
 

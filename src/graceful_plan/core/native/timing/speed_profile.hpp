@@ -98,7 +98,7 @@ class SpeedProfile {
       : velocity_(std::move(velocity)), acceleration_(std::move(acceleration)) {}
 
   static constexpr double kUnbounded = 1e12;  // squared speed without a limit [1/s^2]
-  static constexpr double kStartRoom = 1.1;   // bound of the squared speed at a moving start, relative to the given one
+  static constexpr double kStartRoom = 1.2;   // bound of the squared speed at a moving start, relative to the given one
 
   // Takes a curve and returns the joints' bounds on each interval. Without a stop at the beginning, `start` is the
   // squared speed there. A robot cannot choose its present velocity, so the velocity limits do not apply to it.
