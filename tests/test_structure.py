@@ -57,7 +57,7 @@ FLOORS = (
     {"analysis", "transcription"},
     {"query"},
     {"plan", "roadmap"},
-    {"tuning"},
+    {"replan", "tuning"},
     {"viz"},
     {"mobile"},
     {"annotation", "viewer"},

@@ -178,8 +178,6 @@ def plan(
         return _with_times(_with_notes(ends, notes), ready.total, started)
     ends = ends if lead is None else lead.leading_to(ends)
     request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index), lead=lead)
-    if isinstance(start, Takeover) and lead is not None:
-        request = replace(request, before=start.before, onward=start.onward)
     try:
         best = BestVerified(request, ends, budget)
         for motion in candidates(request, ends, budget, rng, best):

@@ -10,13 +10,11 @@ import numpy as np
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import VerificationSettings
-from graceful_plan.path import Path
 from graceful_plan.planners import Planner
 from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.endpoints.lead_in import LeadIn
 from graceful_plan.scene.pose_goal import PoseGoal
-from graceful_plan.timing.trajectory import Trajectory
 
 Stop = Literal["first", "converged", "time_limit"]
 """When to end: at the first verified motion, at convergence, or at the end of the budget."""
@@ -41,8 +39,6 @@ class Request:
     | stop         | when to end                                                           |      |
     | callback     | called with every improvement                                         |      |
     | lead         | lead-in of a moving start; None from rest                             |      |
-    | before       | motion up to the start, which ends at time 0; None: liquids are calm  |      |
-    | onward       | a path from the start from which descents may start; None: there is none |   |
     """
 
     planner: Planner
@@ -57,8 +53,6 @@ class Request:
     stop: Stop = "time_limit"
     callback: Callback | None = None
     lead: LeadIn | None = None
-    before: Trajectory | None = None
-    onward: Path | None = None
 
     @property
     def start_speed(self) -> float:

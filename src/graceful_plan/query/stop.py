@@ -41,6 +41,8 @@ _SLACK = 1.01
 _FASTEST = 1.05
 """Largest path speed of the timing; a stop only becomes slower."""
 _HALVINGS = 30
+_APART = 1e-9
+"""Least time between two grid points [s], above the rounding of times."""
 _UNLIMITED = 1e6
 """Velocity limit of the timing [rad/s or m/s]: the path speed is limited instead."""
 _FADES = (0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75, 0.95)
@@ -56,16 +58,16 @@ def plan_stop(
     robot, whatever speed the motion was planned with.
 
     Args:
-        motion: The motion that the robot executes, from rest.
+        motion: The motion that the robot executes; contents swing by what it did before `at`.
         scene: Robot, surroundings and carried object.
         at: Time at which the stop begins, on the clock of the motion [s].
         constraints: Constraints along the stop; by default those of `plan`: contents stay in, the grasp holds. With
             `[]`, it is the quickest stop within the limits of the robot.
 
     Returns:
-        The result. Its trajectory begins at `at` and ends at rest. It is SOLVED if the motion up to `at` with the stop
-        has passed the judge. If no quicker stop does, the rest of the motion itself is the stop, which `detail` says.
-        INFEASIBLE if that does not pass either, such as in a scene that has changed since.
+        The result. Its trajectory begins at `at` and ends at rest. It is SOLVED if the stop has passed the judge. If no
+        quicker stop does, the rest of the motion itself is the stop, which `detail` says. INFEASIBLE if that does not
+        pass either, such as in a scene that has changed since.
 
     Raises:
         SettingError: If `at` is not a finite time, or motion or scene have another type.
@@ -81,8 +83,8 @@ def plan_stop(
     proof = compile_scene(scene).proof.clearance
     detail, verdict = "", None
     for stop, what in _stops(motion, float(at), held):
-        whole = _joined(motion, stop)
-        verdict = verify(whole, scene, constraints=held.constraints, clearance=proof)
+        begun = motion.at(float(stop.t[0]))
+        verdict = verify(stop, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
         if verdict.passed:
             return PlanResult(
                 status=PlanStatus.SOLVED,
@@ -99,7 +101,7 @@ def plan_stop(
 
 def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str]]:
     """Yield stops, the quickest first, with what there is to say about each; last the rest of the motion itself."""
-    rest = _rest(motion, at)
+    rest = motion.since(at)
     found: list[Trajectory] = []
     if motion.t[0] < at < motion.t[-1] and len(motion) > 1:
         quickest = (_quickest(motion, at, held, level) for level in held.steady_levels)
@@ -146,7 +148,7 @@ def _quickest(
     if stop is None or excess > _SLACK + 10.0 * _CLOSE:
         return None
     stop = slowed(stop, excess)
-    return Trajectory(at + stop.t, stop.q, stop.qd, stop.qdd, stop.joints)
+    return stop.later(at)
 
 
 def _timed(
@@ -169,7 +171,7 @@ def _timed(
 def _grid(motion: Trajectory, at: float, after: float) -> CurveGrid:
     """Return points along a motion, its samples among them, since its acceleration may jump there."""
     even = np.linspace(at, at + after, _POINTS)
-    inside = motion.t[(motion.t > at) & (motion.t < at + after)]
+    inside = motion.t[(motion.t > at + _APART) & (motion.t < at + after - _APART)]
     t = np.union1d(even, inside)
     t = t[np.append(True, np.diff(t) > 1e-3 * after / _POINTS) | np.isin(t, inside)]
     t = np.append(t[(t > at) & (t < at + after)], at + after)
@@ -193,22 +195,3 @@ def _faded(motion: Trajectory, at: float, after: float) -> Trajectory:
     speed, acceleration = 0.5 * (1.0 + np.cos(phase))[:, None], -0.5 * np.pi / seconds * np.sin(phase)[:, None]
     state = motion.at(at + s)
     return Trajectory(at + t, state.q, state.qd * speed, state.qdd * speed**2 + state.qd * acceleration, motion.joints)
-
-
-def _rest(motion: Trajectory, at: float) -> Trajectory:
-    """Return what is left of a motion from a time on."""
-    at = float(np.clip(at, motion.t[0], motion.t[-1]))
-    t = np.append(at, motion.t[motion.t > at + 1e-9])
-    return Trajectory(t, *motion.at(t), motion.joints)
-
-
-def _joined(motion: Trajectory, stop: Trajectory) -> Trajectory:
-    """Return the motion up to the beginning of a stop, followed by the stop."""
-    before = motion.t < stop.t[0] - 1e-9
-    return Trajectory(
-        np.append(motion.t[before], stop.t),
-        np.vstack([motion.q[before], stop.q]),
-        np.vstack([motion.qd[before], stop.qd]),
-        np.vstack([motion.qdd[before], stop.qdd]),
-        motion.joints,
-    )

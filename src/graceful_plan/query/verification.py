@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
-from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import VerificationSettings, verify
 from graceful_plan.query.candidates.motions import Motion
+from graceful_plan.query.endpoints.lead_in import LeadIn
 from graceful_plan.query.request import Request
 from graceful_plan.result import Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
-from graceful_plan.timing.trajectory import State, Trajectory
-
-Array = np.ndarray
+from graceful_plan.timing.trajectory import State
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +29,7 @@ class VerifiedMotion:
 def judged(motion: Motion, request: Request) -> VerifiedMotion:
     """Verify a motion of a request."""
     pose = request.pose(motion.arrival)
-    leaving = None if request.lead is None else request.lead.velocity
-    verdict = verdict_of(
-        motion, request.objective, request.constraints, pose, request.verification, leaving, request.before
-    )
+    verdict = verdict_of(motion, request.objective, request.constraints, pose, request.verification, request.lead)
     return VerifiedMotion(motion=motion, verdict=verdict)
 
 
@@ -57,8 +50,7 @@ def verdict_of(
     constraints: SceneConstraints,
     pose: PoseGoal | None = None,
     verification: VerificationSettings | None = None,
-    leaving: Float[Array, " nq"] | None = None,
-    before: Trajectory | None = None,
+    lead: LeadIn | None = None,
 ) -> Verdict:
     """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given.
 
@@ -68,8 +60,7 @@ def verdict_of(
         constraints: Constraints along the motion.
         pose: Pose of the tool at the end; None: the end of the path.
         verification: Resolution of the judge.
-        leaving: Velocity at the start [rad/s or m/s]; None: at rest.
-        before: Motion up to the start, by which liquids swing there.
+        lead: Lead-in of a moving start; None: the motion starts at rest.
     """
     scene, looks = objective.scene, verification or VerificationSettings()
     impact, exposure = objective.objective.impact, objective.objective.exposure
@@ -79,8 +70,8 @@ def verdict_of(
     return verify(
         motion.trajectory,
         scene,
-        start=motion.path.q[0] if leaving is None else State(motion.path.q[0], leaving),
-        before=before,
+        start=motion.path.q[0] if lead is None else State(motion.path.q[0], lead.velocity),
+        before=None if lead is None or lead.takeover is None else lead.takeover.before,
         goal=motion.path.q[-1] if pose is None else pose,
         cost=motion.cost if recomputable else None,
         components=impact.components if isinstance(impact, ImpactCost) else (),

@@ -28,8 +28,8 @@ Array = np.ndarray
 
 _LONGEST = 1e6
 """Longest path that is timed [rad or m]: beyond it, grid intervals are lost in rounding."""
-_DENSITIES = (1, 2, 4)
-"""Densities of the grids that timing tries, from coarse to fine."""
+_FINEST = 4
+"""Density of the finest grid."""
 _ROUNDING = 1e-9
 """Relative reserve below the limits, for rounding errors when another program evaluates the trajectory."""
 ACCEPTED_SLOWDOWN = 1.02
@@ -121,15 +121,13 @@ def timed(
             raise SettingError("restraint", restraint, "None with torque limits: toppra does not get it")
         return slowed(_refined_with_torque(curve, limits, joints, inverse_dynamics), 1.0 / speed)
     velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
-    for density in _DENSITIES:
+    for density in (1, 2, _FINEST):
         grid = curve.grid(density)
         limit = None if restraint is None else np.ascontiguousarray(restraint(grid))
         try:
-            found = fastest(
-                grid, velocity, acceleration, limit=limit, felt=felt, speed=speed, start_speed=start_speed
-            )
+            found = fastest(grid, velocity, acceleration, limit=limit, felt=felt, speed=speed, start_speed=start_speed)
         except RetimingError:
-            if not start_speed or density == _DENSITIES[-1]:
+            if not start_speed or density == _FINEST:
                 raise
             continue  # on a finer grid, a motion with a given start needs less room below the limits
         if found.excess <= ACCEPTED_SLOWDOWN:
@@ -171,7 +169,7 @@ def _refined_with_torque(
     velocity, acceleration, torque = (
         np.asarray(x, float) for x in (limits.velocity, limits.acceleration, limits.torque)
     )
-    for density in _DENSITIES:
+    for density in (1, 2, _FINEST):
         grid = curve.grid(density)
         _check_holdable(grid, torque, joints, inverse_dynamics)
         speeds = fastest_with_toppra(grid, velocity, acceleration, torque, inverse_dynamics)

@@ -35,7 +35,7 @@ _UNKNOWN.flags.writeable = False
 
 
 class State(NamedTuple):
-    """Position, velocity and acceleration of the joints at one or more times, in the order of the scene's joints.
+    r"""Position, velocity and acceleration of the joints at one or more times, in the order of the scene's joints.
 
     | field | meaning                                 | unit               | shape      |
     |-------|-----------------------------------------|--------------------|------------|
@@ -216,6 +216,16 @@ class Trajectory:
         qd[0] = qdd[0] = 0.0
         return Trajectory(t, q, qd, qdd, self.joints)
 
+    def since(self, t: float) -> Trajectory:
+        """Return the rest of the motion from a time on [s], on the same clock."""
+        t = float(np.clip(t, self.t[0], self.t[-1]))
+        times = np.append(t, self.t[self.t > t + _SHORTEST])
+        return Trajectory(times, *self.at(times), self.joints)
+
+    def later(self, seconds: float) -> Trajectory:
+        """Return the same motion on a clock that is behind by a time [s]: it starts that much later."""
+        return Trajectory(self.t + seconds, self.q, self.qd, self.qdd, self.joints)
+
     def spliced(self, after: Trajectory) -> Trajectory:
         """Return this motion up to the start of another one on the same clock, followed by that one.
 
@@ -233,8 +243,8 @@ class Trajectory:
         if jump > REST:
             raise SettingError("after", after, f"a motion without a jump, here {jump:.3g}, at {begins:g} s")
         mine = self.t < begins - _SHORTEST
-        parts = (np.concatenate([getattr(self, x)[mine], getattr(after, x)]) for x in ("t", "q", "qd", "qdd"))
-        return Trajectory(*parts, self.joints)
+        t, q, qd, qdd = (np.concatenate([getattr(self, x)[mine], getattr(after, x)]) for x in ("t", "q", "qd", "qdd"))
+        return Trajectory(t, q, qd, qdd, self.joints)
 
     def sample(self, dt: float) -> Trajectory:
         """Sample every `dt` [s]; the last sample is exactly the end, so the last piece may be shorter.

@@ -68,7 +68,8 @@ class MotionSource:
         settings = SHORTENING if self._shortens else DescentSettings()
         self._descents = motion_descents(request, problem, settings) if request.refine else None
         self._results: list[DescentResult] = []
-        self._onward = [] if request.onward is None else [start_onto(request.onward, ends)]
+        onward = None if request.lead is None or request.lead.takeover is None else request.lead.takeover.onward
+        self._onward = [] if onward is None else [start_onto(onward, ends)]
         self._related: MotionSource | None = None
         related = proxy_objective(request.objective) if request.refine and request.preference is None else None
         if related is not None:

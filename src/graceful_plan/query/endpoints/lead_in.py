@@ -33,6 +33,21 @@ class Takeover:
     stop: Trajectory | None = None
     onward: Path | None = None
 
+    def without_turns(self, turns: Float[Array, " nq"]) -> Takeover:
+        """Return the same start with whole turns of the joints subtracted everywhere [rad]."""
+        if not turns.any():
+            return self
+        return Takeover(
+            state=self.state._replace(q=self.state.q - turns),
+            before=_less(self.before, turns),
+            stop=None if self.stop is None else _less(self.stop, turns),
+            onward=None if self.onward is None else Path(self.onward.q - turns),
+        )
+
+
+def _less(motion: Trajectory, turns: Float[Array, " nq"]) -> Trajectory:
+    return Trajectory(motion.t, motion.q - turns, motion.qd, motion.qdd, motion.joints)
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -44,11 +59,13 @@ class LeadIn:
     | velocity | velocity at the start                                       | rad/s | nq    |
     | path     | path along it, in which the robot is able to stop           | rad   | n nq  |
     | is_clear | whether the fast checker finds that path free               |       |       |
+    | takeover | the motion that the robot leaves; None if it is not known   |       |       |
     """
 
     velocity: Float[Array, " nq"]
     path: Path
     is_clear: bool
+    takeover: Takeover | None = None
 
     def leading_to(self, ends: Endpoints) -> Endpoints:
         """Return the endpoints of a search from the end of the lead-in, with the lead-in before the departure."""

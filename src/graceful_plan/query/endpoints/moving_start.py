@@ -16,7 +16,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import RetimingError, SettingError, UnsupportedError
-from graceful_plan.judge.verification import LIMIT_TOLERANCE, verify
+from graceful_plan.judge.verification import verify
 from graceful_plan.path import Path, finite_array
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.escape import TARGET_CLEARANCE
@@ -36,6 +36,8 @@ _LONGER = (1.0001, 1.05, 1.25, 1.5, 2.0, 2.5, 3.5, 5.0)
 object whose specific force is limited, only the first two."""
 _SAMPLES = 9
 """Configurations of a lead-in that the fast checker checks, and vertices of one that is not straight."""
+_EXCESS = 1e-7
+"""Largest relative excess of a start velocity over its limit that is clipped instead of refused."""
 _ROUNDING = 1e-9
 """Relative reserve of a start velocity below its limit."""
 
@@ -65,7 +67,7 @@ def find_start(
     """
     scene = constraints.scene
     takeover = start if isinstance(start, Takeover) else None
-    state = takeover.state if takeover is not None else start
+    state = start.state if isinstance(start, Takeover) else start
     if not isinstance(state, State):
         return real_start(start_configuration(state, scene), constraints, tolerance, speed), None
     q, velocity = _checked(state, scene)
@@ -76,12 +78,12 @@ def find_start(
     if max_wait:
         raise SettingError("max_wait", max_wait, "0 for a robot that moves: it cannot wait")
     excess = np.abs(velocity) / (speed * scene.limits.velocity)
-    if excess.max() > 1.0 + LIMIT_TOLERANCE:
+    if excess.max() > 1.0 + _EXCESS:
         return PlanResult(status=PlanStatus.INVALID_START, detail=_too_fast(velocity, excess, speed, scene))
     velocity = velocity / np.maximum(excess * (1.0 + _ROUNDING), 1.0)
     q, turns = without_turns(q, scene)
-    before = None if takeover is None else takeover.before
-    return _stoppable(State(q, velocity), turns, constraints, speed, takeover, before, stops=stops)
+    takeover = None if takeover is None else takeover.without_turns(turns)
+    return _stoppable(State(q, velocity), turns, constraints, speed, takeover, stops=stops)
 
 
 def _checked(state: State, scene: Scene) -> tuple[Array, Array]:
@@ -96,15 +98,15 @@ def _stoppable(
     constraints: SceneConstraints,
     speed: float,
     takeover: Takeover | None,
-    before: Trajectory | None,
     *,
     stops: bool,
 ) -> tuple[RealStart, LeadIn | None] | PlanResult:
     """Return a straight lead-in, else another stop to plan from, else why there is none."""
     scene = constraints.scene
     held = constraints.around(state.q[None])
+    before, along = (None, None) if takeover is None else (takeover.before, takeover.stop)
     why = ""
-    for stop, is_straight in _stops(state, held, speed, None if takeover is None else takeover.stop):
+    for stop, is_straight in _stops(state, held, speed, along):
         verdict = verify(
             stop,
             scene,
@@ -121,7 +123,7 @@ def _stoppable(
             path = Path(stop.at(np.linspace(stop.t[0], stop.t[-1], _SAMPLES)).q).without_duplicates()
             is_clear = bool((held.clearance(path.q) >= TARGET_CLEARANCE).all())
             path = Path(path.q[[0, -1]]) if is_straight else path
-            return RealStart(stop.q[-1], turns), LeadIn(state.qd, path, is_clear)
+            return RealStart(stop.q[-1], turns), LeadIn(state.qd, path, is_clear, takeover)
         return RealStart(stop.q[-1], turns, stop, before=before, note="it stops first"), None
     return PlanResult(status=PlanStatus.INVALID_START, detail=f"start: the robot moves and cannot stop; {why}")
 
@@ -154,8 +156,8 @@ def _straight(state: State, held: SceneConstraints, speed: float) -> Iterator[Tr
 
 def _each_joint(state: State, scene: Scene, speed: float) -> Trajectory:
     """Return the stop in which each joint brakes as hard as it may, so that each one stops as early as it can."""
-    braking = -np.sign(state.qd) * speed**2 * scene.limits.acceleration * (1.0 - _ROUNDING)
-    seconds = np.abs(state.qd / braking)
+    most = speed**2 * scene.limits.acceleration * (1.0 - _ROUNDING)
+    braking, seconds = -np.sign(state.qd) * most, np.abs(state.qd) / most
     t = np.unique(np.append(0.0, seconds[seconds > 0.0]))
     t = t[np.append(True, np.diff(t) > 1e-6)]
     past = np.minimum(t[:, None], seconds)

@@ -1,0 +1,150 @@
+"""replan(): a new motion for a robot that executes another one, from a moment of that on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from graceful_plan.constraints.constraint import Constraint
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.objective import Objective, search_paces
+from graceful_plan.exceptions import SettingError
+from graceful_plan.judge.verification import verify
+from graceful_plan.path import Path, is_real
+from graceful_plan.plan import plan
+from graceful_plan.planners.motion_descent import time_price
+from graceful_plan.query.arguments import check_no_base, checked_objective, checked_speed
+from graceful_plan.query.candidates.departure import at_time
+from graceful_plan.query.endpoints.goals import Goal
+from graceful_plan.query.endpoints.lead_in import Takeover
+from graceful_plan.query.stop import plan_stop
+from graceful_plan.result import PlanResult, PlanStatus, Verdict
+from graceful_plan.scene.scene import Scene, checked_scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+TIME_LIMIT = 0.1
+"""Default time limit of a call [s]: ten times that of a first verified motion on bundled scenes."""
+_REMEMBERED = 2.0
+"""Time before the takeover from which on the swing of contents is computed [s]: many periods of a cup."""
+
+
+def replan(
+    motion: Trajectory,
+    scene: Scene,
+    *,
+    at: float,
+    goal: Goal | None = None,
+    w: float | None = None,
+    objective: Objective | None = None,
+    time_limit: float | None = None,
+    iterations: int | None = None,
+    seed: int = 0,
+    speed: float = 1.0,
+    constraints: Iterable[Constraint] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> PlanResult:
+    """Plan a motion that takes over from another one while the robot moves, such as after a change of the scene.
+
+    The rest of the present motion is verified anew in the scene. It is kept if it passes, leads to the goal, and no
+    better one is found. The new motion begins at `at` with the position and velocity of the present one.
+
+    The robot follows the present motion until `at`. A result that comes later than that must be dropped, so `at` has
+    to be later than the present time by more than the time limit.
+
+    Args:
+        motion: The motion that the robot executes.
+        scene: The scene as it is now. Predictions of moving entities are on the clock of `motion`.
+        at: Time at which the new motion takes over, on the clock of `motion` [s].
+        goal: See `plan`; by default the end of `motion`.
+        w: Safety weight; see `plan`.
+        objective: Objective to minimise; see `plan`.
+        time_limit: Time budget of the whole call [s]; 0.1 by default, unlimited if `iterations` is given.
+        iterations: Planner iterations; see `plan`.
+        seed: Seed of all random numbers.
+        speed: Fraction of the velocity limits to use; the robot must not be faster at `at`.
+        constraints: Constraints along the motion; see `plan`.
+        cancelled: See `plan`.
+
+    Returns:
+        The result. If it is SOLVED, its trajectory leads to the goal, and `detail` says whether it is the present
+        motion. Otherwise no such motion was found, and the trajectory is the quickest verified stop along the present
+        one, with its verdict; it is None if there is no such stop either. Every trajectory begins at `at`:
+        `motion.spliced(result.trajectory)` is the motion to execute from then on.
+
+    Raises:
+        GracefulPlanError: For misuse, as by `plan`, and for robots with a mobile base.
+    """
+    started = time.perf_counter()
+    if not isinstance(motion, Trajectory):
+        raise SettingError("motion", motion, "a Trajectory")
+    if not is_real(at) or not np.isfinite(at):
+        raise SettingError("at", at, "a finite time [s]")
+    check_no_base(checked_scene(scene), "replan()")
+    limit = TIME_LIMIT if time_limit is None and iterations is None else time_limit
+    asked = tuple(default_constraints(scene) if constraints is None else constraints)
+    bound = checked_objective(objective, w).bind(scene, search_paces(checked_speed(speed)))
+    rest = motion.since(at)
+    kept = _kept(motion, rest, scene, asked) if goal is None else None
+    stop = PlanResult(status=PlanStatus.INFEASIBLE)
+    if kept is None or not kept.passed:
+        stop = plan_stop(motion, scene, at=at, constraints=asked)
+    found = plan(
+        _takeover(motion, at, stop.trajectory, rest.path if goal is None else None),
+        motion.q[-1] if goal is None else goal,
+        at_time(scene, at),
+        objective=bound.objective,
+        time_limit=None if limit is None else max(0.0, limit - (time.perf_counter() - started)),
+        iterations=iterations,
+        seed=seed,
+        speed=speed,
+        constraints=asked,
+        cancelled=cancelled,
+    )
+    stats = {**found.stats, "total_time": time.perf_counter() - started}
+    if kept is not None and kept.passed:
+        price = time_price(careful=SceneConstraints(scene, asked).level)
+        cost = bound.breakdown(rest)
+        ranking = cost.total + price * rest.duration
+        if found.trajectory is None or ranking <= found.cost.total + price * found.trajectory.duration:
+            return replace(
+                found,
+                status=PlanStatus.SOLVED,
+                path=rest.path,
+                trajectory=rest,
+                cost=cost,
+                verdict=kept,
+                detail="the present motion is kept",
+                goal_index=0,
+                stats=stats,
+            )
+    if found.trajectory is not None:
+        return replace(found, trajectory=found.trajectory.later(at), stats=stats)
+    if stop.trajectory is None:
+        return replace(found, stats=stats)
+    told = f"{found.detail}; the trajectory is a stop"
+    return replace(found, path=stop.path, trajectory=stop.trajectory, verdict=stop.verdict, detail=told, stats=stats)
+
+
+def _kept(motion: Trajectory, rest: Trajectory, scene: Scene, constraints: tuple[Constraint, ...]) -> Verdict:
+    """Verify the rest of a motion in a scene that may have changed."""
+    held = SceneConstraints(scene, constraints).around(rest.q[[0, -1]])
+    proof = compile_scene(scene).proof.clearance
+    begun = motion.at(float(rest.t[0]))
+    return verify(rest, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
+
+
+def _takeover(motion: Trajectory, at: float, stop: Trajectory | None, onward: Path | None) -> Takeover:
+    """Return the start of the new motion, whose time is 0 at `at`."""
+    since = max(float(motion.t[0]), min(at, float(motion.t[-1])) - _REMEMBERED)
+    return Takeover(
+        state=motion.at(float(at)),
+        before=motion.since(since).later(-at),
+        stop=None if stop is None else stop.later(-at),
+        onward=onward,
+    )
