@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -73,9 +74,9 @@ def replan(
 
     Returns:
         The result. If it is SOLVED, its trajectory leads to the goal, and `detail` says whether it is the present
-        motion. Otherwise no such motion was found, and the trajectory is the quickest verified stop along the present
-        one, with its verdict; it is None if there is no such stop either. Every trajectory begins at `at`:
-        `motion.spliced(result.trajectory)` is the motion to execute from then on.
+        motion. Otherwise no such motion was found. The trajectory is then the rest of the present motion if that
+        passes in the scene, else the quickest verified stop along it; it is None if there is no such stop either.
+        Every trajectory begins at `at`: `motion.spliced(result.trajectory)` is the motion to execute from then on.
 
     Raises:
         GracefulPlanError: For misuse, as by `plan`, and for robots with a mobile base.
@@ -90,12 +91,16 @@ def replan(
     asked = tuple(default_constraints(scene) if constraints is None else constraints)
     bound = checked_objective(objective, w).bind(scene, search_paces(checked_speed(speed)))
     rest = motion.since(at)
-    kept = _kept(motion, rest, scene, asked) if goal is None else None
-    stop = PlanResult(status=PlanStatus.INFEASIBLE)
-    if kept is None or not kept.passed:
-        stop = plan_stop(motion, scene, at=at, constraints=asked)
+    kept = _kept(motion, rest, scene, asked)
+
+    @cache
+    def stop() -> PlanResult:
+        return plan_stop(motion, scene, at=at, constraints=asked)
+
+    if not kept.passed:
+        stop()  # first, since planning may use up the time
     found = plan(
-        _takeover(motion, at, stop.trajectory, rest.path if goal is None else None),
+        _takeover(motion, at, stop, rest.path if goal is None else None),
         motion.q[-1] if goal is None else goal,
         at_time(scene, at),
         objective=bound.objective,
@@ -106,29 +111,28 @@ def replan(
         constraints=asked,
         cancelled=cancelled,
     )
-    stats = {**found.stats, "total_time": time.perf_counter() - started}
-    if kept is not None and kept.passed:
+    found = replace(found, stats={**found.stats, "total_time": time.perf_counter() - started})
+    if kept.passed and goal is None:
         price = time_price(careful=SceneConstraints(scene, asked).level)
         cost = bound.breakdown(rest)
-        ranking = cost.total + price * rest.duration
-        if found.trajectory is None or ranking <= found.cost.total + price * found.trajectory.duration:
-            return replace(
-                found,
-                status=PlanStatus.SOLVED,
-                path=rest.path,
-                trajectory=rest,
-                cost=cost,
-                verdict=kept,
-                detail="the present motion is kept",
-                goal_index=0,
-                stats=stats,
-            )
+        if cost.total + price * rest.duration <= _ranking(found, price):
+            kept_on = replace(found, status=PlanStatus.SOLVED, cost=cost, goal_index=0)
+            return _along(kept_on, rest, kept, "the present motion is kept")
     if found.trajectory is not None:
-        return replace(found, trajectory=found.trajectory.later(at), stats=stats)
-    if stop.trajectory is None:
-        return replace(found, stats=stats)
-    told = f"{found.detail}; the trajectory is a stop"
-    return replace(found, path=stop.path, trajectory=stop.trajectory, verdict=stop.verdict, detail=told, stats=stats)
+        return replace(found, trajectory=found.trajectory.later(at))
+    if kept.passed:
+        return _along(found, rest, kept, f"{found.detail}; the trajectory is the rest of the present motion")
+    if (halt := stop().trajectory) is not None:
+        return _along(found, halt, stop().verdict, f"{found.detail}; the trajectory is a stop")
+    return found
+
+
+def _ranking(result: PlanResult, price: float) -> float:
+    return np.inf if result.trajectory is None else result.cost.total + price * result.trajectory.duration
+
+
+def _along(result: PlanResult, trajectory: Trajectory, verdict: Verdict, detail: str) -> PlanResult:
+    return replace(result, path=trajectory.path, trajectory=trajectory, verdict=verdict, detail=detail)
 
 
 def _kept(motion: Trajectory, rest: Trajectory, scene: Scene, constraints: tuple[Constraint, ...]) -> Verdict:
@@ -139,12 +143,12 @@ def _kept(motion: Trajectory, rest: Trajectory, scene: Scene, constraints: tuple
     return verify(rest, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
 
 
-def _takeover(motion: Trajectory, at: float, stop: Trajectory | None, onward: Path | None) -> Takeover:
+def _takeover(motion: Trajectory, at: float, stop: Callable[[], PlanResult], onward: Path | None) -> Takeover:
     """Return the start of the new motion, whose time is 0 at `at`."""
     since = max(float(motion.t[0]), min(at, float(motion.t[-1])) - _REMEMBERED)
     return Takeover(
         state=motion.at(float(at)),
         before=motion.since(since).later(-at),
-        stop=None if stop is None else stop.later(-at),
+        stop=lambda: None if (found := stop().trajectory) is None else found.later(-at),
         onward=onward,
     )

@@ -3,7 +3,7 @@
 The path is that of the motion, with time as its parameter, so that the present path speed is 1 and a stop never goes
 faster. For a place to stop at, time-optimal timing (`timing.topp`) gives the largest path speed now from which the
 robot can still stop there. The quickest stop is at the nearest place for which that is the present speed; it is found
-by bisection. A liquid that already swings may spill in it. Further candidates therefore let the path speed fade out
+by interpolation in a bracket. A liquid that already swings may spill in it. Further candidates therefore let the path speed fade out
 like a cosine, over longer and longer times.
 """
 
@@ -34,13 +34,15 @@ _POINTS = 80
 _FIRST = 0.01
 """First guess of the time along the motion within which the robot stops [s]; doubled until it is enough."""
 _CLOSE = 1e-3
-"""Relative excess of the path speed at which the bisection ends; the stop is slowed down by it."""
+"""Relative excess of the path speed at which the search ends; the stop is slowed down by it."""
 _SLACK = 1.01
 """Stops are timed from this path speed, within limits that are as much higher, and then slowed down to a path speed of
 1: where the motion is at a limit itself, there would be no room for rounding otherwise."""
 _FASTEST = 1.05
 """Largest path speed of the timing; a stop only becomes slower."""
-_HALVINGS = 30
+_MOST_TRIALS = 30
+_LEAST_SHARE = 0.05
+"""Least share of the bracket by which a trial narrows it."""
 _APART = 1e-9
 """Least time between two grid points [s], above the rounding of times."""
 _UNLIMITED = 1e6
@@ -129,19 +131,21 @@ def _quickest(
         stop = _timed(motion, at, after, held, level)
         return stop, 0.0 if stop is None else float(np.linalg.norm(stop.qd[0])) / speed
 
-    short, long = 0.0, _FIRST
+    short, long, slower = 0.0, _FIRST, 0.0
     while (found := ending(min(long, left)))[1] < _SLACK:
         if long >= left:
             return None
-        short, long = long, 2.0 * long
-    long = min(long, left)
-    for _ in range(_HALVINGS):
+        short, long, slower = long, 2.0 * long, found[1]
+    long, aim = min(long, left), _SLACK + 0.5 * _CLOSE
+    for _ in range(_MOST_TRIALS):
         if found[1] < _SLACK + _CLOSE:
             break
-        middle = 0.5 * (short + long)
+        # The square of the speed is about proportional to the way on which it can be lost.
+        share = (aim**2 - slower**2) / (found[1] ** 2 - slower**2)
+        middle = short + float(np.clip(share, _LEAST_SHARE, 1.0 - _LEAST_SHARE)) * (long - short)
         trial = ending(middle)
         if trial[1] < _SLACK:
-            short = middle
+            short, slower = middle, trial[1]
         else:
             long, found = middle, trial
     stop, excess = found

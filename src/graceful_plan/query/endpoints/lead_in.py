@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -24,13 +25,13 @@ class Takeover:
     |--------|------------------------------------------------------------------------------|
     | state  | where and how fast the robot is                                              |
     | before | the motion up to there, which ends at time 0; liquids swing by it            |
-    | stop   | a stop along that motion, from time 0 on; None if there is none              |
+    | stop   | computes a stop along that motion, from time 0 on; None if there is none     |
     | onward | the rest of that motion's path, from which descents may start; None for none |
     """
 
     state: State
     before: Trajectory
-    stop: Trajectory | None = None
+    stop: Callable[[], Trajectory | None]
     onward: Path | None = None
 
     def without_turns(self, turns: Float[Array, " nq"]) -> Takeover:
@@ -40,7 +41,7 @@ class Takeover:
         return Takeover(
             state=self.state._replace(q=self.state.q - turns),
             before=_less(self.before, turns),
-            stop=None if self.stop is None else _less(self.stop, turns),
+            stop=lambda: None if (stop := self.stop()) is None else _less(stop, turns),
             onward=None if self.onward is None else Path(self.onward.q - turns),
         )
 

@@ -104,9 +104,9 @@ def _stoppable(
     """Return a straight lead-in, else another stop to plan from, else why there is none."""
     scene = constraints.scene
     held = constraints.around(state.q[None])
-    before, along = (None, None) if takeover is None else (takeover.before, takeover.stop)
+    before = None if takeover is None else takeover.before
     why = ""
-    for stop, is_straight in _stops(state, held, speed, along):
+    for stop, is_straight in _stops(state, held, speed, takeover):
         verdict = verify(
             stop,
             scene,
@@ -129,14 +129,14 @@ def _stoppable(
 
 
 def _stops(
-    state: State, held: SceneConstraints, speed: float, along: Trajectory | None
+    state: State, held: SceneConstraints, speed: float, takeover: Takeover | None
 ) -> Iterator[tuple[Trajectory, bool]]:
     """Yield stops to try: straight ones, one along the former motion, and one in which every joint brakes by itself.
 
     Each comes with whether it is straight.
     """
     yield from ((straight, True) for straight in _straight(state, held, speed))
-    if along is not None:
+    if takeover is not None and (along := takeover.stop()) is not None:
         yield along, False
     yield _each_joint(state, held.scene, speed), False
 
