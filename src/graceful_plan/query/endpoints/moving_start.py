@@ -2,8 +2,8 @@
 
 The path begins with a straight lead-in along the velocity, long enough to stop in it, and the search starts at its end.
 Timing begins with the present speed, so a motion along that path may stop there at worst. Descents keep only the
-direction of the lead-in; their curves turn away as early as the limits allow. Where a straight lead-in is blocked, the
-robot stops on another way and plans from rest.
+direction of the lead-in; their curves turn away as early as the limits allow. Where a straight lead-in is blocked, it
+is the path of another stop.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _stoppable(
     *,
     stops: bool,
 ) -> tuple[RealStart, LeadIn | None] | PlanResult:
-    """Return a straight lead-in, else another stop to plan from, else why there is none."""
+    """Return the lead-in, the first stop that the judge passes; with `stops` that stop itself; else why there is none."""
     scene = constraints.scene
     held = constraints.around(state.q[None])
     before = None if takeover is None else takeover.before
@@ -119,11 +119,11 @@ def _stoppable(
             problems = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
             why = why or f"the straight stop takes {stop.duration:.3g} s; {problems}"
             continue
-        if not stops and (is_straight or (takeover is not None and takeover.onward is not None)):
+        if not stops:
             path = Path(stop.at(np.linspace(stop.t[0], stop.t[-1], _SAMPLES)).q).without_duplicates()
             is_clear = bool((held.clearance(path.q) >= TARGET_CLEARANCE).all())
             path = Path(path.q[[0, -1]]) if is_straight else path
-            return RealStart(stop.q[-1], turns), LeadIn(state.qd, path, is_clear, takeover)
+            return RealStart(stop.q[-1], turns), LeadIn(state.qd, path, is_clear, stop, takeover)
         return RealStart(stop.q[-1], turns, stop, before=before, note="it stops first"), None
     return PlanResult(status=PlanStatus.INVALID_START, detail=f"start: the robot moves and cannot stop; {why}")
 
