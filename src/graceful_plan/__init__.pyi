@@ -56,7 +56,7 @@ from graceful_plan.query.inverse import IKSolutions as IKSolutions
 from graceful_plan.query.inverse import solve_ik as solve_ik
 from graceful_plan.query.preparation import prepare as prepare
 from graceful_plan.query.stop import plan_stop as plan_stop
-from graceful_plan.replan import replan as replan
+from graceful_plan.replanning import replan as replan
 from graceful_plan.result import CostBreakdown as CostBreakdown
 from graceful_plan.result import PlanningFailed as PlanningFailed
 from graceful_plan.result import PlanResult as PlanResult

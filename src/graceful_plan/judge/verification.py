@@ -145,7 +145,7 @@ def verify(
         checks = {
             "collision": _collision(_without_left(violations, GRAZING_SHARE * start_tolerance), samples, scene),
             "position_limits": _position(samples, motion, scene, start_tolerance),
-            **rule_checks(motion, scene, rules, before),
+            **rule_checks(motion, scene, rules, before if _continues(motion, start) else None),
         }
     if isinstance(motion, Trajectory):
         checks |= _dynamics(motion, scene, leaving)
@@ -180,6 +180,14 @@ def _start(start: ArrayLike | State | None, nq: int) -> tuple[Float[Array, " nq"
         q = finite_array("start.q", start.q, ndim=1, last=nq)
         return q, finite_array("start.qd", start.qd, ndim=1, last=nq)
     return None if start is None else finite_array("start", start, ndim=1, last=nq), np.zeros(nq)
+
+
+def _continues(motion: Path | Trajectory, start: ArrayLike | State | None) -> bool:
+    """Return whether a motion continues a state, if one is required; otherwise its verdict fails anyway."""
+    if not isinstance(start, State) or not isinstance(motion, Trajectory):
+        return True
+    steps = np.abs(motion.q[0] - start.q), np.abs(motion.qd[0] - start.qd)
+    return bool(max(step.max() for step in steps) <= LIMIT_TOLERANCE)
 
 
 def _too_long(motion: Path | Trajectory, scene: Scene, step: float) -> Check | None:

@@ -3,8 +3,8 @@
 The path is that of the motion, with time as its parameter, so that the present path speed is 1 and a stop never goes
 faster. For a place to stop at, time-optimal timing (`timing.topp`) gives the largest path speed now from which the
 robot can still stop there. The quickest stop is at the nearest place for which that is the present speed; it is found
-by interpolation in a bracket. A liquid that already swings may spill in it. Further candidates therefore let the path speed fade out
-like a cosine, over longer and longer times.
+by interpolation in a bracket. A liquid that already swings may spill in it. Further candidates therefore let the path
+speed fade out like a cosine, over longer and longer times.
 """
 
 from __future__ import annotations

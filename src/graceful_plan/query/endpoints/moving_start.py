@@ -36,6 +36,8 @@ _LONGER = (1.0001, 1.05, 1.25, 1.5, 2.0, 2.5, 3.5, 5.0)
 object whose specific force is limited, only the first two."""
 _SAMPLES = 9
 """Configurations of a lead-in that the fast checker checks, and vertices of one that is not straight."""
+_STUB = 0.25
+"""Length of the straight beginning of a lead-in that is not straight, relative to the distance of its vertices."""
 _EXCESS = 1e-7
 """Largest relative excess of a start velocity over its limit that is clipped instead of refused."""
 _ROUNDING = 1e-9
@@ -101,7 +103,7 @@ def _stoppable(
     *,
     stops: bool,
 ) -> tuple[RealStart, LeadIn | None] | PlanResult:
-    """Return the lead-in, the first stop that the judge passes; with `stops` that stop itself; else why there is none."""
+    """Return the lead-in, by the first stop that the judge passes, or with `stops` that stop; else why there is none."""
     scene = constraints.scene
     held = constraints.around(state.q[None])
     before = None if takeover is None else takeover.before
@@ -122,10 +124,16 @@ def _stoppable(
         if not stops:
             path = Path(stop.at(np.linspace(stop.t[0], stop.t[-1], _SAMPLES)).q).without_duplicates()
             is_clear = bool((held.clearance(path.q) >= TARGET_CLEARANCE).all())
-            path = Path(path.q[[0, -1]]) if is_straight else path
+            path = Path(path.q[[0, -1]]) if is_straight else _tangent(path, state.qd)
             return RealStart(stop.q[-1], turns), LeadIn(state.qd, path, is_clear, stop, takeover)
         return RealStart(stop.q[-1], turns, stop, before=before, note="it stops first"), None
     return PlanResult(status=PlanStatus.INVALID_START, detail=f"start: the robot moves and cannot stop; {why}")
+
+
+def _tangent(path: Path, velocity: Float[Array, " nq"]) -> Path:
+    """Return a path that leaves exactly along a velocity, apart from that the same."""
+    step = _STUB * float(path.segment_lengths[0]) / np.linalg.norm(velocity)
+    return Path(np.insert(path.q, 1, path.q[0] + step * velocity, axis=0))
 
 
 def _stops(

@@ -9,21 +9,24 @@ from functools import cache
 
 import numpy as np
 
+from graceful_plan.array_types import Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.exceptions import SettingError
-from graceful_plan.judge.verification import verify
+from graceful_plan.judge.verification import LIMIT_TOLERANCE, verify
 from graceful_plan.path import Path, is_real
 from graceful_plan.plan import plan
 from graceful_plan.planners.motion_descent import time_price
 from graceful_plan.query.arguments import check_no_base, checked_objective, checked_speed
 from graceful_plan.query.candidates.departure import at_time
-from graceful_plan.query.endpoints.goals import Goal
+from graceful_plan.query.endpoints.configurations import configurations_of, wrapped_near
+from graceful_plan.query.endpoints.goals import Goal, has_poses
 from graceful_plan.query.endpoints.lead_in import Takeover
 from graceful_plan.query.stop import plan_stop
 from graceful_plan.result import PlanResult, PlanStatus, Verdict
+from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -91,6 +94,7 @@ def replan(
     asked = tuple(default_constraints(scene) if constraints is None else constraints)
     bound = checked_objective(objective, w).bind(scene, search_paces(checked_speed(speed)))
     rest = motion.since(at)
+    leads = goal is None or _reaches(rest.q[-1], goal, scene)
     kept = _kept(motion, rest, scene, asked)
 
     @cache
@@ -100,7 +104,7 @@ def replan(
     if not kept.passed:
         stop()  # first, since planning may use up the time
     found = plan(
-        _takeover(motion, at, stop, rest.path if goal is None else None),
+        _takeover(motion, at, stop, rest.path if leads else None),
         motion.q[-1] if goal is None else goal,
         at_time(scene, at),
         objective=bound.objective,
@@ -112,7 +116,7 @@ def replan(
         cancelled=cancelled,
     )
     found = replace(found, stats={**found.stats, "total_time": time.perf_counter() - started})
-    if kept.passed and goal is None:
+    if kept.passed and leads:
         price = time_price(careful=SceneConstraints(scene, asked).level)
         cost = bound.breakdown(rest)
         if cost.total + price * rest.duration <= _ranking(found, price):
@@ -125,6 +129,17 @@ def replan(
     if (halt := stop().trajectory) is not None:
         return _along(found, halt, stop().verdict, f"{found.detail}; the trajectory is a stop")
     return found
+
+
+def _reaches(q: Float[Array, " nq"], goal: Goal, scene: Scene) -> bool:
+    """Return whether a configuration meets a goal."""
+    if isinstance(goal, PoseGoal):
+        position, orientation = pose_error(goal, compile_scene(scene).kernels.tool_pose(q))
+        return position <= goal.position_tolerance and orientation <= goal.orientation_tolerance
+    if has_poses(goal):
+        return any(_reaches(q, one, scene) for one in goal)  # type: ignore[union-attr, arg-type]
+    away = wrapped_near(configurations_of(goal, scene), q, scene) - q  # type: ignore[arg-type]
+    return bool(np.abs(away).max(axis=1).min() <= LIMIT_TOLERANCE)
 
 
 def _ranking(result: PlanResult, price: float) -> float:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from jackals import jackal
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnsupportedError
+from jackals import jackal
 
 
 @pytest.fixture(scope="module")
