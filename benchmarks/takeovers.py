@@ -10,6 +10,7 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
+from graceful_plan.query.endpoints.goals import Goal
 
 COUNT = 1000
 TASKS = (
@@ -110,7 +111,7 @@ def _motion(name: str, speed: float) -> gp.Trajectory:
     return gp.plan(task.start, task.goal, task.scene, speed=speed, iterations=100).unwrap()
 
 
-def _goals(name: str) -> list[gp.Goal]:
+def _goals(name: str) -> list[Goal]:
     """Return the starts and goals of tasks in the same scene with the same object."""
     mine, scene = suite.task(name), name.partition("/")[0]
     others = [suite.task(other) for other in suite.task_names() if other.partition("/")[0] == scene]
@@ -150,7 +151,7 @@ def _takeover(name: str, speed: float, motion: gp.Trajectory, seed: int) -> Take
     )
 
 
-def _stopped(motion: gp.Trajectory, scene: gp.Scene, at: float, goal: gp.Goal, seed: int) -> float:
+def _stopped(motion: gp.Trajectory, scene: gp.Scene, at: float, goal: Goal, seed: int) -> float:
     """Return the duration of a stop and a plan from its end [s]; NaN if one of them fails."""
     stop = gp.plan_stop(motion, scene, at=at).trajectory
     if stop is None:

@@ -178,6 +178,7 @@ def plan(
         return _with_times(_with_notes(ends, notes), ready.total, started)
     ends = ends if lead is None else lead.leading_to(ends)
     request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index), lead=lead)
+    request = replace(request, takeover=real.takeover if real.first is None else None)
     try:
         best = BestVerified(request, ends, budget)
         for motion in candidates(request, ends, budget, rng, best):

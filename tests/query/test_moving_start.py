@@ -127,13 +127,13 @@ def test_towards_a_joint_limit_or_a_wall_is_no_start(block: tuple[gp.Task, gp.Tr
 
 def test_misuse_raises(block: tuple[gp.Task, gp.Trajectory]) -> None:
     task, q, still = block[0], block[1].q[0], np.zeros(7)
-    with pytest.raises(NonFiniteError, match="start.qd"):
+    with pytest.raises(NonFiniteError, match=r"start\.qd"):
         gp.plan(gp.State(q, np.append(still[:6], np.nan)), task.goal, task.scene)
-    with pytest.raises(ShapeError, match="start.qd"):
+    with pytest.raises(ShapeError, match=r"start\.qd"):
         gp.plan(gp.State(q, still[:6]), task.goal, task.scene)
-    with pytest.raises(ShapeError, match="start.q"):
+    with pytest.raises(ShapeError, match=r"start\.q"):
         gp.plan(block[1].at(np.array([0.1, 0.2])), task.goal, task.scene)
-    with pytest.raises(ShapeError, match="start.qd"):
+    with pytest.raises(ShapeError, match=r"start\.qd"):
         gp.verify(block[1], task.scene, start=gp.State(q, still[:5]))
 
 

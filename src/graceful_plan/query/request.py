@@ -13,7 +13,7 @@ from graceful_plan.judge.verification import VerificationSettings
 from graceful_plan.planners import Planner
 from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
-from graceful_plan.query.endpoints.lead_in import LeadIn
+from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
 from graceful_plan.scene.pose_goal import PoseGoal
 
 Stop = Literal["first", "converged", "time_limit"]
@@ -39,6 +39,7 @@ class Request:
     | stop         | when to end                                                           |      |
     | callback     | called with every improvement                                         |      |
     | lead         | lead-in of a moving start; None from rest                             |      |
+    | takeover     | the motion that the robot leaves at the start; None: it has rested    |      |
     """
 
     planner: Planner
@@ -53,6 +54,7 @@ class Request:
     stop: Stop = "time_limit"
     callback: Callback | None = None
     lead: LeadIn | None = None
+    takeover: Takeover | None = None
 
     @property
     def start_speed(self) -> float:

@@ -18,6 +18,7 @@ from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import RetimingError, SettingError
+from graceful_plan.judge.exact import exactly_free
 from graceful_plan.judge.verification import verify
 from graceful_plan.path import is_real
 from graceful_plan.result import PlanResult, PlanStatus
@@ -43,6 +44,8 @@ _FASTEST = 1.05
 _MOST_TRIALS = 30
 _LEAST_SHARE = 0.05
 """Least share of the bracket by which a trial narrows it."""
+_MOMENTS = 12
+"""Moments at which a motion is checked before its verdict."""
 _APART = 1e-9
 """Least time between two grid points [s], above the rounding of times."""
 _UNLIMITED = 1e6
@@ -84,7 +87,10 @@ def plan_stop(
     held = SceneConstraints(scene, asked).around(motion.q[[0, -1]])
     proof = compile_scene(scene).proof.clearance
     detail, verdict = "", None
-    for stop, what in _stops(motion, float(at), held):
+    stops = list(_stops(motion, float(at), held))
+    for stop, what in stops:
+        if stop is not stops[-1][0] and surely_collides(stop, scene):
+            continue
         begun = motion.at(float(stop.t[0]))
         verdict = verify(stop, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
         if verdict.passed:
@@ -99,6 +105,11 @@ def plan_stop(
         detail = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
     assert verdict is not None  # the rest of the motion is always a candidate
     return PlanResult(status=PlanStatus.INFEASIBLE, verdict=verdict, detail=detail)
+
+
+def surely_collides(motion: Trajectory, scene: Scene) -> bool:
+    """Return whether a motion collides at one of a few moments, which takes less time than a verdict."""
+    return not bool(exactly_free(motion.positions(np.linspace(motion.t[0], motion.t[-1], _MOMENTS)), scene).all())
 
 
 def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str]]:

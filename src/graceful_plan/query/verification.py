@@ -11,7 +11,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import VerificationSettings, verify
 from graceful_plan.query.candidates.motions import Motion
-from graceful_plan.query.endpoints.lead_in import LeadIn
+from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
 from graceful_plan.query.request import Request
 from graceful_plan.result import Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -29,7 +29,9 @@ class VerifiedMotion:
 def judged(motion: Motion, request: Request) -> VerifiedMotion:
     """Verify a motion of a request."""
     pose = request.pose(motion.arrival)
-    verdict = verdict_of(motion, request.objective, request.constraints, pose, request.verification, request.lead)
+    verdict = verdict_of(
+        motion, request.objective, request.constraints, pose, request.verification, request.lead, request.takeover
+    )
     return VerifiedMotion(motion=motion, verdict=verdict)
 
 
@@ -51,6 +53,7 @@ def verdict_of(
     pose: PoseGoal | None = None,
     verification: VerificationSettings | None = None,
     lead: LeadIn | None = None,
+    takeover: Takeover | None = None,
 ) -> Verdict:
     """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given.
 
@@ -61,6 +64,7 @@ def verdict_of(
         pose: Pose of the tool at the end; None: the end of the path.
         verification: Resolution of the judge.
         lead: Lead-in of a moving start; None: the motion starts at rest.
+        takeover: The motion that the robot leaves at the start; None: it has rested.
     """
     scene, looks = objective.scene, verification or VerificationSettings()
     impact, exposure = objective.objective.impact, objective.objective.exposure
@@ -71,7 +75,7 @@ def verdict_of(
         motion.trajectory,
         scene,
         start=motion.path.q[0] if lead is None else State(motion.path.q[0], lead.velocity),
-        before=None if lead is None or lead.takeover is None else lead.takeover.before,
+        before=None if takeover is None else takeover.before,
         goal=motion.path.q[-1] if pose is None else pose,
         cost=motion.cost if recomputable else None,
         components=impact.components if isinstance(impact, ImpactCost) else (),

@@ -68,7 +68,7 @@ class MotionSource:
         settings = SHORTENING if self._shortens else DescentSettings()
         self._descents = motion_descents(request, problem, settings) if request.refine else None
         self._results: list[DescentResult] = []
-        onward = None if request.lead is None or request.lead.takeover is None else request.lead.takeover.onward
+        onward = None if request.takeover is None else request.takeover.onward
         self._onward = [] if onward is None else [start_onto(onward, ends)]
         self._related: MotionSource | None = None
         related = proxy_objective(request.objective) if request.refine and request.preference is None else None

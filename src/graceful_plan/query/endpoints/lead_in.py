@@ -61,14 +61,12 @@ class LeadIn:
     | path     | path along it, in which the robot is able to stop           | rad   | n nq  |
     | is_clear | whether the fast checker finds that path free               |       |       |
     | stop     | a verified stop along it, from time 0 on                    |       |       |
-    | takeover | the motion that the robot leaves; None if it is not known   |       |       |
     """
 
     velocity: Float[Array, " nq"]
     path: Path
     is_clear: bool
     stop: Trajectory
-    takeover: Takeover | None = None
 
     def leading_to(self, ends: Endpoints) -> Endpoints:
         """Return the endpoints of a search from the end of the lead-in, with the lead-in before the departure."""

@@ -9,6 +9,7 @@ is the path of another stop.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -74,7 +75,8 @@ def find_start(
         return real_start(start_configuration(state, scene), constraints, tolerance, speed), None
     q, velocity = _checked(state, scene)
     if np.abs(velocity).max() <= REST:
-        return real_start(q, constraints, tolerance, speed), None
+        real = real_start(q, constraints, tolerance, speed)
+        return replace(real, takeover=None if takeover is None else takeover.without_turns(real.turns)), None
     if scene.base is not None:
         raise UnsupportedError("a moving start does not support mobile bases; stop first, then plan from rest")
     if max_wait:
@@ -103,7 +105,7 @@ def _stoppable(
     *,
     stops: bool,
 ) -> tuple[RealStart, LeadIn | None] | PlanResult:
-    """Return the lead-in, by the first stop that the judge passes, or with `stops` that stop; else why there is none."""
+    """Return the lead-in by the first stop that the judge passes, or with `stops` that stop; else why there is none."""
     scene = constraints.scene
     held = constraints.around(state.q[None])
     before = None if takeover is None else takeover.before
@@ -125,8 +127,8 @@ def _stoppable(
             path = Path(stop.at(np.linspace(stop.t[0], stop.t[-1], _SAMPLES)).q).without_duplicates()
             is_clear = bool((held.clearance(path.q) >= TARGET_CLEARANCE).all())
             path = Path(path.q[[0, -1]]) if is_straight else _tangent(path, state.qd)
-            return RealStart(stop.q[-1], turns), LeadIn(state.qd, path, is_clear, stop, takeover)
-        return RealStart(stop.q[-1], turns, stop, before=before, note="it stops first"), None
+            return RealStart(stop.q[-1], turns, takeover=takeover), LeadIn(state.qd, path, is_clear, stop)
+        return RealStart(stop.q[-1], turns, stop, note="it stops first", takeover=takeover), None
     return PlanResult(status=PlanStatus.INVALID_START, detail=f"start: the robot moves and cannot stop; {why}")
 
 

@@ -19,6 +19,7 @@ from graceful_plan.judge.exact import state_contacts
 from graceful_plan.judge.verification import GRAZING_SHARE, VerificationSettings, verify
 from graceful_plan.path import Path
 from graceful_plan.query.endpoints.escape import ascend
+from graceful_plan.query.endpoints.lead_in import Takeover
 from graceful_plan.query.endpoints.usable import CLAMPED
 from graceful_plan.query.request import Request
 from graceful_plan.query.via.legs import one_after_the_other
@@ -49,8 +50,8 @@ class RealStart:
     """Motion from the given start, less these turns, to the start for planning; None if they are the same."""
     tolerance: float = 0.0
     note: str = ""
-    before: Trajectory | None = None
-    """Motion up to the given start, by which a liquid swings there; None: it is calm."""
+    takeover: Takeover | None = None
+    """The motion that the robot leaves, less these turns; None if it is not known."""
 
     def completed(self, result: PlanResult, request: Request) -> PlanResult:
         """Return the result with the first piece and the whole turns."""
@@ -73,7 +74,7 @@ class RealStart:
             whole,
             scene,
             start=State(self.first.q[0], self.first.qd[0]),
-            before=self.before,
+            before=None if self.takeover is None else self.takeover.before,
             constraints=request.constraints.constraints,
             step=looks.step,
             clearance=None if looks.everywhere else compile_scene(scene).proof.clearance,
