@@ -93,6 +93,7 @@ def replan(
     limit = TIME_LIMIT if time_limit is None and iterations is None else time_limit
     asked = tuple(default_constraints(scene) if constraints is None else constraints)
     bound = checked_objective(objective, w).bind(scene, search_paces(checked_speed(speed)))
+    motion = motion.since(min(at, float(motion.t[-1])) - _REMEMBERED)
     rest = motion.since(at)
     leads = goal is None or _reaches(rest.q[-1], goal, scene)
     kept = _kept(motion, rest, scene, asked)
@@ -162,10 +163,9 @@ def _kept(motion: Trajectory, rest: Trajectory, scene: Scene, constraints: tuple
 
 def _takeover(motion: Trajectory, at: float, stop: Callable[[], PlanResult], onward: Path | None) -> Takeover:
     """Return the start of the new motion, whose time is 0 at `at`."""
-    since = max(float(motion.t[0]), min(at, float(motion.t[-1])) - _REMEMBERED)
     return Takeover(
         state=motion.at(float(at)),
-        before=motion.since(since).later(-at),
+        before=motion.later(-at),
         stop=lambda: None if (found := stop().trajectory) is None else found.later(-at),
         onward=onward,
     )

@@ -87,9 +87,8 @@ def plan_stop(
     held = SceneConstraints(scene, asked).around(motion.q[[0, -1]])
     proof = compile_scene(scene).proof.clearance
     detail, verdict = "", None
-    stops = list(_stops(motion, float(at), held))
-    for stop, what in stops:
-        if stop is not stops[-1][0] and surely_collides(stop, scene):
+    for stop, what, is_last in _stops(motion, float(at), held):
+        if not is_last and surely_collides(stop, scene):
             continue
         begun = motion.at(float(stop.t[0]))
         verdict = verify(stop, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
@@ -112,20 +111,36 @@ def surely_collides(motion: Trajectory, scene: Scene) -> bool:
     return not bool(exactly_free(motion.positions(np.linspace(motion.t[0], motion.t[-1], _MOMENTS)), scene).all())
 
 
-def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str]]:
-    """Yield stops, the quickest first, with what there is to say about each; last the rest of the motion itself."""
+def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str, bool]]:
+    """Yield stops, the quickest first; last the rest of the motion itself.
+
+    Each comes with what there is to say about it, and whether it is the last one.
+    """
     rest = motion.since(at)
-    found: list[Trajectory] = []
-    if motion.t[0] < at < motion.t[-1] and len(motion) > 1:
-        quickest = (_quickest(motion, at, held, level) for level in held.steady_levels)
-        found = [stop for stop in quickest if stop is not None]
-        if held.felt:
-            fades = (_faded(motion, at, share * rest.duration) for share in _FADES)
-            found += [fade for fade in fades if slowdown(fade, held.scene.limits) <= 1.0]
-    for stop in sorted(found, key=lambda one: one.duration):
+    moves = motion.t[0] < at < motion.t[-1] and len(motion) > 1
+    found = False
+    for stop in _quicker(motion, at, held, rest.duration) if moves else ():
+        found = True
         if stop.duration < rest.duration:
-            yield stop, ""
-    yield rest, "" if not found else "no quicker stop than the motion's own end"
+            yield stop, "", False
+    yield rest, "" if not found else "no quicker stop than the motion's own end", True
+
+
+def _quicker(motion: Trajectory, at: float, held: SceneConstraints, left: float) -> Iterator[Trajectory]:
+    """Yield the quickest stop of each level, which take longer from level to level, and fades in between."""
+    fades = iter([share * left for share in _FADES] if held.felt else ())
+    after = next(fades, np.inf)
+    for level in held.steady_levels:
+        stop = _quickest(motion, at, held, level)
+        if stop is None:
+            break
+        while 2.0 * after < stop.duration:
+            yield from _faded(motion, at, after, held)
+            after = next(fades, np.inf)
+        yield stop
+    while after < np.inf:
+        yield from _faded(motion, at, after, held)
+        after = next(fades, np.inf)
 
 
 def _quickest(
@@ -201,12 +216,18 @@ def _grid(motion: Trajectory, at: float, after: float) -> CurveGrid:
     return CurveGrid(t - at, state.q, np.stack([state.qd[:-1], state.qd[1:]], axis=1), np.moveaxis(bend, 0, 1), ends)
 
 
-def _faded(motion: Trajectory, at: float, after: float) -> Trajectory:
-    """Return a stop whose path speed fades from 1 to 0 like a cosine, to where the motion is `after` seconds later."""
+def _faded(motion: Trajectory, at: float, after: float, held: SceneConstraints) -> Iterator[Trajectory]:
+    """Yield the stop whose path speed fades from 1 to 0 like a cosine, to where the motion is `after` seconds later.
+
+    It is left out if it exceeds the limits.
+    """
     seconds = 2.0 * after
     t = np.linspace(0.0, seconds, _POINTS)
     phase = np.pi * t / seconds
     s = 0.5 * (t + seconds / np.pi * np.sin(phase))
     speed, acceleration = 0.5 * (1.0 + np.cos(phase))[:, None], -0.5 * np.pi / seconds * np.sin(phase)[:, None]
     state = motion.at(at + s)
-    return Trajectory(at + t, state.q, state.qd * speed, state.qdd * speed**2 + state.qd * acceleration, motion.joints)
+    qdd = state.qdd * speed**2 + state.qd * acceleration
+    stop = Trajectory(at + t, state.q, state.qd * speed, qdd, motion.joints)
+    if slowdown(stop, held.scene.limits) <= 1.0:
+        yield stop
