@@ -77,7 +77,8 @@ class MotionCurve {
 // point is projected onto the ray from the first one along it, so that the curve leaves in that direction.
 class JointCurve final : public MotionCurve {
  public:
-  // `leaving`: direction of the start velocity, as a unit vector, or empty. `least`: least length of the first leg [rad].
+  // `leaving`: direction of the start velocity, as a unit vector, or empty. `least`: least length of the first leg
+  // [rad].
   JointCurve(const Space& space, size_t controls, size_t density, Point leaving = {}, double least = 0)
       : MotionCurve(controls, density, size_t(space.dim)), space_(space), leaving_(std::move(leaving)), least_(least) {
     for (size_t c = 0; c < inner(); ++c) {

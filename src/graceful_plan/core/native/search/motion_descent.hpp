@@ -288,8 +288,7 @@ class MotionDescent {
     const double weight = push_ * scale_ / double(samples);
     const bool timed = space_.w > 0 && space_.measure() == Measure::kTime;
     const StartPenalty too_fast = leave(start, push_ * scale_);
-    const double penalty =
-        collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_) + too_fast.value;
+    const double penalty = collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_) + too_fast.value;
     felt_.back_slosh(squared_, weight, d_squared_, d_pause_);
     if (moves) delay();
     for (size_t k = 0; k + 1 < samples; ++k) {
@@ -303,9 +302,9 @@ class MotionDescent {
       d_.share[k] = 2 * at_.share[k] * fastest[k] * by_squared;
       d_speed_[k] = at_.share[k] * at_.share[k] * by_squared;  // from now on with respect to the squared largest speed
     }
-    const double d_start = too_fast.by_start + profile_.back(curve, limits, d_speed_,
-                                                             {d_.slope.data(), d_.bend.data(), felt_.slopes()},
-                                                             too_fast.by_reachable);
+    const double d_start =
+        too_fast.by_start + profile_.back(curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()},
+                                          too_fast.by_reachable);
     if (start_speed_ > 0)  // the squared speed of the parameter is that of the joints, divided by the squared slope
       for (size_t j = 0; j < curve_->axes(); ++j)
         d_.slope[j] -= 2 * start * start / (start_speed_ * start_speed_) * at_.slope[j] * d_start;
@@ -314,8 +313,8 @@ class MotionDescent {
     const double charge = curve_->charge(x, settings_.time_price, gradient);
     double gap = std::numeric_limits<double>::infinity();
     for (size_t k = 1; moves && k + 1 < samples; ++k) gap = std::min(gap, gap_[k]);
-    const double room = start_speed_ > 0 ? std::sqrt(profile_.reachable() / start)
-                                         : std::numeric_limits<double>::infinity();
+    const double room =
+        start_speed_ > 0 ? std::sqrt(profile_.reachable() / start) : std::numeric_limits<double>::infinity();
     return {total + spread + penalty + charge, total + penalty / push_ + charge, duration, gap, room};
   }
 

@@ -79,8 +79,8 @@ class CurveTiming {
   static constexpr double kSlowdown = 1.01;   // factor of each slowdown
   static constexpr int kMostSlowdowns = 310;  // most of them: a factor of 22 in all
   static constexpr double kLeastSlope = 1e-12;
-  static constexpr int kRetimings = 5;            // of a motion with a given start, for limits between samples
-  static constexpr double kRetimingRoom = 1.2;    // factor on the excess from one of them to the next
+  static constexpr int kRetimings = 5;             // of a motion with a given start, for limits between samples
+  static constexpr double kRetimingRoom = 1.2;     // factor on the excess from one of them to the next
   static constexpr double kStartTolerance = 1e-9;  // relative excess of the given squared speed over the feasible one
 
   bool moving() const { return start_ < SpeedProfile::kUnbounded; }
@@ -193,7 +193,8 @@ class CurveTiming {
     const double most_by_time = std::ceil(std::log(longest / now_.duration()) / std::log(kSlowdown));
     const int most = int(std::min(most_by_time, double(kMostSlowdowns)));
     int swings = -1, calm = 0;
-    while (calm < most && !is_calm(curve, level, std::pow(kSlowdown, calm))) swings = calm, calm = std::min(std::max(1, 2 * calm), most);
+    while (calm < most && !is_calm(curve, level, std::pow(kSlowdown, calm)))
+      swings = calm, calm = std::min(std::max(1, 2 * calm), most);
     while (calm - swings > 1) {
       const int middle = (swings + calm) / 2;
       (is_calm(curve, level, std::pow(kSlowdown, middle)) ? calm : swings) = middle;

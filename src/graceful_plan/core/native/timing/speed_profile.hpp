@@ -135,8 +135,8 @@ class SpeedProfile {
   // The largest squared speed at the beginning from which the end can be reached; at most kStartRoom times the given.
   double reachable() const { return beta_[0]; }
 
-  // Maps derivatives `d_x` with respect to the squared speeds of the last compute(), and `d_reachable`, to the curve and
-  // the limits. Returns the derivative with respect to the given squared speed at the beginning.
+  // Maps derivatives `d_x` with respect to the squared speeds of the last compute(), and `d_reachable`, to the curve
+  // and the limits. Returns the derivative with respect to the given squared speed at the beginning.
   double back(const CurveSamples& curve, const CurveLimits& limits, std::vector<double>& d_x, const CurveSlopes& out,
               double d_reachable = 0) {
     const size_t n = curve.n;

@@ -11,7 +11,7 @@ namespace gp {
 struct Travel {
   std::vector<size_t> at;             // points of the curve that are samples
   std::vector<double> t, q, qd, qdd;  // [n], [n, dim]
-  double excess = 1;  // factor on the duration that the limits between samples require
+  double excess = 1;                  // factor on the duration that the limits between samples require
 
   double duration() const { return t.back(); }
   void stretch(double factor) {
