@@ -55,7 +55,7 @@ def replan(
 ) -> PlanResult:
     """Plan a motion that takes over from another one while the robot moves, such as after a change of the scene.
 
-    The rest of the present motion is verified anew in the scene. It is kept if it passes, leads to the goal, and no
+    The rest of the present motion is verified again in the scene. It is kept if it passes, leads to the goal, and no
     better one is found. The new motion begins at `at` with the position and velocity of the present one.
 
     The robot follows the present motion until `at`. A result that comes later than that must be dropped, so `at` has

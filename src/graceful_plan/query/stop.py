@@ -63,7 +63,7 @@ def plan_stop(
     robot, whatever speed the motion was planned with.
 
     Args:
-        motion: The motion that the robot executes; contents swing by what it did before `at`.
+        motion: The motion that the robot executes; contents swing by its part before `at`.
         scene: Robot, surroundings and carried object.
         at: Time at which the stop begins, on the clock of the motion [s].
         constraints: Constraints along the stop; by default those of `plan`: contents stay in, the grasp holds. With

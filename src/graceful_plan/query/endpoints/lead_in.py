@@ -1,4 +1,4 @@
-"""What a moving start adds to a query: the velocity, and a straight path in which the robot is able to stop."""
+"""Velocity and lead-in of a moving start, and the motion that it takes over from."""
 
 from __future__ import annotations
 
