@@ -6,7 +6,7 @@ import numpy as np
 
 import graceful_plan as gp
 
-PERIOD, AHEAD = 0.05, 0.07  # between measurements, and from the time limit of a call to the takeover [s]
+PERIOD, AHEAD = 0.05, 0.17  # between measurements, and from the time limit of a call to the takeover [s]
 LIMITS = 0.03, 0.3  # time limits of a call while the robot moves, and while it rests [s]
 SPEED = 0.5  # at full speed, no stop keeps a full cup from spilling
 
