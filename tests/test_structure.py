@@ -57,7 +57,7 @@ FLOORS = (
     {"analysis", "transcription"},
     {"query"},
     {"plan", "roadmap"},
-    {"tuning"},
+    {"replanning", "tuning"},
     {"viz"},
     {"mobile"},
     {"annotation", "viewer"},

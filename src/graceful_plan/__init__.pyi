@@ -56,6 +56,7 @@ from graceful_plan.query.inverse import IKSolutions as IKSolutions
 from graceful_plan.query.inverse import solve_ik as solve_ik
 from graceful_plan.query.preparation import prepare as prepare
 from graceful_plan.query.stop import plan_stop as plan_stop
+from graceful_plan.replanning import replan as replan
 from graceful_plan.result import CostBreakdown as CostBreakdown
 from graceful_plan.result import PlanningFailed as PlanningFailed
 from graceful_plan.result import PlanResult as PlanResult
@@ -81,6 +82,7 @@ from graceful_plan.scene.scene import Task as Task
 from graceful_plan.scene.sensed.cloud import PointCloud as PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap as HeightMap
 from graceful_plan.timing.retiming import retime as retime
+from graceful_plan.timing.trajectory import State as State
 from graceful_plan.timing.trajectory import Trajectory as Trajectory
 from graceful_plan.transcription.trajectory_optimisation import optimise_trajectory as optimise_trajectory
 from graceful_plan.tuning.fronts import ParetoFront as ParetoFront

@@ -40,20 +40,23 @@ from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
-from graceful_plan.query.endpoints.goals import Goal, poses_of, start_configuration
-from graceful_plan.query.endpoints.real_start import START_TOLERANCE, real_start
+from graceful_plan.query.endpoints.goals import Goal, poses_of
+from graceful_plan.query.endpoints.lead_in import Takeover
+from graceful_plan.query.endpoints.moving_start import find_start
+from graceful_plan.query.endpoints.real_start import START_TOLERANCE
 from graceful_plan.query.preparation import prepared
 from graceful_plan.query.request import Request, Stop
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene, checked_scene
+from graceful_plan.timing.trajectory import State
 
 Array = np.ndarray
 
 
 def plan(
-    start: Configuration,
+    start: Configuration | State | Takeover,
     goal: Goal,
     scene: Scene,
     w: float | None = None,
@@ -78,7 +81,8 @@ def plan(
     """Plan a motion of low cost along which a failure at any moment does little harm.
 
     Args:
-        start: Configuration [rad or m], or the name of a keyframe.
+        start: Configuration [rad or m], the name of a keyframe, or the state of a moving arm, such as
+            `trajectory.at(t)`. The motion then leaves with that velocity. A configuration is a robot at rest.
         goal: Configuration, name of a keyframe, `PoseGoal` for the tool, or several of these, such as a set of grasps.
         scene: Robot, surroundings and carried object.
         w: Safety weight: radians of joint motion that the planner accepts to avoid one second in which a failure would
@@ -144,8 +148,12 @@ def plan(
     rng, limit = checked_seed(seed), checked_time_limit(time_limit, iterations)
     # Compiling counts against a time limit that the caller has set, not against the default one.
     budget = Budget(limit, iterations, checked_cancelled(cancelled), started + (time_limit is None) * ready.total)
-    real = real_start(start_configuration(start, scene), asked, checked_start_tolerance(start_tolerance), share)
-    if passed := checked_via(via, scene):
+    passed, tolerance = checked_via(via, scene), checked_start_tolerance(start_tolerance)
+    begun = find_start(start, asked, tolerance, share, max_wait=request.max_wait, stops=bool(passed))
+    if isinstance(begun, PlanResult):
+        return _with_times(begun, ready.total, started)
+    real, lead = begun
+    if passed:
         settings = {"planner": planner, "objective": bound.objective, "stop": stop, "refine": refine, "seed": seed}
         leg = partial(
             plan,
@@ -168,7 +176,9 @@ def plan(
         ends = driving.ends(ends)
     if isinstance(ends, PlanResult):
         return _with_times(_with_notes(ends, notes), ready.total, started)
-    request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index))
+    ends = ends if lead is None else lead.leading_to(ends)
+    request = replace(request, constraints=ends.constraints, poses=poses_of(goal, ends.goal_index), lead=lead)
+    request = replace(request, takeover=real.takeover if real.first is None else None)
     try:
         best = BestVerified(request, ends, budget)
         for motion in candidates(request, ends, budget, rng, best):

@@ -53,7 +53,7 @@ def bent(task: gp.Task, size: float = 0.3, seed: int = 0) -> Path:
     return Path(np.clip(q, lower, upper))
 
 
-def descent(objective: SceneObjective, path: Path, **settings: float) -> _native.MotionDescent:
+def descent(objective: SceneObjective, path: Path, **settings: float | np.ndarray) -> _native.MotionDescent:
     problem = SceneProblem(kernels=objective.kernels, start=path.q[0], goals=path.q[-1:], margin=0.002)
     limits = objective.scene.limits
     given = {"controls": 12, "density": 6, "time_price": TIME_PRICE, **settings}
@@ -106,6 +106,36 @@ def test_gradients_equal_differences(task: gp.Task, model: str, w: float) -> Non
     assert np.mean(error < 1e-4) > 0.9, np.sort(error)[-8:]
     cosine = gradient @ differences / np.linalg.norm(gradient) / np.linalg.norm(differences)
     assert cosine > 0.999
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.9])
+def test_gradients_at_a_moving_start_equal_differences(task: gp.Task, share: float) -> None:
+    """From crawling to too fast for the curve."""
+    leaving = share * task.scene.limits.velocity * np.random.default_rng(2).uniform(-1.0, 1.0, 7)
+    one = descent(bound(task), bent(task), leaving=leaving, least_leg=0.01)
+    x = one.controls[1:-1].ravel()
+    x[:7] += 0.1 * leaving / np.linalg.norm(leaving)
+    gradient = one.energy(x)[1].ravel()
+    step = 1e-6
+    differences = np.array(
+        [(one.energy(x + step * e)[0] - one.energy(x - step * e)[0]) / (2.0 * step) for e in np.eye(len(x))]
+    )
+    error = np.abs(gradient - differences) / np.maximum(1.0, np.abs(differences).max())
+    assert np.mean(error < 1e-4) > 0.9, np.sort(error)[-8:]
+    np.testing.assert_allclose(gradient[:7], differences[:7], rtol=1e-3, atol=1e-4 * np.abs(differences).max())
+
+
+def test_descents_keep_the_direction_of_a_moving_start_and_become_slow_enough_for_it(task: gp.Task) -> None:
+    leaving = 0.5 * task.scene.limits.velocity * np.random.default_rng(4).uniform(-1.0, 1.0, 7)
+    one = descent(bound(task), bent(task), leaving=leaving, least_leg=0.01)
+    one.run(200, np.inf)
+    first = one.controls[1] - one.controls[0]
+    np.testing.assert_allclose(first / np.linalg.norm(first), leaving / np.linalg.norm(leaving), atol=1e-9)
+    assert one.start_room >= 1.0
+    speed = float(np.linalg.norm(leaving))
+    trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints, start_speed=speed)
+    np.testing.assert_allclose(trajectory.qd[0], leaving, atol=1e-9)
+    assert one.duration == pytest.approx(trajectory.duration, rel=0.05)
 
 
 def test_the_cost_in_a_descent_is_that_of_the_trajectory(task: gp.Task) -> None:

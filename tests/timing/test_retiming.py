@@ -297,3 +297,26 @@ def test_the_last_acceleration_is_that_of_the_last_piece() -> None:
     motion = timed(Spline.through(points), _limits([2.0] * 2, [5.0] * 2), ("a", "b"))
     assert np.abs(motion.qdd[-1]).max() > 1.0
     np.testing.assert_allclose(motion.qdd[-1], motion.piece_accelerations[1][-1], rtol=0.02, atol=0.05)
+
+
+@given(share=st.floats(0.0, 1.0), joint=st.integers(0, 2))
+def test_a_moving_start_keeps_its_speed_within_limits(share: float, joint: int) -> None:
+    limits = _limits([2.0] * 3, [5.0] * 3)
+    path = Path(np.array([[0.0] * 3, np.eye(3)[joint], np.eye(3)[joint] + 0.3]))
+    speed = 2.0 * share
+    trajectory = retime(path, limits, start_speed=speed)
+    np.testing.assert_allclose(trajectory.qd[0], speed * np.eye(3)[joint], atol=1e-9)
+    state = trajectory.at(np.linspace(0.0, trajectory.duration, 500))
+    assert np.abs(state.qd).max() <= 2.0 + 1e-6 and np.abs(state.qdd).max() <= 5.0 + 1e-6
+    from_rest = retime(path, limits)
+    assert trajectory.duration <= from_rest.duration + 1e-9
+
+
+def test_too_fast_for_the_path_is_an_error() -> None:
+    limits = _limits([2.0] * 2, [5.0] * 2)
+    line = Path(np.array([[0.0, 0.0], [0.3, 0.0]]))  # braking from 2 rad/s takes 0.4 rad
+    with pytest.raises(RetimingError):
+        retime(line, limits, start_speed=2.0)
+    assert retime(line, limits, start_speed=1.7).duration == pytest.approx(1.7 / 5.0, rel=0.1)
+    with pytest.raises(SettingError, match="start_speed"):
+        retime(line, limits, start_speed=-1.0)

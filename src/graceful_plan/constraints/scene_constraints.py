@@ -136,25 +136,42 @@ class SceneConstraints:
             holds &= -constraint.lever * checked_residual(constraint, batch) >= margin
         return holds
 
-    def timed(self, curve: Curve, *, speed: float = 1.0, slower: Restraint | None = None) -> Trajectory:
+    def timed(
+        self, curve: Curve, *, speed: float = 1.0, slower: Restraint | None = None, start_speed: float = 0.0
+    ) -> Trajectory:
         """Time a curve such that all limits hold along it and no contents spill.
 
         A liquid surface swings beyond the direction of the specific force, by an amount that depends on the curve.
         Timing therefore reduces the angle left to the specific force step by step until the surface stays below the
-        rim. If the last step does not suffice, the whole motion is slowed down.
+        rim. If the last step does not suffice, the whole motion is slowed down, unless it starts with a velocity.
 
         Args:
             curve: The curve.
             speed: Fraction of the limits to use; see `retime`.
             slower: Further limits on path acceleration and speed.
+            start_speed: Size of the velocity at the start [rad/s].
 
         Raises:
-            RetimingError: If a limit is violated even at rest somewhere along the curve.
+            RetimingError: If a limit is violated even at rest somewhere along the curve, or the start is too fast.
         """
-        restraint, limits = self.restraint(slower), self.scene.limits
-        return timed(curve, limits, self.scene.joints, speed=speed, restraint=restraint, felt=self.felt_levels)
+        return timed(
+            curve,
+            self.scene.limits,
+            self.scene.joints,
+            speed=speed,
+            restraint=self.restraint(slower),
+            felt=self.felt_levels,
+            start_speed=start_speed,
+        )
 
-    def retimed(self, path: Path, *, deviation: float | Float[Array, " corner"], speed: float = 1.0) -> Trajectory:
+    def retimed(
+        self,
+        path: Path,
+        *,
+        deviation: float | Float[Array, " corner"],
+        speed: float = 1.0,
+        start_speed: float = 0.0,
+    ) -> Trajectory:
         """Time a polyline as `timed` does, with its corners cut by up to `deviation`; see `retime`."""
         return retime(
             path,
@@ -164,6 +181,7 @@ class SceneConstraints:
             speed=speed,
             restraint=self.restraint(None),
             felt=self.felt_levels,
+            start_speed=start_speed,
         )
 
     @cached_property

@@ -361,6 +361,7 @@ def fastest(
     core: Core | None = None,
     levels: Sequence[Sequence[SpecificForceLimit]] = (),
     speed: float = 1.0,
+    start: float | None = None,
 ) -> TimedCurve: ...
 
 @final
@@ -487,6 +488,8 @@ class MotionDescent:
         slosh: bool = True,
         points: float = 1.0,
         rolling: Rolling | None = None,
+        leaving: Reals | None = None,
+        least_leg: float = 0.0,
     ) -> None: ...
     def run(self, steps: int, seconds: float) -> int: ...
     def harden(self) -> None: ...
@@ -501,6 +504,8 @@ class MotionDescent:
     def duration(self) -> float: ...
     @property
     def gap(self) -> float: ...
+    @property
+    def start_room(self) -> float: ...
 
 @final
 class Anytime:

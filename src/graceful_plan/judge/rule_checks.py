@@ -109,8 +109,17 @@ class FrameMotion:
         return felt
 
 
-def rule_checks(motion: Path | Trajectory, scene: Scene, rules: Iterable[Rule]) -> dict[str, Check]:
-    """Return a check for each rule, by the name of its constraint: "contents", "upright", "tool_within"..."""
+def rule_checks(
+    motion: Path | Trajectory, scene: Scene, rules: Iterable[Rule], before: Trajectory | None = None
+) -> dict[str, Check]:
+    """Return a check for each rule, by the name of its constraint: "contents", "upright", "tool_within"...
+
+    Args:
+        motion: The motion to check.
+        scene: The scene.
+        rules: The rules.
+        before: Motion up to the start of a trajectory, by which liquids swing there; None: they are calm.
+    """
     asked = list(rules)
     frames = FrameMotion.along(motion, scene) if asked else None
     checks: dict[str, Check] = {}
@@ -123,6 +132,8 @@ def rule_checks(motion: Path | Trajectory, scene: Scene, rules: Iterable[Rule]) 
             key = f"{name}_{again}"
         if isinstance(rule, TorqueRule):
             checks[key] = torque_check(motion, scene, rule.share, MANY)
+        elif isinstance(rule, ContentsRule) and before is not None and isinstance(motion, Trajectory):
+            checks[key] = _contents(rule, FrameMotion.along(before.spliced(motion), scene), since=float(motion.t[0]))
         else:
             checks[key] = _check(rule, frames)
     return checks
@@ -163,7 +174,8 @@ def _speed(rule: SpeedRule, frames: FrameMotion) -> Check:
     return _limit(speed, t[:-1], rule.limit * (1.0 + _SPEED), "speed of the tool [m/s]")
 
 
-def _contents(rule: ContentsRule, frames: FrameMotion) -> Check:
+def _contents(rule: ContentsRule, frames: FrameMotion, since: float = -np.inf) -> Check:
+    """Check that contents stay in from a time on [s]; liquids swing from the beginning on."""
     vessel, X_WO, t = rule.vessel, frames.poses["object"], frames.at
     axis = _along(X_WO, vessel.axis)
     felt = frames.felt(vessel.p_BS)
@@ -175,7 +187,8 @@ def _contents(rule: ContentsRule, frames: FrameMotion) -> Check:
         if vessel.repose == 0.0 and felt[0].any():
             felt = _swung(felt, vessel, frames.dt)
     left = np.minimum(vessel.capacity(_angle(axis, felt)) / vessel.volume, 1.0)
-    return _limit(1.0 - left, t, 1.0 - rule.part, "share of the contents above the rim")
+    counts = t >= since
+    return _limit((1.0 - left)[counts], t[counts], 1.0 - rule.part, "share of the contents above the rim")
 
 
 def _swung(felt: Float[Array, "n xyz"], vessel: Vessel, dt: float) -> Float[Array, "n xyz"]:

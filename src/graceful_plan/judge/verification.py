@@ -30,7 +30,7 @@ from graceful_plan.result import Check, CostBreakdown, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.rules.rules import Ruled, default_rules
 from graceful_plan.scene.scene import Scene, checked_scene
-from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.timing.trajectory import State, Trajectory
 
 Array = np.ndarray
 
@@ -78,7 +78,7 @@ def verify(
     motion: Path | Trajectory,
     scene: Scene,
     *,
-    start: ArrayLike | None = None,
+    start: ArrayLike | State | None = None,
     goal: ArrayLike | PoseGoal | None = None,
     cost: CostBreakdown | None = None,
     cost_path: Path | None = None,
@@ -89,13 +89,15 @@ def verify(
     clearance: ClearanceBound | None = None,
     second_opinion: bool = False,
     start_tolerance: float = 0.0,
+    before: Trajectory | None = None,
 ) -> Verdict:
     """Check a path or a trajectory.
 
     Args:
         motion: The motion to check.
         scene: The scene.
-        start: Required start configuration; None to skip the check.
+        start: Required start: a configuration, or the state of a robot that moves, whose velocity the motion has to
+            continue; None to skip the check. Without a state, the motion has to start at rest.
         goal: Required end: a configuration, several alternatives, or a pose; None to skip the check.
         cost: Claimed cost by Algorithm 1, `ImpactCost("box_overlap")`, to be recomputed; None to skip the check.
             Do not pass the cost of any other model: it would be compared with Algorithm 1 all the same.
@@ -110,6 +112,8 @@ def verify(
         start_tolerance: Distance outside of its limits at which a joint may start [rad or m], if it moves no farther
             out. `GRAZING_SHARE` of it is the depth of a contact in which the motion may start [m], if it gets no
             deeper until it ends for good.
+        before: Motion up to the start of a trajectory, on the same clock. A liquid swings by it; by default it is calm
+            at the start.
 
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
@@ -129,6 +133,7 @@ def verify(
     if motion.q.shape[1] != nq:
         raise ShapeError("motion", motion.q.shape, f"(n, {nq})")
     _check_step(step)
+    q_start, leaving = _start(start, nq)
     rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
     too_long = _too_long(motion, scene, step)
     if too_long:
@@ -140,10 +145,10 @@ def verify(
         checks = {
             "collision": _collision(_without_left(violations, GRAZING_SHARE * start_tolerance), samples, scene),
             "position_limits": _position(samples, motion, scene, start_tolerance),
-            **rule_checks(motion, scene, rules),
+            **rule_checks(motion, scene, rules, before if _continues(motion, start) else None),
         }
     if isinstance(motion, Trajectory):
-        checks |= _dynamics(motion, scene)
+        checks |= _dynamics(motion, scene, leaving)
         if np.isfinite(scene.limits.torque).any():
             checks["torque"] = torque_check(motion, scene)
     if scene.base is not None:
@@ -151,9 +156,8 @@ def verify(
     if scene.moving and isinstance(motion, Trajectory) and not too_long:
         checks["passing_by"] = passing_check(motion, scene)
     end = motion.t[[0, -1]] if isinstance(motion, Trajectory) else (0.0, float(np.sum(motion.segment_lengths)))
-    if start is not None:
-        starts = finite_array("start", start, ndim=1, last=nq)[None]
-        checks["start"] = _end_point(motion.q[0], starts, float(end[0]))
+    if q_start is not None:
+        checks["start"] = _end_point(motion.q[0], q_start[None], float(end[0]))
     if isinstance(goal, PoseGoal):
         checks["goal"] = _pose(goal, motion.q[-1], scene, float(end[1]))
     elif goal is not None:
@@ -168,6 +172,22 @@ def verify(
     if second_opinion:
         checks["second_opinion"] = opinion_of_fcl(motion_samples(motion, scene, 10.0 * step), scene)
     return Verdict(checks=checks)
+
+
+def _start(start: ArrayLike | State | None, nq: int) -> tuple[Float[Array, " nq"] | None, Float[Array, " nq"]]:
+    """Return the required start configuration, if there is one, and the required velocity."""
+    if isinstance(start, State):
+        q = finite_array("start.q", start.q, ndim=1, last=nq)
+        return q, finite_array("start.qd", start.qd, ndim=1, last=nq)
+    return None if start is None else finite_array("start", start, ndim=1, last=nq), np.zeros(nq)
+
+
+def _continues(motion: Path | Trajectory, start: ArrayLike | State | None) -> bool:
+    """Return whether a motion continues a state, if one is required; otherwise its verdict fails anyway."""
+    if not isinstance(start, State) or not isinstance(motion, Trajectory):
+        return True
+    steps = np.abs(motion.q[0] - start.q), np.abs(motion.qd[0] - start.qd)
+    return bool(max(step.max() for step in steps) <= LIMIT_TOLERANCE)
 
 
 def _too_long(motion: Path | Trajectory, scene: Scene, step: float) -> Check | None:
@@ -257,8 +277,8 @@ def _turning_points(trajectory: Trajectory) -> tuple[Float[Array, "n nq"], Float
     return np.concatenate([trajectory.q, *turning]), np.concatenate([trajectory.t, *[trajectory.t[:-1]] * 2])
 
 
-def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
-    """Check the samples and the extremes of the cubics between them."""
+def _dynamics(trajectory: Trajectory, scene: Scene, leaving: Float[Array, " nq"]) -> dict[str, Check]:
+    """Check the samples and the extremes of the cubics between them; the motion starts with a velocity [rad/s]."""
     velocity, acceleration = scene.limits.velocity, scene.limits.acceleration
     h = np.diff(trajectory.t)[:, None]
     v0, v1 = trajectory.qd[:-1], trajectory.qd[1:]
@@ -273,7 +293,7 @@ def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
     t, pieces = trajectory.t, trajectory.t[:-1]
     both = np.concatenate([t, pieces])
     most = 1.0 + LIMIT_TOLERANCE
-    ends = np.abs(trajectory.qd[[0, -1]])
+    steps = np.abs(np.stack([trajectory.qd[0] - leaving, trajectory.qd[-1]]))
 
     def of(samples: Array, between: Array, limit: Array, words: str) -> Check:
         values = np.abs(np.concatenate([samples, between])) / limit
@@ -285,7 +305,9 @@ def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
         "consistency": _limit_check(
             np.abs(stray), pieces, scene.joints, most, "of the allowed deviation of positions from velocities"
         ),
-        "rest": _limit_check(ends, t[[0, -1]], scene.joints, LIMIT_TOLERANCE, "speed [rad/s or m/s] at an end"),
+        "rest": _limit_check(
+            steps, t[[0, -1]], scene.joints, LIMIT_TOLERANCE, "step of the velocity [rad/s or m/s] at an end"
+        ),
     }
 
 

@@ -197,6 +197,8 @@ class MotionDescents:
         time_price: Cost per second of motion in addition to J [rad/s].
         spacing: Largest length of the path per control point [rad or m]; None: unlimited.
         effort: Counter of descents over all rounds.
+        leaving: Velocity at the start, which curves keep [rad/s]; None: at rest.
+        least_leg: Least distance of the second control point from a moving start [rad].
     """
 
     space: _native.Space
@@ -211,6 +213,8 @@ class MotionDescents:
     time_price: float = TIME_PRICE
     spacing: float | None = None
     effort: DescentCount = field(default_factory=DescentCount)
+    leaving: Float[Array, " nq"] | None = None
+    least_leg: float = 0.0
 
     def controls(self, start: Start, stage: Stage) -> int:
         """Return the number of control points: that of the stage, or more for a long path."""
@@ -241,6 +245,8 @@ class MotionDescents:
             slosh=stage.slosh,
             points=float(grid_points(controls)) if self.counts_points else 1.0,
             rolling=start.kind.rolling,
+            leaving=self.leaving,
+            least_leg=self.least_leg,
         )
         _go_on(descent, stage.evaluations, budget)
         return descent
@@ -258,8 +264,8 @@ class MotionDescents:
     def finished(self, start: Start, stage: Stage, budget: Budget) -> DescentResult | None:
         """Descend, with a heavier penalty while the curve is too close to obstacles; return None if it stays too close.
 
-        The penalty also becomes heavier while the curve leads into a moving entity, but such a curve is returned if it
-        is free otherwise.
+        The penalty also becomes heavier while the curve leads into a moving entity, or the robot is too fast for its
+        beginning, but such a curve is returned if it is free otherwise.
         """
         descent = self.descended(start, stage, budget)
         if descent is None:
@@ -267,7 +273,7 @@ class MotionDescents:
         for hardening in range(_HARDENINGS + 1):
             curve = start.kind.curve(descent.controls)
             enough = self.has_clearance is None or hardening >= _FOR_CLEARANCE or self.has_clearance(curve, start)
-            passes = hardening == _HARDENINGS or descent.gap > 0.0
+            passes = hardening == _HARDENINGS or (descent.gap > 0.0 and descent.start_room >= 1.0)
             if enough and passes and self.is_free(curve, start):
                 return DescentResult(curve, descent.value, start)
             if hardening < _HARDENINGS:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
+
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import VerificationSettings
 from graceful_plan.planners import Planner
 from graceful_plan.query.candidates.risk_ranking import Preference
 from graceful_plan.query.candidates.search import Callback
+from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
 from graceful_plan.scene.pose_goal import PoseGoal
 
 Stop = Literal["first", "converged", "time_limit"]
@@ -35,6 +38,8 @@ class Request:
     | refine       | whether paths become smooth motions that descend along the objective  |      |
     | stop         | when to end                                                           |      |
     | callback     | called with every improvement                                         |      |
+    | lead         | lead-in of a moving start; None from rest                             |      |
+    | takeover     | the motion that the robot leaves at the start; None: it has rested    |      |
     """
 
     planner: Planner
@@ -48,6 +53,13 @@ class Request:
     refine: bool = True
     stop: Stop = "time_limit"
     callback: Callback | None = None
+    lead: LeadIn | None = None
+    takeover: Takeover | None = None
+
+    @property
+    def start_speed(self) -> float:
+        """Size of the velocity at the start [rad/s]."""
+        return 0.0 if self.lead is None else float(np.linalg.norm(self.lead.velocity))
 
     @property
     def only_length(self) -> bool:

@@ -3,8 +3,8 @@
 The path is that of the motion, with time as its parameter, so that the present path speed is 1 and a stop never goes
 faster. For a place to stop at, time-optimal timing (`timing.topp`) gives the largest path speed now from which the
 robot can still stop there. The quickest stop is at the nearest place for which that is the present speed; it is found
-by bisection. A liquid that already swings may spill in it. Further candidates therefore let the path speed fade out
-like a cosine, over longer and longer times.
+by interpolation in a bracket. A liquid that already swings may spill in it. Further candidates therefore let the path
+speed fade out like a cosine, over longer and longer times.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import RetimingError, SettingError
+from graceful_plan.judge.exact import exactly_free
 from graceful_plan.judge.verification import verify
 from graceful_plan.path import is_real
 from graceful_plan.result import PlanResult, PlanStatus
@@ -34,13 +35,19 @@ _POINTS = 80
 _FIRST = 0.01
 """First guess of the time along the motion within which the robot stops [s]; doubled until it is enough."""
 _CLOSE = 1e-3
-"""Relative excess of the path speed at which the bisection ends; the stop is slowed down by it."""
+"""Relative excess of the path speed at which the search ends; the stop is slowed down by it."""
 _SLACK = 1.01
 """Stops are timed from this path speed, within limits that are as much higher, and then slowed down to a path speed of
 1: where the motion is at a limit itself, there would be no room for rounding otherwise."""
 _FASTEST = 1.05
 """Largest path speed of the timing; a stop only becomes slower."""
-_HALVINGS = 30
+_MOST_TRIALS = 30
+_LEAST_SHARE = 0.05
+"""Least share of the bracket by which a trial narrows it."""
+_MOMENTS = 12
+"""Moments at which a motion is checked before its verdict."""
+_APART = 1e-9
+"""Least time between two grid points [s], above the rounding of times."""
 _UNLIMITED = 1e6
 """Velocity limit of the timing [rad/s or m/s]: the path speed is limited instead."""
 _FADES = (0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75, 0.95)
@@ -56,16 +63,16 @@ def plan_stop(
     robot, whatever speed the motion was planned with.
 
     Args:
-        motion: The motion that the robot executes, from rest.
+        motion: The motion that the robot executes; contents swing by its part before `at`.
         scene: Robot, surroundings and carried object.
         at: Time at which the stop begins, on the clock of the motion [s].
         constraints: Constraints along the stop; by default those of `plan`: contents stay in, the grasp holds. With
             `[]`, it is the quickest stop within the limits of the robot.
 
     Returns:
-        The result. Its trajectory begins at `at` and ends at rest. It is SOLVED if the motion up to `at` with the stop
-        has passed the judge. If no quicker stop does, the rest of the motion itself is the stop, which `detail` says.
-        INFEASIBLE if that does not pass either, such as in a scene that has changed since.
+        The result. Its trajectory begins at `at` and ends at rest. It is SOLVED if the stop has passed the judge. If no
+        quicker stop does, the rest of the motion itself is the stop, which `detail` says. INFEASIBLE if that does not
+        pass either, such as in a scene that has changed since.
 
     Raises:
         SettingError: If `at` is not a finite time, or motion or scene have another type.
@@ -80,9 +87,11 @@ def plan_stop(
     held = SceneConstraints(scene, asked).around(motion.q[[0, -1]])
     proof = compile_scene(scene).proof.clearance
     detail, verdict = "", None
-    for stop, what in _stops(motion, float(at), held):
-        whole = _joined(motion, stop)
-        verdict = verify(whole, scene, constraints=held.constraints, clearance=proof)
+    for stop, what, is_last in _stops(motion, float(at), held):
+        if not is_last and surely_collides(stop, scene):
+            continue
+        begun = motion.at(float(stop.t[0]))
+        verdict = verify(stop, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
         if verdict.passed:
             return PlanResult(
                 status=PlanStatus.SOLVED,
@@ -97,20 +106,41 @@ def plan_stop(
     return PlanResult(status=PlanStatus.INFEASIBLE, verdict=verdict, detail=detail)
 
 
-def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str]]:
-    """Yield stops, the quickest first, with what there is to say about each; last the rest of the motion itself."""
-    rest = _rest(motion, at)
-    found: list[Trajectory] = []
-    if motion.t[0] < at < motion.t[-1] and len(motion) > 1:
-        quickest = (_quickest(motion, at, held, level) for level in held.steady_levels)
-        found = [stop for stop in quickest if stop is not None]
-        if held.felt:
-            fades = (_faded(motion, at, share * rest.duration) for share in _FADES)
-            found += [fade for fade in fades if slowdown(fade, held.scene.limits) <= 1.0]
-    for stop in sorted(found, key=lambda one: one.duration):
+def surely_collides(motion: Trajectory, scene: Scene) -> bool:
+    """Return whether a motion collides at one of a few moments, which takes less time than a verdict."""
+    return not bool(exactly_free(motion.positions(np.linspace(motion.t[0], motion.t[-1], _MOMENTS)), scene).all())
+
+
+def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str, bool]]:
+    """Yield stops, the quickest first; last the rest of the motion itself.
+
+    Each comes with what there is to say about it, and whether it is the last one.
+    """
+    rest = motion.since(at)
+    moves = motion.t[0] < at < motion.t[-1] and len(motion) > 1
+    found = False
+    for stop in _quicker(motion, at, held, rest.duration) if moves else ():
+        found = True
         if stop.duration < rest.duration:
-            yield stop, ""
-    yield rest, "" if not found else "no quicker stop than the motion's own end"
+            yield stop, "", False
+    yield rest, "" if not found else "no quicker stop than the motion's own end", True
+
+
+def _quicker(motion: Trajectory, at: float, held: SceneConstraints, left: float) -> Iterator[Trajectory]:
+    """Yield the quickest stop of each level, which take longer from level to level, and fades in between."""
+    fades = iter([share * left for share in _FADES] if held.felt else ())
+    after = next(fades, np.inf)
+    for level in held.steady_levels:
+        stop = _quickest(motion, at, held, level)
+        if stop is None:
+            break
+        while 2.0 * after < stop.duration:
+            yield from _faded(motion, at, after, held)
+            after = next(fades, np.inf)
+        yield stop
+    while after < np.inf:
+        yield from _faded(motion, at, after, held)
+        after = next(fades, np.inf)
 
 
 def _quickest(
@@ -127,26 +157,28 @@ def _quickest(
         stop = _timed(motion, at, after, held, level)
         return stop, 0.0 if stop is None else float(np.linalg.norm(stop.qd[0])) / speed
 
-    short, long = 0.0, _FIRST
+    short, long, slower = 0.0, _FIRST, 0.0
     while (found := ending(min(long, left)))[1] < _SLACK:
         if long >= left:
             return None
-        short, long = long, 2.0 * long
-    long = min(long, left)
-    for _ in range(_HALVINGS):
+        short, long, slower = long, 2.0 * long, found[1]
+    long, aim = min(long, left), _SLACK + 0.5 * _CLOSE
+    for _ in range(_MOST_TRIALS):
         if found[1] < _SLACK + _CLOSE:
             break
-        middle = 0.5 * (short + long)
+        # The square of the speed is about proportional to the way on which it can be lost.
+        share = (aim**2 - slower**2) / (found[1] ** 2 - slower**2)
+        middle = short + float(np.clip(share, _LEAST_SHARE, 1.0 - _LEAST_SHARE)) * (long - short)
         trial = ending(middle)
         if trial[1] < _SLACK:
-            short = middle
+            short, slower = middle, trial[1]
         else:
             long, found = middle, trial
     stop, excess = found
     if stop is None or excess > _SLACK + 10.0 * _CLOSE:
         return None
     stop = slowed(stop, excess)
-    return Trajectory(at + stop.t, stop.q, stop.qd, stop.qdd, stop.joints)
+    return stop.later(at)
 
 
 def _timed(
@@ -169,7 +201,7 @@ def _timed(
 def _grid(motion: Trajectory, at: float, after: float) -> CurveGrid:
     """Return points along a motion, its samples among them, since its acceleration may jump there."""
     even = np.linspace(at, at + after, _POINTS)
-    inside = motion.t[(motion.t > at) & (motion.t < at + after)]
+    inside = motion.t[(motion.t > at + _APART) & (motion.t < at + after - _APART)]
     t = np.union1d(even, inside)
     t = t[np.append(True, np.diff(t) > 1e-3 * after / _POINTS) | np.isin(t, inside)]
     t = np.append(t[(t > at) & (t < at + after)], at + after)
@@ -184,31 +216,18 @@ def _grid(motion: Trajectory, at: float, after: float) -> CurveGrid:
     return CurveGrid(t - at, state.q, np.stack([state.qd[:-1], state.qd[1:]], axis=1), np.moveaxis(bend, 0, 1), ends)
 
 
-def _faded(motion: Trajectory, at: float, after: float) -> Trajectory:
-    """Return a stop whose path speed fades from 1 to 0 like a cosine, to where the motion is `after` seconds later."""
+def _faded(motion: Trajectory, at: float, after: float, held: SceneConstraints) -> Iterator[Trajectory]:
+    """Yield the stop whose path speed fades from 1 to 0 like a cosine, to where the motion is `after` seconds later.
+
+    It is left out if it exceeds the limits.
+    """
     seconds = 2.0 * after
     t = np.linspace(0.0, seconds, _POINTS)
     phase = np.pi * t / seconds
     s = 0.5 * (t + seconds / np.pi * np.sin(phase))
     speed, acceleration = 0.5 * (1.0 + np.cos(phase))[:, None], -0.5 * np.pi / seconds * np.sin(phase)[:, None]
     state = motion.at(at + s)
-    return Trajectory(at + t, state.q, state.qd * speed, state.qdd * speed**2 + state.qd * acceleration, motion.joints)
-
-
-def _rest(motion: Trajectory, at: float) -> Trajectory:
-    """Return what is left of a motion from a time on."""
-    at = float(np.clip(at, motion.t[0], motion.t[-1]))
-    t = np.append(at, motion.t[motion.t > at + 1e-9])
-    return Trajectory(t, *motion.at(t), motion.joints)
-
-
-def _joined(motion: Trajectory, stop: Trajectory) -> Trajectory:
-    """Return the motion up to the beginning of a stop, followed by the stop."""
-    before = motion.t < stop.t[0] - 1e-9
-    return Trajectory(
-        np.append(motion.t[before], stop.t),
-        np.vstack([motion.q[before], stop.q]),
-        np.vstack([motion.qd[before], stop.qd]),
-        np.vstack([motion.qdd[before], stop.qdd]),
-        motion.joints,
-    )
+    qdd = state.qdd * speed**2 + state.qd * acceleration
+    stop = Trajectory(at + t, state.q, state.qd * speed, qdd, motion.joints)
+    if slowdown(stop, held.scene.limits) <= 1.0:
+        yield stop

@@ -11,9 +11,11 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import VerificationSettings, verify
 from graceful_plan.query.candidates.motions import Motion
+from graceful_plan.query.endpoints.lead_in import LeadIn, Takeover
 from graceful_plan.query.request import Request
 from graceful_plan.result import Verdict
 from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.timing.trajectory import State
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +29,9 @@ class VerifiedMotion:
 def judged(motion: Motion, request: Request) -> VerifiedMotion:
     """Verify a motion of a request."""
     pose = request.pose(motion.arrival)
-    verdict = verdict_of(motion, request.objective, request.constraints, pose, request.verification)
+    verdict = verdict_of(
+        motion, request.objective, request.constraints, pose, request.verification, request.lead, request.takeover
+    )
     return VerifiedMotion(motion=motion, verdict=verdict)
 
 
@@ -48,8 +52,20 @@ def verdict_of(
     constraints: SceneConstraints,
     pose: PoseGoal | None = None,
     verification: VerificationSettings | None = None,
+    lead: LeadIn | None = None,
+    takeover: Takeover | None = None,
 ) -> Verdict:
-    """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given."""
+    """Verify that a motion goes from the first vertex of its path to the last, or to a pose if one is given.
+
+    Args:
+        motion: The motion.
+        objective: Objective and scene.
+        constraints: Constraints along the motion.
+        pose: Pose of the tool at the end; None: the end of the path.
+        verification: Resolution of the judge.
+        lead: Lead-in of a moving start; None: the motion starts at rest.
+        takeover: The motion that the robot leaves at the start; None: it has rested.
+    """
     scene, looks = objective.scene, verification or VerificationSettings()
     impact, exposure = objective.objective.impact, objective.objective.exposure
     # The judge can recompute only the published model, over length or time: it has no second implementation of others.
@@ -58,7 +74,8 @@ def verdict_of(
     return verify(
         motion.trajectory,
         scene,
-        start=motion.path.q[0],
+        start=motion.path.q[0] if lead is None else State(motion.path.q[0], lead.velocity),
+        before=None if takeover is None else takeover.before,
         goal=motion.path.q[-1] if pose is None else pose,
         cost=motion.cost if recomputable else None,
         components=impact.components if isinstance(impact, ImpactCost) else (),

@@ -11,7 +11,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
-from graceful_plan.path import Path, real_array
+from graceful_plan.path import Path, is_real, real_array
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, merge_near_vertices, rounded
 from graceful_plan.timing.topp import (
@@ -28,6 +28,8 @@ Array = np.ndarray
 
 _LONGEST = 1e6
 """Longest path that is timed [rad or m]: beyond it, grid intervals are lost in rounding."""
+_FINEST = 4
+"""Density of the finest grid."""
 _ROUNDING = 1e-9
 """Relative reserve below the limits, for rounding errors when another program evaluates the trajectory."""
 ACCEPTED_SLOWDOWN = 1.02
@@ -44,8 +46,9 @@ def retime(
     inverse_dynamics: InverseDynamics | None = None,
     restraint: Restraint | None = None,
     felt: SpecificForceLevels | None = None,
+    start_speed: float = 0.0,
 ) -> Trajectory:
-    """Time a path as fast as the limits allow, from rest to rest.
+    """Time a path as fast as the limits allow, to rest, and from rest unless it has a speed at the start.
 
     Args:
         path: Polyline in configuration space; start and end are kept exactly.
@@ -58,6 +61,7 @@ def retime(
         restraint: Further limits on path acceleration and speed.
         felt: Limits on the specific force of a carried object such as a full cup; see
             `SceneConstraints.felt_levels`.
+        start_speed: Size of the velocity at the start, along the path [rad/s, Euclidean].
 
     Returns:
         A trajectory within the limits at every time, not only at its samples. A path without length gives a single
@@ -91,6 +95,7 @@ def retime(
         inverse_dynamics=inverse_dynamics,
         restraint=restraint,
         felt=felt,
+        start_speed=start_speed,
     )
 
 
@@ -103,18 +108,28 @@ def timed(
     inverse_dynamics: InverseDynamics | None = None,
     restraint: Restraint | None = None,
     felt: SpecificForceLevels | None = None,
+    start_speed: float = 0.0,
 ) -> Trajectory:
-    """Time a curve as fast as the limits allow, from rest to rest; arguments and errors as in `retime`."""
+    """Time a curve as fast as the limits allow; arguments and errors as in `retime`."""
     _check_limits(limits, joints)
+    if not (is_real(start_speed) and 0.0 <= start_speed < np.inf):
+        raise SettingError("start_speed", start_speed, "a finite speed of at least 0 rad/s")
     if inverse_dynamics is not None:
+        if start_speed:
+            raise SettingError("start_speed", start_speed, "0 with torque limits: toppra times from rest")
         if restraint is not None or felt is not None:
             raise SettingError("restraint", restraint, "None with torque limits: toppra does not get it")
         return slowed(_refined_with_torque(curve, limits, joints, inverse_dynamics), 1.0 / speed)
     velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
-    for density in (1, 2, 4):
+    for density in (1, 2, _FINEST):
         grid = curve.grid(density)
         limit = None if restraint is None else np.ascontiguousarray(restraint(grid))
-        found = fastest(grid, velocity, acceleration, limit=limit, felt=felt, speed=speed)
+        try:
+            found = fastest(grid, velocity, acceleration, limit=limit, felt=felt, speed=speed, start_speed=start_speed)
+        except RetimingError:
+            if not start_speed or density == _FINEST:
+                raise
+            continue  # on a finer grid, a motion with a given start needs less room below the limits
         if found.excess <= ACCEPTED_SLOWDOWN:
             break
     return Trajectory(found.t, found.q, found.qd, found.qdd, joints)
@@ -154,7 +169,7 @@ def _refined_with_torque(
     velocity, acceleration, torque = (
         np.asarray(x, float) for x in (limits.velocity, limits.acceleration, limits.torque)
     )
-    for density in (1, 2, 4):
+    for density in (1, 2, _FINEST):
         grid = curve.grid(density)
         _check_holdable(grid, torque, joints, inverse_dynamics)
         speeds = fastest_with_toppra(grid, velocity, acceleration, torque, inverse_dynamics)

@@ -64,6 +64,7 @@ def fastest(
     limit: Float[Array, "interval limit 3"] | None = None,
     felt: SpecificForceLevels | None = None,
     speed: float = 1.0,
+    start_speed: float = 0.0,
 ) -> _native.TimedCurve:
     """Compute the time-optimal motion along a curve, at rest at the grid's stops.
 
@@ -75,9 +76,11 @@ def fastest(
         felt: Limits on the specific force of a carried object.
         speed: Fraction of full speed at which the motion will finally be executed; the other limits apply at that
             speed.
+        start_speed: Size of the velocity at the start [rad/s]; if it is not 0, the motion is not at rest there.
 
     Raises:
-        RetimingError: If the motion comes to a halt, or a limit is violated even at rest.
+        RetimingError: If the motion comes to a halt, a limit is violated even at rest, or the motion starts too fast
+            for the curve.
     """
     felt = SpecificForceLevels(None, (), ()) if felt is None else felt
     found = _native.fastest(
@@ -87,7 +90,10 @@ def fastest(
         core=felt.core,
         levels=felt.levels,
         speed=speed,
+        start=start_speed or None,
     )
+    if start_speed and found.failed_point == 0 and found.failed_limit < 0:
+        raise RetimingError(f"no motion that starts at {start_speed:.3g} rad/s follows the path within the limits")
     return _checked(found, grid, felt.names)
 
 

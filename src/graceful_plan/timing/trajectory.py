@@ -24,16 +24,29 @@ Array = np.ndarray
 
 _LATEST = 1e15
 """Largest time [s]: beyond it, the resolution of a double is worse than 0.1 s."""
-_REST = 1e-6
+_SHORTEST = 1e-9
+"""Shortest piece before a splice [s]."""
+REST = 1e-6
 """Largest speed of a joint that counts as at rest [rad/s or m/s]."""
 
 
+_UNKNOWN = np.zeros(0)
+_UNKNOWN.flags.writeable = False
+
+
 class State(NamedTuple):
-    """Position, velocity and acceleration of the joints at one or more times."""
+    r"""Position, velocity and acceleration of the joints at one or more times, in the order of the scene's joints.
+
+    | field | meaning                                 | unit               | shape      |
+    |-------|-----------------------------------------|--------------------|------------|
+    | q     | positions                               | rad or m           | \\*time nq |
+    | qd    | velocities                              | rad/s or m/s       | \\*time nq |
+    | qdd   | accelerations; empty if unknown         | rad/s^2 or m/s^2   | \\*time nq |
+    """
 
     q: Float[Array, "*time nq"]
     qd: Float[Array, "*time nq"]
-    qdd: Float[Array, "*time nq"]
+    qdd: Float[Array, "*time nq"] = _UNKNOWN
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,20 +200,50 @@ class Trajectory:
         return (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (-6.0 * mean + 2.0 * v0 + 4.0 * v1) / h
 
     def delayed(self, seconds: float) -> Trajectory:
-        """Return the same motion with a wait at its start [s]; the motion must start at rest.
+        """Return the same motion with a wait at its start [s]; a motion that waits must start at rest.
 
         Raises:
             SettingError: If the wait is negative or not finite, or the motion does not start at rest.
         """
         if not (is_real(seconds) and 0.0 <= seconds < np.inf):
             raise SettingError("seconds", seconds, "a finite time of at least 0 s")
-        if np.any(np.abs(self.qd[0]) > _REST):
-            raise SettingError("qd[0]", self.qd[0].tolist(), "rest: a moving robot cannot wait")
         if seconds == 0.0:
             return self
+        if np.any(np.abs(self.qd[0]) > REST):
+            raise SettingError("qd[0]", self.qd[0].tolist(), "rest: a moving robot cannot wait")
         t = np.append(self.t[0], self.t + seconds)
         q, qd, qdd = (x[np.maximum(np.arange(len(self) + 1) - 1, 0)] for x in (self.q, self.qd, self.qdd))
         qd[0] = qdd[0] = 0.0
+        return Trajectory(t, q, qd, qdd, self.joints)
+
+    def since(self, t: float) -> Trajectory:
+        """Return the rest of the motion from a time on [s], on the same clock."""
+        t = float(np.clip(t, self.t[0], self.t[-1]))
+        times = np.append(t, self.t[self.t > t + _SHORTEST])
+        return Trajectory(times, *self.at(times), self.joints)
+
+    def later(self, seconds: float) -> Trajectory:
+        """Return the same motion on a clock that is behind by a time [s]: it starts that much later."""
+        return Trajectory(self.t + seconds, self.q, self.qd, self.qdd, self.joints)
+
+    def spliced(self, after: Trajectory) -> Trajectory:
+        """Return this motion up to the start of another one on the same clock, followed by that one.
+
+        Args:
+            after: Motion that begins with the position and velocity that this one has at that time.
+
+        Raises:
+            SettingError: If the joints differ, or position or velocity jump there.
+        """
+        if after.joints != self.joints:
+            raise SettingError("after", after, f"a trajectory of the joints {', '.join(self.joints)}")
+        begins = float(after.t[0])
+        here = self.at(np.clip(begins, self.t[0], self.t[-1]))
+        jump = max(float(np.abs(after.q[0] - here.q).max()), float(np.abs(after.qd[0] - here.qd).max()))
+        if jump > REST:
+            raise SettingError("after", after, f"a motion without a jump, here {jump:.3g}, at {begins:g} s")
+        mine = self.t < begins - _SHORTEST
+        t, q, qd, qdd = (np.concatenate([getattr(self, x)[mine], getattr(after, x)]) for x in ("t", "q", "qd", "qdd"))
         return Trajectory(t, q, qd, qdd, self.joints)
 
     def sample(self, dt: float) -> Trajectory:

@@ -42,6 +42,8 @@ SHORTENING = DescentSettings(screens=False, bends=0, fine=1, hurries=True)
 A descent from one path ends within a percent of the shortest motion of its homotopy class, and a new search may find
 another class."""
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
+_LEAST_LEG = 0.25
+"""Least distance of the second control point from a moving start, relative to the length of the lead-in."""
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the sphere model is not checked [rad]."""
 
@@ -80,6 +82,8 @@ def motion_descents(request: Request, problem: SceneProblem, settings: DescentSe
         projected=problem.projected if request.constraints.level else None,
         counts_points=objective.objective.exposure == "waypoints",
         settings=_affordable(settings, objective),
+        leaving=None if request.lead is None else request.lead.velocity,
+        least_leg=0.0 if request.lead is None else _LEAST_LEG * request.lead.path.length,
     )
 
 
@@ -106,9 +110,17 @@ def start_of(path: Path, ends: Endpoints) -> Start:
     return start_along(whole, arrival, ends)
 
 
+def start_onto(whole: Path, ends: Endpoints) -> Start:
+    """Return a path from the real start as a start of descents to the real goal nearest to its end."""
+    goals = np.stack([arrival.q[-1] for arrival in ends.arrivals])
+    arrival = int(np.argmin(np.linalg.norm(goals - whole.q[-1], axis=1)))
+    return start_along(Path(np.vstack([whole.q, goals[arrival]])).without_duplicates(), arrival, ends)
+
+
 def start_along(whole: Path, arrival: int, ends: Endpoints) -> Start:
     """Return a whole path as a start of descents."""
-    return Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival]), arrival=arrival)
+    tight_start = 0.0 if ends.clear_lead else _tight(ends.departure)
+    return Start(whole, tight_start, _tight(ends.arrivals[arrival]), arrival=arrival)
 
 
 def _keeps(problem: Callable[[], SceneProblem]) -> Callable[[SmoothCurve, Start], bool]:

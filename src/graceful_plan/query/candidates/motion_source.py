@@ -21,7 +21,7 @@ from graceful_plan.planners.motion_descent import DescentResult, DescentSettings
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.candidates.departure import search_with_moving_entities
-from graceful_plan.query.candidates.descents import SHORTENING, motion_descents, start_along, start_of
+from graceful_plan.query.candidates.descents import SHORTENING, motion_descents, start_along, start_of, start_onto
 from graceful_plan.query.candidates.motions import Motion, along, timed_curve, with_cost
 from graceful_plan.query.candidates.proxy_objective import proxy_objective
 from graceful_plan.query.candidates.search import Callback, PausedSearch, Search, subsampled
@@ -68,6 +68,8 @@ class MotionSource:
         settings = SHORTENING if self._shortens else DescentSettings()
         self._descents = motion_descents(request, problem, settings) if request.refine else None
         self._results: list[DescentResult] = []
+        onward = None if request.takeover is None else request.takeover.onward
+        self._onward = [] if onward is None else [start_onto(onward, ends)]
         self._related: MotionSource | None = None
         related = proxy_objective(request.objective) if request.refine and request.preference is None else None
         if related is not None:
@@ -127,7 +129,8 @@ class MotionSource:
             if found.trace:
                 self.path_cost = min(self.path_cost, found.trace[-1].total)
             paths = found.paths[-1:] if self._shortens else _spread(found.paths)
-            starts += [start_of(path, self._ends) for path in paths]
+            starts += [*self._onward, *(start_of(path, self._ends) for path in paths)]
+            self._onward = []
             if self._descents is None or not self.restarts:
                 yield from self._along(found)
         if self._descents is not None:

@@ -14,6 +14,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE, DescentResult, time_price
 from graceful_plan.query.candidates.departure import with_best_departure
 from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.query.endpoints.lead_in import LeadIn
 from graceful_plan.query.request import Request
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
@@ -23,6 +24,10 @@ Array = np.ndarray
 
 DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
 """Distances by which a motion may cut a corner of a polyline [rad], from fast to exact; with 0 it stops there."""
+
+
+_SLOWER = (1.0, 0.6, 0.35)
+"""Shares of the speed to try after a stop."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +48,7 @@ class Motion:
 def timed_curve(found: DescentResult, request: Request) -> Motion | None:
     """Time the curve of a descent; return None if no timing satisfies the constraints."""
     try:
-        trajectory = request.constraints.timed(found.curve, speed=request.speed)
+        trajectory = request.constraints.timed(found.curve, speed=request.speed, start_speed=request.start_speed)
     except RetimingError:
         return None
     motion = costed(trajectory.path, trajectory, found.start.arrival, request)
@@ -53,7 +58,8 @@ def timed_curve(found: DescentResult, request: Request) -> Motion | None:
 def along(path: Path, request: Request, ends: Endpoints) -> Iterator[Motion]:
     """Yield motions along a polyline that cut its corners less and less.
 
-    The first one cuts each corner as far as the fast checker finds it free.
+    The first one cuts each corner as far as the fast checker finds it free. From a moving start, further ones stop at
+    the end of the lead-in.
 
     Raises:
         RetimingError: If even the polyline itself cannot be timed.
@@ -67,6 +73,8 @@ def along(path: Path, request: Request, ends: Endpoints) -> Iterator[Motion]:
         except RetimingError:
             if deviation is choices[-1]:
                 raise
+        if request.lead is not None:
+            yield from _stopping(whole, deviation, arrival, request, request.lead)
 
 
 def costed(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
@@ -95,8 +103,26 @@ def price_of_time(request: Request) -> float:
 
 def _rounded(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline with its corners cut by up to `deviation` [rad]."""
-    trajectory = request.constraints.retimed(whole, deviation=deviation, speed=request.speed)
+    trajectory = request.constraints.retimed(
+        whole, deviation=deviation, speed=request.speed, start_speed=request.start_speed
+    )
     return costed(whole, trajectory, arrival, request)
+
+
+def _stopping(
+    whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request, lead: LeadIn
+) -> Iterator[Motion]:
+    """Yield motions that stop at the end of the lead-in; with contents, which swing there, also slower ones."""
+    onward = Path(whole.q[len(lead.path) - 1 :])
+    if len(onward) < 2 or np.abs(onward.q[0] - lead.path.q[-1]).max() > 0.0:
+        return
+    corners = deviation if np.ndim(deviation) == 0 else _free_deviations(onward, request)
+    for speed in _SLOWER if request.constraints.felt else _SLOWER[:1]:
+        try:
+            after = request.constraints.retimed(onward, deviation=corners, speed=speed * request.speed)
+        except RetimingError:
+            return
+        yield costed(whole, lead.stop.spliced(after.later(lead.stop.duration)), arrival, request)
 
 
 def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:

@@ -47,6 +47,8 @@ class Endpoints:
     """Index of the given goal that each arrival leads to."""
     notes: tuple[str, ...] = ()
     """Adjustments that made start and goals usable."""
+    clear_lead: bool = False
+    """Whether `departure` is the lead-in of a moving start alone, and the fast checker finds it free."""
 
     @property
     def clearance(self) -> float:
@@ -63,7 +65,7 @@ class Endpoints:
 
     def in_the_clear(self, index: int) -> bool:
         """Return whether a whole path with this arrival has no escape paths, so that the fast checker finds it free."""
-        return len(self.departure) == 1 and len(self.arrivals[index]) == 1
+        return (len(self.departure) == 1 or self.clear_lead) and len(self.arrivals[index]) == 1
 
 
 def find_endpoints(

@@ -19,11 +19,13 @@ from graceful_plan.judge.exact import state_contacts
 from graceful_plan.judge.verification import GRAZING_SHARE, VerificationSettings, verify
 from graceful_plan.path import Path
 from graceful_plan.query.endpoints.escape import ascend
+from graceful_plan.query.endpoints.lead_in import Takeover
 from graceful_plan.query.endpoints.usable import CLAMPED
 from graceful_plan.query.request import Request
 from graceful_plan.query.via.legs import one_after_the_other
 from graceful_plan.result import PlanResult, PlanStatus
-from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import State, Trajectory
 
 Array = np.ndarray
 
@@ -48,6 +50,8 @@ class RealStart:
     """Motion from the given start, less these turns, to the start for planning; None if they are the same."""
     tolerance: float = 0.0
     note: str = ""
+    takeover: Takeover | None = None
+    """The motion that the robot leaves, less these turns; None if it is not known."""
 
     def completed(self, result: PlanResult, request: Request) -> PlanResult:
         """Return the result with the first piece and the whole turns."""
@@ -69,7 +73,8 @@ class RealStart:
         verdict = verify(
             whole,
             scene,
-            start=self.first.q[0],
+            start=State(self.first.q[0], self.first.qd[0]),
+            before=None if self.takeover is None else self.takeover.before,
             constraints=request.constraints.constraints,
             step=looks.step,
             clearance=None if looks.everywhere else compile_scene(scene).proof.clearance,
@@ -86,6 +91,12 @@ class RealStart:
         )
 
 
+def without_turns(q: Float[Array, " nq"], scene: Scene) -> tuple[Float[Array, " nq"], Float[Array, " nq"]]:
+    """Return a configuration with hinges without limits within a turn, and the whole turns that are missing [rad]."""
+    turns = np.where(scene.endless, 2.0 * np.pi * np.round(q / (2.0 * np.pi)), 0.0)
+    return q - turns, turns
+
+
 def real_start(q: Float[Array, " nq"], constraints: SceneConstraints, tolerance: float, speed: float) -> RealStart:
     """Return where to begin planning from a given start.
 
@@ -99,8 +110,7 @@ def real_start(q: Float[Array, " nq"], constraints: SceneConstraints, tolerance:
         speed: Fraction of the velocity limits to use.
     """
     scene = constraints.scene
-    turns = np.where(scene.endless, 2.0 * np.pi * np.round(q / (2.0 * np.pi)), 0.0)
-    q = q - turns
+    q, turns = without_turns(q, scene)
     as_given = RealStart(q, turns)
     lower, upper = scene.limits.position.T
     excess = np.maximum(lower - q, q - upper)

@@ -57,7 +57,7 @@ struct GivenCurve {
 
 TimedCurve fastest(Reals step, Reals q, Reals slope, Reals bend, Flags stop, Reals velocity, Reals acceleration,
                    const std::optional<Reals>& limit, const Core* core, std::vector<CurveTiming::Level> levels,
-                   double speed) {
+                   double speed, std::optional<double> start) {
   const size_t dim = velocity.size(), n = GivenCurve{step, q, slope, bend}.check(velocity, acceleration);
   require(stop.size() == n + 1, "a curve");
   require(!limit || (limit->ndim() == 3 && limit->shape(0) == n && limit->shape(2) == 3), "limits are [n, m, 3]");
@@ -68,11 +68,14 @@ TimedCurve fastest(Reals step, Reals q, Reals slope, Reals bend, Flags stop, Rea
     require(level.empty() || (core && core->tables().n_joint == int(dim)), "felt limits need a core of the same robot");
   }
   if (!levels.empty()) require_numbers(q, "a curve", kMaxPosition);
-  const std::vector<uint8_t> rests(stop.data(), stop.data() + n + 1);
+  require(!start || in_range(*start, 0), "speed at the start");
+  std::vector<uint8_t> rests(stop.data(), stop.data() + n + 1);
+  if (start) rests.front() = 0;
   CurveTiming timing(core, std::move(levels), point(velocity), point(acceleration));
   nb::gil_scoped_release release;
   const bool found = timing.run({n, dim, step.data(), slope.data(), bend.data(), rests.data()}, q.data(),
-                                limit ? limit->data() : nullptr, limit ? limit->shape(1) : 0, speed);
+                                limit ? limit->data() : nullptr, limit ? limit->shape(1) : 0, speed,
+                                start.value_or(std::numeric_limits<double>::infinity()));
   if (!found) return {{}, timing.speeds(), timing.trouble(), dim};
   return {timing.motion(), timing.speeds(), {}, dim};
 }
@@ -89,7 +92,8 @@ TimedCurve travelled(Reals step, Reals q, Reals slope, Reals bend, Reals speeds,
   if (!travel({n, dim, step.data(), slope.data(), bend.data(), nullptr}, q.data(), squared, motion, halted))
     return {{}, {}, {-1, halted, true}, dim};
   motion.excess = cubics_excess(motion.t.size(), dim, motion.t.data(), motion.q.data(), motion.qd.data(),
-                                motion.qdd.data(), velocity.data(), acceleration.data());
+                                motion.qdd.data(), velocity.data(), acceleration.data())
+                      .both();
   return found;
 }
 
@@ -98,7 +102,7 @@ double excess(Reals t, Reals q, Reals qd, Reals qdd, Reals velocity, Reals accel
   require_numbers(t, "times");
   for (const Reals& part : {q, qd, qdd}) require_numbers(part, n * dim, "samples of a motion");
   require_limits(velocity, acceleration);
-  return cubics_excess(n, dim, t.data(), q.data(), qd.data(), qdd.data(), velocity.data(), acceleration.data());
+  return cubics_excess(n, dim, t.data(), q.data(), qd.data(), qdd.data(), velocity.data(), acceleration.data()).both();
 }
 
 // First and second derivatives of a point of a link along a curve: [2, n, 3].
@@ -195,7 +199,7 @@ void bind_timing(nb::module_& m) {
         "acceleration"_a);
   m.def("fastest", &fastest, nb::kw_only(), "step"_a, "q"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a,
         "acceleration"_a, "limit"_a = nb::none(), "core"_a.none() = nb::none(),
-        "levels"_a = std::vector<CurveTiming::Level>{}, "speed"_a = 1.0);
+        "levels"_a = std::vector<CurveTiming::Level>{}, "speed"_a = 1.0, "start"_a = nb::none());
 }
 
 }  // namespace gp

@@ -73,11 +73,14 @@ class MotionCurve {
   Point lower_, upper_;
 };
 
-// A curve in joint space: each joint is a column and an axis.
+// A curve in joint space: each joint is a column and an axis. If the motion starts with a velocity, the second control
+// point is projected onto the ray from the first one along it, so that the curve leaves in that direction.
 class JointCurve final : public MotionCurve {
  public:
-  JointCurve(const Space& space, size_t controls, size_t density)
-      : MotionCurve(controls, density, size_t(space.dim)), space_(space) {
+  // `leaving`: direction of the start velocity, as a unit vector, or empty. `least`: least length of the first leg
+  // [rad].
+  JointCurve(const Space& space, size_t controls, size_t density, Point leaving = {}, double least = 0)
+      : MotionCurve(controls, density, size_t(space.dim)), space_(space), leaving_(std::move(leaving)), least_(least) {
     for (size_t c = 0; c < inner(); ++c) {
       lower_.insert(lower_.end(), space.lower.begin(), space.lower.end());
       upper_.insert(upper_.end(), space.upper.begin(), space.upper.end());
@@ -105,12 +108,15 @@ class JointCurve final : public MotionCurve {
     for (size_t c = 0; c < inner(); ++c)
       points.emplace_back(x.begin() + long(c * columns()), x.begin() + long((c + 1) * columns()));
     points.push_back(last_);
+    if (!leaving_.empty()) points[1] = projected(x);
     return points;
   }
 
   void sample(const Point& x, CurveStates& out) override {
     const size_t n = control_count(), dim = columns();
+    if (!leaving_.empty()) second_ = projected(x), shortest_ = along_ray(x) <= least_;
     const auto control = [&](size_t c) {
+      if (c == 1 && !leaving_.empty()) return static_cast<const double*>(second_.data());
       return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim];
     };
     std::fill(out.share.begin(), out.share.end(), 1.0);
@@ -151,11 +157,30 @@ class JointCurve final : public MotionCurve {
           out[j] += row.value[m] * d.q[k * dim + j] + row.slope[m] * slope[j] + row.bend[m] * bend[j];
       }
     }
+    if (leaving_.empty()) return;
+    double along = 0;
+    for (size_t j = 0; j < dim; ++j) along += leaving_[j] * gradient[j];
+    for (size_t j = 0; j < dim; ++j) gradient[j] = shortest_ ? 0.0 : along * leaving_[j];
   }
 
  private:
+  double along_ray(const Point& x) const {
+    double along = 0;
+    for (size_t j = 0; j < columns(); ++j) along += leaving_[j] * (x[j] - first_[j]);
+    return along;
+  }
+  Point projected(const Point& x) const {
+    Point second = first_;
+    const double leg = std::max(least_, along_ray(x));
+    for (size_t j = 0; j < columns(); ++j) second[j] += leg * leaving_[j];
+    return second;
+  }
+
   const Space& space_;
-  Point first_, last_;
+  const Point leaving_;
+  const double least_;
+  Point first_, last_, second_;
+  bool shortest_ = false;  // whether the first leg has its least length
 };
 
 }  // namespace gp

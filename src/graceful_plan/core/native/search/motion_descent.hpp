@@ -37,7 +37,20 @@ struct MotionSettings {
   bool fitted = false;                   // whether the path consists of the control points of a curve
   bool slosh = true;                     // whether sloshing of a liquid is penalised
   double points = 1;                     // number of samples of the motion, for sums over samples
+  Point leaving;                         // velocity at the start [rad/s]; empty at rest
+  double least_leg = 0;                  // least distance of the second control point from a moving start [rad]
 };
+
+inline double size_of(const Point& vector) {
+  double squared = 0;
+  for (double x : vector) squared += x * x;
+  return std::sqrt(squared);
+}
+inline Point unit(Point vector) {
+  const double size = size_of(vector);
+  for (double& x : vector) x /= size;
+  return vector;
+}
 
 class MotionDescent {
  public:
@@ -47,7 +60,10 @@ class MotionDescent {
       : space_(space),
         settings_(settings),
         dim_(size_t(space.dim)),
-        curve_(curve ? std::move(curve) : std::make_unique<JointCurve>(space, settings.controls, settings.density)),
+        curve_(curve ? std::move(curve)
+                     : std::make_unique<JointCurve>(space, settings.controls, settings.density, unit(settings.leaving),
+                                                    settings.least_leg)),
+        start_speed_(size_of(settings.leaving)),
         profile_(curve_->axis_velocity(settings.velocity), curve_->axis_acceleration(settings.acceleration)),
         felt_(space, settings.felt, settings.slosh),
         push_(settings.push) {
@@ -56,7 +72,7 @@ class MotionDescent {
     qd_.resize(samples * dim_), impact_by_q_ = impact_by_qd_ = by_clearance_ = qd_;
     impact_.resize(samples), density_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
     step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0),
-        stop_.front() = stop_.back() = 1;
+        stop_.front() = start_speed_ == 0, stop_.back() = 1;
     if (settings.fitted && path.size() != settings.controls)
       throw std::invalid_argument("control points that are not those of the curve");
     x_ = settings.fitted ? curve_->adopted(path) : curve_->fitted(path);
@@ -99,6 +115,8 @@ class MotionDescent {
   double duration() const { return now_.duration; }
   // The least gap to a moving entity; infinite unless below kPassing.
   double gap() const { return now_.gap; }
+  // Largest feasible speed at a moving start, relative to the present one; infinite at rest.
+  double start_room() const { return now_.start_room; }
   // Increases the weight of the clearance penalty.
   void harden() {
     push_ *= 4.0;
@@ -112,7 +130,7 @@ class MotionDescent {
 
  private:
   struct Evaluation {
-    double energy, total, duration, gap;
+    double energy, total, duration, gap, start_room;
   };
   static constexpr double kKeep = 0.001;   // clearance to keep in addition to the space's margin [m]
   static constexpr double kLongest = 0.3;  // longest step of a control point [rad]
@@ -245,8 +263,9 @@ class MotionDescent {
     const size_t samples = curve_->samples();
     curve_->sample(x, at_);
     CurveSamples curve{samples - 1, curve_->axes(), step_.data(), at_.slope.data(), at_.bend.data(), stop_.data()};
-    const CurveLimits& limits = felt_.enter(space_, at_.q, step_.front(), profile_.enter(curve));
-    const std::vector<double>& fastest = profile_.compute(curve, limits);
+    const double start = start_squared();
+    const CurveLimits& limits = felt_.enter(space_, at_.q, step_.front(), profile_.enter(curve, start));
+    const std::vector<double>& fastest = profile_.compute(curve, limits, start);
     squared_.resize(samples), speed_.resize(samples), pause_.resize(samples - 1);
     double duration = 0;
     for (size_t k = 0; k < samples; ++k)
@@ -268,7 +287,8 @@ class MotionDescent {
     if (scale_ == 0) scale_ = total;
     const double weight = push_ * scale_ / double(samples);
     const bool timed = space_.w > 0 && space_.measure() == Measure::kTime;
-    const double penalty = collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_);
+    const StartPenalty too_fast = leave(start, push_ * scale_);
+    const double penalty = collide() + (moves ? pass() : 0.0) + weight * felt_.slosh(squared_, pause_) + too_fast.value;
     felt_.back_slosh(squared_, weight, d_squared_, d_pause_);
     if (moves) delay();
     for (size_t k = 0; k + 1 < samples; ++k) {
@@ -282,13 +302,39 @@ class MotionDescent {
       d_.share[k] = 2 * at_.share[k] * fastest[k] * by_squared;
       d_speed_[k] = at_.share[k] * at_.share[k] * by_squared;  // from now on with respect to the squared largest speed
     }
-    profile_.back(curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()});
+    const double d_start =
+        too_fast.by_start + profile_.back(curve, limits, d_speed_, {d_.slope.data(), d_.bend.data(), felt_.slopes()},
+                                          too_fast.by_reachable);
+    if (start_speed_ > 0)  // the squared speed of the parameter is that of the joints, divided by the squared slope
+      for (size_t j = 0; j < curve_->axes(); ++j)
+        d_.slope[j] -= 2 * start * start / (start_speed_ * start_speed_) * at_.slope[j] * d_start;
     felt_.back(d_.q);
     curve_->collect(d_, gradient);
     const double charge = curve_->charge(x, settings_.time_price, gradient);
     double gap = std::numeric_limits<double>::infinity();
     for (size_t k = 1; moves && k + 1 < samples; ++k) gap = std::min(gap, gap_[k]);
-    return {total + spread + penalty + charge, total + penalty / push_ + charge, duration, gap};
+    const double room =
+        start_speed_ > 0 ? std::sqrt(profile_.reachable() / start) : std::numeric_limits<double>::infinity();
+    return {total + spread + penalty + charge, total + penalty / push_ + charge, duration, gap, room};
+  }
+
+  // Squared speed of the parameter at the start.
+  double start_squared() const {
+    if (start_speed_ == 0) return SpeedProfile::kUnbounded;
+    double squared = 0;
+    for (size_t j = 0; j < curve_->axes(); ++j) squared += at_.slope[j] * at_.slope[j];
+    return start_speed_ * start_speed_ / std::max(squared, kSlowest);
+  }
+
+  // Penalty for curves that the robot cannot follow from its present speed.
+  struct StartPenalty {
+    double value = 0, by_start = 0, by_reachable = 0;
+  };
+  StartPenalty leave(double start, double weight) const {
+    if (start_speed_ == 0) return {};
+    const double reachable = std::max(profile_.reachable(), kSlowest), lack = std::log(kStartRoom * start / reachable);
+    if (!(lack > 0)) return {};
+    return {weight * lack * lack, 2 * weight * lack / start, -2 * weight * lack / reachable};
   }
 
   // Computes the length of the curve; returns the excess of its energy over the length, which is zero for even samples.
@@ -422,11 +468,13 @@ class MotionDescent {
   static constexpr double kPassing = 0.15;  // wanted clearance to moving entities [m]; the judge requires more than 0
   static constexpr double kPassingWeight = 20.0;  // weight of its square, relative to that of other clearance
   static constexpr double kSlowest = 1e-9;        // lower bound of speeds of the curve parameter [1/s]
+  static constexpr double kStartRoom = 1.1;       // wanted room for the squared speed at a moving start
 
   Space& space_;
   const MotionSettings settings_;
   const size_t dim_;
   const std::unique_ptr<MotionCurve> curve_;
+  const double start_speed_;  // [rad/s]
   SpeedProfile profile_;
   FeltSamples felt_;
   double push_, scale_ = 0, length_ = 0;

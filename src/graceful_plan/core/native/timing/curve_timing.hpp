@@ -4,6 +4,10 @@
 // A surface swings beyond the felt direction, by an amount that depends on the curve. Limits on felt acceleration
 // therefore come in levels, from boldest to most careful; if the surface still swings too far at a level, the whole
 // motion is slowed down. The fastest motion of all levels is the result.
+//
+// A motion may begin with a given speed. It cannot be slowed down as a whole then, so the result is that of the first
+// level at which the surface stays below the rim. Where sampling lets it exceed a limit, it is timed again with limits
+// that are as much tighter.
 #pragma once
 #include "core.hpp"
 #include "timing/felt.hpp"
@@ -33,10 +37,19 @@ class CurveTiming {
     bool any = false;
   };
 
-  // Times a curve through `q`, with further limits on each interval [n, further, 3], at a share of the speed.
-  bool run(const CurveSamples& curve, const double* q, const double* limit, size_t further, double speed) {
-    const std::vector<Box>& box = profile_.enter(curve);
+  // Times a curve through `q`, with further limits on each interval [n, further, 3], at a share of the speed. Unless
+  // the curve stops at its beginning, the motion starts with a velocity of size `start`.
+  bool run(const CurveSamples& curve, const double* q, const double* limit, size_t further, double speed,
+           double start) {
+    start_ = SpeedProfile::kUnbounded;
+    if (!curve.stop[0] && std::isfinite(start)) {
+      double size = 0;
+      for (size_t j = 0; j < curve.dim; ++j) size += curve.slope[j] * curve.slope[j];
+      start_ = start * start / (speed * speed * std::max(size, kLeastSlope));
+    }
     move(curve, q);
+    if (moving()) return run_from_speed(curve, q, {limit, further}, speed);
+    const std::vector<Box>& box = profile_.enter(curve);
     bool found = false;
     for (const Level& level : levels_) {
       trouble_ = {};
@@ -65,6 +78,12 @@ class CurveTiming {
   static constexpr double kLeastRoom = 1e-3;  // of gravity: least reserve of a facet at rest
   static constexpr double kSlowdown = 1.01;   // factor of each slowdown
   static constexpr int kMostSlowdowns = 310;  // most of them: a factor of 22 in all
+  static constexpr double kLeastSlope = 1e-12;
+  static constexpr int kRetimings = 5;             // of a motion with a given start, for limits between samples
+  static constexpr double kRetimingRoom = 1.2;     // factor on the excess from one of them to the next
+  static constexpr double kStartTolerance = 1e-9;  // relative excess of the given squared speed over the feasible one
+
+  bool moving() const { return start_ < SpeedProfile::kUnbounded; }
 
   struct Further {
     const double* row;
@@ -120,34 +139,65 @@ class CurveTiming {
     }
     for (size_t l = 0; l < level.size(); ++l)
       if (tightest[l] < kLeastRoom * level[l].gravity) return trouble_ = {int(l), where[l], true}, false;
-    squared_ = profile_.compute(curve, rows_);
+    squared_ = profile_.compute(curve, rows_, start_);
+    if (moving() && profile_.reachable() < start_ * (1 - kStartTolerance)) return trouble_ = {-1, 0, true}, false;
     speed_.resize(n + 1);
     for (size_t i = 0; i <= n; ++i) speed_[i] = std::sqrt(squared_[i]);
     size_t halted = 0;
     if (!travel(curve, q, squared_, now_, halted)) return trouble_ = {-1, halted, true}, false;
-    now_.excess = cubics_excess(now_.t.size(), curve.dim, now_.t.data(), now_.q.data(), now_.qd.data(), now_.qdd.data(),
-                                velocity_.data(), acceleration_.data());
-    stretched_ = now_.excess * (1 + kRounding) / speed;
+    excess_ = cubics_excess(now_.t.size(), curve.dim, now_.t.data(), now_.q.data(), now_.qd.data(), now_.qdd.data(),
+                            velocity_.data(), acceleration_.data());
+    now_.excess = moving() ? 1.0 : excess_.both();
+    stretched_ = (moving() ? 1.0 : now_.excess * (1 + kRounding)) / speed;
     now_.stretch(stretched_);
+    return true;
+  }
+
+  // Times a motion that begins with a speed, with tighter limits as long as it exceeds the given ones between samples.
+  bool run_from_speed(const CurveSamples& curve, const double* q, const Further& further, double speed) {
+    Excess tighter;
+    for (int tried = 0; tried < kRetimings; ++tried) {
+      profile_ = SpeedProfile(divided(velocity_, tighter.velocity),
+                              divided(acceleration_, tighter.acceleration * tighter.acceleration));
+      const std::vector<Box>& box = profile_.enter(curve, start_);
+      for (const Level& level : levels_) {
+        trouble_ = {};
+        if (!time(curve, q, level, further, box, speed)) return false;
+        if (excess_.both() > 1 + kRounding) break;
+        if (!is_calm(curve, level, 1.0)) continue;
+        best_ = now_, best_speed_ = speed_;
+        return true;
+      }
+      if (excess_.both() <= 1 + kRounding) break;  // a liquid swings too far at every level
+      tighter.velocity *= 1 + kRetimingRoom * (excess_.velocity - 1);
+      tighter.acceleration *= 1 + kRetimingRoom * (excess_.acceleration - 1);
+    }
+    return trouble_ = {-1, 0, true}, false;
+  }
+  static Point divided(Point limits, double factor) {
+    for (double& limit : limits) limit /= factor;
+    return limits;
+  }
+
+  // Whether no surface exceeds its rim in the motion slowed down by a factor.
+  bool is_calm(const CurveSamples& curve, const Level& level, double slower) const {
+    for (size_t l = 0; l < level.size(); ++l)
+      if (level[l].slosh &&
+          !stays_in(*level[l].slosh, level[l].gravity, curve, vessel_[l], squared_, stretched_ * slower))
+        return false;
     return true;
   }
 
   // Smallest slowdown at which no surface exceeds its rim, or at which the motion takes longer than `longest`.
   double slowdown(const CurveSamples& curve, const Level& level, double longest) const {
-    const auto is_calm = [&](int slowdowns) {
-      for (size_t l = 0; l < level.size(); ++l)
-        if (level[l].slosh && !stays_in(*level[l].slosh, level[l].gravity, curve, vessel_[l], squared_,
-                                        stretched_ * std::pow(kSlowdown, slowdowns)))
-          return false;
-      return true;
-    };
     const double most_by_time = std::ceil(std::log(longest / now_.duration()) / std::log(kSlowdown));
     const int most = int(std::min(most_by_time, double(kMostSlowdowns)));
     int swings = -1, calm = 0;
-    while (calm < most && !is_calm(calm)) swings = calm, calm = std::min(std::max(1, 2 * calm), most);
+    while (calm < most && !is_calm(curve, level, std::pow(kSlowdown, calm)))
+      swings = calm, calm = std::min(std::max(1, 2 * calm), most);
     while (calm - swings > 1) {
       const int middle = (swings + calm) / 2;
-      (is_calm(middle) ? calm : swings) = middle;
+      (is_calm(curve, level, std::pow(kSlowdown, middle)) ? calm : swings) = middle;
     }
     return std::pow(kSlowdown, calm);
   }
@@ -161,8 +211,9 @@ class CurveTiming {
   std::vector<double> poses_, rests_, squared_, speed_, best_speed_;
   std::vector<std::vector<FeltMotion>> felt_;
   std::vector<VesselMotion> vessel_;
-  double stretched_ = 1;
+  double stretched_ = 1, start_ = SpeedProfile::kUnbounded;
   Travel now_, best_;
+  Excess excess_;
   Trouble trouble_;
 };
 

@@ -97,8 +97,12 @@ class SpeedProfile {
   SpeedProfile(std::vector<double> velocity, std::vector<double> acceleration)
       : velocity_(std::move(velocity)), acceleration_(std::move(acceleration)) {}
 
-  // Takes a curve and returns the joints' bounds on each interval.
-  const std::vector<Box>& enter(const CurveSamples& curve) {
+  static constexpr double kUnbounded = 1e12;  // squared speed without a limit [1/s^2]
+  static constexpr double kStartRoom = 1.2;   // bound of the squared speed at a moving start, relative to the given one
+
+  // Takes a curve and returns the joints' bounds on each interval. Without a stop at the beginning, `start` is the
+  // squared speed there. A robot cannot choose its present velocity, so the velocity limits do not apply to it.
+  const std::vector<Box>& enter(const CurveSamples& curve, double start = kUnbounded) {
     const size_t n = curve.n;
     joint_rows_ = 2 * curve.dim * n;
     A_.resize(joint_rows_), reach_.resize(joint_rows_), tilt_.resize(joint_rows_), box_.resize(n);
@@ -106,6 +110,7 @@ class SpeedProfile {
     for (size_t i = 0; i < n; ++i) add_joints(curve, i);
     for (size_t i = 0; i <= n; ++i)
       if (curve.stop[i]) cap_[i] = 0, cap_bound_[i] = {};
+    if (!curve.stop[0] && start < kUnbounded) cap_[0] = kStartRoom * start, cap_bound_[0] = {};
     for (size_t i = 0; i < n; ++i) {
       double push = kUnbounded;
       for (size_t r = 2 * curve.dim * i; r < 2 * curve.dim * (i + 1); ++r)
@@ -115,20 +120,25 @@ class SpeedProfile {
     return box_;
   }
 
-  // The largest squared speeds at the n + 1 points of the curve of enter().
-  const std::vector<double>& compute(const CurveSamples& curve, const CurveLimits& limits) {
+  // The largest squared speeds at the n + 1 points of the curve of enter(); the first one is at most `start`.
+  const std::vector<double>& compute(const CurveSamples& curve, const CurveLimits& limits, double start = kUnbounded) {
     const size_t n = curve.n;
     add_limits(limits), activate(curve, limits);
     beta_ = cap_, bound_ = cap_bound_, x_.resize(n + 1), limited_.assign(n + 1, kBeta), overturns_.resize(n);
     for (size_t i = 0; i < n; ++i) cap(curve, i);
     for (size_t i = n; i-- > 0;) reach_back(curve, i), ease(curve, i);
-    x_[0] = beta_[0];
+    x_[0] = std::min(start, beta_[0]);
     for (size_t i = 0; i < n; ++i) go_on(curve, i);
     return x_;
   }
 
-  // Maps derivatives `d_x` with respect to the squared speeds of the last compute() to the curve and the limits.
-  void back(const CurveSamples& curve, const CurveLimits& limits, std::vector<double>& d_x, const CurveSlopes& out) {
+  // The largest squared speed at the beginning from which the end can be reached; at most kStartRoom times the given.
+  double reachable() const { return beta_[0]; }
+
+  // Maps derivatives `d_x` with respect to the squared speeds of the last compute(), and `d_reachable`, to the curve
+  // and the limits. Returns the derivative with respect to the given squared speed at the beginning.
+  double back(const CurveSamples& curve, const CurveLimits& limits, std::vector<double>& d_x, const CurveSlopes& out,
+              double d_reachable = 0) {
     const size_t n = curve.n;
     d_beta_.assign(n + 1, 0.0), d_reach_.assign(A_.size(), 0.0), d_tilt_.assign(A_.size(), 0.0);
     for (size_t i = n; i-- > 0;) {
@@ -141,7 +151,8 @@ class SpeedProfile {
       d_x[i] += (1 - S * tilt_[r]) * d;
       d_tilt_[r] -= S * x_[i] * d, d_reach_[r] += S * d;
     }
-    d_beta_[0] += d_x[0];
+    const bool given = x_[0] < beta_[0];
+    d_beta_[0] += d_reachable + (given ? 0.0 : d_x[0]);
     for (size_t i = 0; i <= n; ++i) back_bound(curve, i, out);
     for (size_t i = 0; i < n; ++i) back_joints(curve, i, out);
     for (size_t k = 0; k < limits.rows().size(); ++k) {
@@ -150,11 +161,11 @@ class SpeedProfile {
       out.limit[k].a += by_a(r), out.limit[k].b += d_tilt_[r] / A_[r];
       out.limit[k].c += d_reach_[r] / std::abs(A_[r]);
     }
+    return given ? d_x[0] : 0.0;
   }
 
  private:
-  // kUnbounded: squared speed without a limit [1/s^2].
-  static constexpr double kUnbounded = 1e12, kLeast = CurveLimits::kLeast;
+  static constexpr double kLeast = CurveLimits::kLeast;
   static constexpr size_t kBeta = size_t(-1), kEnd = size_t(-1);
   enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain, kStill, kCorner };
   struct Bound {  // what limits beta: one end of a joint, two rows, or one row; a corner's second may be kEnd

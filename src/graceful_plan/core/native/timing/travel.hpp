@@ -21,8 +21,14 @@ struct Travel {
   }
 };
 
-// Factor >= 1 on the times of n samples at which the cubics between them keep the limits.
-inline double cubics_excess(size_t n, size_t dim, const double* t, const double* q, const double* qd, const double* qdd,
+// Factors >= 1 on the times at which velocities, and at which accelerations, keep their limits.
+struct Excess {
+  double velocity = 1, acceleration = 1;
+  double both() const { return std::max(velocity, acceleration); }
+};
+
+// The excess of the cubics between n samples.
+inline Excess cubics_excess(size_t n, size_t dim, const double* t, const double* q, const double* qd, const double* qdd,
                             const double* velocity, const double* acceleration) {
   double squared = 1, excess = 1;
   for (size_t i = 0; i + 1 < n; ++i) {
@@ -39,7 +45,7 @@ inline double cubics_excess(size_t n, size_t dim, const double* t, const double*
       if (fast > excess * velocity[j]) excess = fast / velocity[j];
     }
   }
-  return std::max(excess, std::sqrt(squared));
+  return {excess, std::sqrt(squared)};
 }
 
 // Drops samples that follow the one before in less than `shortest` [s]; samples at rest stay.

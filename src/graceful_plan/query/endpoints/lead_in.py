@@ -1,0 +1,74 @@
+"""Velocity and lead-in of a moving start, and the motion that it takes over from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.path import Path
+from graceful_plan.query.endpoints.endpoints import Endpoints
+from graceful_plan.timing.trajectory import State, Trajectory
+
+Array = np.ndarray
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Takeover:
+    """The start of a motion that takes over from another one.
+
+    | field  | meaning                                                                      |
+    |--------|------------------------------------------------------------------------------|
+    | state  | where and how fast the robot is                                              |
+    | before | the motion up to there, which ends at time 0; liquids swing by it            |
+    | stop   | computes a stop along that motion, from time 0 on; None if there is none     |
+    | onward | the rest of that motion's path, from which descents may start; None for none |
+    """
+
+    state: State
+    before: Trajectory
+    stop: Callable[[], Trajectory | None]
+    onward: Path | None = None
+
+    def without_turns(self, turns: Float[Array, " nq"]) -> Takeover:
+        """Return the same start with whole turns of the joints subtracted everywhere [rad]."""
+        if not turns.any():
+            return self
+        return Takeover(
+            state=self.state._replace(q=self.state.q - turns),
+            before=_less(self.before, turns),
+            stop=lambda: None if (stop := self.stop()) is None else _less(stop, turns),
+            onward=None if self.onward is None else Path(self.onward.q - turns),
+        )
+
+
+def _less(motion: Trajectory, turns: Float[Array, " nq"]) -> Trajectory:
+    return Trajectory(motion.t, motion.q - turns, motion.qd, motion.qdd, motion.joints)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LeadIn:
+    """A moving start.
+
+    | field    | meaning                                                     | unit  | shape |
+    |----------|-------------------------------------------------------------|-------|-------|
+    | velocity | velocity at the start                                       | rad/s | nq    |
+    | path     | path along it, in which the robot is able to stop           | rad   | n nq  |
+    | is_clear | whether the fast checker finds that path free               |       |       |
+    | stop     | a verified stop along it, from time 0 on                    |       |       |
+    """
+
+    velocity: Float[Array, " nq"]
+    path: Path
+    is_clear: bool
+    stop: Trajectory
+
+    def leading_to(self, ends: Endpoints) -> Endpoints:
+        """Return the endpoints of a search from the end of the lead-in, with the lead-in before the departure."""
+        departure = Path(np.vstack([self.path.q[:-1], ends.departure.q]))
+        return replace(ends, departure=departure, clear_lead=self.is_clear and len(ends.departure) == 1)
