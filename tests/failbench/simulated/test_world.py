@@ -1,3 +1,5 @@
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -72,9 +74,13 @@ def test_bodies_may_be_without_names():
     assert build_world(scene).pairs == (("body", "block"),) * 3
 
 
-def test_a_joint_without_a_servo_is_refused():
-    with pytest.raises(UnsupportedError, match=r"'shoulder'.* 0 actuators"):
-        build_world(arm(actuators=""))
+def test_a_joint_without_an_actuator_gets_a_servo_with_the_limit_of_the_scene():
+    made = build_world(arm(actuators="", torque=[30.0]))
+    assert made.model.actuator_forcerange == pytest.approx(np.array([[-30.0, 30.0]]))
+    assert execute([[0.0], [0.6]], made).tracking_error < 0.01
+
+
+def test_a_joint_with_another_drive_than_a_servo_is_refused():
     with pytest.raises(UnsupportedError, match=r"'shoulder'.*servo.*SimSettings"):
         build_world(arm(actuators='<motor joint="shoulder"/>'))
     torque = build_world(arm(actuators='<motor joint="shoulder"/>'), SimSettings(control="torque"))
@@ -92,7 +98,8 @@ def test_without_fingers_only_a_weld_holds():
 @pytest.mark.parametrize("axes", ["0 1 0|0 -1 0", "0 -1 0|0 1 0"])
 def test_the_gripper_opens_as_the_fingers_part(axes):
     first, second = axes.split("|")
-    fingers = FINGERS.replace('axis="0 1 0"', f'axis="{first}"').replace('axis="0 -1 0"', f'axis="{second}"')
+    before, between, after = re.split('axis="0 1 0"|axis="0 -1 0"', FINGERS)
+    fingers = f'{before}axis="{first}"{between}axis="{second}"{after}'
     servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
     robot = build_world(arm(fingers=fingers, actuators=servos, carried="block", X_TO=gp.FROM_ABOVE)).robot
     opened, closed = ([0.04, 0.04], [0.0, 0.0]) if first == "0 1 0" else ([0.0, 0.0], [0.04, 0.04])

@@ -68,13 +68,16 @@ import numpy as np
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.scene import roles, screening
 from graceful_plan.scene.elements import (
+    Adhesion,
     AllowedContact,
     Contents,
     EntityAnnotation,
+    Fingers,
     Granular,
     Liquid,
     Notes,
     ObjectNote,
+    Opening,
     TaskNote,
 )
 from graceful_plan.scene.harm.severity import SeverityTable
@@ -301,7 +304,7 @@ def _moving(name: str, block: Block) -> MovingEntity:
 
 
 def _object(name: str, block: Block) -> ObjectNote:
-    block.only("body", "class", "grasp", "fingers", "contents")
+    block.only("body", "class", "grasp", "fingers", "grip", "contents")
     body, object_class, grasp, contents = (block.get(key) for key in ("body", "class", "grasp", "contents"))
     return ObjectNote(
         body=body.string() if body else name,
@@ -309,7 +312,17 @@ def _object(name: str, block: Block) -> ObjectNote:
         object_class=object_class.string() if object_class else None,
         contents=_contents(contents) if contents else None,
         fingers=_fingers(block.get("fingers")),
+        grip=_grip(block.get("grip")),
     )
+
+
+def _grip(block: Block | None) -> Adhesion | None:
+    if block is None:
+        return None
+    block.only("force", "radius", "friction")
+    friction = block.get("friction")
+    given = {"friction": friction.number()} if friction else {}
+    return Adhesion(force=block["force"].number(), radius=block["radius"].number(), **given)
 
 
 def _contents(block: Block) -> Contents:
@@ -389,8 +402,12 @@ def _number_or_numbers(block: Block) -> float | Mapping[str, float]:
     return {name: child.number() for name, child in block.items()} if block.is_mapping else block.number()
 
 
-def _fingers(block: Block | None) -> float | Mapping[str, float] | None:
-    return None if block is None else _number_or_numbers(block)
+def _fingers(block: Block | None) -> Fingers | None:
+    if block is None or not (block.is_mapping and block.get("opening")):
+        return None if block is None else _number_or_numbers(block)
+    block.only("opening")
+    opening = block["opening"]
+    return Opening(None if opening.is_string and opening.string() == "object" else opening.number())
 
 
 def _optional_numbers(block: Block | None) -> tuple[float, ...] | None:
