@@ -51,7 +51,8 @@ SLIDES = """<site name="g/tool" pos="0 0 .1"/>
 <body name="g/right" pos="0 -.005 .08"><joint name="g/right" type="slide" axis="0 1 0" range="-.04 0" damping="5"/>
   <geom type="box" size=".01 .005 .03" mass=".05" condim="4"/></body>"""
 
-CUP = '<geom name="g/disc" type="cylinder" size=".025 .005" pos="0 0 .035" mass=".05"/><site name="g/tool" pos="0 0 .04"/>'
+CUP = """<site name="g/tool" pos="0 0 .04"/>
+<geom name="g/disc" type="cylinder" size=".025 .005" pos="0 0 .035" mass=".05"/>"""
 
 _ARM = """<mujoco><compiler angle="radian"/><worldbody>
   <body name="vase" pos=".4 0 .1"><geom type="cylinder" size=".04 .1"/></body>
@@ -61,7 +62,9 @@ _ARM = """<mujoco><compiler angle="radian"/><worldbody>
     <geom type="capsule" fromto=".05 0 0 .33 0 0" size=".03" mass="2"/>
     <body name="g/palm" pos=".4 0 0" quat="0 1 0 0">
       <geom type="cylinder" size=".03 .01" pos="0 0 .02" mass=".3"/>{gripper}</body></body>
-</worldbody>{ties}<actuator><position joint="a/turn" kp="3000" kv="100" forcerange="-200 200"/>{drive}</actuator></mujoco>"""
+</worldbody>{ties}<actuator>
+  <position joint="a/turn" kp="3000" kv="100" forcerange="-200 200"/>{drive}
+</actuator></mujoco>"""
 
 START, GOAL = [-0.8], [0.8]
 

@@ -197,13 +197,12 @@ def _felt_by(frames: FrameMotion, point: Float[Array, " xyz"]) -> Float[Array, "
 
 
 def _grip(rule: GripRule, frames: FrameMotion) -> Check:
-    """Compute the load on a disc, or on each pad: tangential force and torsion relative to friction at its normal force."""
+    """Compute the load on a disc, or on each pad: tangential force and torsion relative to friction at its force."""
     grip = rule.grip
     felt = _felt_by(frames, grip.p_BC)
     if isinstance(grip, AdhesiveGrip):
-        return _limit(
-            _load_on_disc(grip, felt), frames.at, rule.share * (1.0 + _LOAD), "load, relative to what breaks the grip"
-        )
+        load = _load_on_disc(grip, felt)
+        return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load, relative to what breaks the grip")
     pushed, first, second = grip.mass * grip.axes @ felt.T
     about = grip.mass * grip.axes @ cross_matrix(grip.p_GC) @ felt.T
     h = float(grip.half[0])

@@ -155,7 +155,7 @@ Fingers = float | Mapping[str, float] | Opening
 
 @dataclass(frozen=True)
 class Adhesion:
-    """Grip of a vacuum cup or magnet: a flat disc about the tool's origin that pulls the object along the tool's z axis.
+    """Grip of a vacuum cup or magnet: a flat disc at the tool that pulls the object against the tool's z axis.
 
     The disc pushes the object back, so the force is what presses them together. The grip breaks where a load pulls the
     object off, peels it off over the rim, or slides or turns it.

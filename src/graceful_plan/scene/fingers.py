@@ -33,7 +33,7 @@ _FAR = 1.0
 _CONE = 0.5
 """Least cosine between the direction from the tool to a pad and the closing direction."""
 _ON = 0.003
-"""Distance up to which the tool counts as on a pad, as that of some jaws is; and depth to which hulls may overlap [m]."""
+"""Distance up to which the tool counts as on a pad, as with some jaws; depth to which hulls may overlap [m]."""
 _HALF = 0.5
 """Share of the stroke at which the pads and their direction are found."""
 _HALVINGS = 14
@@ -203,7 +203,8 @@ def _touches(hand: Hand, held: Collection[int]) -> Callable[[mujoco.MjData], boo
 
 def gap_between(model: mujoco.MjModel, data: mujoco.MjData, some: Collection[int], others: Collection[int]) -> float:
     """Return the least distance between two groups of geoms [m], at most 1 m."""
-    return min((mujoco.mj_geomDistance(model, data, int(a), int(b), _FAR, None) for a in some for b in others), default=_FAR)  # fmt: skip
+    gaps = [mujoco.mj_geomDistance(model, data, int(a), int(b), _FAR, None) for a in some for b in others]
+    return min(gaps, default=_FAR)
 
 
 def _gap(hand: Hand, half: mujoco.MjData) -> Callable[[mujoco.MjData], float]:

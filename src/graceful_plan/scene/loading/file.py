@@ -1,59 +1,4 @@
-"""Scene files: YAML next to an MJCF world. Unknown keys are errors; units are m, rad, s, litres, degrees Celsius.
-
-version: 1
-name: tabletop                   # default: the file's name
-description: One sentence.
-world: tabletop.xml              # MJCF in the same folder or below it
-convex: parts                    # what its meshes count as: hull or parts; default: parts if coacd is installed
-self_collision: links            # which links may touch, as in Scene.from_mjcf; default: model
-robot:
-  model: panda                   # a bundled robot or an MJCF file beside this one; omit if the world has the robot
-  prefix: panda/                 # prefix of the names of the robot's bodies, joints, sites; default "<model>/"
-  position: [0, 0, 0]            # of the base in W
-  quaternion: [1, 0, 0, 0]       # wxyz
-  body_class: arm_collapse       # how the robot fails: arm_collapse, arm_braked or base_coast
-  velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
-  limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
-  joints: [panda/joint1, ...]    # planned joints; default: those between world and tool
-base:                            # differential drive, if any: the fields of DiffDrive; default: the model's
-  joints: [jackal/base_x, jackal/base_y, jackal/base_yaw]
-  radius: 0.098                  # and track, v_max, omega_max, a_max, alpha_max; slip, lateral_max, wheel_max, reverse
-tool: panda/tool                 # site, or body; default "<prefix>tool"
-fingers: 0.04                    # position of the joints behind the last planned one, or {joint: position}
-state: {drawer: 0.2}             # of other joints and free bodies: {name: position}, or a keyframe of the model
-entities:                        # things that can be harmed: each body with its subtree
-  mug: glass                     # its class
-  vase: {class: heirloom, severity: 40}    # or by component or component class: {body: 40, carried: 30, hot: 9}
-severity:                        # replaces values of the shipped table, by entity class
-  table: {medium: 1}             # by component class, or one number for all
-objects:                         # objects that can be carried: defaults of attach() and of tasks
-  mug:
-    body: mug                    # default: the object's name
-    class: glass                 # light, medium, heavy, sharp or glass; default: by mass
-    grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame; default of a
-                                                              # task: where the object is at its start
-    fingers: 0.035
-    contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
-moving:                          # moving entities: can be harmed, but are not obstacles; see MovingEntity
-  person:
-    class: adult
-    size: [0.25, 0.85]           # upright cylinder: radius and half height; box: three half sizes
-    t: [0, 3]
-    position: [[1, -2, 0.85], [1, 2, 0.85]]    # of the centre at these times; yaw: [...] likewise, for boxes
-    spread: 0.05                 # standard deviation of the position at the first time, 0 by default
-    growth: 0.1                  # standard deviation of the velocity, 0 by default; severity: as for entities
-keyframes:
-  ready: [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
-tasks:
-  serve:
-    description: One sentence.
-    start: ready                 # keyframe or configuration
-    goal: [by_plate, by_window]  # keyframe, configuration, or a list of those to choose from
-    object: mug
-    support: {start: counter, goal: table}    # supports of the object at the ends: bodies or geoms
-allowed_contacts:
-  - {first: cable, second: pedestal, when: always}    # or: ends
-"""
+"""Scene files: YAML next to an MJCF world; docs/scene-files.md describes the format. Unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -143,6 +88,8 @@ def _check_promises(scene: Scene) -> None:
         with notes.about(f"objects.{name}"):
             X_TO = roles.FROM_ABOVE if notes.objects[name].X_TO is None else None  # the start of a task decides
             held = roles.held_note(scene.model, notes, scene.robot_bodies, name, X_TO=X_TO)
+            if X_TO is not None and isinstance(held.fingers, Opening):
+                held = replace(held, fingers=None)  # fingers cannot close at a grasp that is not known yet
             Scene.assemble(scene.posed, replace(notes, held=held, file=None))
     scene.tasks  # noqa: B018  raises if a task refers to a missing name
 

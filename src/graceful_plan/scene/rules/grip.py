@@ -30,7 +30,7 @@ _FACING = 0.7
 _STEP = 0.01
 """Share of the stroke over which the motion of closing fingers is measured."""
 HAND_FORCE = 70.0
-"""Total force of fingers without drives [N]: that of the bundled hand. Efforts of fingers in URDFs may be placeholders."""
+"""Total force of fingers without drives [N], that of the bundled hand: efforts in URDFs may be placeholders."""
 _FAR = 1e6
 """Control beyond any limit, so that the drive gives its largest force."""
 
