@@ -11,8 +11,8 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.couplings import actuated
 from graceful_plan.scene.elements import Adhesion
-from graceful_plan.scene.fingers import Hand, Stroke, find_stroke, hand_of
-from graceful_plan.scene.rules.grip import HAND_FORCE, find_grip
+from graceful_plan.scene.fingers import Hand, Stroke, find_stroke
+from graceful_plan.scene.rules.grip import HAND_FORCE, find_grip, hand_of
 
 Array = np.ndarray
 

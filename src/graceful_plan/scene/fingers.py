@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,9 +19,6 @@ from graceful_plan.scene.couplings import actuated, follow, followers, passive_j
 from graceful_plan.scene.elements import Opening
 from graceful_plan.scene.joint_limits import joint_range
 from graceful_plan.scene.model_parts import colliding_geoms, names
-
-if TYPE_CHECKING:
-    from graceful_plan.scene.facts import SceneFacts
 
 Array = np.ndarray
 
@@ -83,11 +80,6 @@ class Hand(NamedTuple):
         mujoco.mj_kinematics(self.model, data)
         mujoco.mj_comPos(self.model, data)
         return data
-
-
-def hand_of(scene: SceneFacts) -> Hand:
-    """Return the gripper of a scene."""
-    return Hand(scene.model, scene.gripper_bodies, scene.joint_ids, scene.model.site(scene.tool).id)
 
 
 def leading_joints(hand: Hand) -> list[int]:

@@ -132,13 +132,16 @@ class Scene(SceneFacts):
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body. Bodies below these are
                 parts of the robot, whatever their names.
             tool: Name of a site that serves as the tool, or of a body whose frame does.
-            carried: Body in the gripper, if any; `at`, `X_TO` and `contents` as in `attach`.
+            carried: Body in the gripper, if any: its parent is the world, and it is no entity while it is held. `at`,
+                `X_TO` and `contents` as in `attach`, which also takes other objects later.
             at: Configuration in which the gripper holds the carried body where it is.
-            X_TO: Pose of the carried body in the tool frame, instead of `at`.
-            contents: Contents of the carried body.
-            entities: Class of each body that can be harmed, by body name; it applies to the body's subtree. The model
-                can declare the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class
-                are obstacles only.
+            X_TO: Pose of the carried body in the tool frame, instead of `at`, such as `FROM_ABOVE`.
+            contents: Contents of the carried body, a `Liquid` or `Granular`; they can spill, and motions keep them in.
+                A geom that does not collide, "<body>_contents", has their shape: an upright cylinder.
+            entities: Class of each body that can be harmed, by body name, such as "glass", "laptop" or "adult"; it
+                applies to the body's subtree. The class selects the row of the `SeverityTable`, which lists all in
+                `SeverityTable.shipped().classes`. The model can declare the same in custom text:
+                `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class are obstacles only.
             severity: A table, a file with one, or replacements as in `with_severity`.
             joints: Joints to plan, in the order of the model, such as those of two arms. Default: the hinges and slides
                 between the world and the tool. All other joints stay in their `state`.
@@ -408,7 +411,8 @@ class Scene(SceneFacts):
             at: Configuration or keyframe in which the gripper holds the object where it is in this scene.
             X_TO: Pose of the object's body in the tool frame, instead of `at`, such as `FROM_ABOVE`: the body's origin
                 at the tool, upright while the tool points down. Default: as declared for the object.
-            contents: Contents of the object. Default: as declared.
+            contents: Contents of the object, a `Liquid` or `Granular`, in the shape of its geom "<body>_contents".
+                Default: as declared.
             object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as
                 declared, else by mass.
             fingers: Position of the gripper's joints while carrying, positions by joint name, or an `Opening`;

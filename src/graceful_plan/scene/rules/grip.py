@@ -13,7 +13,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.couplings import actuated
-from graceful_plan.scene.fingers import Hand, find_stroke, gap_between, hand_of, leading_joints, moving_bodies
+from graceful_plan.scene.fingers import Hand, find_stroke, gap_between, leading_joints, moving_bodies
 from graceful_plan.scene.model_parts import colliding_geoms, names
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.placement import Placement
@@ -187,6 +187,11 @@ def find_grip(scene: Scene) -> Grip:
         force=_force(hand, data, closes, touched),
         approach=sum(float(pad.velocity @ pad.normal) for pad in touched),
     )
+
+
+def hand_of(scene: Scene) -> Hand:
+    """Return the gripper of a scene."""
+    return Hand(scene.model, scene.gripper_bodies, scene.joint_ids, scene.model.site(scene.tool).id)
 
 
 def told_of_pads(scene: Scene) -> str:
