@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from grippers import CUP, JAW, JAW_DRIVE, LINKAGE, SLIDES, armed, below, linkage
+from grippers import CUP, JAW, JAW_DRIVE, LINKAGE, LINKAGE_DRIVE, LINKAGE_TIES, SLIDES, armed, below, linkage
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SceneError, SettingError, UnsupportedError
@@ -58,6 +58,14 @@ def test_one_jaw_may_be_fixed() -> None:
         there = data.geom(name)
         distance += mujoco.mju_rayGeom(there.xpos, there.xmat, geom.size, tool.xpos, along, int(geom.type[0]))
     assert distance == pytest.approx(0.045, abs=_TILT)
+
+
+def test_a_stroke_ends_where_the_linkage_does() -> None:
+    short = LINKAGE.replace('range="-.9 .9"', 'range="-.4 .9"').replace('range="-1.5 0"', 'range="-.05 0"')
+    scene = armed(short, LINKAGE_TIES, LINKAGE_DRIVE, fingers=gp.Opening(0.05))
+    with pytest.raises(SettingError, match="opening = 0.003"):
+        armed(short, LINKAGE_TIES, LINKAGE_DRIVE, fingers=gp.Opening(0.003))
+    assert _gap(scene, "g/left_pad", "g/right_pad") == pytest.approx(0.05, abs=_TILT)
 
 
 def test_mirrored_slides_open_in_opposite_directions() -> None:

@@ -68,8 +68,11 @@ def _add_adhesion(spec: mujoco.MjSpec, scene: Scene, grip: Adhesion) -> None:
     gripper with the object.
     """
     assert scene.carried is not None
-    site = scene.model.site(scene.tool)
-    parent = spec.bodies[int(site.bodyid[0])]
+    site, bodies = scene.model.site(scene.tool), spec.bodies
+    for body in scene.gripper_bodies:
+        bodies[body].name = bodies[body].name or f"failbench/body{body}"
+        spec.add_exclude(bodyname1=bodies[body].name, bodyname2=scene.carried.body)
+    parent = bodies[int(site.bodyid[0])]
     rim = parent.add_body(name=ADHESION, pos=site.pos, quat=site.quat)
     small = _SPHERE * grip.radius
     for angle in 2.0 * np.pi * np.arange(_SPHERES) / _SPHERES:
@@ -78,8 +81,6 @@ def _add_adhesion(spec: mujoco.MjSpec, scene: Scene, grip: Adhesion) -> None:
         # Contacts act from a distance of the gap on, where the plane of the disc is, so that none switches off and on.
         geom.margin, geom.gap, geom.group = _GAP, _GAP, _HIDDEN
         geom.friction = [grip.friction, 0.005, 0.0001]
-    for body in scene.gripper_bodies:
-        spec.add_exclude(bodyname1=scene.model.body(body).name, bodyname2=scene.carried.body)
     pull = spec.add_actuator(name=ADHESION, target=ADHESION, trntype=mujoco.mjtTrn.mjTRN_BODY)
     pull.set_to_adhesion(gain=grip.force)
     pull.ctrllimited, pull.ctrlrange = True, [0.0, 1.0]

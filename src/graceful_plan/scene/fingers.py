@@ -17,7 +17,6 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.scene.couplings import actuated, follow, followers, passive_joints
 from graceful_plan.scene.elements import Opening
-from graceful_plan.scene.joint_limits import joint_range
 from graceful_plan.scene.model_parts import colliding_geoms, names
 
 Array = np.ndarray
@@ -35,6 +34,8 @@ _HALF = 0.5
 """Share of the stroke at which the pads and their direction are found."""
 _HALVINGS = 14
 """Halvings of the stroke that find an opening: 0.1 m to 6 um."""
+_INSIDE = 1e-3
+"""Share of the way to the last position at which a linkage closes that is left out."""
 _BESIDE = 1e-3
 """Largest error of an opening [m], beyond which it counts as out of reach."""
 
@@ -94,14 +95,13 @@ def leading_joints(hand: Hand) -> list[int]:
 def find_stroke(hand: Hand, qpos: Float[Array, " model_nq"]) -> Stroke:
     """Return the stroke of a gripper: each leading joint opens as fingers part from each other and from the tool.
 
-    Raises:
-        SceneError: If a leading slide has no range.
+    Joints without limits have none. Ends at which the chains of a linkage cannot close are left out.
     """
     model, ends = hand.model, []
-    joints = leading_joints(hand)
+    joints = [joint for joint in leading_joints(hand) if model.jnt_limited[joint]]
     geoms = list(colliding_geoms(model, moving_bodies(hand)))
     for joint in joints:
-        lower, upper = joint_range(model, joint)
+        lower, upper = (_farthest(hand, qpos, joint, float(end)) for end in model.jnt_range[joint])
         far = []
         for position in (lower, upper):
             data = hand.posed(qpos, {joint: position})
@@ -110,6 +110,20 @@ def find_stroke(hand: Hand, qpos: Float[Array, " model_nq"]) -> Stroke:
         ends.append((lower, upper) if far[1] >= far[0] else (upper, lower))
     closed, wide = np.array(ends, dtype=float).reshape(-1, 2).T
     return Stroke(tuple(joints), closed, wide)
+
+
+def _farthest(hand: Hand, qpos: Float[Array, " model_nq"], joint: int, end: float) -> float:
+    """Return the position nearest to an end of a joint's range at which the chains of a linkage close."""
+    here = float(qpos[hand.model.jnt_qposadr[joint]])
+
+    def closes(share: float) -> bool:
+        try:
+            hand.posed(qpos, {joint: here + share * (end - here)})
+        except SettingError:
+            return False
+        return True
+
+    return end if closes(1.0) else here + _threshold(closes) * (1.0 - _INSIDE) * (end - here)
 
 
 def moving_bodies(hand: Hand) -> list[int]:
@@ -170,7 +184,7 @@ def _share_at(hand: Hand, qpos: Float[Array, " model_nq"], stroke: Stroke, metre
 
 
 def _threshold(is_closed: Callable[[float], bool]) -> float:
-    """Return the largest share of the stroke, from closed (0) to open (1), up to which a condition holds."""
+    """Return the largest share, from 0 to 1, up to which a condition holds, such as that of a gripper's stroke."""
     if is_closed(1.0):
         return 1.0
     low, high = 0.0, 1.0
