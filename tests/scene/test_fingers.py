@@ -63,7 +63,7 @@ def test_one_jaw_may_be_fixed() -> None:
 def test_a_stroke_ends_where_the_linkage_does() -> None:
     short = LINKAGE.replace('range="-.9 .9"', 'range="-.4 .9"').replace('range="-1.5 0"', 'range="-.05 0"')
     scene = armed(short, LINKAGE_TIES, LINKAGE_DRIVE, fingers=gp.Opening(0.05))
-    with pytest.raises(SettingError, match="opening = 0.003"):
+    with pytest.raises(SettingError, match=r"opening = 0\.003"):
         armed(short, LINKAGE_TIES, LINKAGE_DRIVE, fingers=gp.Opening(0.003))
     assert _gap(scene, "g/left_pad", "g/right_pad") == pytest.approx(0.05, abs=_TILT)
 
