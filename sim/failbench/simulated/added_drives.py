@@ -16,8 +16,9 @@ from graceful_plan.scene.rules.grip import HAND_FORCE, find_grip, hand_of
 
 Array = np.ndarray
 
-_BANDWIDTH = 100.0
-"""Natural frequency of servos [rad/s]: 5 rad/s^2, for which there is no feed-forward, lag by half a milliradian."""
+_BANDWIDTH = 0.2
+"""Natural frequency of servos, times the time step: 100 rad/s at 2 ms, far from instability. Without feed-forward, an
+acceleration of 5 rad/s^2 lags by 0.5 mrad; one of other joints moves a light wrist by more."""
 ADHESION = "failbench/adhesion"
 """Name of the actuator of a vacuum cup or magnet, and of the body that touches the object."""
 _SPHERES, _SPHERE = 12, 0.2
@@ -34,11 +35,15 @@ _SOFT = 0.1
 """Share of the stroke by which fingers are short of their target when they press with their greatest force."""
 
 
-def with_drives(scene: Scene) -> Scene:
+def with_drives(scene: Scene, timestep: float) -> Scene:
     """Return a scene in which planned joints without an actuator have a servo, and so do fingers if none has one.
 
     A vacuum cup or magnet has an actuator that pulls. Servos are critically damped. Those of the arm have the scene's
     torque limits. Fingers press with the force of `find_grip`, or 70 N if they do not touch the object in the scene.
+
+    Args:
+        scene: The scene.
+        timestep: Time step of the simulation [s].
     """
     model = scene.model
     driven = actuated(model)
@@ -50,10 +55,10 @@ def with_drives(scene: Scene) -> Scene:
     grip = None if scene.notes.held is None else scene.notes.held.grip
     if not bare and not idle and grip is None:
         return scene
-    spec, inertia = scene.spec.copy(), _inertia(scene)
+    spec, inertia, frequency = scene.spec.copy(), _inertia(scene), _BANDWIDTH / timestep
     for joint in bare:
         moment = float(inertia[model.jnt_dofadr[joint], model.jnt_dofadr[joint]])
-        _add_servo(spec, model.joint(joint).name, _BANDWIDTH**2 * moment, 2.0 * _BANDWIDTH * moment)
+        _add_servo(spec, model.joint(joint).name, frequency**2 * moment, 2.0 * frequency * moment)
     if grip is not None:
         _add_adhesion(spec, scene, grip)
     elif idle:

@@ -120,7 +120,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
             cannot hold.
     """
     settings = SimSettings() if settings is None else settings
-    walkers, scene = tuple(scene.moving.values()), with_drives(staged(scene))
+    walkers, scene = tuple(scene.moving.values()), with_drives(staged(scene), settings.timestep)
     model = scene.model
     gripper = find_gripper(scene)
     driven = driven_joints(scene)

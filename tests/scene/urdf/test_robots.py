@@ -139,22 +139,6 @@ def test_a_published_panda_holds_by_friction() -> None:
     _stays_until_the_gripper_fails(held, [0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.8])
 
 
-def test_so101_holds_against_its_fixed_jaw() -> None:
-    path = _there(DATA / "example-robot-data" / "robots" / "so_arm_description" / "urdf" / "so101.urdf")
-    scene = gp.Scene.from_urdf(
-        path,
-        tool="gripper_frame_link",
-        acceleration=8.0,
-        velocity=[2.0] * 5,
-        packages=[DATA],
-        world=_block(0.012, 0.015, 0.03),
-    )
-    X_TO = np.eye(4)
-    X_TO[:3, 3] = -0.0125, 0.0, -0.012  # the tool is on the fixed jaw
-    held = scene.attach("block", X_TO=X_TO, fingers=gp.Opening())
-    _stays_until_the_gripper_fails(held, [0.0, 0.2, 0.1, 0.9, 0.0])
-
-
 def test_a_published_fetch_holds_by_friction() -> None:
     file = _there(MJCF / "gymnasium_robotics" / "envs" / "assets" / "fetch" / "pick_and_place.xml")
     spec = mujoco.MjSpec.from_file(str(file))
