@@ -157,8 +157,8 @@ def test_a_published_fetch_holds_by_friction() -> None:
 
 def test_a_ur10_with_a_vacuum_cup_holds_by_its_force() -> None:
     path = _there(DATA / "example-robot-data" / "robots" / "ur_description" / "urdf" / "ur10_robot.urdf")
-    cup = """<link name="cup"><collision><origin xyz="0 0 .03"/><geometry><cylinder radius=".03" length=".06"/></geometry>
-      </collision></link>"""
+    cup = """<link name="cup"><collision><origin xyz="0 0 .03"/>
+      <geometry><cylinder radius=".03" length=".06"/></geometry></collision></link>"""
     text = '<robot name="ur">' + _links(path) + _mounted("tool0", cup, "cup", "0 0 .06")
     scene = gp.Scene.from_urdf(text, tool="tcp", acceleration=3.0, packages=[DATA], world=_block(0.05, 0.05, 1.0))
     X_TO = gp.FROM_ABOVE.copy()
