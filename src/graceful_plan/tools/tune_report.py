@@ -172,7 +172,7 @@ def _cells(entry: Mapping[str, Any]) -> list[str]:
 
 
 def _seen(entry: Mapping[str, Any], failures: int) -> Mapping[str, Any]:
-    """Return predicted and observed impact of one point and its difference to the shortest, or why it is not executed."""
+    """Return predicted and observed impact of a point and its difference to the shortest, or why it is not executed."""
     seen = entry["observed"]
     if seen is None:
         return {"refused": entry["refused"]}
