@@ -64,10 +64,12 @@ from graceful_plan.result import PlanStatus as PlanStatus
 from graceful_plan.result import Verdict as Verdict
 from graceful_plan.roadmap import Roadmap as Roadmap
 from graceful_plan.scene.edit import StaticBody as StaticBody
+from graceful_plan.scene.elements import Adhesion as Adhesion
 from graceful_plan.scene.elements import AllowedContact as AllowedContact
 from graceful_plan.scene.elements import EntityAnnotation as EntityAnnotation
 from graceful_plan.scene.elements import Granular as Granular
 from graceful_plan.scene.elements import Liquid as Liquid
+from graceful_plan.scene.elements import Opening as Opening
 from graceful_plan.scene.harm.severity import SeverityTable as SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene as load_scene
 from graceful_plan.scene.loading.bundled import mobile_scenes as mobile_scenes

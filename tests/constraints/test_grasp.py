@@ -192,7 +192,7 @@ def test_a_grasp_goes_without_saying_only_where_it_holds_at_home():
 def test_a_grasp_that_does_not_hold_at_home_is_reported():
     task = task_of("serve_stew")
     weak = gp.plan(task.start, task.goal, _pressing(20.0), stop="first")
-    assert "fingers" in weak.detail and "pan" in weak.detail
+    assert "gripper" in weak.detail and "pan" in weak.detail
     assert "not expected" not in gp.plan(task.start, task.goal, _pressing(70.0), stop="first").detail
     assert "not expected" not in gp.plan(task.start, task.goal, _pressing(20.0), constraints=[], stop="first").detail
 

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -106,7 +107,23 @@ def test_validation_needs_failbench(run, monkeypatch, tmp_path):
 def test_validation_reports_the_results_of_failbench(tmp_path):
     (tmp_path / "front.json").write_text("{}")
     with pytest.raises(validation.ValidationError, match=r"validate-front: .*front\.json"):
-        validation.validate_front(tmp_path / "front.json", "tabletop_l1", "green_to_blue", 2)
+        validation.validate_front(tmp_path / "front.json", "tabletop_l1", "green_to_blue", 2, grasp="fingers")
+
+
+def test_the_grasp_reaches_failbench_and_refused_motions_say_why(run, monkeypatch, tmp_path):
+    asked = []
+
+    def failbench(argv):
+        asked.append(argv)
+        n = len(gp.ParetoFront.load(Path(argv[1])).points)
+        return json.dumps({"points": [{"observed": None, "refused": "no finger touches it"}] * n})
+
+    monkeypatch.setattr(validation, "_failbench", failbench)
+    _, out, _ = run(*QUICK, "--validate", "4", "--grasp", "weld", "--out", str(tmp_path))
+    (argv,) = asked
+    assert argv[argv.index("--grasp") + 1] == "weld"
+    assert out.count("no finger touches it") == 1
+    assert "no finger touches it" in (tmp_path / "front.html").read_text()
 
 
 @pytest.mark.long
@@ -149,9 +166,12 @@ def test_the_page_holds_the_front_and_is_self_contained(task, front, tmp_path):
 
 
 def test_the_page_marks_motions_that_could_not_be_executed(task, front, tmp_path):
-    seen = [None, *[{"predicted": 1.0, "observed": 2.0, "low": 1.5, "high": np.inf}] * (len(front) - 1)]
+    seen = [
+        {"refused": "the object slips"},
+        *[{"predicted": 1.0, "observed": 2.0, "low": 1.5, "high": np.inf}] * (len(front) - 1),
+    ]
     write_front_page(front, task.scene, tmp_path / "front.html", observed=seen)
-    assert page_data(tmp_path / "front.html")["observed"][:2] == [None, {**seen[1], "high": None}]
+    assert page_data(tmp_path / "front.html")["observed"][:2] == [seen[0], {**seen[1], "high": None}]
     with pytest.raises(SettingError, match="observed"):
         write_front_page(front, task.scene, tmp_path / "front.html", observed=seen[1:])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
@@ -16,12 +17,13 @@ from failbench.rollouts.healthy_commands import joint_commands, motion_commands
 from failbench.rollouts.healthy_run import HealthyRun, drive, join, settled, simulate
 from failbench.simulated.moving_entities import EntityPoses
 from failbench.simulated.rolling import PLANAR
-from failbench.simulated.states import CHECKPOINT, put, warnings_counted_only
+from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import real_array
+from graceful_plan.scene.fingers import gap_between
 
 Array = np.ndarray
 
@@ -36,6 +38,8 @@ _SLIP = 0.02
 """Displacement in the tool frame above which an object counts as lost [m]."""
 _DRAWS = 50
 """Largest number of times that deviations of moving entities are drawn again; then they follow their predictions."""
+_TOUCH = 5e-4
+"""Distance up to which a finger counts as touching [m]; contacts of the simulation are soft."""
 _FALL = 1.0
 """Simulated time after a healthy run loses its object [s], equal to the default horizon of rollouts."""
 
@@ -253,7 +257,7 @@ def execute(
             run = join(run, simulate(world, batch, fall, run.states[-1:]))
     healthy = _healthy(world, run, lost)
     if lost is not None:
-        problem = f"it has slipped by {slip[lost]:.3g} m; slow the motion down, or use SimSettings(grasp='weld')"
+        problem = _why_lost(world, start, float(slip[lost]))
         raise ObjectLost(f"the object {world.model.body(world.carried_body).name!r}", (lost + 1) * dt, problem, healthy)
     states = run.states[::CHECKPOINT].copy()
     measured = _measured(world, run.states)
@@ -271,6 +275,34 @@ def execute(
         base=base,
         loop=loop,
     )
+
+
+def _why_lost(world: World, start: Float[Array, " state"], slip: float) -> str:
+    """Return why a healthy gripper loses the object, and the remedy.
+
+    Args:
+        world: The simulated world.
+        start: State at the beginning of the motion, when the fingers have closed.
+        slip: Displacement of the object [m].
+    """
+    model, remedy = world.model, "use SimSettings(grasp='weld')"
+    if world.robot.weld >= 0 or not len(world.robot.pads):
+        return f"it has slipped by {slip:.3g} m; slow the motion down, or {remedy}"
+    data, geoms = mujoco.MjData(model), world.scene.components["carried"].geoms
+    mujoco.mj_setState(model, data, start, int(STATE))
+    mujoco.mj_kinematics(model, data)
+    gaps: dict[int, float] = {}
+    for pad in world.robot.pads.tolist():
+        part = int(model.body_weldid[model.geom_bodyid[pad]])
+        gaps[part] = min(gaps.get(part, np.inf), gap_between(model, data, [pad], geoms))
+    near = [model.body(part).name for part, gap in gaps.items() if gap <= _TOUCH]
+    if not near:
+        what = "no finger touches it" if len(world.robot.gripper_joints) else "the gripper does not touch it"
+        away = f"{1e3 * min(gaps.values()):.0f} mm away"
+        return f"{what} ({away}) although the gripper is closed; change the grasp (at=, X_TO=), or {remedy}"
+    if len(near) == 1 and len(world.robot.gripper_joints):
+        return f"only {near[0]} touches it; change the grasp (at=, X_TO=), or {remedy}"
+    return f"it has slipped by {slip:.3g} m; slow the motion down, press harder, or {remedy}"
 
 
 def _planned(world: World) -> Array:

@@ -7,8 +7,12 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from failbench.simulated.added_drives import ADHESION
 from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
+from graceful_plan.scene.fingers import Hand, clear_share, find_stroke, moving_bodies
+from graceful_plan.scene.model_parts import colliding_geoms
+from graceful_plan.scene.rules.grip import hand_of
 
 Array = np.ndarray
 
@@ -19,7 +23,7 @@ class Gripper(NamedTuple):
     bodies: tuple[int, ...]
     """The bodies that hang on the last planned joint."""
     pads: Int[Array, " geom"]
-    """Colliding geoms of the moving parts, which hold an object."""
+    """Colliding geoms that hold an object: of the moving parts, and of a fixed jaw."""
     joints: Int[Array, " joint"]
     actuators: Int[Array, " actuator"]
     open: Float[Array, " actuator"]
@@ -32,90 +36,63 @@ class Gripper(NamedTuple):
 
 def find_gripper(scene: Scene) -> Gripper:
     """Find the gripper, as the scene does. Only position servos count as its actuators."""
-    model = scene.model
-    bodies = tuple(sorted(scene.gripper_bodies))
-    joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies and j not in scene.joint_ids]
-    actuators = [a for a in range(model.nu) if _acts_on(model, a, joints) and model.actuator_biasprm[a, 1] < 0.0]
-    fingers = {int(model.jnt_bodyid[j]) for j in joints}
-    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    pads = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in fingers and collides[g]]
-    wide, closed = _ends(scene, joints)
-    open_, shut, home = (_posture(scene, joints, q).length[actuators] for q in (wide, closed, None))
+    model, hand = scene.model, hand_of(scene)
+    if scene.notes.held is not None and scene.notes.held.grip is not None:
+        return _adhesive(scene)
+    stroke = find_stroke(hand, scene.home_qpos)
+    actuators = [a for a in range(model.nu) if _acts_on(model, a, hand.joints) and model.actuator_biasprm[a, 1] < 0.0]
+    lengths = [_lengths(hand, scene.home_qpos, stroke.at(share)) for share in (1.0, 0.0)]
     return Gripper(
-        bodies=bodies,
-        pads=np.array(pads, dtype=int),
-        joints=np.array(joints, dtype=int),
+        bodies=tuple(sorted(scene.gripper_bodies)),
+        pads=np.array(_pads(hand), dtype=int),
+        joints=np.array(hand.joints, dtype=int),
         actuators=np.array(actuators, dtype=int),
-        open=open_,
-        closed=shut,
-        home=home,
+        open=lengths[0][actuators],
+        closed=lengths[1][actuators],
+        home=_lengths(hand, scene.home_qpos, {})[actuators],
     )
 
 
-def clear_opening(scene: Scene, gripper: Gripper) -> float:
+def _adhesive(scene: Scene) -> Gripper:
+    """Return a vacuum cup or magnet, which pulls (1) or does not (0)."""
+    model = scene.model
+    actuator = int(model.actuator(ADHESION).id)
+    return Gripper(
+        bodies=tuple(sorted(scene.gripper_bodies)),
+        pads=np.array(colliding_geoms(model, [int(model.actuator_trnid[actuator, 0])]), dtype=int),
+        joints=np.zeros(0, dtype=int),
+        actuators=np.array([actuator]),
+        open=np.zeros(1),
+        closed=np.ones(1),
+        home=np.zeros(1),
+    )
+
+
+def clear_opening(scene: Scene) -> float:
     """Return the opening from which on no finger touches the carried object.
 
     Returns:
-        Opening from closed (0) to open (1), to within 0.001; 0 without a carried object or a gripper.
+        Opening from closed (0) to open (1); 0 without a carried object or a gripper.
     """
-    if scene.carried is None or not len(gripper.joints):
+    if scene.carried is None or (scene.notes.held is not None and scene.notes.held.grip is not None):
         return 0.0
     model = scene.model
     data = scene.data_at(np.array([model.qpos0[a] for a in scene.qpos_adr]))
-    adr = model.jnt_qposadr[gripper.joints]
-    wide, closed = _ends(scene, gripper.joints.tolist())
-    held = scene.components["carried"].geoms
-
-    def touches(opening: float) -> bool:
-        data.qpos[adr] = closed + opening * (wide - closed)
-        mujoco.mj_kinematics(model, data)
-        return any(
-            mujoco.mj_geomDistance(model, data, int(p), int(g), 1.0, None) <= 0 for p in gripper.pads for g in held
-        )
-
-    low, high = 0.0, 1.0
-    while high - low > 1e-3 and touches(low):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if touches(middle) else (low, middle)
-    return high if touches(low) else low
+    return clear_share(hand_of(scene), data.qpos, scene.components["carried"].geoms)
 
 
-class _Posture(NamedTuple):
-    spread: float
-    """Sum of the distances between the moving bodies of the gripper [m]."""
-    length: Float[Array, " actuator"]
-    """Length of every actuator, which its servo controls."""
+def _pads(hand: Hand) -> tuple[int, ...]:
+    """Return the colliding geoms of the moving parts; of the whole gripper if only one part moves, against a jaw."""
+    moving = moving_bodies(hand)
+    parts = {int(hand.model.body_weldid[body]) for body in moving if colliding_geoms(hand.model, [body])}
+    return colliding_geoms(hand.model, hand.bodies if len(parts) == 1 else moving)
 
 
-def _ends(scene: Scene, joints: list[int]) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
-    """Return the positions of the joints with the gripper open and closed.
-
-    Each joint by itself, between the middles of the others, opens towards the end at which the moving bodies are
-    farther apart: mirrored fingers have opposite signs.
-    """
-    ends = scene.model.jnt_range[joints]
-    middle, wide = ends.mean(axis=1), np.ones(len(joints), dtype=int)
-    for k in range(len(joints)):
-        lower, upper = (
-            _posture(scene, joints, np.where(np.arange(len(joints)) == k, ends[:, end], middle)).spread
-            for end in (0, 1)
-        )
-        wide[k] = upper >= lower
-    each = np.arange(len(joints))
-    return ends[each, wide], ends[each, 1 - wide]
-
-
-def _posture(scene: Scene, joints: list[int], q: Float[Array, " joint"] | None) -> _Posture:
-    """Measure the gripper with its joints at positions, or at home (None)."""
-    model = scene.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = scene.home_qpos
-    if q is not None:
-        data.qpos[model.jnt_qposadr[joints]] = q
-    mujoco.mj_fwdPosition(model, data)
-    centres = data.xipos[model.jnt_bodyid[joints]]
-    spread = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).sum())
-    return _Posture(spread, data.actuator_length.copy())
+def _lengths(hand: Hand, qpos: Float[Array, " model_nq"], positions: dict[int, float]) -> Float[Array, " actuator"]:
+    """Return the length of every actuator, which its servo controls, with gripper joints at given positions."""
+    data = hand.posed(qpos, positions)
+    mujoco.mj_fwdPosition(hand.model, data)
+    return data.actuator_length.copy()
 
 
 def _acts_on(model: mujoco.MjModel, actuator: int, joints: list[int]) -> bool:

@@ -14,6 +14,8 @@ from graceful_plan.exceptions import UnsupportedError
 
 Array = np.ndarray
 
+STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+"""Solver impedance of a constraint, as stiff as the solver allows."""
 _FIRM = [0.95, 0.99, 0.001, 0.5, 2.0]
 """Solver impedance of the fingertips' contacts."""
 _BANDWIDTH = 40.0
@@ -61,6 +63,10 @@ def tuned_robot(
     model.geom_priority[gripper.pads] = model.geom_priority.max() + 1
     model.geom_solref[gripper.pads] = [2.0 * timestep, 1.0]
     model.geom_solimp[gripper.pads] = _FIRM
+    # Light fingers that follow others by soft constraints would yield to the object.
+    tied = (model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)) & np.isin(model.eq_obj1id, fingers)
+    model.eq_solref[tied] = [2.0 * timestep, 1.0]
+    model.eq_solimp[tied] = STIFF
     if control == "torque":
         inertia = _inertia(model, scene)[dofs]
         model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED
@@ -91,7 +97,7 @@ def tuned_robot(
         gripper_actuators=gripper.actuators,
         grip_open=gripper.open,
         grip_closed=gripper.closed if grasps else gripper.home,
-        grip_clear=clear_opening(scene, gripper),
+        grip_clear=clear_opening(scene),
         pads=gripper.pads,
         weld=-1 if grasps or scene.carried is None else int(model.equality("failbench/hold").id),
     )

@@ -12,6 +12,7 @@ from types import MappingProxyType
 import mujoco
 import numpy as np
 
+from failbench.simulated.added_drives import with_drives
 from failbench.simulated.gripper import Gripper, find_gripper
 from failbench.simulated.moving_entities import REACTIONS, set_free, staged
 from failbench.simulated.robot import Robot
@@ -22,20 +23,18 @@ from failbench.simulated.rolling import (
     driven_joints,
     find_rolling,
 )
-from failbench.simulated.servos import actuator_of, tuned_robot
+from failbench.simulated.servos import STIFF, actuator_of, tuned_robot
 from graceful_plan import MovingEntity, Scene
 from graceful_plan.array_types import Int
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.path import plain_numbers
+from graceful_plan.scene.couplings import ties_to_loose
 from graceful_plan.scene.roles import free_joint
 
 Array = np.ndarray
 
 SENSOR_SIZE = 7
 """Values per contact sensor: number of contacts, net force in W [N], position in W [m]."""
-
-_STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
-"""Solver impedance of a constraint, as stiff as the solver allows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +120,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
             cannot hold.
     """
     settings = SimSettings() if settings is None else settings
-    walkers, scene = tuple(scene.moving.values()), staged(scene)
+    walkers, scene = tuple(scene.moving.values()), with_drives(staged(scene), settings.timestep)
     model = scene.model
     gripper = find_gripper(scene)
     driven = driven_joints(scene)
@@ -141,6 +140,9 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
     _name_bodies(spec)
     add_wheels(spec, scene)
     _set_options(spec, scene, settings)
+    _exclude_links(spec, scene)
+    for e in ties_to_loose(model, scene.joint_ids, scene.robot_bodies):
+        spec.equalities[e].active = False  # planned motions ignore them
     pairs = _add_sensors(spec, model, strikers, entities)
     obstacles = _obstacles(scene, entities)
     carried = {name: bodies for name, bodies in strikers.items() if name == "carried"}
@@ -199,6 +201,20 @@ def _name_bodies(spec: mujoco.MjSpec) -> None:
         body.name = body.name or f"failbench/body{i}"
 
 
+def _exclude_links(spec: mujoco.MjSpec, scene: Scene) -> None:
+    """Let links of the robot pass through each other where the scene allows it: hulls of meshes overlap.
+
+    Contacts between them would push the links apart.
+    """
+    of, robot = scene.model.geom_bodyid, scene.robot_bodies
+    known = {frozenset((e.bodyname1, e.bodyname2)) for e in spec.excludes}
+    pairs = {frozenset((int(of[a]), int(of[b]))) for a, b in scene.allowed_pairs("always")}
+    for pair in sorted(tuple(sorted(pair)) for pair in pairs if len(pair) == 2 and pair <= robot):
+        first, second = (spec.bodies[body].name for body in pair)
+        if frozenset((first, second)) not in known:
+            spec.add_exclude(bodyname1=first, bodyname2=second)
+
+
 def _set_options(spec: mujoco.MjSpec, scene: Scene, settings: SimSettings) -> None:
     spec.option.timestep = settings.timestep
     # Other integrators chatter at this time step, and a held object creeps with pyramidal cones.
@@ -253,7 +269,7 @@ def _add_sensors(
 def _add_lock(spec: mujoco.MjSpec, joint: str, timestep: float) -> None:
     lock = spec.add_equality(name=f"failbench/lock/{joint}", type=mujoco.mjtEq.mjEQ_JOINT)
     lock.objtype, lock.name1, lock.active = mujoco.mjtObj.mjOBJ_JOINT, joint, False
-    lock.solref, lock.solimp = [2.0 * timestep, 1.0], _STIFF
+    lock.solref, lock.solimp = [2.0 * timestep, 1.0], STIFF
 
 
 def _add_weld(spec: mujoco.MjSpec, scene: Scene, gripper: Gripper, settings: SimSettings) -> None:
@@ -274,12 +290,15 @@ def _add_weld(spec: mujoco.MjSpec, scene: Scene, gripper: Gripper, settings: Sim
         scene.carried.body,
     )
     weld.data = [0.0, 0.0, 0.0, *X_BO[:3, 3], *quat, 1.0, 0.0]  # anchor, pose, torque scale
-    weld.solref, weld.solimp = [2.0 * settings.timestep, 1.0], _STIFF
+    weld.solref, weld.solimp = [2.0 * settings.timestep, 1.0], STIFF
     if settings.grasp == "weld":
         for body in gripper.bodies:
             spec.add_exclude(bodyname1=spec.bodies[body].name, bodyname2=scene.carried.body)
     elif not len(gripper.actuators) and not _is_deck(scene, gripper):
-        raise UnsupportedError("the gripper has no position servo to hold with; use SimSettings(grasp='weld')")
+        raise UnsupportedError(
+            "the gripper has no position servo to hold with; hold by attach(grip=gp.Adhesion(force, radius)), or use "
+            "SimSettings(grasp='weld')"
+        )
 
 
 def _is_deck(scene: Scene, gripper: Gripper) -> bool:

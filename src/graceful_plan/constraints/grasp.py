@@ -33,7 +33,7 @@ from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real, plain_numbers
 from graceful_plan.scene.per_scene import per_layout
-from graceful_plan.scene.rules.grip import Grip, find_grip
+from graceful_plan.scene.rules.grip import AdhesiveGrip, Grip, find_hold
 from graceful_plan.scene.rules.rules import AxisRule, GripRule
 from graceful_plan.scene.scene import Scene
 
@@ -54,7 +54,10 @@ _SIDES = 12
 @final
 @dataclass(frozen=True)
 class GraspHolds(SpecificForceConstraint):
-    """Keep the load on a grasp within what friction and pressure of two pads can carry, for a healthy robot.
+    """Keep the load on a grasp within what it can carry, for a healthy robot.
+
+    Two pads carry it by friction and pressure, whatever the joints of the fingers; an `Adhesion` carries it up to its
+    breaking force.
 
     Args:
         friction: Coefficient between pads and object; by default that of the model. Torsional friction scales with it.
@@ -85,14 +88,14 @@ class GraspHolds(SpecificForceConstraint):
         needed = float(self._resting_load(StateBatch(scene, q)).max()) / _AT_REST + _ROOM
         return self if needed <= self.share else replace(self, share=min(needed, 1.0))
 
-    def grip(self, scene: Scene) -> Grip:
+    def grip(self, scene: Scene) -> Grip | AdhesiveGrip:
         """Return the geometry and capacity of the grasp.
 
         Raises:
             UnsupportedError: If the object is not held between two pads.
             SettingError: If the model does not define the grip force.
         """
-        grip = find_grip(scene)
+        grip = find_hold(scene)
         if self.force is None and np.isnan(grip.force):
             raise SettingError("force", None, "what both fingers press with [N]: the model does not say")
         friction = grip.friction if self.friction is None else self.friction
@@ -145,7 +148,7 @@ class GraspHolds(SpecificForceConstraint):
     def told(self, residual: float) -> str:
         """Describe a violation for messages."""
         load = residual + _AT_REST
-        return f"{self.name}: at rest the load is {load:.2f} of what the fingers hold, {_AT_REST:.2f} is allowed"
+        return f"{self.name}: at rest the load is {load:.2f} of what the grip holds, {_AT_REST:.2f} is allowed"
 
 
 @per_layout(most=_KEPT)
@@ -156,8 +159,25 @@ def _facets(
     return load_facets(GraspHolds(friction, force).grip(scene))
 
 
-def load_facets(grip: Grip) -> tuple[Float[Array, "facet xyz"], Float[Array, " facet"]]:
+def load_facets(grip: Grip | AdhesiveGrip) -> tuple[Float[Array, "facet xyz"], Float[Array, " facet"]]:
     """Return facets as unit vectors in the frame of the carried body, and the specific force each allows [m/s^2]."""
+    stacked = np.concatenate(_pad_rows(grip) if isinstance(grip, Grip) else _disc_rows(grip))
+    length = np.linalg.norm(stacked, axis=1)
+    some = length > _FLAT * length.max()
+    return stacked[some] / length[some, None], 1.0 / length[some]
+
+
+def _disc_rows(grip: AdhesiveGrip) -> list[Float[Array, "row xyz"]]:
+    """Return vectors w for which w f <= 1 keeps the object on a disc: it neither comes off, nor peels, nor slips."""
+    moments, pull = grip.moments / grip.force, grip.mass * grip.axes / grip.force
+    slips = np.stack([pull[1] / grip.friction, pull[2] / grip.friction, moments[0] / grip.torsion])
+    rows = [pull[:1], _ball_facets(slips) + pull[0]]
+    peels = moments[1:] / grip.radius
+    return [*rows, _ball_facets(peels) + pull[0]] if peels.any() else rows
+
+
+def _pad_rows(grip: Grip) -> list[Float[Array, "row xyz"]]:
+    """Return vectors w for which w f <= 1 keeps the object between two pads."""
     moments, m, force = grip.moments, grip.mass, grip.force
     closing, h = m * grip.axes[0] / force, grip.half[0]
     rows = []
@@ -175,10 +195,7 @@ def load_facets(grip: Grip) -> tuple[Float[Array, "facet xyz"], Float[Array, " f
             row = moments[axis] / (force * rim)
             rows.append(np.stack([row, -row]))
     rows.append(np.stack([closing, -closing]))
-    stacked = np.concatenate(rows)
-    length = np.linalg.norm(stacked, axis=1)
-    some = length > _FLAT * length.max()
-    return stacked[some] / length[some, None], 1.0 / length[some]
+    return rows
 
 
 def _ball_facets(A: Float[Array, "row xyz"]) -> Float[Array, "facet xyz"]:

@@ -28,7 +28,7 @@ from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.path import Path
 from graceful_plan.scene.per_scene import per_layout
-from graceful_plan.scene.rules.grip import find_grip
+from graceful_plan.scene.rules.grip import find_hold
 from graceful_plan.scene.rules.rules import CustomRule, SpeedRule, TorqueRule
 from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
@@ -258,15 +258,15 @@ def grasp_warnings(scene: Scene) -> tuple[str, ...]:
     load = _load_at_home(scene)
     if load is None or load <= 0.0 or scene.carried is None:
         return ()
-    return (f"{scene.carried.body!r} is not expected to stay in the fingers: {GraspHolds().told(load)}",)
+    return (f"{scene.carried.body!r} is not expected to stay in the gripper: {GraspHolds().told(load)}",)
 
 
 def _load_at_home(scene: Scene) -> float | None:
-    """Return the residual of the grasp at home; None if the model does not describe a grasp between two pads."""
+    """Return the residual of the grasp at home; None if the model does not describe the grip."""
     if scene.carried is None:
         return None
     try:
-        if np.isnan(find_grip(scene).force):
+        if np.isnan(find_hold(scene).force):
             return None
     except UnsupportedError:
         return None

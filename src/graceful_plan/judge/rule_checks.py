@@ -21,6 +21,7 @@ from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.torque_check import MANY, torque_check
 from graceful_plan.path import Path
 from graceful_plan.result import Check
+from graceful_plan.scene.rules.grip import AdhesiveGrip
 from graceful_plan.scene.rules.rules import (
     FRAMES,
     AxisRule,
@@ -209,9 +210,12 @@ def _felt_by(frames: FrameMotion, point: Float[Array, " xyz"]) -> Float[Array, "
 
 
 def _grip(rule: GripRule, frames: FrameMotion) -> Check:
-    """Compute the load on each pad: tangential force and torsion relative to the friction at its normal force."""
+    """Compute the load on a disc, or on each pad: tangential force and torsion relative to friction at its force."""
     grip = rule.grip
     felt = _felt_by(frames, grip.p_BC)
+    if isinstance(grip, AdhesiveGrip):
+        load = _load_on_disc(grip, felt)
+        return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load, relative to what breaks the grip")
     pushed, first, second = grip.mass * grip.axes @ felt.T
     about = grip.mass * grip.axes @ cross_matrix(grip.p_GC) @ felt.T
     h = float(grip.half[0])
@@ -228,6 +232,15 @@ def _grip(rule: GripRule, frames: FrameMotion) -> Check:
         presses = np.maximum(0.5 * grip.force + side * pushed, 1e-9 * grip.force)
         load = np.maximum(load, np.sqrt(slips / grip.friction**2 + turned) / presses)
     return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load on a pad, relative to its capacity")
+
+
+def _load_on_disc(grip: AdhesiveGrip, felt: Float[Array, "n xyz"]) -> Float[Array, " n"]:
+    """Return the load on a disc relative to what takes the object off, peels it off over the rim, or makes it slip."""
+    pulled, first, second = grip.mass * grip.axes @ felt.T
+    turning, one, other = grip.mass * grip.axes @ cross_matrix(grip.p_GC) @ felt.T
+    peels = np.hypot(one, other) / grip.radius
+    slips = np.sqrt((first**2 + second**2) / grip.friction**2 + (turning / grip.torsion) ** 2)
+    return np.maximum(pulled + np.maximum(peels, slips), 0.0) / grip.force
 
 
 def _stands(rule: StandsRule, frames: FrameMotion) -> Check:

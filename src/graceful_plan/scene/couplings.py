@@ -15,7 +15,7 @@ from collections.abc import Collection, Mapping
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.scene.model_parts import ancestors, body_joints, names
 
@@ -34,7 +34,12 @@ _SAME = 1e-6
 _OPEN = 1e-3
 """Residual from which a closed chain counts as open [m or rad]: 1 mm is a tenth of a sphere's protrusion."""
 _ROUNDS, _STEP = 60, 0.2
-"""Gauss-Newton steps to close a chain, and the largest change of a joint in one [m or rad]."""
+"""Newton steps to close a chain, and the largest change of a joint in one [m or rad]."""
+_STILL = 1e-6
+"""Step from which on the springs of a chain count as in balance [m or rad]."""
+_SOFT = 1e-6
+"""Stiffness of joints without springs [N m/rad or N/m]: of all ways to close a chain, the smallest change is taken."""
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def check_couplings(model: mujoco.MjModel, planned: Collection[int], robot: Collection[int]) -> None:
@@ -62,8 +67,8 @@ def warn_of_couplings(
     model: mujoco.MjModel, planned: Collection[int], robot: Collection[int], held: Collection[int]
 ) -> None:
     """Log a warning for each restriction of planned joints that is ignored, by name."""
-    for e in _active(model):
-        if _moving(model, e) & set(planned) and _is_loose(model, e, robot) and not _touches(model, e, held):
+    for e in ties_to_loose(model, planned, robot):
+        if not _touches(model, e, held):
             _LOG.warning(
                 "%s is ignored: the body stays where the scene has it while the robot moves; attach() a body that the "
                 "robot carries",
@@ -78,6 +83,11 @@ def warn_of_couplings(
             )
 
 
+def ties_to_loose(model: mujoco.MjModel, planned: Collection[int], robot: Collection[int]) -> list[int]:
+    """Return the active equalities that tie planned joints to free or mocap bodies; motions ignore them."""
+    return [e for e in _active(model) if _moving(model, e) & set(planned) and _is_loose(model, e, robot)]
+
+
 def followers(model: mujoco.MjModel) -> dict[int, int]:
     """Return the leader of each joint that an active equality makes follow another; -1 if it has to stay."""
     return {
@@ -89,7 +99,7 @@ def followers(model: mujoco.MjModel) -> dict[int, int]:
 
 def passive_joints(model: mujoco.MjModel, planned: Collection[int]) -> frozenset[int]:
     """Return the joints of closed chains that neither are planned nor have an actuator."""
-    return frozenset(j for e in _loops(model, planned) for j in _moving(model, e)) - _actuated(model)
+    return frozenset(j for e in _loops(model, planned) for j in _moving(model, e)) - actuated(model)
 
 
 def coupled(model: mujoco.MjModel, joint: int) -> frozenset[int]:
@@ -187,12 +197,15 @@ def _closed(
     planned: Collection[int],
     strict: bool,
 ) -> Float[Array, " model_nq"]:
-    """Return a state with closed chains, by Gauss-Newton steps of the passive joints on MuJoCo's own residuals."""
+    """Return a state with closed chains, by Gauss-Newton steps of the passive joints on MuJoCo's own residuals.
+
+    Where the chains leave passive joints free, the springs of joints and tendons decide, against the joints' ranges.
+    """
     loops = _loops(model, planned)
     if not loops:
         return qpos
     free = set(passive_joints(model, planned)).difference(chosen)
-    fixed = _actuated(model) | set(chosen) | set(planned)
+    fixed = actuated(model) | set(chosen) | set(planned)
     for follower, leader in followers(model).items():
         if {follower, leader} & free:
             free |= {j for j in (follower, leader) if j >= 0 and j not in fixed}
@@ -215,6 +228,7 @@ def _closed(
         step *= min(1.0, _STEP / max(np.abs(step).max(), 1e-12))
         mujoco.mj_integratePos(twin, data.qpos, step, 1.0)
         _clip(twin, data.qpos, free)
+    _relax(twin, data, np.flatnonzero(dofs))
     residual, _ = _residual(twin, data)
     worst = float(np.abs(residual).max(initial=0.0))
     if worst > _OPEN:
@@ -225,6 +239,56 @@ def _closed(
             raise SettingError("positions", where, f"positions that close {told}; they leave {worst:.3g} m or rad open")
         _LOG.warning("closed chains stay open by %.3g m or rad at their given or initial positions: %s", worst, told)
     return np.array(data.qpos)
+
+
+def _relax(model: mujoco.MjModel, data: mujoco.MjData, dofs: Int[Array, " dof"]) -> None:
+    """Let springs move passive joints of closed chains to the least energy, by Newton steps.
+
+    A joint that reaches an end of its range stays there.
+    """
+    stiffness = np.diag(model.jnt_stiffness[model.dof_jntid].astype(float))
+    for t in np.flatnonzero(model.tendon_stiffness).tolist():
+        row = _tendon_slope(model, data, t)
+        stiffness += model.tendon_stiffness[t] * np.outer(row, row)
+    if not stiffness[dofs].any():
+        return
+    stiffness += _SOFT * np.eye(model.nv)
+    loose = dofs
+    for _ in range(_ROUNDS):
+        residual, slope = _residual(model, data)
+        mujoco.mj_fwdVelocity(model, data)  # the forces of springs
+        J, K = slope[:, loose], stiffness[np.ix_(loose, loose)]
+        system = np.block([[K, J.T], [J, np.zeros((len(J), len(J)))]])
+        wanted = np.concatenate([data.qfrc_spring[loose], -residual])
+        step = np.linalg.lstsq(system, wanted, rcond=1e-12)[0][: len(loose)]
+        step *= min(1.0, _STEP / max(np.abs(step).max(initial=0.0), 1e-12))
+        share = _share_in_range(model, data, loose, step)
+        whole = np.zeros(model.nv)
+        whole[loose] = min(1.0, share.min(initial=1.0)) * step
+        mujoco.mj_integratePos(model, data.qpos, whole, 1.0)
+        if share.min(initial=1.0) < 1.0:
+            loose = np.delete(loose, share.argmin())
+        elif np.abs(step).max(initial=0.0) <= _STILL:
+            break
+
+
+def _share_in_range(
+    model: mujoco.MjModel, data: mujoco.MjData, dofs: Int[Array, " dof"], step: Float[Array, " dof"]
+) -> Float[Array, " dof"]:
+    """Return the share of a step after which each degree of freedom reaches an end of its joint's range."""
+    joints = model.dof_jntid[dofs]
+    limited = (model.jnt_limited[joints] != 0) & np.isin(model.jnt_type[joints], _SCALAR)
+    end = np.where(step > 0.0, model.jnt_range[joints, 1], model.jnt_range[joints, 0])
+    room = np.maximum((end - data.qpos[model.jnt_qposadr[joints]]) * np.sign(step), 0.0)
+    moves = limited & (np.abs(step) > 1e-12)
+    return np.where(moves, room / np.where(moves, np.abs(step), 1.0), np.inf)
+
+
+def _tendon_slope(model: mujoco.MjModel, data: mujoco.MjData, tendon: int) -> Float[Array, " model_nv"]:
+    row, first = np.zeros(model.nv), int(model.ten_J_rowadr[tendon])
+    filled = slice(first, first + int(model.ten_J_rownnz[tendon]))
+    row[model.ten_J_colind[filled]] = data.ten_J[filled]
+    return row
 
 
 def _residual(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Float[Array, " row"], Float[Array, "row model_nv"]]:
@@ -294,7 +358,7 @@ def _tendon_joints(model: mujoco.MjModel, tendon: int) -> set[int]:
     return found
 
 
-def _actuated(model: mujoco.MjModel) -> frozenset[int]:
+def actuated(model: mujoco.MjModel) -> frozenset[int]:
     """Return the joints with actuators, directly or through tendons."""
     found: set[int] = set()
     for a in range(model.nu):

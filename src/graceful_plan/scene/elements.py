@@ -133,6 +133,50 @@ Contents = Liquid | Granular
 
 
 @dataclass(frozen=True)
+class Opening:
+    """Opening of a gripper, as a value of `fingers`; linkages close, and fingers that mimic others follow.
+
+    Args:
+        metres: Distance between the two pads, measured beside the tool [m]. Without it, the fingers close until one
+            touches the carried object.
+    """
+
+    metres: float | None = None
+
+    def __post_init__(self) -> None:
+        plain_numbers(self)
+        if self.metres is not None and not (is_real(self.metres) and 0.0 <= self.metres < math.inf):
+            raise SettingError("metres", self.metres, "a finite number of at least 0")
+
+
+Fingers = float | Mapping[str, float] | Opening
+"""Position of all leading joints of a gripper, positions by joint name, or an opening."""
+
+
+@dataclass(frozen=True)
+class Adhesion:
+    """Grip of a vacuum cup or magnet: a flat disc at the tool that pulls the object against the tool's z axis.
+
+    The disc pushes the object back, so the force is what presses them together. The grip breaks where a load pulls the
+    object off, peels it off over the rim, or slides or turns it.
+
+    Args:
+        force: Force with which the object is pulled off at the centre [N].
+        radius: Radius of the disc [m].
+        friction: Coefficient between disc and object.
+    """
+
+    force: float
+    radius: float
+    friction: float = 0.5
+
+    def __post_init__(self) -> None:
+        plain_numbers(self)
+        for name in ("force", "radius", "friction"):
+            _check_positive(name, getattr(self, name))
+
+
+@dataclass(frozen=True)
 class AllowedContact:
     """Two geoms or bodies, by name, that may touch.
 
@@ -173,7 +217,8 @@ class ObjectNote:
     X_TO: Float[Array, "4 4"] | None = None
     object_class: str | None = None
     contents: Contents | None = None
-    fingers: float | Mapping[str, float] | None = None
+    fingers: Fingers | None = None
+    grip: Adhesion | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,7 +243,7 @@ class Notes:
     joints: tuple[str, ...] | None = None
     """Planned joints; None for all joints from the world to the tool."""
     body_class: str = "arm_collapse"
-    fingers: float | Mapping[str, float] | None = None
+    fingers: Fingers | None = None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
     """Lower and upper limits by joint, replacing the model's."""
     velocity: tuple[float, ...] | None = None

@@ -7,6 +7,7 @@ Joints that equalities couple follow (`couplings`).
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -15,11 +16,12 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array, is_real
-from graceful_plan.scene.couplings import coupled, follow, followers, passive_joints
-from graceful_plan.scene.elements import Notes
+from graceful_plan.scene.couplings import coupled, follow, followers
+from graceful_plan.scene.elements import Fingers, Notes, ObjectNote, Opening
+from graceful_plan.scene.fingers import Hand, leading_joints, positions_at
 from graceful_plan.scene.joint_limits import joint_range
 from graceful_plan.scene.loading.naming import is_name, lookup
-from graceful_plan.scene.model_parts import is_scalar
+from graceful_plan.scene.model_parts import colliding_geoms, is_scalar, subtree
 from graceful_plan.scene.roles import rigid_pose
 
 Array = np.ndarray
@@ -73,20 +75,52 @@ def rest_state(
     return qpos
 
 
+def with_openings(
+    model: mujoco.MjModel, robot: Collection[int], planned: Collection[int], gripper: Collection[int], notes: Notes
+) -> Notes:
+    """Return notes in which openings of the gripper are positions of its joints.
+
+    Raises:
+        UnsupportedError: If the gripper has no joint, or the tool is not between two pads.
+        SettingError: If an opening is out of reach, or nothing is carried on which to close.
+    """
+    hand = Hand(model, gripper, planned, model.site(notes.tool).id)
+    if isinstance(notes.fingers, Opening):
+        qpos = rest_state(model, robot, planned, gripper, notes)
+        notes = replace(notes, fingers=positions_at(hand, qpos, notes.fingers, ()))
+    held = notes.held
+    if held is not None and isinstance(held.fingers, Opening):
+        qpos = rest_state(model, robot, planned, gripper, notes).copy()
+        body = model.body(held.body).id
+        qpos[model.jnt_qposadr[model.body_jntadr[body]] :][:7] = _held_pose(hand, qpos, held)
+        touched = colliding_geoms(model, subtree(model, body))
+        notes = replace(notes, held=replace(held, fingers=positions_at(hand, qpos, held.fingers, touched)))
+    return notes
+
+
+def _held_pose(hand: Hand, qpos: Float[Array, " model_nq"], held: ObjectNote) -> Float[Array, " pose"]:
+    """Return position and quaternion of the held object in W."""
+    assert held.X_TO is not None
+    tool = hand.posed(qpos, {}).site(hand.tool)
+    R_WT, quaternion = tool.xmat.reshape(3, 3), np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, (R_WT @ held.X_TO[:3, :3]).ravel())
+    return np.concatenate([tool.xpos + R_WT @ held.X_TO[:3, 3], quaternion])
+
+
 def _fingers(
     model: mujoco.MjModel,
     robot: Collection[int],
     planned: Collection[int],
     gripper: Collection[int],
-    fingers: float | Mapping[str, float] | None,
+    fingers: Fingers | None,
 ) -> dict[int, float]:
     """Return positions of finger joints: one number for all of the gripper's that follow no other, or by joint name."""
-    if fingers is None:
+    if fingers is None or isinstance(fingers, Opening):  # an opening is solved in the state without it
         return {}
     held = {model.joint(j).name: j for j in range(model.njnt) if j not in planned and is_scalar(model, j, robot)}
     if not isinstance(fingers, Mapping):
         behind = {name: j for name, j in held.items() if int(model.jnt_bodyid[j]) in gripper}
-        driven = behind.values() - followers(model).keys() - passive_joints(model, planned)
+        driven = leading_joints(Hand(model, gripper, planned, tool=-1))
         if behind and not driven:
             raise SettingError("fingers", fingers, f"positions by joint name, as none leads: {', '.join(behind)}")
         _check_shared(model, {name: j for name, j in behind.items() if j in driven}, fingers)

@@ -18,10 +18,12 @@ from graceful_plan.scene.elements import (
     BODY_CLASSES,
     CARRIED_CLASSES,
     COMPONENTS,
+    Adhesion,
     Component,
     Contents,
     Entity,
     EntityAnnotation,
+    Fingers,
     Notes,
     ObjectNote,
 )
@@ -234,7 +236,8 @@ def held_note(
     X_TO: ArrayLike | None = None,
     contents: Contents | None = None,
     object_class: str | None = None,
-    fingers: float | Mapping[str, float] | None = None,
+    fingers: Fingers | None = None,
+    grip: Adhesion | None = None,
 ) -> ObjectNote:
     """Return how an object of the notes, or any other body, is held, with all defaults resolved.
 
@@ -264,6 +267,7 @@ def held_note(
         X_TO=rigid_pose("X_TO", pose),
         contents=note.contents if contents is None else contents,
         fingers=note.fingers if fingers is None else fingers,
+        grip=note.grip if grip is None else grip,
         object_class=object_class or note.object_class or _class_by_mass(float(model.body_subtreemass[body])),
     )
 

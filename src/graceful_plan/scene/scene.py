@@ -24,7 +24,7 @@ from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
 from graceful_plan.scene.couplings import check_couplings, warn_of_couplings
 from graceful_plan.scene.edit import PosedModel, StaticBody, moved, removed
-from graceful_plan.scene.elements import AllowedContact, Contents, EntityAnnotation, Notes
+from graceful_plan.scene.elements import Adhesion, AllowedContact, Contents, EntityAnnotation, Fingers, Notes, Opening
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
 from graceful_plan.scene.joint_limits import joint_limits, set_limits
@@ -52,7 +52,14 @@ from graceful_plan.scene.model_parts import (
     tool_body,
 )
 from graceful_plan.scene.moving import MovingEntity
-from graceful_plan.scene.rest_state import given_state, keyframe_state, model_states, rest_state, without_bodies
+from graceful_plan.scene.rest_state import (
+    given_state,
+    keyframe_state,
+    model_states,
+    rest_state,
+    with_openings,
+    without_bodies,
+)
 from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.specs import load_spec
@@ -102,7 +109,7 @@ class Scene(SceneFacts):
         severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
         joints: Sequence[str] | None = None,
         state: Mapping[str, float | ArrayLike] | str | None = None,
-        fingers: float | Mapping[str, float] | None = None,
+        fingers: Fingers | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         velocity: Sequence[float] | None = None,
         acceleration: Sequence[float] | None = None,
@@ -125,20 +132,24 @@ class Scene(SceneFacts):
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body. Bodies below these are
                 parts of the robot, whatever their names.
             tool: Name of a site that serves as the tool, or of a body whose frame does.
-            carried: Body in the gripper, if any; `at`, `X_TO` and `contents` as in `attach`.
+            carried: Body in the gripper, if any: its parent is the world, and it is no entity while it is held. `at`,
+                `X_TO` and `contents` as in `attach`, which also takes other objects later.
             at: Configuration in which the gripper holds the carried body where it is.
-            X_TO: Pose of the carried body in the tool frame, instead of `at`.
-            contents: Contents of the carried body.
-            entities: Class of each body that can be harmed, by body name; it applies to the body's subtree. The model
-                can declare the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class
-                are obstacles only.
+            X_TO: Pose of the carried body in the tool frame, instead of `at`, such as `FROM_ABOVE`.
+            contents: Contents of the carried body, a `Liquid` or `Granular`; they can spill, and motions keep them in.
+                A geom that does not collide, "<body>_contents", has their shape: an upright cylinder.
+            entities: Class of each body that can be harmed, by body name, such as "glass", "laptop" or "adult"; it
+                applies to the body's subtree. The class selects the row of the `SeverityTable`, which lists all in
+                `SeverityTable.shipped().classes`. The model can declare the same in custom text:
+                `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class are obstacles only.
             severity: A table, a file with one, or replacements as in `with_severity`.
             joints: Joints to plan, in the order of the model, such as those of two arms. Default: the hinges and slides
                 between the world and the tool. All other joints stay in their `state`.
             state: State of everything that is not planned, as in `with_state`; or the name of a keyframe of the model.
                 Default: the model's initial state.
-            fingers: Position of the joints of the gripper, which is everything that hangs on the last planned joint; or
-                positions by joint name. Joints that follow others by equalities follow.
+            fingers: Position of the joints of the gripper, which is everything that hangs on the last planned joint;
+                positions by joint name; or an `Opening` in metres. With a carried body, `Opening()` closes the fingers
+                on it. Joints that follow others by equalities follow.
             limits: Lower and upper limit by joint, to replace the model's [rad or m].
             velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric
                 "<robot>velocity_limit".
@@ -175,13 +186,14 @@ class Scene(SceneFacts):
         divide_surroundings(spec, robot, convex)
         overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts, joints)
         table, overrides = given_severity(severity)
+        closes = carried is not None and isinstance(fingers, Opening)  # on the object, which is attached below
         notes = Notes(
             name=name or spec.modelname,
             robot=robot,
             tool=tool,
             joints=None if joints is None else tuple(joints),
             body_class=body_class,
-            fingers=fingers,
+            fingers=None if closes else fingers,
             limits=dict(limits or {}),
             velocity=None if velocity is None else tuple(velocity),
             acceleration=None if acceleration is None else tuple(acceleration),
@@ -199,7 +211,8 @@ class Scene(SceneFacts):
         scene = cls.build(spec, notes)
         check_keyframes(notes, scene.limits)
         scene = scene if state is None else scene.in_state(state)
-        scene = scene if carried is None else scene.attach(carried, at=at, X_TO=X_TO, contents=contents)
+        if carried is not None:
+            scene = scene.attach(carried, at=at, X_TO=X_TO, contents=contents, fingers=fingers if closes else None)
         warn_of_mistakes(scene)
         return scene
 
@@ -219,7 +232,7 @@ class Scene(SceneFacts):
         group: str | None = None,
         state: Mapping[str, float | ArrayLike] | str | None = None,
         velocity: Sequence[float] | None = None,
-        fingers: float | Mapping[str, float] | None = None,
+        fingers: Fingers | None = None,
         decompose: bool | None = None,
         convex: str | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
@@ -326,6 +339,7 @@ class Scene(SceneFacts):
             components = roles.find_components(model, notes, robot)
         gripper = gripper_bodies(model, hand, joints)
         with notes.about("fingers"):
+            notes = with_openings(model, robot, joints, gripper, notes)
             home = rest_state(model, robot, joints, gripper, notes)
         qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
         qpos_adr.flags.writeable = False
@@ -386,7 +400,8 @@ class Scene(SceneFacts):
         X_TO: ArrayLike | None = None,
         contents: Contents | None = None,
         object_class: str | None = None,
-        fingers: float | Mapping[str, float] | None = None,
+        fingers: Fingers | None = None,
+        grip: Adhesion | None = None,
         support: Sequence[str] = (),
     ) -> Scene:
         """Return this scene with an object in the gripper, which may touch it; it is no longer an entity or obstacle.
@@ -396,11 +411,13 @@ class Scene(SceneFacts):
             at: Configuration or keyframe in which the gripper holds the object where it is in this scene.
             X_TO: Pose of the object's body in the tool frame, instead of `at`, such as `FROM_ABOVE`: the body's origin
                 at the tool, upright while the tool points down. Default: as declared for the object.
-            contents: Contents of the object. Default: as declared.
+            contents: Contents of the object, a `Liquid` or `Granular`, in the shape of its geom "<body>_contents".
+                Default: as declared.
             object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as
                 declared, else by mass.
-            fingers: Position of the gripper's joints while carrying, or positions by joint name; as in `from_mjcf`.
-                Default: as declared.
+            fingers: Position of the gripper's joints while carrying, positions by joint name, or an `Opening`;
+                `Opening()` closes the fingers on the object. Default: as declared.
+            grip: Vacuum cup or magnet that holds the object, instead of fingers. Default: as declared.
             support: Bodies or geoms that the object may touch at the ends of a path, because it stands on them there.
 
         Raises:
@@ -424,6 +441,7 @@ class Scene(SceneFacts):
             contents=contents,
             object_class=object_class,
             fingers=fingers,
+            grip=grip,
         )
         notes = replace(self.notes, held=held, support=tuple(support))
         if roles.free_joint(self.model, self.model.body(held.body).id) >= 0:

@@ -83,8 +83,14 @@ def add_speed(parser: argparse.ArgumentParser) -> None:
 
 
 def add_validation(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add the option for the number of simulated failures."""
+    """Add the options for the number of simulated failures, and for the grasp."""
     parser.add_argument("--validate", type=int, default=0, metavar="N", help=text)
+    parser.add_argument(
+        "--grasp",
+        choices=("fingers", "weld"),
+        default="fingers",
+        help="how FailBench holds the object (default fingers)",
+    )
 
 
 # --- values of options ------------------------------------------------------------------------------------------------

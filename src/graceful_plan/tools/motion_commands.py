@@ -133,7 +133,13 @@ def _plan(args: argparse.Namespace) -> int:
             if args.validate and task is not None:
                 progress.stage(f"FailBench: {args.validate} failures")
                 validation = validate_motion(
-                    result.trajectory, args.scene, task.name, args.validate, seed=args.seed, as_json=args.json
+                    result.trajectory,
+                    args.scene,
+                    task.name,
+                    args.validate,
+                    grasp=args.grasp,
+                    seed=args.seed,
+                    as_json=args.json,
                 )
     return _answer(args, result, validation)
 

@@ -65,6 +65,7 @@ def _tune(args: argparse.Namespace) -> int:
             target_impact=args.target_impact,
             max_detour=args.max_detour,
             failures=args.validate,
+            grasp=args.grasp,
             callback=progress.callback,
             told=progress.stage,
             points=args.points,

@@ -81,6 +81,7 @@ class TuneReport:
         ]
         lines = [head, "", documents.table(columns, rows), "", f"choice: {choice.status.value} {choice.detail}"]
         lines += [f"w = {choice.w:.4g}"] if choice.w is not None else []
+        lines += [f"cannot be executed: {why}" for why in dict.fromkeys(e["refused"] for e in self._seen) if why]
         return "\n".join([*lines, "", *(f"wrote {file}" for file in self.files)])
 
     @property
@@ -106,6 +107,7 @@ def run(
     target_impact: float | None = None,
     max_detour: float | None = None,
     failures: int = 0,
+    grasp: str = "fingers",
     callback: Callable[[FrontProgress], bool | None] | None = None,
     told: Callable[[str], None] = lambda stage: None,
     **settings: Any,
@@ -119,6 +121,7 @@ def run(
         target_impact: As in `ParetoFront.choose`.
         max_detour: As in `ParetoFront.choose`.
         failures: Number of simulated failures along each motion; 0 disables the validation.
+        grasp: How the object is held in the validation: "fingers" or "weld".
         callback: Called with the progress of the search.
         told: Called with the text of each later stage.
         settings: Arguments of `gp.pareto`.
@@ -142,7 +145,7 @@ def run(
         files.append(output / "chosen.json")
         choice.point.trajectory.to_json(files[-1])
     told(f"FailBench: {failures} failures along each of {len(front)} motions" if failures else "drawing")
-    validation = validate_front(files[0], scene_name, task.name, failures) if failures else None
+    validation = validate_front(files[0], scene_name, task.name, failures, grasp=grasp) if failures else None
     files += [output / "front.png", output / "front.html"]
     draw_front(front, files[-2], choice)
     observed = () if validation is None else validation["points"]
@@ -168,11 +171,11 @@ def _cells(entry: Mapping[str, Any]) -> list[str]:
     return [f"{entry['predicted']:.3g}", f"{seen['mean']:.3g} [{seen['low']:.3g}, {seen['high']:.3g}]"]
 
 
-def _seen(entry: Mapping[str, Any], failures: int) -> Mapping[str, Any] | None:
-    """Return predicted and observed impact of one point, and its difference to the shortest; None if not executed."""
+def _seen(entry: Mapping[str, Any], failures: int) -> Mapping[str, Any]:
+    """Return predicted and observed impact of a point and its difference to the shortest, or why it is not executed."""
     seen = entry["observed"]
     if seen is None:
-        return None
+        return {"refused": entry["refused"]}
     difference = entry.get("against_shortest")
     return {
         "predicted": entry["predicted"],

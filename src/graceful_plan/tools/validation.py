@@ -40,7 +40,7 @@ def check_failures(failures: int) -> None:
 
 
 def validate_motion(
-    trajectory: gp.Trajectory, scene: str, task: str, failures: int, *, seed: int, as_json: bool
+    trajectory: gp.Trajectory, scene: str, task: str, failures: int, *, grasp: str, seed: int, as_json: bool
 ) -> Validation:
     """Simulate failures along a motion of a task.
 
@@ -49,6 +49,7 @@ def validate_motion(
         scene: Bundled scene or scene file.
         task: Task of the scene.
         failures: Number of failures.
+        grasp: "fingers" or "weld", as in `failbench.SimSettings`.
         seed: Seed of all random numbers.
         as_json: Whether to return the document instead of the text.
 
@@ -58,19 +59,19 @@ def validate_motion(
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "trajectory.json"
         trajectory.to_json(file)
-        argv = ["validate", "--trajectory", str(file), "--scene", scene, "--task", task]
+        argv = ["validate", "--trajectory", str(file), "--scene", scene, "--task", task, "--grasp", grasp]
         said = _failbench([*argv, "-n", str(failures), "--seed", str(seed), *(["--json"] if as_json else [])])
     return Validation(json.loads(said), "") if as_json else Validation({}, said.rstrip())
 
 
-def validate_front(front: Path, scene: str, task: str, failures: int) -> Mapping[str, Any]:
+def validate_front(front: Path, scene: str, task: str, failures: int, *, grasp: str) -> Mapping[str, Any]:
     """Simulate failures along every motion of a front in a file and return FailBench's document.
 
     Raises:
         ValidationError: If FailBench fails; with its output.
     """
-    argv = ["validate-front", str(front), "--scene", scene, "--task", task, "-n", str(failures), "--json"]
-    return json.loads(_failbench(argv))
+    argv = ["validate-front", str(front), "--scene", scene, "--task", task, "--grasp", grasp]
+    return json.loads(_failbench([*argv, "-n", str(failures), "--json"]))
 
 
 def _failbench(argv: list[str]) -> str:

@@ -38,7 +38,7 @@ def write_front_page(
     scene: Scene,
     file: str | FilePath,
     choice: Choice | None = None,
-    observed: Sequence[Mapping[str, Any] | None] = (),
+    observed: Sequence[Mapping[str, Any]] = (),
     title: str = "",
     space: Mapping[str, str] | None = None,
 ) -> None:
@@ -51,7 +51,8 @@ def write_front_page(
         choice: Chosen point to mark.
         observed: FailBench's result for each point: predicted and observed impact of a failure, the latter with an
             interval (`predicted`, `observed`, `low`, `high`); if known, the difference to the shortest motion with its
-            interval (`difference`) and the number of `failures`. None if the simulated robot could not execute it.
+            interval (`difference`) and the number of `failures`. Or why the simulated robot could not execute it
+            (`refused`).
         title: Title of the page; the name of the scene by default.
         space: 3-D view of a motion: its name (`of`), the HTML document (`page`), and the reason for an empty one
             (`why`).

@@ -72,9 +72,13 @@ def test_bodies_may_be_without_names():
     assert build_world(scene).pairs == (("body", "block"),) * 3
 
 
-def test_a_joint_without_a_servo_is_refused():
-    with pytest.raises(UnsupportedError, match=r"'shoulder'.* 0 actuators"):
-        build_world(arm(actuators=""))
+def test_a_joint_without_an_actuator_gets_a_servo_with_the_limit_of_the_scene():
+    made = build_world(arm(actuators="", torque=[30.0]))
+    assert made.model.actuator_forcerange == pytest.approx(np.array([[-30.0, 30.0]]))
+    assert execute([[0.0], [0.6]], made).tracking_error < 0.01
+
+
+def test_a_joint_with_another_drive_than_a_servo_is_refused():
     with pytest.raises(UnsupportedError, match=r"'shoulder'.*servo.*SimSettings"):
         build_world(arm(actuators='<motor joint="shoulder"/>'))
     torque = build_world(arm(actuators='<motor joint="shoulder"/>'), SimSettings(control="torque"))

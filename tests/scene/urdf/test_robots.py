@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sysconfig
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import failbench as fb
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SceneError
@@ -80,3 +82,86 @@ def _moves(scene: gp.Scene, called: float, solved: int) -> None:
     results = [gp.plan(a, b, scene, w=0.0, **given) for a, b in queries]
     assert sum(result.status is gp.PlanStatus.SOLVED for result in results) >= solved
     assert all(gp.verify(r.trajectory, scene).passed for r in results if r.trajectory is not None)
+
+
+# --- grippers: held by friction or a cup in FailBench, without a weld -------------------------------------------------
+
+BLOCK = """<mujoco><worldbody><body name="block" pos="3 0 1"><freejoint/>
+  <geom type="box" size="{0} {0} {1}" mass="{2}" friction="1 .005 .0001" condim="4"/></body></worldbody></mujoco>"""
+
+
+def _block(half: float, height: float, mass: float) -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_string(BLOCK.format(half, height, mass))
+
+
+def _stays_until_the_gripper_fails(scene: gp.Scene, q: list[float]) -> None:
+    """Turn the first joint by a radian: the healthy gripper keeps the object, a failing one drops it."""
+    motion = np.array([q, q])
+    motion[:, 0] += -0.5, 0.5
+    report = fb.validate(motion, scene, "*/gripper_failure/critical", n=2)
+    assert fb.execute(motion, fb.build_world(scene)).slip < 5e-3
+    assert report.dropped.mean == 1.0
+
+
+def _links(file: Path) -> str:
+    """Return the links and joints of a URDF, with absolute paths of meshes."""
+    text = re.sub(
+        r'filename="(?!package)([^"]*)"', lambda m: f'filename="{(file.parent / m[1]).resolve()}"', file.read_text()
+    )
+    return re.search(r"<robot[^>]*>(.*)</robot>", text, re.DOTALL)[1].replace("drake:", "")
+
+
+def _mounted(parent: str, links: str, root: str, tool: str) -> str:
+    return f"""{links}<joint name="mount" type="fixed"><parent link="{parent}"/><child link="{root}"/></joint>
+      <link name="tcp"/><joint name="tcp" type="fixed"><parent link="{root}"/><child link="tcp"/>
+      <origin xyz="{tool}"/></joint></robot>"""
+
+
+def test_ur5e_with_a_2f85_holds_by_friction() -> None:
+    models = MJCF / "airo_models"
+    arm = _there(models / "arms" / "ur5e" / "ur5e.urdf")
+    hand = _links(models / "grippers" / "robotiq_2f_85" / "urdf" / "robotiq_2f_85.urdf").replace('"base_link', '"hand')
+    text = '<robot name="ur">' + _links(arm) + _mounted("tool0", hand, "hand", "0 0 .145")
+    scene = gp.Scene.from_urdf(text, tool="tcp", acceleration=5.0, packages=[models], world=_block(0.03, 0.04, 0.35))
+    X_TO = gp.FROM_ABOVE.copy()
+    X_TO[2, 3] = 0.025
+    held = scene.attach("block", X_TO=X_TO, fingers=gp.Opening())
+    assert gp.GraspHolds().grip(held).half[0] == pytest.approx(0.03, abs=1e-3)
+    _stays_until_the_gripper_fails(held, [0.0, -1.2, 1.3, -1.6, -1.57, 0.0])
+
+
+def test_a_published_panda_holds_by_friction() -> None:
+    path = _there(DATA / "example-robot-data" / "robots" / "panda_description" / "urdf" / "panda.urdf")
+    scene = gp.Scene.from_urdf(
+        path, tool="panda_hand_tcp", acceleration=5.0, packages=[DATA], world=_block(0.02, 0.03, 0.3)
+    )
+    held = scene.attach("block", X_TO=gp.FROM_ABOVE, fingers=gp.Opening())
+    _stays_until_the_gripper_fails(held, [0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.8])
+
+
+def test_a_published_fetch_holds_by_friction() -> None:
+    file = _there(MJCF / "gymnasium_robotics" / "envs" / "assets" / "fetch" / "pick_and_place.xml")
+    spec = mujoco.MjSpec.from_file(str(file))
+    for k in range(3):
+        spec.delete(spec.joint(f"robot0:slide{k}"))
+    spec.geom("object0").mass = 0.5
+    scene = gp.Scene.from_mjcf(
+        spec, robot="robot0:", tool="robot0:grip", velocity=[0.1] + [1.0] * 7, acceleration=[0.5] + [3.0] * 7
+    )
+    X_TO = np.eye(4)
+    X_TO[0, 3] = 0.01
+    held = scene.attach("object0", X_TO=X_TO, fingers=gp.Opening())
+    motion = np.array([[0.2, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.2, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    assert fb.execute(motion, fb.build_world(held)).slip < 5e-3
+
+
+def test_a_ur10_with_a_vacuum_cup_holds_by_its_force() -> None:
+    path = _there(DATA / "example-robot-data" / "robots" / "ur_description" / "urdf" / "ur10_robot.urdf")
+    cup = """<link name="cup"><collision><origin xyz="0 0 .03"/>
+      <geometry><cylinder radius=".03" length=".06"/></geometry></collision></link>"""
+    text = '<robot name="ur">' + _links(path) + _mounted("tool0", cup, "cup", "0 0 .06")
+    scene = gp.Scene.from_urdf(text, tool="tcp", acceleration=3.0, packages=[DATA], world=_block(0.05, 0.05, 1.0))
+    X_TO = gp.FROM_ABOVE.copy()
+    X_TO[2, 3] = 0.05
+    held = scene.attach("block", X_TO=X_TO, grip=gp.Adhesion(force=80.0, radius=0.03))
+    _stays_until_the_gripper_fails(held, [0.0, -1.2, 1.3, -1.67, -1.57, 0.0])

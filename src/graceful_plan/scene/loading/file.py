@@ -1,59 +1,4 @@
-"""Scene files: YAML next to an MJCF world. Unknown keys are errors; units are m, rad, s, litres, degrees Celsius.
-
-version: 1
-name: tabletop                   # default: the file's name
-description: One sentence.
-world: tabletop.xml              # MJCF in the same folder or below it
-convex: parts                    # what its meshes count as: hull or parts; default: parts if coacd is installed
-self_collision: links            # which links may touch, as in Scene.from_mjcf; default: model
-robot:
-  model: panda                   # a bundled robot or an MJCF file beside this one; omit if the world has the robot
-  prefix: panda/                 # prefix of the names of the robot's bodies, joints, sites; default "<model>/"
-  position: [0, 0, 0]            # of the base in W
-  quaternion: [1, 0, 0, 0]       # wxyz
-  body_class: arm_collapse       # how the robot fails: arm_collapse, arm_braked or base_coast
-  velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
-  limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
-  joints: [panda/joint1, ...]    # planned joints; default: those between world and tool
-base:                            # differential drive, if any: the fields of DiffDrive; default: the model's
-  joints: [jackal/base_x, jackal/base_y, jackal/base_yaw]
-  radius: 0.098                  # and track, v_max, omega_max, a_max, alpha_max; slip, lateral_max, wheel_max, reverse
-tool: panda/tool                 # site, or body; default "<prefix>tool"
-fingers: 0.04                    # position of the joints behind the last planned one, or {joint: position}
-state: {drawer: 0.2}             # of other joints and free bodies: {name: position}, or a keyframe of the model
-entities:                        # things that can be harmed: each body with its subtree
-  mug: glass                     # its class
-  vase: {class: heirloom, severity: 40}    # or by component or component class: {body: 40, carried: 30, hot: 9}
-severity:                        # replaces values of the shipped table, by entity class
-  table: {medium: 1}             # by component class, or one number for all
-objects:                         # objects that can be carried: defaults of attach() and of tasks
-  mug:
-    body: mug                    # default: the object's name
-    class: glass                 # light, medium, heavy, sharp or glass; default: by mass
-    grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame; default of a
-                                                              # task: where the object is at its start
-    fingers: 0.035
-    contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
-moving:                          # moving entities: can be harmed, but are not obstacles; see MovingEntity
-  person:
-    class: adult
-    size: [0.25, 0.85]           # upright cylinder: radius and half height; box: three half sizes
-    t: [0, 3]
-    position: [[1, -2, 0.85], [1, 2, 0.85]]    # of the centre at these times; yaw: [...] likewise, for boxes
-    spread: 0.05                 # standard deviation of the position at the first time, 0 by default
-    growth: 0.1                  # standard deviation of the velocity, 0 by default; severity: as for entities
-keyframes:
-  ready: [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
-tasks:
-  serve:
-    description: One sentence.
-    start: ready                 # keyframe or configuration
-    goal: [by_plate, by_window]  # keyframe, configuration, or a list of those to choose from
-    object: mug
-    support: {start: counter, goal: table}    # supports of the object at the ends: bodies or geoms
-allowed_contacts:
-  - {first: cable, second: pedestal, when: always}    # or: ends
-"""
+"""Scene files: YAML next to an MJCF world; docs/scene-files.md describes the format. Unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -68,13 +13,16 @@ import numpy as np
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.scene import roles
 from graceful_plan.scene.elements import (
+    Adhesion,
     AllowedContact,
     Contents,
     EntityAnnotation,
+    Fingers,
     Granular,
     Liquid,
     Notes,
     ObjectNote,
+    Opening,
     TaskNote,
 )
 from graceful_plan.scene.harm.severity import SeverityTable
@@ -141,6 +89,8 @@ def _check_promises(scene: Scene) -> None:
         with notes.about(f"objects.{name}"):
             X_TO = roles.FROM_ABOVE if notes.objects[name].X_TO is None else None  # the start of a task decides
             held = roles.held_note(scene.model, notes, scene.robot_bodies, name, X_TO=X_TO)
+            if X_TO is not None and isinstance(held.fingers, Opening):
+                held = replace(held, fingers=None)  # fingers cannot close at a grasp that is not known yet
             Scene.assemble(scene.posed, replace(notes, held=held, file=None))
     scene.tasks  # noqa: B018  raises if a task refers to a missing name
 
@@ -302,7 +252,7 @@ def _moving(name: str, block: Block) -> MovingEntity:
 
 
 def _object(name: str, block: Block) -> ObjectNote:
-    block.only("body", "class", "grasp", "fingers", "contents")
+    block.only("body", "class", "grasp", "fingers", "grip", "contents")
     body, object_class, grasp, contents = (block.get(key) for key in ("body", "class", "grasp", "contents"))
     return ObjectNote(
         body=body.string() if body else name,
@@ -310,7 +260,17 @@ def _object(name: str, block: Block) -> ObjectNote:
         object_class=object_class.string() if object_class else None,
         contents=_contents(contents) if contents else None,
         fingers=_fingers(block.get("fingers")),
+        grip=_grip(block.get("grip")),
     )
+
+
+def _grip(block: Block | None) -> Adhesion | None:
+    if block is None:
+        return None
+    block.only("force", "radius", "friction")
+    friction = block.get("friction")
+    given = {"friction": friction.number()} if friction else {}
+    return Adhesion(force=block["force"].number(), radius=block["radius"].number(), **given)
 
 
 def _contents(block: Block) -> Contents:
@@ -390,8 +350,12 @@ def _number_or_numbers(block: Block) -> float | Mapping[str, float]:
     return {name: child.number() for name, child in block.items()} if block.is_mapping else block.number()
 
 
-def _fingers(block: Block | None) -> float | Mapping[str, float] | None:
-    return None if block is None else _number_or_numbers(block)
+def _fingers(block: Block | None) -> Fingers | None:
+    if block is None or not (block.is_mapping and block.get("opening")):
+        return None if block is None else _number_or_numbers(block)
+    block.only("opening")
+    opening = block["opening"]
+    return Opening(None if opening.is_string and opening.string() == "object" else opening.number())
 
 
 def _optional_numbers(block: Block | None) -> tuple[float, ...] | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.scene.rules.grip import Grip
+from graceful_plan.scene.rules.grip import AdhesiveGrip, Grip
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 from graceful_plan.scene.scene import Scene
 
@@ -81,13 +81,13 @@ class ContentsRule:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GripRule:
-    """Two pads carry the load of the held object: weight and inertia, with their moments about the grasp.
+    """Two pads or a disc carry the load of the held object: weight and inertia, with their moments about the grasp.
 
     The load must not exceed the fraction `share` of the capacity of `grip`.
     """
 
     name: str
-    grip: Grip
+    grip: Grip | AdhesiveGrip
     share: float
 
 
