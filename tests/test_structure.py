@@ -56,7 +56,7 @@ FLOORS = (
     {"planners", "judge"},
     {"analysis", "transcription"},
     {"query"},
-    {"plan", "roadmap"},
+    {"plan", "roadmap", "monitor"},
     {"tuning"},
     {"viz"},
     {"mobile"},

@@ -169,7 +169,8 @@ def _timed(
 def _grid(motion: Trajectory, at: float, after: float) -> CurveGrid:
     """Return points along a motion, its samples among them, since its acceleration may jump there."""
     even = np.linspace(at, at + after, _POINTS)
-    inside = motion.t[(motion.t > at) & (motion.t < at + after)]
+    least = 1e-6 * after  # a shorter step has no room for rounding
+    inside = motion.t[(motion.t > at + least) & (motion.t < at + after - least)]
     t = np.union1d(even, inside)
     t = t[np.append(True, np.diff(t) > 1e-3 * after / _POINTS) | np.isin(t, inside)]
     t = np.append(t[(t > at) & (t < at + after)], at + after)
