@@ -135,13 +135,17 @@ def test_missing_and_late_samples_are_noticed_after_the_gap(motion, torque, limi
         if gone and how == "silence" and t < begins + 0.2:
             continue
         late = gone and how == "old"
-        notice = monitor.update(
-            float(t),
-            None if gone and how == "no sample" else nan if gone and how == "position" else q,
-            None if gone and how == "speed" else qd,
-            nan if gone and how == "torque" else force,
-            float("nan") if gone and how == "opening" else float(opening),
-        ) if not late else monitor.update(begins - 0.1, q, qd, force, float(opening)) or monitor.update(float(t), None)
+        notice = (
+            monitor.update(
+                float(t),
+                None if gone and how == "no sample" else nan if gone and how == "position" else q,
+                None if gone and how == "speed" else qd,
+                nan if gone and how == "torque" else force,
+                float("nan") if gone and how == "opening" else float(opening),
+            )
+            if not late
+            else monitor.update(begins - 0.1, q, qd, force, float(opening)) or monitor.update(float(t), None)
+        )
         if notice is not None:
             noticed = t if noticed is None else noticed
     assert notice is not None and (notice.kind, notice.where) == ("missing", "samples")
@@ -187,9 +191,7 @@ def test_misuse_is_refused(motion, torque, limits):
         gp.MonitorLimits.fit([replace(record, q=np.asarray(record.q)[:, :5])] * 25)
     with pytest.raises(SettingError):
         gp.MonitorLimits.fit([replace(record, t=np.asarray(record.t)[::-1])] * 25)
-    renamed = gp.Trajectory(
-        trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd, tuple(f"a{i}" for i in range(7))
-    )
+    renamed = gp.Trajectory(trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd, tuple(f"a{i}" for i in range(7)))
     with pytest.raises(SettingError):
         gp.Monitor(renamed, scene, limits)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.query.stop import _grid  # pyright: ignore[reportPrivateUsage]
 from graceful_plan.exceptions import SettingError
+from graceful_plan.query.stop import _grid  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.fixture(scope="module")

@@ -277,8 +277,6 @@ def recovering(factory: PolicyFactory, recovery: Recovery, onset: float, delay: 
         raise SettingError("delay", delay, "a time >= 0 s")
 
     def make(task: PolicyTask, seed: int) -> Policy:
-        return Recovering(
-            task, factory(task, seed), recovery, lambda seen: seen.time >= onset + delay - 1e-9, seed
-        )
+        return Recovering(task, factory(task, seed), recovery, lambda seen: seen.time >= onset + delay - 1e-9, seed)
 
     return make

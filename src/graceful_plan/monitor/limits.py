@@ -1,10 +1,10 @@
-"""Limits of a monitor, from healthy runs, for a stated rate of false alarms.
+r"""Limits of a monitor, from healthy runs, for a stated rate of false alarms.
 
 Each statistic of each signal has its own limit. The largest values in blocks of a quarter of a second have a tail
 beyond their 80 % quantile u, which is taken as exponential: its mean excess m is the maximum-likelihood estimate. With
 r blocks per hour beyond u, a limit is exceeded f times per hour at
 
-.. math:: u + m \\ln (r / f)
+.. math:: u + m \ln (r / f)
 
 The allowed rate is divided by the number of limits. Alarms of different limits often coincide, so the rate of all
 together is below the stated one.
@@ -109,8 +109,8 @@ class MonitorLimits:
     def fit(cls, healthy: Iterable[MonitorRecord], *, false_alarms: float = 1.0) -> MonitorLimits:
         """Derive limits from runs of a healthy robot, along any motions.
 
-        The runs should vary as later ones will: other loads, speeds and temperatures. Limits hold for the robot, sensors
-        and sampling period of these runs.
+        The runs should vary as later ones will: other loads, speeds and temperatures. Limits hold for the robot,
+        sensors and sampling period of these runs.
 
         Args:
             healthy: The runs, at least ten seconds together, all with the same joints and readings.

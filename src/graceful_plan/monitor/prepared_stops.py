@@ -29,7 +29,12 @@ class PreparedStops:
     """
 
     def __init__(
-        self, trajectory: Trajectory, scene: Scene, *, every: float = 0.1, constraints: Iterable[Constraint] | None = None
+        self,
+        trajectory: Trajectory,
+        scene: Scene,
+        *,
+        every: float = 0.1,
+        constraints: Iterable[Constraint] | None = None,
     ) -> None:
         if not isinstance(trajectory, Trajectory):
             raise SettingError("trajectory", trajectory, "a Trajectory")
