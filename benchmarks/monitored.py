@@ -121,7 +121,6 @@ def do(job: MonitorJob) -> Episodes:
         threads=1,
     )
     rows = {name: rollouts[0] for name, rollouts in found.rollouts.items()}
-    late = SENSORS.delay
     healthy = found.healthy_rollouts[0]
     motion = policy(task, 0).motion  # type: ignore[attr-defined]
     return Episodes(

@@ -74,7 +74,7 @@ HARNESS_FLOORS = (
     {"rollouts"},
     {"scenario", "report"},
     {"validation"},
-    {"comparison"},
+    {"comparison", "choice"},
     {"front_validation"},
     {"sweeps", "calibrations", "pictures"},
     {"traces", "policies", "learning", "mobile"},
