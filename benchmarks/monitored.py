@@ -16,6 +16,7 @@ from benchmarks import store, suite
 from benchmarks.store import read_lines
 from failbench.basics.statistics import estimate_probability
 from failbench.policies import (
+    PolicyRollout,
     PolicySettings,
     PolicyTask,
     SensorErrors,
@@ -128,15 +129,20 @@ def do(job: MonitorJob) -> Episodes:
         condition=job.condition,
         robot=job.robot,
         harm={name: row.harm(task.scene) for name, row in rows.items()},
-        delay={
-            name: math.nan if row.notice is None else row.notice.time + late - row.onset for name, row in rows.items()
-        },
+        delay={name: _delay(row) for name, row in rows.items()},
         kind={name: "" if row.notice is None else row.notice.kind for name, row in rows.items()},
         healthy=healthy.harm(task.scene),
         stopped=healthy.notice is not None,
         duration=motion.duration,
         seconds=time.process_time() - began,
     )
+
+
+def _delay(row: PolicyRollout) -> float:
+    """Return the time from the onset until the monitor noticed something, with the delay of its sensors [s]."""
+    if row.notice is None or row.onset is None:
+        return math.nan
+    return row.notice.time + SENSORS.delay - row.onset
 
 
 def chosen_tasks(options: suite.Options) -> list[str]:
