@@ -49,7 +49,7 @@ class Live:
 
 
 class _Seen(NamedTuple):
-    """What a policy may see, at the end of a period."""
+    """Readings at the end of a period, from which observations are made."""
 
     step: int
     reading: Reading

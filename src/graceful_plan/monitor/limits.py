@@ -77,7 +77,7 @@ class MonitorRecord:
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """Names of the readings besides positions."""
+        """Names of the readings other than positions."""
         given = zip(READINGS, (self.qd, self.torque, self.opening), strict=True)
         return tuple(name for name, value in given if value is not None)
 
@@ -89,7 +89,7 @@ class MonitorLimits:
     | field        | meaning                                                                   |
     |--------------|---------------------------------------------------------------------------|
     | joints       | names of the joints                                                       |
-    | readings     | readings that the monitor needs besides positions                         |
+    | readings     | readings that the monitor needs, beyond positions                        |
     | limit        | by signal, then statistic and joint: the value that raises an alarm       |
     | usual        | in the same layout: the value that a healthy robot seldom exceeds         |
     | gap          | time without a complete sample that raises an alarm [s]                   |

@@ -23,7 +23,7 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 READINGS = ("speed", "torque", "opening")
-"""Readings that a robot may have besides its joint positions."""
+"""Readings that a robot may have in addition to joint positions."""
 STATISTICS = ("size", "mean", "change")
 """Statistics of each signal."""
 _RECENT, _BEFORE = 0.1, 0.2
@@ -53,7 +53,7 @@ class Signals:
     Args:
         trajectory: The executed motion.
         scene: Robot and carried object.
-        readings: Readings that the robot has besides joint positions, of `READINGS`.
+        readings: Readings that the robot has in addition to joint positions, of `READINGS`.
     """
 
     def __init__(self, trajectory: Trajectory, scene: Scene, readings: tuple[str, ...]) -> None:
