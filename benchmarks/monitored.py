@@ -16,6 +16,8 @@ from benchmarks import store, suite
 from benchmarks.store import read_lines
 from failbench.basics.statistics import estimate_probability
 from failbench.policies import (
+    OpenLoop,
+    PolicyFactory,
     PolicyRollout,
     PolicySettings,
     PolicyTask,
@@ -24,8 +26,10 @@ from failbench.policies import (
     Watch,
     evaluate,
     healthy_records,
+    monitored,
     planned,
     policy_task,
+    roll_out,
     varied_task,
 )
 
@@ -37,7 +41,10 @@ HEALTHY = ("tabletop", "tabletop_l1", "tabletop_l3", "desk", "dining_table", "ki
 """Bundled scenes of the healthy runs from which the limits come."""
 ROBOTS = 3
 """Robots with other masses and frictions for each task of these scenes."""
-ITERATIONS = 300
+MORE_ROBOTS = 4
+"""Further healthy robots of each task, for the rate of false alarms."""
+ITERATIONS = (300, 3000)
+"""Iterations of the planner, and of a second try for tasks that are not solved in these."""
 CONDITIONS: Mapping[str, tuple[float | None, bool]] = {
     "w = 0": (0.0, False),
     "w = 0, monitor": (0.0, True),
@@ -54,7 +61,7 @@ by up to 20 %. Readings have noise (positions {SENSORS.position:g} rad, speeds {
 {SENSORS.torque:g} N m), time stamps are wrong by up to {1e3 * SENSORS.jitter:g} ms, samples arrive
 {1e3 * SENSORS.delay:g} ms late, and {SENSORS.lost:.1%} are lost. A notice starts `StopOnFailure()`. Episodes of all
 conditions have the same robots, quantiles of onsets and seeds, and last 1 s longer than the motion. Harm per task is
-that of a failed episode times the duration of the motion, since faults come per hour, plus that of healthy episodes.
+the harm that a fault adds to a healthy episode, times the duration of the motion, since faults come per hour.
 Intervals are 95 %, from a bootstrap over tasks.
 """
 
@@ -70,7 +77,7 @@ class MonitorJob:
 
 @dataclass(frozen=True, kw_only=True)
 class Episodes:
-    """Result of a job: harm, time to the notice (NaN: none) and kind by fault; healthy harm and whether it stopped."""
+    """Result of a job: harm, time to the notice (NaN: none) and kind by fault; healthy harm, and false alarms."""
 
     task: str
     condition: str
@@ -79,7 +86,7 @@ class Episodes:
     delay: Mapping[str, float]
     kind: Mapping[str, str]
     healthy: float
-    stopped: bool
+    stopped: Sequence[bool]
     duration: float
     seconds: float
 
@@ -110,7 +117,12 @@ def do(job: MonitorJob) -> Episodes:
     """Do one job."""
     began = time.process_time()
     w, monitor = CONDITIONS[job.condition]
-    task, policy = prepared(job.task, SEED + job.robot), planned(w, iterations=ITERATIONS)
+    task = prepared(job.task, SEED + job.robot)
+    motion = _motion(task, w)
+
+    def policy(task: PolicyTask, seed: int) -> OpenLoop:
+        return OpenLoop(motion, task.settings.period)
+
     found = evaluate(
         task,
         policy,
@@ -123,7 +135,6 @@ def do(job: MonitorJob) -> Episodes:
     )
     rows = {name: rollouts[0] for name, rollouts in found.rollouts.items()}
     healthy = found.healthy_rollouts[0]
-    motion = policy(task, 0).motion  # type: ignore[attr-defined]
     return Episodes(
         task=job.task,
         condition=job.condition,
@@ -132,10 +143,28 @@ def do(job: MonitorJob) -> Episodes:
         delay={name: _delay(row) for name, row in rows.items()},
         kind={name: "" if row.notice is None else row.notice.kind for name, row in rows.items()},
         healthy=healthy.harm(task.scene),
-        stopped=healthy.notice is not None,
+        stopped=[healthy.notice is not None, *_false_alarms(job, policy)] if monitor else [],
         duration=motion.duration,
         seconds=time.process_time() - began,
     )
+
+
+def _motion(task: PolicyTask, w: float | None) -> gp.Trajectory:
+    first, second = ITERATIONS
+    try:
+        policy = planned(w, iterations=first)(task, 0)
+    except gp.PlanningFailed:
+        policy = planned(w, iterations=second)(task, 0)
+    assert isinstance(policy, OpenLoop)
+    return policy.motion
+
+
+def _false_alarms(job: MonitorJob, policy: PolicyFactory) -> Iterator[bool]:
+    """Yield whether a monitor stops further healthy robots."""
+    for robot in range(1, MORE_ROBOTS + 1):
+        task = prepared(job.task, SEED + 1000 * robot + job.robot)
+        seen = roll_out(task, monitored(policy, StopOnFailure(), watch()), [SEED + 1000 * robot + job.robot])
+        yield seen[0].notice is not None
 
 
 def _delay(row: PolicyRollout) -> float:
@@ -163,7 +192,7 @@ def report(options: suite.Options, folder: Path, until: float) -> Iterator[str]:
         MonitorJob(task=task, condition=condition, robot=robot)
         for robot in range(robots)
         for task in chosen_tasks(options)
-        for condition in CONDITIONS
+        for condition in options.pick(tuple(CONDITIONS), quick=("w = 0",))  # limits take half a minute
         if (task, condition, robot) not in have
     ]
     store.fill(file, jobs, do, processes=options.processes, label="monitored", until=until)
@@ -205,7 +234,7 @@ def tables(done: Sequence[Episodes]) -> Iterator[str]:
 
 
 def _stops(rows: Mapping[str, Sequence[Episodes]]) -> Iterator[str]:
-    watched = [one.stopped for c, row in rows.items() if CONDITIONS[c][1] for one in row]
+    watched = [stopped for row in rows.values() for one in row for stopped in one.stopped]
     share = estimate_probability(watched)
     yield f"Healthy tasks stopped by a false alarm: {sum(watched)} of {len(watched)}, {share}.\n"
 
