@@ -61,7 +61,7 @@ by up to 20 %. Readings have noise (positions {SENSORS.position:g} rad, speeds {
 {SENSORS.torque:g} N m), time stamps are wrong by up to {1e3 * SENSORS.jitter:g} ms, samples arrive
 {1e3 * SENSORS.delay:g} ms late, and {SENSORS.lost:.1%} are lost. A notice starts `StopOnFailure()`. Episodes of all
 conditions have the same robots, quantiles of onsets and seeds, and last 1 s longer than the motion. Harm per task is
-the harm that a fault adds to a healthy episode, times the duration of the motion, since faults come per hour.
+that of a failed episode times the duration of the motion, since faults come per hour.
 Intervals are 95 %, from a bootstrap over tasks.
 """
 
@@ -206,7 +206,12 @@ def report(options: suite.Options, folder: Path, until: float) -> Iterator[str]:
 def tables(done: Sequence[Episodes]) -> Iterator[str]:
     """Yield the tables of the robots and tasks for which all conditions are finished."""
     by = {(one.task, one.robot, one.condition): one for one in done}
-    whole = sorted({(task, robot) for task, robot, _ in by if all((task, robot, c) in by for c in CONDITIONS)})
+    finished = sorted({(task, robot) for task, robot, _ in by if all((task, robot, c) in by for c in CONDITIONS)})
+    whole = [
+        one
+        for one in finished
+        if all(by[*one, c].healthy == 0.0 for c, (_, watched) in CONDITIONS.items() if not watched)
+    ]
     if not whole:
         yield "No task is finished yet.\n"
         return
@@ -214,7 +219,10 @@ def tables(done: Sequence[Episodes]) -> Iterator[str]:
     tasks = [task for task, _ in whole]
     per_task = {c: _by_task(tasks, [_harm(one) for one in row]) for c, row in rows.items()}
     seconds = sum(one.seconds for one in done)
+    left_out = [f"`{task}`" for task, robot in finished if (task, robot) not in whole]
     yield f"{len(set(tasks))} tasks, {len(whole)} robots; {seconds:.0f} s of processor time.\n"
+    if left_out:
+        yield f"Left out, because the robot does harm without a failure and a monitor: {', '.join(left_out)}.\n"
     yield "| condition | harm of a failed episode | duration | harm per task, of w = 0 | less by | median of tasks |"
     yield "|---|---:|---:|---:|---:|---:|"
     base = per_task["w = 0"]
@@ -261,8 +269,8 @@ def _mean(values: Mapping[str, float]) -> float:
 
 
 def _harm(one: Episodes) -> float:
-    """Return a number in proportion to the harm that faults add to an executed task."""
-    return max(0.0, _mean(one.harm) - one.healthy) * one.duration
+    """Return a number in proportion to the harm of faults per executed task."""
+    return _mean(one.harm) * one.duration
 
 
 def _by_task(tasks: Sequence[str], values: Sequence[float]) -> np.ndarray:
