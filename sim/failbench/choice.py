@@ -42,7 +42,7 @@ _ROUNDS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class MotionChoice:
     """Result of `choose`.
 
     Args:
@@ -85,7 +85,7 @@ def choose(
     threads: int | None = None,
     settings: SimSettings | None = None,
     confidence: float = 0.95,
-) -> Choice:
+) -> MotionChoice:
     """Choose the motion that does the least harm per executed task in simulated failures.
 
     Args:
@@ -139,7 +139,7 @@ def choose(
         if sure or number + 1 == most or time.perf_counter() - began > seconds:
             break
         left = left[: max(2, -(-len(left) // 2))]
-    return Choice(
+    return MotionChoice(
         best=left[0],
         harm=tuple(racers[i].estimate(confidence) if i in racers else None for i in range(len(motions))),
         n=tuple(len(racers[i].harm) if i in racers else 0 for i in range(len(motions))),
