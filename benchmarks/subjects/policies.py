@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import store, suite
+from benchmarks import monitored, store, suite
 from benchmarks.store import read_lines
 from failbench import Estimate
 from failbench.basics.statistics import estimate_mean, estimate_probability, estimate_ratio
@@ -35,7 +35,14 @@ from failbench.report import FAILURES_PER_HOUR
 TITLE = "Policies in closed loop: success and harm under 19 faults, and what recovery is worth"
 QUESTION = "How much harm do five controllers cause in closed loop under 19 faults, and how much do recoveries save?"
 HEADLINE = "Harm of a failed episode at w = 0"
-DEPENDS_ON = (*suite.PLANNING, *suite.SIMULATION, "sim/failbench/policies", "benchmarks/unseen")
+DEPENDS_ON = (
+    *suite.PLANNING,
+    *suite.SIMULATION,
+    "sim/failbench/policies",
+    "src/graceful_plan/monitor",
+    "benchmarks/unseen",
+    "benchmarks/monitored.py",
+)
 SEED = 77
 TASKS = ("tabletop/green_to_blue", "unseen/bedside/bring_water")
 BLOCK = 3
@@ -125,7 +132,9 @@ def run(options: suite.Options) -> str:
     else:
         fill(file, tasks, blocks, options, until)
         done = [read(line) for line in read_lines(file)]
-    return "\n".join([MEASURED, *tables(done, _wanted(options)), *speed(options)])
+    with store.folder_of(options, STORE) as folder:
+        watched = list(monitored.report(options, folder, until))
+    return "\n".join([MEASURED, *tables(done, _wanted(options)), *watched, *speed(options)])
 
 
 def _blocks(options: suite.Options) -> int:

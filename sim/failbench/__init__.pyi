@@ -5,6 +5,8 @@ from failbench.basics.onset import AtFraction as AtFraction
 from failbench.basics.onset import AtTime as AtTime
 from failbench.basics.onset import Uniform as Uniform
 from failbench.basics.statistics import Estimate as Estimate
+from failbench.choice import MotionChoice as MotionChoice
+from failbench.choice import choose as choose
 from failbench.comparison import compare as compare
 from failbench.comparison import harm_ratio as harm_ratio
 from failbench.fault.fault import Fault as Fault

@@ -39,6 +39,11 @@ from graceful_plan.judge.verification import verify as verify
 from graceful_plan.mobile.control.dwa import DWA as DWA
 from graceful_plan.mobile.floor.occupancy_grid import OccupancyGrid as OccupancyGrid
 from graceful_plan.mobile.planners.drive_lattice import DriveLattice as DriveLattice
+from graceful_plan.monitor.limits import MonitorLimits as MonitorLimits
+from graceful_plan.monitor.limits import MonitorRecord as MonitorRecord
+from graceful_plan.monitor.monitor import Monitor as Monitor
+from graceful_plan.monitor.monitor import Notice as Notice
+from graceful_plan.monitor.prepared_stops import PreparedStops as PreparedStops
 from graceful_plan.path import Path as Path
 from graceful_plan.plan import plan as plan
 from graceful_plan.planners import CHOMP as CHOMP

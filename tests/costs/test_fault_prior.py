@@ -182,3 +182,13 @@ def test_broken_files_name_the_line(tmp_path: Path, old: str, new: str, message:
     assert old in _FILE
     with pytest.raises(SceneError, match=message):
         FaultPrior.load(_file(tmp_path, _FILE.replace(old, new)))
+
+
+def test_the_time_until_a_failure_is_noticed_belongs_to_the_prior() -> None:
+    prior = FaultPrior({"slip": 1.0}, _EFFECTS, noticed_after=0.1)
+    assert prior != FaultPrior({"slip": 1.0}, _EFFECTS) and hash(prior) != hash(FaultPrior({"slip": 1.0}, _EFFECTS))
+    assert pickle.loads(pickle.dumps(prior)) == prior
+    assert dict(prior.weights()) == dict(FaultPrior({"slip": 1.0}, _EFFECTS).weights())
+    for wrong in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(SettingError):
+            FaultPrior({"slip": 1.0}, _EFFECTS, noticed_after=wrong)

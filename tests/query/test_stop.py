@@ -7,6 +7,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
+from graceful_plan.query.stop import _grid  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.fixture(scope="module")
@@ -82,3 +83,13 @@ def test_in_a_scene_that_has_changed_the_stop_may_collide(book: tuple[gp.Task, g
 def test_times_that_are_none_are_refused(book: tuple[gp.Task, gp.Trajectory], at: float) -> None:
     with pytest.raises(SettingError, match="at"):
         gp.plan_stop(book[1], book[0].scene, at=at)
+
+
+def test_grids_have_no_steps_within_rounding(book: tuple[gp.Task, gp.Trajectory]) -> None:
+    """By rounding, the beginning of a stop plus the rest of the motion may end just after the motion's last sample."""
+    _, motion = book
+    for end in motion.t[-20:]:
+        for at in (0.1 * end, 0.4 * end):
+            for last in (end, np.nextafter(end, np.inf), end + 1e-12):
+                grid = _grid(motion, at, last - at)
+                assert np.diff(grid.s).min() > 1e-7

@@ -7,14 +7,24 @@ extra `policies`.
 from failbench.policies.adapters import LeRobotPolicy, OpenLoop, Scripted, executor, planned, reach, scripted
 from failbench.policies.evaluation import evaluate
 from failbench.policies.mlp import Mlp
+from failbench.policies.monitoring import SensorErrors, Watch, healthy_records, monitored, varied_task
 from failbench.policies.policy import Acting, Observation, Policy, PolicyFactory, imported_policy
-from failbench.policies.recovery import Recovering, Recovery, ReplanOnFailure, StopOnFailure, recovering
+from failbench.policies.recovery import (
+    BrakeOnFailure,
+    PreparedStop,
+    Recovering,
+    Recovery,
+    ReplanOnFailure,
+    StopOnFailure,
+    recovering,
+)
 from failbench.policies.report import PolicyReport
 from failbench.policies.rollouts import PolicyRollout, roll_out
 from failbench.policies.task import PolicySettings, PolicyTask, policy_task
 
 __all__ = [
     "Acting",
+    "BrakeOnFailure",
     "LeRobotPolicy",
     "Mlp",
     "Observation",
@@ -25,18 +35,24 @@ __all__ = [
     "PolicyRollout",
     "PolicySettings",
     "PolicyTask",
+    "PreparedStop",
     "Recovering",
     "Recovery",
     "ReplanOnFailure",
     "Scripted",
+    "SensorErrors",
     "StopOnFailure",
+    "Watch",
     "evaluate",
     "executor",
+    "healthy_records",
     "imported_policy",
+    "monitored",
     "planned",
     "policy_task",
     "reach",
     "recovering",
     "roll_out",
     "scripted",
+    "varied_task",
 ]

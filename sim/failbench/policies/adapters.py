@@ -43,7 +43,7 @@ class OpenLoop:
     action = "joint_position"
 
     def __init__(self, motion: gp.Trajectory, period: float) -> None:
-        self._motion, self._period = motion, period
+        self.motion, self._period = motion, period
         self._offset: Float[Array, " nq"] | None = None
 
     def __call__(self, observation: Observation, /) -> Float[Array, " nq"]:
@@ -57,7 +57,7 @@ class OpenLoop:
             time: Time since the beginning of the motion [s].
             q: Current joint positions; only the first call uses them.
         """
-        motion, after = self._motion, time + self._period
+        motion, after = self.motion, time + self._period
         offset = self._offset = q - motion.q[0] if self._offset is None else self._offset
         wanted = motion.at(motion.t[0] + np.array([min(after, motion.duration)])).q[0]
         part = min(1.0, after / min(_FADE, max(motion.duration, self._period)))

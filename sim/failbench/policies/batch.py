@@ -41,8 +41,8 @@ class EpisodeBatch:
         self._fields: dict[str, Array] = {}
         self._policy = self._field("tree_sleep_policy")
         self._servoing = [Servoing(task) for _ in range(count)]
-        self._qpos, self._qvel, self._active, self._xpos = (
-            self._batch.bind(name) for name in ("qpos", "qvel", "eq_active", "xpos")
+        self._qpos, self._qvel, self._active, self._xpos, self._force = (
+            self._batch.bind(name) for name in ("qpos", "qvel", "eq_active", "xpos", "actuator_force")
         )
         model = task.world.model
         self._spec = control_spec(model)
@@ -78,7 +78,11 @@ class EpisodeBatch:
         put(self._batch, np.array([sim]), state[None])
         self._servoing[sim].begin(q)
         live = Live(
-            fields=partial(self._field_of, sim), qpos=self._qpos[sim], qvel=self._qvel[sim], eq_active=self._active[sim]
+            fields=partial(self._field_of, sim),
+            qpos=self._qpos[sim],
+            qvel=self._qvel[sim],
+            eq_active=self._active[sim],
+            force=self._force[sim],
         )
         self.episodes[sim] = episode = Episode(task, self._servoing[sim], job, live, self._camera)
         return episode

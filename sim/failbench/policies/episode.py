@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -38,12 +38,23 @@ class Live:
         qpos: Positions of the whole model.
         qvel: Velocities of the whole model.
         eq_active: Which constraints are active.
+        force: Torques and forces of all actuators in the last step.
     """
 
     fields: Callable[[str], Array]
     qpos: Array
     qvel: Array
     eq_active: Array
+    force: Array
+
+
+class _Seen(NamedTuple):
+    """Readings at the end of a period, from which observations are made."""
+
+    step: int
+    reading: Reading
+    torque: Float[Array, " nq"]
+    qpos: Float[Array, " qpos"]
 
 
 class Sent:
@@ -110,7 +121,8 @@ class Episode:
         qpos, qvel = live.qpos.copy(), live.qvel.copy()
         self._recorder = Recorder(task.world, _allowed(task, qpos, qvel), qpos[None], qvel[None])
         robot = task.world.robot
-        self._seen: list[tuple[int, Reading, Array]] = []
+        self._seen: list[_Seen] = []
+        self._fingers = task.world.model.jnt_qposadr[robot.gripper_joints].astype(int)
         self._there = 0
         self._brakes: dict[str, Array] = {}
         self.reached: float | None = None
@@ -145,15 +157,17 @@ class Episode:
     def observation(self) -> Observation:
         """Current observation of the policy."""
         delay = 0.0 if self._sensing is None else self._sensing.delay
-        _, (q, qd), qpos = self._seen[-1]
+        seen = self._seen[-1]
         if delay > 0.0:
-            known = [seen for seen in self._seen if seen[0] <= self.step - round(delay / self._sent.dt)]
-            _, (q, qd), qpos = (known or self._seen)[-1 if known else 0]
-        task = self.task
+            known = [old for old in self._seen if old.step <= self.step - round(delay / self._sent.dt)]
+            seen = (known or self._seen)[-1 if known else 0]
+        task, (q, qd), qpos = self.task, seen.reading, seen.qpos
         return Observation(
             time=self.time,  # the policy's clock is not delayed
             q=q,
             qd=qd,
+            torque=seen.torque,
+            opening=float(qpos[self._fingers].mean()) if len(self._fingers) else 0.0,
             tool=tool_pose(task.scene, self._placement.place(q)),
             goal=task.goal,
             tool_goal=task.tool_goal,
@@ -256,7 +270,9 @@ class Episode:
             reading = live.qpos[robot.qpos], live.qvel[robot.dofs]
         else:
             reading = self._sensing.read(self.step - self.onset)
-        self._seen.append((self.step, reading, live.qpos.copy()))
+        # The simulation knows no torques before its first step.
+        torque = live.force[robot.actuators] if self.step else np.full(len(robot.joints), np.nan)
+        self._seen.append(_Seen(self.step, reading, torque, live.qpos.copy()))
 
     def _distance(self, q: Float[Array, " nq"]) -> tuple[float, float]:
         """Return the distance of the tool from its goal [m and rad]."""

@@ -10,6 +10,7 @@ import numpy as np
 import graceful_plan as gp
 from failbench.basics.statistics import Estimate, check_confidence, estimate_mean, estimate_probability
 from failbench.fault.fault import Fault
+from failbench.policies.monitoring import Watch, monitored
 from failbench.policies.policy import Policy, PolicyFactory
 from failbench.policies.recovery import Recovery, recovering
 from failbench.policies.report import PolicyFigures, PolicyReport
@@ -37,6 +38,7 @@ def evaluate(
     seed: int = 0,
     recovery: Recovery | None = None,
     delay: float = 0.1,
+    watch: Watch | None = None,
     rate: float = FAILURES_PER_HOUR,
     confidence: float = 0.95,
     threads: int | None = None,
@@ -56,7 +58,9 @@ def evaluate(
         seed: Seed of all random numbers. Evaluations with the same seed and n share starts, quantiles of the onsets,
             and seeds of the faults.
         recovery: Controller that takes over after a fault is detected.
-        delay: Detection delay after the onset [s].
+        delay: Detection delay after the onset [s], for a recovery without `watch`.
+        watch: Monitor that detects faults, of a policy that follows a planned motion. It also watches the episodes
+            without a failure, in which each notice is a false alarm. None: faults are detected after the delay.
         rate: Failures per hour of all these faults together, for the harm per executed task.
         confidence: Confidence level of the intervals.
         threads: Number of simulation threads; None for one per core. It does not affect the result.
@@ -76,7 +80,9 @@ def evaluate(
             raise SettingError(name, value, "a finite number >= 0")
     if recovery is not None and not isinstance(recovery, Recovery):
         raise SettingError("recovery", recovery, "a Recovery, such as StopOnFailure()")
-    work = _Work(task, factory, thread_count(threads), recovery, delay)
+    if watch is not None and recovery is None:
+        raise SettingError("recovery", recovery, "a Recovery, which begins when the monitor notices something")
+    work = _Work(task, factory, thread_count(threads), recovery, delay, watch)
     draws, starts = draw(seed, n), [seed + i for i in range(n)]
     total = n * (1 + len(faults))
     healthy = work.episodes(starts, None)
@@ -98,7 +104,7 @@ def evaluate(
         by_fault={k: _figures(v, scene, greatest, confidence, twins) for k, v in found.items()},
         duration=float(np.mean(lasts)),
         rate=rate,
-        recovery="none" if recovery is None else f"{recovery}, {delay:g} s after the onset",
+        recovery="none" if recovery is None else f"{recovery}, {_detection(watch, delay)}",
         n=n,
         seed=seed,
         confidence=confidence,
@@ -108,15 +114,23 @@ def evaluate(
     )
 
 
+def _detection(watch: Watch | None, delay: float) -> str:
+    return f"{delay:g} s after the onset" if watch is None else "when the monitor notices"
+
+
 class _Work(NamedTuple):
     task: PolicyTask
     factory: PolicyFactory
     threads: int
     recovery: Recovery | None
     delay: float
+    watch: Watch | None
 
     def episodes(self, seeds: Sequence[int], jobs: Sequence[Job] | None) -> list[PolicyRollout]:
         """Run episodes; with faults, the recovery takes over after the detection delay."""
+        if self.recovery is not None and self.watch is not None:
+            factory = monitored(self.factory, self.recovery, self.watch)
+            return roll_out(self.task, factory, seeds, jobs, threads=self.threads)
         if jobs is None or self.recovery is None:
             return roll_out(self.task, self.factory, seeds, jobs, threads=self.threads)
         noticed = dict(zip(seeds, (job.onset for job in jobs), strict=True))

@@ -45,6 +45,8 @@ class Observation:
     | time        | since the beginning of the episode, on the policy's clock    | s              |              |
     | q           | position readings                                            | rad or m       | nq           |
     | qd          | speed readings                                               | rad/s or m/s   | nq           |
+    | torque      | torques of the joints' drives; NaN at the beginning           | N m or N       | nq           |
+    | opening     | mean position of the gripper's joints; 0 without any         | rad or m       |              |
     | tool        | pose of the tool by these readings, wxyz_xyz in W            | m              | 7            |
     | goal        | goal configuration                                           | rad or m       | nq           |
     | tool_goal   | goal pose of the tool, wxyz_xyz in W                         | m              | 7            |
@@ -57,6 +59,8 @@ class Observation:
     time: float
     q: Float[Array, " nq"]
     qd: Float[Array, " nq"]
+    torque: Float[Array, " nq"]
+    opening: float
     tool: Float[Array, " 7"]
     goal: Float[Array, " nq"]
     tool_goal: Float[Array, " 7"]
@@ -67,7 +71,7 @@ class Observation:
 
     @property
     def vector(self) -> Float[Array, " n"]:
-        """Readings, goals and objects in one row; without time, pictures and desired values."""
+        """Positions, speeds, goals and objects in one row; without time, torques, pictures and desired values."""
         return np.concatenate([self.q, self.qd, self.tool, self.goal, self.tool_goal, self.objects.ravel()])
 
 

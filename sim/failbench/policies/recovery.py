@@ -29,6 +29,9 @@ Array = np.ndarray
 Reaction = Callable[[Observation], Float[Array, " nq"] | None]
 """Controller after the detection: returns joint positions, or None to close the brakes."""
 
+Detector = Callable[[Observation], bool]
+"""Returns whether a fault is detected, from the present observation."""
+
 _LOOK = 0.2
 """Averaging time for the check whether joints stand at their targets [s]; long enough to average out noise."""
 
@@ -99,6 +102,49 @@ class StopOnFailure(Recovery):
             return None if self.brakes and time >= braking[0].duration else braking[0].at(time)
 
         return stop
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PreparedStop(Recovery):
+    """A stop along the planned motion that keeps contents and grasp, planned ahead.
+
+    The robot follows the motion up to the beginning of the next stop.
+
+    Args:
+        motion: The motion that the policy follows, with the same period and without an initial offset.
+        stops: Its stops, see `graceful_plan.PreparedStops`.
+        brakes: Whether the brakes close at the end of the stop; else the drives hold.
+    """
+
+    motion: gp.Trajectory
+    stops: gp.PreparedStops
+    brakes: bool = True
+
+    def begin(self, task: PolicyTask, seed: int) -> Reaction:
+        """Return the controller of the stop."""
+        chosen: list[gp.Trajectory] = []
+        period, start = task.settings.period, float(self.motion.t[0])
+
+        def stop(seen: Observation) -> Float[Array, " nq"] | None:
+            now = start + seen.time
+            if not chosen:
+                chosen.append(self.stops.after(now))
+            braked = chosen[0]
+            if self.brakes and now >= braked.t[-1]:
+                return None
+            after = now + period
+            return (self.motion if after < braked.t[0] else braked).at(min(after, float(braked.t[-1]))).q
+
+        return stop
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrakeOnFailure(Recovery):
+    """All brakes close at once and the drives lose their power, as in stop category 0 of IEC 60204-1."""
+
+    def begin(self, task: PolicyTask, seed: int) -> Reaction:
+        """Return the controller that brakes."""
+        return lambda seen: None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,15 +242,15 @@ class Recovering:
         task: The task.
         policy: Policy up to the detection.
         recovery: Recovery strategy from then on.
-        noticed: Time of the detection after the beginning [s]; infinite for never.
+        detects: Returns whether a fault is detected now; called with each observation up to the detection.
         seed: Seed of the recovery's draws.
 
     Raises:
         PolicyError: If the policy sends actuator commands, which bypass the low-level controller that recoveries use.
     """
 
-    def __init__(self, task: PolicyTask, policy: Policy, recovery: Recovery, noticed: float, seed: int) -> None:
-        self._task, self._policy, self._recovery, self._noticed, self._seed = task, policy, recovery, noticed, seed
+    def __init__(self, task: PolicyTask, policy: Policy, recovery: Recovery, detects: Detector, seed: int) -> None:
+        self._task, self._policy, self._recovery, self._detects, self._seed = task, policy, recovery, detects, seed
         self._reaction: Reaction | None = None
         self.action = action_kind(policy)
         if self.action == "command":
@@ -212,7 +258,7 @@ class Recovering:
 
     def __call__(self, observation: Observation, /) -> ArrayLike:
         """Return the action of the policy, or of the recovery after the detection."""
-        if self._reaction is None and observation.time >= self._noticed - 1e-9:
+        if self._reaction is None and self._detects(observation):
             self._reaction = self._recovery.begin(self._task, self._seed)
         if self.action == "brake":
             return np.zeros(0)  # brakes stay closed
@@ -231,6 +277,6 @@ def recovering(factory: PolicyFactory, recovery: Recovery, onset: float, delay: 
         raise SettingError("delay", delay, "a time >= 0 s")
 
     def make(task: PolicyTask, seed: int) -> Policy:
-        return Recovering(task, factory(task, seed), recovery, onset + delay, seed)
+        return Recovering(task, factory(task, seed), recovery, lambda seen: seen.time >= onset + delay - 1e-9, seed)
 
     return make

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from failbench.policies.task import PolicyTask
 from failbench.recording.records import ContactEvent, Job
 from failbench.recording.score import observed_impact
 from failbench.rollouts.sampling import MOST, MOST_THREADS, check_whole
-from graceful_plan import Scene
+from graceful_plan import Notice, Scene
 from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
@@ -41,6 +41,7 @@ class PolicyRollout:
         spilled: Lost fraction of the contents, in [0, 1].
         fell: Entities that ended more than 5 cm below their initial height.
         tipped: Entities that ended more than 30 degrees off their initial axis.
+        notice: Notice of the monitor that watched the episode; None if it noticed nothing or there was none.
     """
 
     seed: int
@@ -56,6 +57,7 @@ class PolicyRollout:
     spilled: float = 0.0
     fell: tuple[str, ...] = ()
     tipped: tuple[str, ...] = ()
+    notice: Notice | None = None
 
     @property
     def success(self) -> bool:
@@ -146,8 +148,9 @@ class _Runner:
             episode = self._batch.episodes[sim]
             assert episode is not None
             if episode.over or self._batch.diverged(sim):
-                number, seed, _ = self.running.pop(sim)
-                ended.append((number, outcome(episode, seed, diverged=self._batch.diverged(sim))))
+                number, seed, policy = self.running.pop(sim)
+                found = outcome(episode, seed, diverged=self._batch.diverged(sim))
+                ended.append((number, replace(found, notice=getattr(policy, "notice", None))))
         return ended
 
 

@@ -72,10 +72,13 @@ class FaultPrior:
             that the object is not dropped. Rates may only name faults of this table. Default: the shipped effects of
             severe faults.
         name: Name of the prior.
+        noticed_after: Time after which a monitor notices a failure of the arm and the robot stops [s]. The arm's
+            generators then last only so long; drops and spills do not change. None: nothing stops the robot.
 
     Raises:
         UnknownNameError: If a fault or a generator does not exist.
-        SettingError: If a rate is negative or not finite, all rates are 0, or an effect is not a probability.
+        SettingError: If a rate is negative or not finite, all rates are 0, an effect is not a probability, or
+            `noticed_after` is not a finite time > 0.
 
     Example:
         >>> prior = FaultPrior({"weak_grip": 0.5, "power_loss": 0.05})
@@ -86,8 +89,13 @@ class FaultPrior:
     rates: Mapping[str, float]
     effects: _Table = field(default_factory=shipped_effects, repr=False)
     name: str = "own"
+    noticed_after: float | None = None
 
     def __post_init__(self) -> None:
+        if self.noticed_after is not None:
+            if not is_real(self.noticed_after) or not 0.0 < self.noticed_after < math.inf:
+                raise SettingError("noticed_after", self.noticed_after, "a finite time > 0 s, or None")
+            object.__setattr__(self, "noticed_after", float(self.noticed_after))
         for fault, row in self.effects.items():
             _check_effects(fault, row)
         for fault, rate in self.rates.items():
@@ -107,11 +115,12 @@ class FaultPrior:
 
     def __hash__(self) -> int:
         effects = tuple((fault, tuple(sorted(row.items()))) for fault, row in sorted(self.effects.items()))
-        return hash((tuple(sorted(self.rates.items())), effects, self.name))
+        return hash((tuple(sorted(self.rates.items())), effects, self.name, self.noticed_after))
 
     def __reduce__(self) -> tuple[type[FaultPrior], tuple[object, ...]]:
         # Read-only mappings cannot be pickled.
-        return FaultPrior, (dict(self.rates), {fault: dict(row) for fault, row in self.effects.items()}, self.name)
+        effects = {fault: dict(row) for fault, row in self.effects.items()}
+        return FaultPrior, (dict(self.rates), effects, self.name, self.noticed_after)
 
     @classmethod
     def preset(cls, name: str, *, degree: str = "severe") -> FaultPrior:

@@ -254,3 +254,35 @@ class NotAPrior:
 def test_invalid_priors_are_refused() -> None:
     with pytest.raises((SettingError, TypeError), match="faults"):
         FailureMixture(faults=NotAPrior())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("generator", ["collapse", "joint", "stuck", "stray"])
+def test_failures_that_are_noticed_earlier_hit_less(scenes: dict[str, gp.Scene], generator: str) -> None:
+    scene = scenes["no contents"]
+    task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
+    motion = gp.retime(gp.Path(np.array([task.start, task.goal[0]])), scene.limits, scene.joints)
+    impacts = []
+    for after in (None, 1.0, 0.3, 0.1):
+        prior = FaultPrior({"mishap": 1.0}, {"mishap": {generator: 1.0}}, noticed_after=after)
+        cost = gp.ImpactCost(model=FailureMixture(faults=prior))
+        impacts.append(gp.evaluate(motion, scene, gp.Objective(impact=cost)).impact)
+    never, whole, soon, sooner = impacts
+    assert whole == pytest.approx(never, rel=1e-6) and soon <= whole and sooner <= soon
+    assert sooner < 0.9 * never
+
+
+def test_drops_do_not_wait_to_be_noticed(scenes: dict[str, gp.Scene]) -> None:
+    batch = states(scenes["contents"], 10)
+    late, soon = (
+        FailureMixture(faults=FaultPrior({"slip": 1.0}, {"slip": {"drop": 0.8, "spill": 0.5}}, noticed_after=after))
+        for after in (None, 0.05)
+    )
+    np.testing.assert_array_equal(late.probability(batch), soon.probability(batch))
+
+
+def test_the_kernel_knows_when_failures_are_noticed(scenes: dict[str, gp.Scene]) -> None:
+    scene, prior = scenes["no contents"], FaultPrior({"mishap": 1.0}, {"mishap": {"joint": 0.7}}, noticed_after=0.1)
+    cost = gp.ImpactCost(model=FailureMixture(faults=prior))
+    kernel, batch = cost.kernel(scene, (0.3, 0.7)), states(scene, 20, still=True)
+    assert kernel is not None
+    np.testing.assert_allclose(kernel.states(batch.q), cost.state(batch), rtol=SINGLE, atol=_TINY)

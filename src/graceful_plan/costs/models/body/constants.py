@@ -28,6 +28,7 @@ MOTION = (
 )
 """Constants of the arm's motion; the others are margins."""
 _POSITIVE = ("step",)
+_ROUNDING = 1e-9
 _BETA = math.sqrt(3.0) / math.pi  # scale of a logistic distribution with standard deviation 1
 _NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on")
 
@@ -137,6 +138,20 @@ class BodySettings(YamlTable):
     def margin(self, generator: str, row: str) -> Margin:
         """Return the margin of one generator for "body" or "carried"."""
         return getattr(getattr(self, generator), row)
+
+    def within(self, seconds: float) -> BodySettings:
+        """Return constants for failures that last this long [s], until the arm is stopped.
+
+        The evaluated configurations of joints that fall, stick or stray end then; brakes close at the latest then.
+        """
+        steps = min(self.steps, max(1, math.ceil(seconds / self.step - _ROUNDING)))
+        return replace(
+            self,
+            brake_time=min(self.brake_time, seconds),
+            step=min(self.step, seconds / steps),
+            steps=steps,
+            carry_on=min(self.carry_on, seconds),
+        )
 
     def widened(self, metres: float) -> BodySettings:
         """Return constants whose distances are uncertain by an additional standard deviation [m]."""

@@ -153,7 +153,7 @@ class FailureMixture(NativeModel):
         weights = self._arm_weights
         if weights.any() and severity.any():
             harm = severity * self._damage_of_body(scene)
-            parts.append(BodyModel(self.body).kernel(scene, harm, weights, paces))
+            parts.append(BodyModel(self._noticed_body).kernel(scene, harm, weights, paces))
         if not parts:  # the impact is 0
             return compile_scene(scene).kernels.overlap(np.zeros_like(severity))
         return reduce(add, parts)
@@ -212,8 +212,11 @@ class FailureMixture(NativeModel):
         scene, weights = batch.scene, self._arm_weights
         if not weights.any():
             return {}
-        known = batch.ahead if np.isclose(self.body.step, AHEAD[0]) else None
-        P = BodyModel(self.body).probability(batch, known) * self._damage_of_body(scene)
+        body, after = self._noticed_body, self.prior.noticed_after
+        known = batch.ahead if np.isclose(body.step, AHEAD[0]) else None
+        if known is not None and after is not None:
+            known = known[:, : max(1, int(np.searchsorted(AHEAD, after * (1.0 - 1e-9))) + 1)]
+        P = BodyModel(body).probability(batch, known) * self._damage_of_body(scene)
         found: dict[str, Float[Array, "n component entity"]] = {}
         for g, name in enumerate(GENERATORS):
             if weights[g].any():
@@ -223,6 +226,12 @@ class FailureMixture(NativeModel):
                         k = HOLDING.index(component)
                         found[name][:, row] = weights[g, k] * P[:, g, k]
         return found
+
+    @cached_property
+    def _noticed_body(self) -> BodySettings:
+        """Constants of failing arms, whose failures end when they are noticed."""
+        after = self.prior.noticed_after
+        return self.body if after is None else self.body.within(after)
 
     @cached_property
     def _arm_weights(self) -> Float[Array, "generator 2"]:

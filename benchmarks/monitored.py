@@ -1,0 +1,286 @@
+"""Plan and monitor, together and alone: harm of all faults per executed task on unseen tasks. Part of `policies`."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import graceful_plan as gp
+from benchmarks import store, suite
+from benchmarks.store import read_lines
+from failbench.basics.statistics import estimate_probability
+from failbench.policies import (
+    OpenLoop,
+    PolicyFactory,
+    PolicyRollout,
+    PolicySettings,
+    PolicyTask,
+    SensorErrors,
+    StopOnFailure,
+    Watch,
+    evaluate,
+    healthy_records,
+    monitored,
+    planned,
+    policy_task,
+    roll_out,
+    varied_task,
+)
+
+PERIOD = 0.01
+SENSORS = SensorErrors()
+RATE = 1.0
+"""Allowed false alarms [1/h]."""
+HEALTHY = ("tabletop", "tabletop_l1", "tabletop_l3", "desk", "dining_table", "kitchen_counter")
+"""Bundled scenes of the healthy runs from which the limits come."""
+ROBOTS = 3
+"""Robots with other masses and frictions for each task of these scenes."""
+MORE_ROBOTS = 4
+"""Further healthy robots of each task, for the rate of false alarms."""
+ITERATIONS = (300, 3000)
+"""Iterations of the planner, and of a second try for tasks that are not solved in these."""
+CONDITIONS: Mapping[str, tuple[float | None, bool]] = {
+    "w = 0": (0.0, False),
+    "w = 0, monitor": (0.0, True),
+    "plan": (None, False),
+    "plan, monitor": (None, True),
+}
+"""Safety weight (None: default) and whether a monitor watches."""
+TASKS, LONG_TASKS, SEED = 12, 23, 4100
+MEASURED = f"""\
+**Monitor.** The motion runs by the clock, with a reading every {1e3 * PERIOD:g} ms. The limits come from healthy runs
+of two tasks of each of {len(HEALTHY)} bundled scenes, by {ROBOTS} robots each, for {RATE:g} false alarm an hour; no
+fault was used. Harm is measured on tasks in `unseen/`. Robots differ from their model: each mass, inertia and friction
+by up to 20 %. Readings have noise (positions {SENSORS.position:g} rad, speeds {SENSORS.speed:g} rad/s, torques
+{SENSORS.torque:g} N m), time stamps are wrong by up to {1e3 * SENSORS.jitter:g} ms, samples arrive
+{1e3 * SENSORS.delay:g} ms late, and {SENSORS.lost:.1%} are lost. A notice starts `StopOnFailure()`. Episodes of all
+conditions have the same robots, quantiles of onsets and seeds, and last 1 s longer than the motion. Harm per task is
+that of a failed episode times the duration of the motion, since faults come per hour.
+Intervals are 95 %, from a bootstrap over tasks.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MonitorJob:
+    """Episodes of one condition on one task with one robot."""
+
+    task: str
+    condition: str
+    robot: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episodes:
+    """Result of a job: harm, time to the notice (NaN: none) and kind by fault; healthy harm, and false alarms."""
+
+    task: str
+    condition: str
+    robot: int
+    harm: Mapping[str, float]
+    delay: Mapping[str, float]
+    kind: Mapping[str, str]
+    healthy: float
+    stopped: Sequence[bool]
+    duration: float
+    seconds: float
+
+
+@cache
+def watch() -> Watch:
+    """Return a monitor's limits from healthy runs, once per process."""
+    records: list[gp.MonitorRecord] = []
+    for scene in HEALTHY:
+        for name in list(gp.load_scene(scene).tasks)[:2]:
+            task = policy_task(f"{scene}/{name}", PolicySettings(noise=0.0, period=PERIOD))
+            for robot in range(ROBOTS):
+                policy = planned(0.0 if robot == 0 else None, iterations=100)
+                records += healthy_records(varied_task(task, robot), policy, [robot], sensors=SENSORS)
+    return Watch(limits=gp.MonitorLimits.fit(records, false_alarms=RATE), sensors=SENSORS)
+
+
+def prepared(task: str, robot: int) -> PolicyTask:
+    """Return a task of `unseen/` with a robot that differs from its model."""
+    scene, _, name = task.partition("/")
+    path = f"{suite.UNSEEN / scene}.yaml/{name}"
+    limit = 1.3 * policy_task(path).straight.duration + 1.0
+    settings = PolicySettings(noise=0.0, period=PERIOD, limit=limit, horizon=limit)
+    return varied_task(policy_task(path, settings), robot)
+
+
+def do(job: MonitorJob) -> Episodes:
+    """Do one job."""
+    began = time.process_time()
+    w, monitor = CONDITIONS[job.condition]
+    task = prepared(job.task, SEED + job.robot)
+    motion = _motion(task, w)
+
+    def policy(task: PolicyTask, seed: int) -> OpenLoop:
+        return OpenLoop(motion, task.settings.period)
+
+    found = evaluate(
+        task,
+        policy,
+        "*/*/severe",
+        n=1,
+        seed=SEED + job.robot,
+        recovery=StopOnFailure() if monitor else None,
+        watch=watch() if monitor else None,
+        threads=1,
+    )
+    rows = {name: rollouts[0] for name, rollouts in found.rollouts.items()}
+    healthy = found.healthy_rollouts[0]
+    return Episodes(
+        task=job.task,
+        condition=job.condition,
+        robot=job.robot,
+        harm={name: row.harm(task.scene) for name, row in rows.items()},
+        delay={name: _delay(row) for name, row in rows.items()},
+        kind={name: "" if row.notice is None else row.notice.kind for name, row in rows.items()},
+        healthy=healthy.harm(task.scene),
+        stopped=[healthy.notice is not None, *_false_alarms(job, policy)] if monitor else [],
+        duration=motion.duration,
+        seconds=time.process_time() - began,
+    )
+
+
+def _motion(task: PolicyTask, w: float | None) -> gp.Trajectory:
+    first, second = ITERATIONS
+    try:
+        policy = planned(w, iterations=first)(task, 0)
+    except gp.PlanningFailed:
+        policy = planned(w, iterations=second)(task, 0)
+    assert isinstance(policy, OpenLoop)
+    return policy.motion
+
+
+def _false_alarms(job: MonitorJob, policy: PolicyFactory) -> Iterator[bool]:
+    """Yield whether a monitor stops further healthy robots."""
+    for robot in range(1, MORE_ROBOTS + 1):
+        task = prepared(job.task, SEED + 1000 * robot + job.robot)
+        seen = roll_out(task, monitored(policy, StopOnFailure(), watch()), [SEED + 1000 * robot + job.robot])
+        yield seen[0].notice is not None
+
+
+def _delay(row: PolicyRollout) -> float:
+    """Return the time from the onset until the monitor noticed something, with the delay of its sensors [s]."""
+    if row.notice is None or row.onset is None:
+        return math.nan
+    return row.notice.time + SENSORS.delay - row.onset
+
+
+def chosen_tasks(options: suite.Options) -> list[str]:
+    """Return tasks in `unseen/`, evenly over its scenes."""
+    by_scene: dict[str, list[str]] = {}
+    for name in suite.unseen_task_names():
+        by_scene.setdefault(name.split("/")[0], []).append(name)
+    order = sorted((place, scene, name) for scene, names in by_scene.items() for place, name in enumerate(names))
+    return [name for _, _, name in order][: options.pick(TASKS, quick=1, long=LONG_TASKS)]
+
+
+def report(options: suite.Options, folder: Path, until: float) -> Iterator[str]:
+    """Do the jobs that are left, and yield the tables."""
+    file = folder / f"monitored.{SEED}.jsonl"
+    have = {(line["task"], line["condition"], line["robot"]) for line in read_lines(file)}
+    robots = options.pick(1, quick=1, long=4)
+    jobs = [
+        MonitorJob(task=task, condition=condition, robot=robot)
+        for robot in range(robots)
+        for task in chosen_tasks(options)
+        for condition in options.pick(tuple(CONDITIONS), quick=("w = 0",))  # limits take half a minute
+        if (task, condition, robot) not in have
+    ]
+    store.fill(file, jobs, do, processes=options.processes, label="monitored", until=until)
+    yield MEASURED
+    yield from tables([Episodes(**line) for line in read_lines(file)])
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def tables(done: Sequence[Episodes]) -> Iterator[str]:
+    """Yield the tables of the robots and tasks for which all conditions are finished."""
+    by = {(one.task, one.robot, one.condition): one for one in done}
+    finished = sorted({(task, robot) for task, robot, _ in by if all((task, robot, c) in by for c in CONDITIONS)})
+    whole = [
+        one
+        for one in finished
+        if all(by[*one, c].healthy == 0.0 for c, (_, watched) in CONDITIONS.items() if not watched)
+    ]
+    if not whole:
+        yield "No task is finished yet.\n"
+        return
+    rows = {c: [by[task, robot, c] for task, robot in whole] for c in CONDITIONS}
+    tasks = [task for task, _ in whole]
+    per_task = {c: _by_task(tasks, [_harm(one) for one in row]) for c, row in rows.items()}
+    seconds = sum(one.seconds for one in done)
+    left_out = [f"`{task}`" for task, robot in finished if (task, robot) not in whole]
+    yield f"{len(set(tasks))} tasks, {len(whole)} robots; {seconds:.0f} s of processor time.\n"
+    if left_out:
+        yield f"Left out, because the robot does harm without a failure and a monitor: {', '.join(left_out)}.\n"
+    yield "| condition | harm of a failed episode | duration | harm per task, of w = 0 | less by | median of tasks |"
+    yield "|---|---:|---:|---:|---:|---:|"
+    base = per_task["w = 0"]
+    for c, row in rows.items():
+        harm = float(np.mean([_mean(one.harm) for one in row]))
+        pooled, low, high = _ratio(base, per_task[c])
+        some = base > 0.0
+        median = float(np.median(base[some] / np.maximum(per_task[c][some], 1e-12)))
+        duration = np.mean([one.duration for one in row])
+        yield (
+            f"| {c} | {harm:.2f} | {duration:.2f} s | {1.0 / pooled:.2f} | {pooled:.2f} [{low:.2f}, {high:.2f}] "
+            f"| {median:.2f} |"
+        )
+    yield ""
+    yield from _stops(rows)
+    yield from _by_fault(rows)
+
+
+def _stops(rows: Mapping[str, Sequence[Episodes]]) -> Iterator[str]:
+    watched = [stopped for row in rows.values() for one in row for stopped in one.stopped]
+    share = estimate_probability(watched)
+    yield f"Healthy tasks stopped by a false alarm: {sum(watched)} of {len(watched)}, {share}.\n"
+
+
+def _by_fault(rows: Mapping[str, Sequence[Episodes]]) -> Iterator[str]:
+    yield f"| fault | noticed | after [s] | by | {' | '.join(f'harm, {c}' for c in rows)} |"
+    yield "|---|---:|---:|---|" + "---:|" * len(rows)
+    watched = [one for c, row in rows.items() if CONDITIONS[c][1] for one in row]
+    for fault in watched[0].harm:
+        delays = np.array([one.delay[fault] for one in watched], dtype=float)
+        kinds = [one.kind[fault] for one in watched if one.kind[fault]]
+        often = max(sorted(set(kinds)), key=kinds.count) if kinds else "-"
+        seen = np.isfinite(delays)
+        after = f"{np.median(delays[seen]):.2f}" if seen.any() else "-"
+        harms = " | ".join(
+            f"{_mean({str(i): one.harm[fault] for i, one in enumerate(row)}):.1f}" for row in rows.values()
+        )
+        yield f"| {fault.split('/')[0]} | {seen.sum()} of {len(seen)} | {after} | {often} | {harms} |"
+    yield ""
+
+
+def _mean(values: Mapping[str, float]) -> float:
+    return float(np.nanmean(list(values.values())))
+
+
+def _harm(one: Episodes) -> float:
+    """Return a number in proportion to the harm of faults per executed task."""
+    return _mean(one.harm) * one.duration
+
+
+def _by_task(tasks: Sequence[str], values: Sequence[float]) -> np.ndarray:
+    return np.array(
+        [np.mean([v for t, v in zip(tasks, values, strict=True) if t == task]) for task in sorted(set(tasks))]
+    )
+
+
+def _ratio(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
+    """Return the ratio of the means with an interval from a bootstrap over tasks."""
+    drawn = np.random.default_rng(0).integers(len(first), size=(2000, len(first)))
+    ratios = first[drawn].sum(axis=1) / np.maximum(second[drawn].sum(axis=1), 1e-12)
+    return float(first.sum() / max(second.sum(), 1e-12)), *np.quantile(ratios, [0.025, 0.975]).tolist()
