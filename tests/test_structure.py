@@ -57,7 +57,7 @@ FLOORS = (
     {"analysis", "transcription"},
     {"query"},
     {"plan", "roadmap"},
-    {"tuning"},
+    {"tuning", "job"},
     {"viz"},
     {"mobile"},
     {"annotation", "viewer"},

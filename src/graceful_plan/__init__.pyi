@@ -34,6 +34,9 @@ from graceful_plan.costs.motion import JointLength as JointLength
 from graceful_plan.costs.objective import Objective as Objective
 from graceful_plan.costs.objective import evaluate as evaluate
 from graceful_plan.exceptions import GracefulPlanError as GracefulPlanError
+from graceful_plan.job.grasping import Grasp as Grasp
+from graceful_plan.job.grasping import grasps as grasps
+from graceful_plan.job.placing import placements as placements
 from graceful_plan.judge.verification import VerificationSettings as VerificationSettings
 from graceful_plan.judge.verification import verify as verify
 from graceful_plan.mobile.control.dwa import DWA as DWA
