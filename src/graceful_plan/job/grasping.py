@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.grasp import GraspHolds, load_facets
 from graceful_plan.exceptions import SettingError, UnsupportedError
-from graceful_plan.job.gripper import Gripper, find_gripper
+from graceful_plan.job.gripper import ParallelGripper, find_gripper
 from graceful_plan.path import is_real
 from graceful_plan.query.arguments import checked_seed
 from graceful_plan.scene.model_parts import colliding_geoms, subtree
@@ -27,6 +27,8 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
+JOINED = "@joined"
+"""Ending of the names of bodies that lie on an object without being fixed to it, such as a lid: no grasp is there."""
 _GEOM = mujoco.mjtGeom
 _AIR = 0.01
 """Distance between each pad and the object while the gripper approaches [m]."""
@@ -171,7 +173,7 @@ class _Thing:
             for g, X in zip(self.geoms, self.X_OG, strict=True)
         )
 
-    def is_free(self, gripper: Gripper, X_TO: Float[Array, "4 4"], opening: float) -> bool:
+    def is_free(self, gripper: ParallelGripper, X_TO: Float[Array, "4 4"], opening: float) -> bool:
         """Tell whether the open gripper keeps off the object and above its underside."""
         X_OG = np.linalg.inv(X_TO) @ gripper.poses(opening)
         box = self.model.geom_aabb[list(gripper.geoms)]
@@ -194,7 +196,7 @@ class _Thing:
 
 
 def _contacts(
-    thing: _Thing, gripper: Gripper, rng: np.random.Generator
+    thing: _Thing, gripper: ParallelGripper, rng: np.random.Generator
 ) -> Iterator[tuple[Float[Array, " xyz"], Float[Array, " xyz"], float, int]]:
     """Yield closing axis and middle in O, width, and index of the geom of antipodal contacts.
 
@@ -202,6 +204,8 @@ def _contacts(
     """
     model = thing.model
     for k, (geom, X_OG) in enumerate(zip(thing.geoms, thing.X_OG, strict=True)):
+        if model.body(model.geom_bodyid[geom]).name.endswith(JOINED):
+            continue
         kind, size = int(model.geom_type[geom]), model.geom_size[geom]
         R, p = X_OG[:3, :3], X_OG[:3, 3]
         turn = np.pi * (np.arange(_ROUND) + rng.random()) / _ROUND
@@ -258,7 +262,9 @@ def _farthest_hit(
 
 
 def _in_turns(
-    contacts: Iterator[tuple[Float[Array, " xyz"], Float[Array, " xyz"], float, int]], thing: _Thing, gripper: Gripper
+    contacts: Iterator[tuple[Float[Array, " xyz"], Float[Array, " xyz"], float, int]],
+    thing: _Thing,
+    gripper: ParallelGripper,
 ) -> Iterator[_Candidate]:
     """Yield candidates from all sides in turns, in each the nearest to the centre of mass first."""
     sides: dict[tuple[object, ...], list[tuple[float, int, _Candidate]]] = {}
@@ -314,7 +320,7 @@ def _places(
     closing: Float[Array, " xyz"],
     middle: Float[Array, " xyz"],
     approach: Float[Array, " xyz"],
-    gripper: Gripper,
+    gripper: ParallelGripper,
 ) -> Iterator[Float[Array, " xyz"]]:
     """Yield places of the middle of the pads along a geom.
 
@@ -354,7 +360,7 @@ def _support(kind: int, half: Float[Array, " xyz"], way: Float[Array, " xyz"]) -
 
 
 def _hold(
-    place: Float[Array, " xyz"], closing: Float[Array, " xyz"], approach: Float[Array, " xyz"], gripper: Gripper
+    place: Float[Array, " xyz"], closing: Float[Array, " xyz"], approach: Float[Array, " xyz"], gripper: ParallelGripper
 ) -> Float[Array, "4 4"]:
     """Return X_TO such that the pads are around a place of the object."""
     of_tool = np.stack([gripper.closing, gripper.approach, np.cross(gripper.closing, gripper.approach)], axis=1)

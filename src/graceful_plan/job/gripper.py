@@ -22,7 +22,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Gripper:
+class ParallelGripper:
     """Two fingers that slide along one axis in opposite directions; vectors are in the tool frame T.
 
     | field    | meaning                                                                          | unit | shape   |
@@ -63,7 +63,7 @@ class Gripper:
 
 
 @per_layout
-def find_gripper(scene: Scene) -> Gripper:
+def find_gripper(scene: Scene) -> ParallelGripper:
     """Return the parallel gripper of a scene.
 
     Raises:
@@ -122,7 +122,7 @@ def find_gripper(scene: Scene) -> Gripper:
     for mine, way in zip(fingers, outward, strict=True):
         moves[mine] = 0.5 * way
     leading = followers(model).keys()
-    return Gripper(
+    return ParallelGripper(
         closing=closing,
         approach=approach,
         pads=pads,

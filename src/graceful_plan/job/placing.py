@@ -28,6 +28,8 @@ _APART = 0.01
 """Least distance of a placed object from other things [m], so that fingers and errors of control have space."""
 _LOW = 0.005
 """Height above the underside of an object up to which its geoms carry it [m]."""
+_OVERLAP = 0.003
+"""Overlap from which two objects cannot be in one place [m]; as deep as contacts with a support may be."""
 _LEVEL = 0.999
 """Least cosine between a top and the horizontal plane."""
 _TRIES = 64
@@ -106,7 +108,7 @@ def placements(
         X_WO = thing.standing(top.sample(rng), 2.0 * np.pi * rng.random())
         feet = thing.feet @ X_WO[:3, :3].T + X_WO[:3, 3]
         inside = region is None or bool(((feet >= region[0]) & (feet <= region[1]))[:, :2].all())
-        if inside and bool(top.contains(feet).all()) and thing.blocker(X_WO, but=top.body) is None:
+        if inside and bool(top.contains(feet).all()) and thing.blocker(X_WO, top.body, _APART) is None:
             found.append(X_WO)
     return np.array(found).reshape(-1, 4, 4)
 
@@ -121,6 +123,11 @@ def support_of(scene: Scene, name: str) -> str | None:
         if top.body != name and top.contains(p[None]).all() and abs(top.X_WG[2, 3] - p[2]) < 2.0 * _LOW
     ]
     return max(below, key=lambda top: top.X_WG[2, 3]).body if below else None
+
+
+def occupant(scene: Scene, name: str, X_WO: Float[Array, "4 4"]) -> str | None:
+    """Return a body that an object would overlap at a pose; None if the place is free."""
+    return _Standing(scene, name).blocker(X_WO, None, -_OVERLAP)
 
 
 class _Standing:
@@ -160,8 +167,8 @@ class _Standing:
         X[:3, 3] = p_W - X[:3, :3] @ self.feet.mean(axis=0)
         return X
 
-    def blocker(self, X_WO: Float[Array, "4 4"], but: str) -> str | None:
-        """Return a body that is nearer than `_APART` to the object at a pose, other than its support."""
+    def blocker(self, X_WO: Float[Array, "4 4"], but: str | None, apart: float) -> str | None:
+        """Return a body that is nearer than a distance [m] to the object at a pose, other than its support."""
         for g, X_OG in zip(self.geoms, self.X_OG, strict=True):
             X = X_WO @ X_OG
             self.data.geom_xpos[g], self.data.geom_xmat[g] = X[:3, 3], X[:3, :3].ravel()
@@ -170,7 +177,7 @@ class _Standing:
             if body == but:
                 continue
             for g in self.geoms:
-                if mujoco.mj_geomDistance(self.model, self.data, g, other, 2.0 * _APART, None) < _APART:
+                if mujoco.mj_geomDistance(self.model, self.data, g, other, abs(apart) + _APART, None) < apart:
                     return body
         return None
 
@@ -202,3 +209,15 @@ def _region(value: ArrayLike) -> Float[Array, "2 xyz"]:
     if region.shape != (2, 3) or (region[0] > region[1]).any():
         raise SettingError("in_region", region.tolist(), "a lower and an upper corner in W")
     return region
+
+
+def lid_pose(scene: Scene, vessel: str, lid: str) -> Float[Array, "4 4"]:
+    """Return the pose of a lid on a vessel, X_VL: as it is oriented, centred on top of the vessel."""
+    under, over = _Standing(scene, vessel), _Standing(scene, lid)
+    top = max(
+        float((under.X_WO @ X)[2, 3] + np.abs((under.X_WO @ X)[2, :3]) @ scene.model.geom_aabb[g, 3:])
+        for g, X in zip(under.geoms, under.X_OG, strict=True)
+    )
+    middle = under.X_WO[:3, :3] @ under.feet.mean(axis=0) + under.X_WO[:3, 3]
+    X_WL = over.standing(np.array([*middle[:2], top]), 0.0)
+    return np.linalg.inv(under.X_WO) @ X_WL
