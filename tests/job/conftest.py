@@ -21,7 +21,7 @@ def job_scene(name: str) -> Scene:
 
 
 def order_job() -> gp.Job:
-    return gp.Job(job_scene("order")).place("dome", at=[0.5, 0.18, 0.4]).place("crate", at=[0.5, 0.42, 0.4])
+    return gp.Job(job_scene("order")).place("dome", at=[0.5, 0.12, 0.4]).place("crate", at=[0.5, 0.48, 0.4])
 
 
 @cache

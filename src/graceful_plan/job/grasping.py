@@ -8,7 +8,7 @@ discarded. Surroundings do not count here: what stands in the way of a grasp cha
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import mujoco
@@ -63,7 +63,7 @@ class Grasp:
     """
 
     X_TO: ArrayLike
-    fingers: float | dict[str, float] | None = None
+    fingers: float | Mapping[str, float] | None = None
     opening: float | None = None
     approach: ArrayLike | None = field(default=None)
     quality: float = float("nan")

@@ -14,6 +14,8 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.constraints.axes import Upright
+from graceful_plan.constraints.standing import KeepStanding
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.job.grasping import JOINED, Grasp
 from graceful_plan.job.gripper import find_gripper
@@ -110,9 +112,9 @@ class JobState:
         return replace(self, where=MappingProxyType({**self.where, **where}))
 
     def joined(self, onto: str, name: str) -> JobState:
-        """Return the state in which a body has become a part of another, where it is: a lid, a thing on a tray.
+        """Return the state in which a body lies on another and moves with it: a lid, a thing on a tray.
 
-        It is no longer an entity of its own.
+        It is no longer an entity of its own. Carried objects with something on them are kept upright.
         """
         X_VL = np.linalg.inv(self.pose(onto)) @ self.pose(name)
         where = {body: X for body, X in self.where.items() if body != name}
@@ -157,12 +159,23 @@ def _arranged(
 def _gripped(world: Scene, held: tuple[str, Grasp, tuple[str, ...]] | None, opening: float | None) -> Scene:
     if held is not None:
         name, grasp, support = held
-        return world.attach(name, X_TO=grasp.X_TO, fingers=grasp.fingers, support=support)
+        scene = world.attach(name, X_TO=grasp.X_TO, fingers=grasp.fingers, support=support)
+        loose = _loose_geoms(scene)
+        # What lies on the object stays there only if it is kept upright, in a healthy motion as well.
+        kept = [Upright(), *(KeepStanding(geom) for geom in loose)] if loose else []
+        return scene.with_constraints(*scene.notes.constraints, *kept) if kept else scene
     try:
         gripper = find_gripper(world)
     except UnsupportedError:
         return world
     return world.with_state(gripper.fingers(gripper.range[1] if opening is None else opening))
+
+
+def _loose_geoms(scene: Scene) -> list[str]:
+    """Return the first geom of each body that lies on the carried object."""
+    model = scene.model
+    loose = [b for b in sorted(scene.held_bodies) if model.body(b).name.endswith(JOINED)]
+    return [model.geom(int(model.body_geomadr[b])).name for b in loose]
 
 
 @per_scene
@@ -174,6 +187,8 @@ def _joined(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
     lid = spec.body(name)
     for joint in list(lid.joints):
         spec.delete(joint)
+    for k, geom in enumerate(lid.geoms):
+        geom.name = geom.name or f"{name}_geom{k}"
     lid.pos, lid.quat = np.zeros(3), [1.0, 0.0, 0.0, 0.0]
     frame = spec.body(onto).add_frame(pos=X[:3, 3], quat=quaternion)
     frame.attach_body(lid, "", JOINED)

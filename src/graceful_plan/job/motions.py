@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.constraints.scene_constraints import default_constraints
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.job.grasping import Grasp, grasps
@@ -128,14 +129,21 @@ class Motions:
         return self._known[key]  # type: ignore[return-value]
 
     def configuration(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Float[Array, " nq"] | None:
-        """Return a configuration that holds an object at a pose; None if none is free, even without other things."""
-        key = ("ik", id(state.world), name, id(grasp), X_WO)
+        """Return a configuration that holds an object at a pose; None if none is free, even without other things.
+
+        Where the object is now, it is near that at home; elsewhere it is near the one now, so that the arm need not
+        turn around on the way.
+        """
+        here = pose_key(state.pose(name))
+        key = ("ik", id(state.world), name, id(grasp), X_WO, here)
         if key not in self._known:
+            now = None if X_WO == here else self.configuration(state, name, grasp, here)
+            near = self.q_home if now is None else now
             began = time.perf_counter()
             held = self._alone(state, name).holding(name, grasp, self.supports.get(name, ()))
             goal = PoseGoal(grasp.tool_at(pose_of(X_WO)))
             found = solve_ik(
-                goal, held, self.q_home, free=lambda q: free_of_collision(q, held), count=1, rounds=2, seed=self.seed
+                goal, held, near, free=lambda q: free_of_collision(q, held), count=1, rounds=2, seed=self.seed
             )
             self._known[key] = found.q[0] if len(found.q) else None
             self.seconds["stances"] += time.perf_counter() - began
@@ -143,7 +151,7 @@ class Motions:
 
     def stance(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Stance | Refusal:
         """Return the stance of a grasp at a pose, in the absence of everything else that the job may move."""
-        key = ("stance", id(state.world), name, id(grasp), X_WO)
+        key = ("stance", id(state.world), name, id(grasp), X_WO, pose_key(state.pose(name)))
         if key not in self._known:
             q = self.configuration(state, name, grasp, X_WO)
             began = time.perf_counter()
@@ -158,15 +166,15 @@ class Motions:
     def _made(self, state: JobState, name: str, grasp: Grasp, q: Float[Array, " nq"]) -> Stance | Refusal:
         alone = self._alone(state, name)
         held = alone.holding(name, grasp, self.supports.get(name, ()))
+        up, why = None, ""
         for height in _LIFTS:
-            result = plan_cartesian(
-                q, PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height]), held, objective=self.objective
-            )
-            if result.status is PlanStatus.SOLVED:
-                up = result.unwrap()
+            above = PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height])
+            result = plan_cartesian(q, above, held, objective=self.objective)
+            up, why = result.trajectory, result.detail
+            if result.status is PlanStatus.SOLVED and up is not None:
                 break
         else:
-            return Refusal(name=name, why=f"{name!r} cannot be lifted there by this grasp: {result.detail}")
+            return Refusal(name=name, why=f"{name!r} cannot be lifted there by this grasp: {why}")
         X_WT = PoseGoal.from_tool(q, held).X_WT
         way = X_WT[:3, :3] @ np.asarray(grasp.X_TO)[:3, :3] @ np.asarray(grasp.approach)
         if way[2] < _STRAIGHT_DOWN:
@@ -188,7 +196,7 @@ class Motions:
         key = ("checked", id(scene), id(trajectory))
         if key not in self._known:
             began = time.perf_counter()
-            verdict = verify(trajectory, scene)
+            verdict = verify(trajectory, scene, constraints=default_constraints(scene))
             if verdict.passed:
                 made: JobMotion | Refusal = JobMotion(
                     label=label, scene=scene, trajectory=trajectory, cost=evaluate(trajectory, scene, self.objective)

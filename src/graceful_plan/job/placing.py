@@ -101,7 +101,7 @@ def placements(
         tops = [top for top in tops if region[0, 2] <= top.X_WG[2, 3] <= region[1, 2]]
     found: list[Array] = []
     areas = np.array([top.half**2 * np.pi if isinstance(top.half, float) else 4.0 * np.prod(top.half) for top in tops])
-    for _ in range(_TRIES * n if tops else 0):
+    for _ in range(_TRIES * int(n) if tops else 0):
         if len(found) == n:
             break
         top = tops[int(rng.choice(len(tops), p=areas / areas.sum()))]
