@@ -35,6 +35,10 @@ _SEARCHED = 0.7
 """Share of the time limit for the search; the rest improves the motions of the best sequence."""
 _IMPROVING = 12
 """Iterations with which each planned motion of the best sequence is improved, if there is no time limit."""
+_CONTENDERS, _CONTENDERS_COST = 3, 1.5
+"""Largest number of sequences whose motions are improved, and of their cost relative to that of the best."""
+_TOO_SHORT = 0.05
+"""Time below which nothing is improved [s]."""
 DEFAULT_TIME_LIMIT = 20.0
 """Time limit of `plan_job` without a time limit and without a number of iterations [s]."""
 
@@ -133,8 +137,7 @@ class JobSession:
                 status = JobStatus.CANCELLED
             stats["total_time"] = budget.elapsed
             return JobResult(status=status, detail=reasons(search), stats=stats, again=self.answer)
-        steps = self._improved(search.best, budget, iterations)
-        cost = added([step.cost for step in steps], self._objective.w)
+        steps, cost = self._improved(search, budget, iterations)
         trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
         stats["total_time"] = budget.elapsed
         return JobResult(
@@ -223,22 +226,39 @@ class JobSession:
         under = {support_of(self._state.moved(name, pose_of(X)).scene(), name) for X in to}
         return {body for body in under if body is not None}
 
-    def _improved(self, node: Node, budget: Budget, iterations: int | None) -> tuple[Step, ...]:
-        """Plan the motions of a sequence again with the time that is left, the costliest first."""
-        flat = [(kind, name, list(pieces)) for deed in node.deeds for kind, name, pieces in deed.steps]
-        free = [(i, k) for i, (_, _, pieces) in enumerate(flat) for k, p in enumerate(pieces) if self._is_open(p)]
-        free.sort(key=lambda at: -flat[at[0]][2][at[1]].cost.total)
-        for done, (i, k) in enumerate(free):
-            left = budget.time_limit - budget.elapsed
-            if budget.cancelled() or left < 0.05:
+    def _improved(
+        self, search: SequenceSearch, budget: Budget, iterations: int | None
+    ) -> tuple[tuple[Step, ...], CostBreakdown]:
+        """Improve the motions of the best sequences in the time that is left; return the best then.
+
+        The search compares first motions; of sequences that are nearly as good, another one may be the best at the
+        end.
+        """
+        assert search.best is not None
+        most = _CONTENDERS_COST * search.best.cost
+        contenders = sorted((node for node in search.complete if node.cost <= most), key=lambda node: node.cost)
+        found = []
+        for k, node in enumerate(contenders[:_CONTENDERS]):
+            share = (budget.time_limit - budget.elapsed) / (min(len(contenders), _CONTENDERS) - k)
+            steps = self._better(node, budget, budget.elapsed + share, iterations)
+            found.append((steps, added([step.cost for step in steps], self._objective.w)))
+        return min(found, key=lambda one: one[1].total)
+
+    def _better(self, node: Node, budget: Budget, end: float, iterations: int | None) -> tuple[Step, ...]:
+        """Plan the motions of a sequence again, the costliest first, until a time of the budget's clock [s]."""
+        flat = [(kind, name, list(motions)) for deed in node.deeds for kind, name, motions in deed.steps]
+        free = [(motions, k) for _, _, motions in flat for k, motion in enumerate(motions) if self._is_open(motion)]
+        free.sort(key=lambda at: -at[0][at[1]].cost.total)
+        for done, (motions, k) in enumerate(free):
+            left = end - budget.elapsed
+            if budget.cancelled() or left < _TOO_SHORT:
                 break
-            piece = flat[i][2][k]
-            seconds = left / (len(free) - done) if np.isfinite(left) else 0.0
-            flat[i][2][k] = self._motions.better(piece, seconds, _IMPROVING if iterations is not None else None)
+            seconds = left / (len(free) - done)
+            motions[k] = self._motions.better(motions[k], seconds, None if iterations is None else _IMPROVING)
         w = self._objective.w
         return tuple(
-            Step(kind=kind, name=name, pieces=tuple(pieces), cost=added([p.cost for p in pieces], w))
-            for kind, name, pieces in flat
+            Step(kind=kind, name=name, pieces=tuple(motions), cost=added([motion.cost for motion in motions], w))
+            for kind, name, motions in flat
         )
 
     def _is_open(self, piece: JobMotion) -> bool:

@@ -8,8 +8,9 @@ same times, they have the same accelerations, so they keep the same constraints.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ _STRAIGHT_DOWN = -0.99
 """Vertical component of an approach from which lifting and retreating are the same motion."""
 _GRIPPING = 0.5
 """Time in which the gripper opens or closes [s], at rest."""
+_SAMPLED = 3
+"""Grasps that are sampled for each one to choose from, because the arm does not reach all of them."""
 _ITERATIONS = 6
 """Iterations of `plan` for a motion of a candidate sequence."""
 _AT_MOST = 4000
@@ -123,10 +126,22 @@ class Motions:
         key = ("grasps", id(state.world), name)
         if key not in self._known:
             began = time.perf_counter()
-            own = self.given.get(name)
-            self._known[key] = own or grasps(state.world, name, n=self.n_grasps, seed=self.seed)
+            self._known[key] = self.given.get(name) or tuple(islice(self._reached(state, name), self.n_grasps))
             self.seconds["grasps"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
+
+    def _reached(self, state: JobState, name: str) -> Iterator[Grasp]:
+        """Yield sampled grasps of an object that the arm reaches where it is, if nothing else is there."""
+        alone, X_WO = state.parked(self._others(state, None)).scene(), state.pose(name)
+        for grasp in grasps(state.world, name, n=_SAMPLED * self.n_grasps, seed=self.seed):
+            goal = PoseGoal(grasp.tool_at(X_WO))
+            if len(self._solved(goal, alone, self.q_home)):
+                yield grasp
+
+    def _solved(self, goal: PoseGoal, scene: Scene, near: Float[Array, " nq"]) -> Float[Array, "n nq"]:
+        return solve_ik(
+            goal, scene, near, free=lambda q: free_of_collision(q, scene), count=1, rounds=2, seed=self.seed
+        ).q
 
     def configuration(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Float[Array, " nq"] | None:
         """Return a configuration that holds an object at a pose; None if none is free, even without other things.
@@ -141,11 +156,8 @@ class Motions:
             near = self.q_home if now is None else now
             began = time.perf_counter()
             held = self._alone(state, name).holding(name, grasp, self.supports.get(name, ()))
-            goal = PoseGoal(grasp.tool_at(pose_of(X_WO)))
-            found = solve_ik(
-                goal, held, near, free=lambda q: free_of_collision(q, held), count=1, rounds=2, seed=self.seed
-            )
-            self._known[key] = found.q[0] if len(found.q) else None
+            found = self._solved(PoseGoal(grasp.tool_at(pose_of(X_WO))), held, near)
+            self._known[key] = found[0] if len(found) else None
             self.seconds["stances"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
 
@@ -188,8 +200,10 @@ class Motions:
         return _stance(q, up, back.unwrap())
 
     def _alone(self, state: JobState, name: str) -> JobState:
-        here = [body for body in self.movable if body != name and ("joined", body) not in state.facts]
-        return state.parked(tuple(here))
+        return state.parked(self._others(state, name))
+
+    def _others(self, state: JobState, name: str | None) -> tuple[str, ...]:
+        return tuple(body for body in self.movable if body != name and ("joined", body) not in state.facts)
 
     def checked(self, label: str, name: str, scene: Scene, trajectory: Trajectory) -> JobMotion | Refusal:
         """Verify and price a given motion in a scene."""
@@ -240,14 +254,21 @@ class Motions:
             self.seconds["plan"] += time.perf_counter() - began
         return self._known[key][0]  # type: ignore[index,no-any-return]
 
-    def better(self, piece: JobMotion, seconds: float, iterations: int | None) -> JobMotion:
+    def better(self, motion: JobMotion, seconds: float, iterations: int | None) -> JobMotion:
         """Return a motion with the same ends planned with more effort, if it is better."""
-        q = piece.trajectory.q
-        effort = {"iterations": iterations} if iterations is not None else {"time_limit": seconds}
-        result = self._plan(q[0], q[-1], piece.scene, effort, seed=self.seed + 1)
-        if result.trajectory is None or result.status is not PlanStatus.SOLVED or result.cost.total >= piece.cost.total:
-            return piece
-        return JobMotion(label=piece.label, scene=piece.scene, trajectory=result.trajectory, cost=result.cost)
+        key = ("better", id(motion))
+        if key not in self._known:
+            began = time.perf_counter()
+            q = motion.trajectory.q
+            effort = {"iterations": iterations} if iterations is not None else {"time_limit": seconds}
+            result = self._plan(q[0], q[-1], motion.scene, effort, seed=self.seed + 1)
+            found = motion
+            if result.status is PlanStatus.SOLVED and result.trajectory is not None:
+                if result.cost.total < motion.cost.total:
+                    found = replace(motion, trajectory=result.trajectory, cost=result.cost)
+            self._known[key] = (found, motion)
+            self.seconds["plan"] += time.perf_counter() - began
+        return self._known[key][0]  # type: ignore[index,no-any-return]
 
     @property
     def _effort(self) -> dict[str, Any]:

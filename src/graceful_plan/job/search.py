@@ -23,6 +23,8 @@ from graceful_plan.job.actions import Action, Carry, Deed, Transport
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import Motions, Refusal, added
 
+_TIME_PRICE = 1e-3
+"""Price of time [1/s], so that of sequences with equal costs the shortest one is chosen: waiting costs nothing else."""
 _RATIO = 2.0
 """Ratio of cost to lower bound that is assumed before any edge is planned."""
 
@@ -65,6 +67,8 @@ class SequenceSearch:
     motions: Motions
     order: tuple[str, ...] = ()
     best: Node | None = None
+    complete: list[Node] = field(default_factory=list)
+    """Nodes of all complete sequences that were found."""
     planned: int = 0
     refusals: dict[str, Refusal] = field(default_factory=dict)
     exhausted: bool = False
@@ -102,7 +106,8 @@ class SequenceSearch:
             self.refusals[deed.name] = deed
             return None
         pieces = [piece for _, _, some in deed.steps for piece in some]
-        cost = added([piece.cost for piece in pieces], self.motions.objective.w).total
+        seconds = sum(piece.trajectory.duration for piece in pieces)
+        cost = added([piece.cost for piece in pieces], self.motions.objective.w).total + _TIME_PRICE * seconds
         transit = sum(piece.cost.total for piece in pieces if piece.label == "transit")
         self._carried[_memory(edge)] = cost - transit
         if edge.bound > 0.0:
@@ -128,6 +133,7 @@ class SequenceSearch:
             return
         seen[node.state.key] = node.cost
         if self.is_complete(node.state):
+            self.complete.append(node)
             if self.best is None or node.cost < self.best.cost:
                 first = self.best is None
                 self.best = node
