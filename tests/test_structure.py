@@ -75,7 +75,7 @@ HARNESS_FLOORS = (
     {"scenario", "report"},
     {"validation"},
     {"comparison"},
-    {"front_validation"},
+    {"front_validation", "job_validation"},
     {"sweeps", "calibrations", "pictures"},
     {"traces", "policies", "learning", "mobile"},
     {"failbench"},

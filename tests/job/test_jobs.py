@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +15,7 @@ from graceful_plan.job.actions import Deed
 from graceful_plan.job.job_planning import JobSession
 from graceful_plan.job.job_result import JobFailed, JobResult, JobStatus
 from graceful_plan.job.job_state import JobState
+from graceful_plan.job.motions import Motions, Refusal
 from graceful_plan.job.search import Node, SequenceSearch
 
 _CAREFUL = 3.0
@@ -178,12 +179,14 @@ class _Cover(gp.Action):
     def __init__(self, name: str, at: np.ndarray) -> None:
         self.name, self.at = name, at
 
-    def candidates(self, state, motions):
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
         if ("covered", self.name) not in state.facts:
             yield "here"
 
-    def motion(self, state, choice, motions):
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
         piece = motions.planned("transit", self.name, state.scene(), state.q, self.at)
+        if isinstance(piece, Refusal):
+            return piece
         covered = state.in_world(state.world.with_severity({self.name: 0.0})).knowing("covered", self.name)
         then = covered.after(self.at, piece.trajectory.duration)
         return Deed(steps=[("cover", self.name, [piece])], state=then)
