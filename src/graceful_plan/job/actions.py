@@ -1,4 +1,4 @@
-"""Actions of a job: what they need, what they change, the choices they leave open, and their motions.
+"""Actions of a job: their preconditions, choices, motions and effects.
 
 An own action is a class with the two methods `candidates` and `motion` (and `bound`, if it has one); pass an instance
 to `Job.allow`. Preconditions are checked in `candidates`; effects are the state that `motion` returns.
@@ -75,7 +75,7 @@ class Carry:
 @final
 @dataclass(frozen=True, eq=False)
 class Transport(Action):
-    """Carry an object from where it stands to one of given poses.
+    """Carry an object from where it stands to a given pose, or to any of several.
 
     Args:
         name: The object.
@@ -88,11 +88,11 @@ class Transport(Action):
     verb: str = "place"
 
     def is_done(self, state: JobState) -> bool:
-        """Tell whether the object stands at one of the poses."""
+        """Tell whether the object stands at any of the poses."""
         return ("joined", self.name) in state.facts or pose_key(state.pose(self.name)) in self.to
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Carry]:
-        """Yield grasps that reach the object where it is and at one of the poses."""
+        """Yield grasps that reach the object where it is and at any of the poses."""
         if ("joined", self.name) in state.facts or self.is_done(state):
             return
         here = pose_key(state.pose(self.name))
@@ -151,7 +151,7 @@ class CloseLid:
 
     Args:
         vessel: The vessel.
-        lid: The lid, an object of its own.
+        lid: The lid, a separate object.
         X_VL: Pose of the lid on the vessel; by default upright, centred on top of it.
     """
 

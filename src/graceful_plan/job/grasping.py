@@ -1,8 +1,8 @@
 """Grasps of an object by a parallel gripper: antipodal contacts on its geoms, with opening, approach and quality.
 
 Frames: W world, T tool, O object, G geom. Each colliding geom of the object is grasped by itself, so the wall of a cup
-or the handle of a pot gives grasps of its own; a grasp in which the gripper would touch other parts of the object is
-discarded. Surroundings do not count here: what stands in the way of a grasp changes during a job.
+and the handle of a pot each give grasps; a grasp in which the gripper would touch other parts of the object is
+discarded. Surroundings do not count here, because they change during a job.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _FLOOR = 0.003
 _FROM_BELOW = 0.1
 """Largest upward component of the approach: an object that stands is not grasped from below."""
 _HOLDS = 0.95
-"""Largest load at rest as a fraction of what the pads carry, as in `GraspHolds`."""
+"""Largest load at rest as a fraction of the pads' capacity, as in `GraspHolds`."""
 _TURNS = np.deg2rad([0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0])
 """Approach directions about the closing axis that are tried."""
 _ROUND = 12
@@ -59,7 +59,7 @@ class Grasp:
         fingers: Positions of the finger joints while holding; as in `Scene.attach`.
         opening: Distance of the pads while the gripper approaches [m]; None: the largest.
         approach: Direction in the object's frame in which the gripper arrives; by default the tool's z axis.
-        quality: Share of what the pads carry that the weight leaves free, at most 1; NaN if unknown.
+        quality: Share of the pads' capacity that the weight leaves free, at most 1; NaN if unknown.
     """
 
     X_TO: ArrayLike
@@ -353,7 +353,7 @@ def _places(
 
 
 def _support(kind: int, half: Float[Array, " xyz"], way: Float[Array, " xyz"]) -> float:
-    """Return how far a geom extends from its middle along a unit vector in G."""
+    """Return the extent of a geom from its middle along a unit vector in G."""
     if kind == int(_GEOM.mjGEOM_CYLINDER):
         return float(np.hypot(way[0], way[1]) * half[0] + abs(way[2]) * half[2])
     return float(np.abs(way) @ half)
@@ -370,7 +370,7 @@ def _hold(
 
 
 def _load_left(held: Scene, up: Float[Array, " xyz"]) -> float:
-    """Return one minus the load of an upright object at rest, as a fraction of what the pads carry; NaN if unknown."""
+    """Return one minus the load of an upright object at rest, as a fraction of the pads' capacity; NaN if unknown."""
     try:
         facets, room = load_facets(GraspHolds().grip(held))
     except (UnsupportedError, SettingError):

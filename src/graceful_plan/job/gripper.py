@@ -114,7 +114,7 @@ def find_gripper(scene: Scene) -> ParallelGripper:
     approach = np.zeros(3)
     approach[np.argmax(np.abs(away))] = np.sign(away[np.argmax(np.abs(away))])
     across = np.cross(closing, approach)
-    # The palm is what the object meets when it is grasped deeply: geoms that cross the plane between the fingers.
+    # The palm, which limits the depth of a grasp, is every part of the gripper but the fingers.
     own = set(fingers[0]) | set(fingers[1])
     palm = [k for k in range(len(geoms)) if k not in own]
     behind = [float(approach @ pads - (approach @ middle[k] + np.abs(approach) @ half[k])) for k in palm]

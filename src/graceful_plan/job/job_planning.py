@@ -58,7 +58,7 @@ def plan_job(
     """Plan a whole task so that a failure at any moment of it does little harm.
 
     The cost of a sequence is the sum of the costs of its motions, each in the state of the world in which it is made:
-    an object that was put down can be harmed by what follows, and what is closed spills nothing.
+    an object that was put down can be harmed by later motions, and a closed vessel spills nothing.
 
     Args:
         job: The job.
@@ -132,7 +132,7 @@ class JobSession:
         search.run(over, improved)
         stats = {**motions.seconds, "actions": float(search.planned)}
         if search.best is None:
-            status = JobStatus.INFEASIBLE if search.exhausted else JobStatus.TIMEOUT
+            status = JobStatus.INFEASIBLE if search.exhausted and not search.unsure else JobStatus.TIMEOUT
             if budget.cancelled():
                 status = JobStatus.CANCELLED
             stats["total_time"] = budget.elapsed
@@ -145,7 +145,7 @@ class JobSession:
             steps=steps,
             cost=cost,
             lower_bound=min(cost.total, self._straight_bound(search)),
-            exhaustive=search.exhausted,
+            exhaustive=search.exhausted and not search.unsure,
             trace=tuple(trace),
             stats=stats,
             again=self.answer,

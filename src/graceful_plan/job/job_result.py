@@ -34,7 +34,7 @@ class Step:
 
     | field  | meaning                                                   |
     |--------|-----------------------------------------------------------|
-    | kind   | what is done                                              |
+    | kind   | kind of action                                            |
     | name   | the object                                                |
     | pieces | motions with their scenes, one after the other            |
     | cost   | their total cost                                          |

@@ -1,4 +1,4 @@
-"""The state of the world during a job, as a value: what stands where, what is closed, where the arm is, and the time.
+"""The state of the world during a job, as a value: poses of bodies, facts, configuration of the arm, and time.
 
 Frames: W world, O object, V vessel.
 """
@@ -114,7 +114,7 @@ class JobState:
     def joined(self, onto: str, name: str) -> JobState:
         """Return the state in which a body lies on another and moves with it: a lid, a thing on a tray.
 
-        It is no longer an entity of its own. Carried objects with something on them are kept upright.
+        It is no longer a separate entity. Carried objects with something on them are kept upright.
         """
         X_VL = np.linalg.inv(self.pose(onto)) @ self.pose(name)
         where = {body: X for body, X in self.where.items() if body != name}
@@ -161,7 +161,7 @@ def _gripped(world: Scene, held: tuple[str, Grasp, tuple[str, ...]] | None, open
         name, grasp, support = held
         scene = world.attach(name, X_TO=grasp.X_TO, fingers=grasp.fingers, support=support)
         loose = _loose_geoms(scene)
-        # What lies on the object stays there only if it is kept upright, in a healthy motion as well.
+        # A loose load stays on the object only if the object is kept upright, in a healthy motion as well.
         kept = [Upright(), *(KeepStanding(geom) for geom in loose)] if loose else []
         return scene.with_constraints(*scene.notes.constraints, *kept) if kept else scene
     try:
@@ -209,4 +209,4 @@ def _emptied(world: Scene, name: str) -> Scene:
     if note is None or note.contents is None:
         return world
     objects = {**world.notes.objects, name: replace(note, contents=None)}
-    return Scene.build(world.spec, replace(world.notes, objects=objects), world.model)
+    return Scene.assemble(world.posed, replace(world.notes, objects=objects))

@@ -1,4 +1,4 @@
-"""Jobs: what shall stand where in the end, and what may be done for it."""
+"""Jobs: goals of objects, and the actions that are allowed."""
 
 from __future__ import annotations
 

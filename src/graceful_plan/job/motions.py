@@ -54,7 +54,7 @@ _SECONDS = 0.25
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JobMotion:
-    """A motion with its scene: what is in the gripper, and where everything else is.
+    """A motion with its scene: the carried object, and the poses of all others.
 
     `label` is "transit", "approach", "grip", "lift", "carry", "lower", "release", "retreat" or "wait".
     """
@@ -67,11 +67,15 @@ class JobMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class Refusal:
-    """Why an action is not possible: the object, a sentence, and the bodies in the way."""
+    """Reason why an action is not possible: the object, a sentence, and the bodies in the way.
+
+    `unsure` says that no motion was found in time, so that there may be one.
+    """
 
     name: str
     why: str
     blockers: frozenset[str] = frozenset()
+    unsure: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -249,9 +253,12 @@ class Motions:
             else:
                 blockers = self._blockers(scene, np.stack([start, goal]))
                 why = f"{label} of {name!r}: {result.status.name}: {result.detail}"
-                made = Refusal(name=name, why=why, blockers=blockers)
-            self._known[key] = (made, scene)
+                unsure = result.status in (PlanStatus.TIMEOUT, PlanStatus.CANCELLED)
+                made = Refusal(name=name, why=why, blockers=blockers, unsure=unsure)
             self.seconds["plan"] += time.perf_counter() - began
+            if isinstance(made, Refusal) and made.unsure and (self.limited or self._is_cancelled):
+                return made  # with more time, there may be a motion
+            self._known[key] = (made, scene)
         return self._known[key][0]  # type: ignore[index,no-any-return]
 
     def better(self, motion: JobMotion, seconds: float, iterations: int | None) -> JobMotion:
@@ -269,6 +276,10 @@ class Motions:
             self._known[key] = (found, motion)
             self.seconds["plan"] += time.perf_counter() - began
         return self._known[key][0]  # type: ignore[index,no-any-return]
+
+    @property
+    def _is_cancelled(self) -> bool:
+        return self.cancelled is not None and self.cancelled()
 
     @property
     def _effort(self) -> dict[str, Any]:

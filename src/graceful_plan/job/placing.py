@@ -33,7 +33,7 @@ _OVERLAP = 0.003
 _LEVEL = 0.999
 """Least cosine between a top and the horizontal plane."""
 _TRIES = 64
-"""Samples for each placement that is asked for."""
+"""Samples for each placement."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

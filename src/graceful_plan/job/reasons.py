@@ -1,4 +1,4 @@
-"""Why a job is impossible: the object and what stands in its way, with the remedy."""
+"""Reasons why a job is impossible: the object, the obstacle and the remedy."""
 
 from __future__ import annotations
 

@@ -72,6 +72,9 @@ class SequenceSearch:
     planned: int = 0
     refusals: dict[str, Refusal] = field(default_factory=dict)
     exhausted: bool = False
+    """Whether no edges are left."""
+    unsure: bool = False
+    """Whether a motion was not found in time, so that there may be more sequences."""
     _open: list[tuple[float, int, Edge]] = field(default_factory=list)
     _carried: dict[Hashable, float] = field(default_factory=dict)
     _ratios: list[float] = field(default_factory=list)
@@ -104,6 +107,7 @@ class SequenceSearch:
         deed = edge.action.motion(edge.node.state, edge.choice, self.motions)
         if isinstance(deed, Refusal):
             self.refusals[deed.name] = deed
+            self.unsure = self.unsure or deed.unsure
             return None
         pieces = [piece for _, _, some in deed.steps for piece in some]
         seconds = sum(piece.trajectory.duration for piece in pieces)
