@@ -11,10 +11,10 @@ import pytest
 import graceful_plan as gp
 from conftest import job_scene, order_job
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.job.actions import Deed
+from graceful_plan.job.actions import Deed, Transport
 from graceful_plan.job.job_planning import JobSession
 from graceful_plan.job.job_result import JobFailed, JobResult, JobStatus
-from graceful_plan.job.job_state import JobState
+from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import Motions, Refusal
 from graceful_plan.job.search import Node, SequenceSearch
 
@@ -242,3 +242,11 @@ def test_the_arm_waits_until_a_person_has_passed() -> None:
     job = gp.Job(scene).place("crate", at=[0.5, 0.48, 0.4]).allow(gp.Wait(max_seconds=8.0))
     kinds = [[step.kind for step in gp.plan_job(job, w, grasps=1, iterations=30).unwrap()] for w in (0.0, 10.0)]
     assert kinds[0] == ["pick", "place"] and "wait" in kinds[1]
+
+
+def test_a_lid_on_a_vessel_has_not_arrived_elsewhere() -> None:
+    scene = job_scene("lid")
+    state = JobState(world=scene, q=scene.keyframes["ready"])
+    goal = Transport("lid", (pose_key(state.pose("lid")),))
+    assert goal.is_done(state)
+    assert not goal.is_done(state.joined("kettle", "lid").knowing("joined", "lid"))

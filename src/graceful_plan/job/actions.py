@@ -89,7 +89,7 @@ class Transport(Action):
 
     def is_done(self, state: JobState) -> bool:
         """Tell whether the object stands at any of the poses."""
-        return ("joined", self.name) in state.facts or pose_key(state.pose(self.name)) in self.to
+        return ("joined", self.name) not in state.facts and pose_key(state.pose(self.name)) in self.to
 
     def candidates(self, state: JobState, motions: Motions) -> Iterator[Carry]:
         """Yield grasps that reach the object where it is and at any of the poses."""

@@ -122,7 +122,8 @@ class JobState:
 
     def emptied(self, name: str) -> JobState:
         """Return the state in which nothing can leave an object: it is closed or empty."""
-        return replace(self, world=_emptied(self.world, name))
+        note = self.world.notes.objects.get(name)
+        return self if note is None or note.contents is None else replace(self, world=_emptied(self.world, name))
 
 
 def _shifted(X: Float[Array, "4 4"], x: float) -> Float[Array, "4 4"]:
@@ -167,7 +168,7 @@ def _gripped(world: Scene, held: tuple[str, Grasp, tuple[str, ...]] | None, open
     try:
         gripper = find_gripper(world)
     except UnsupportedError:
-        return world
+        return world.with_state({})  # a new scene: cached values must not be the scene itself
     return world.with_state(gripper.fingers(gripper.range[1] if opening is None else opening))
 
 
@@ -205,8 +206,5 @@ def _joined(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
 
 @per_scene
 def _emptied(world: Scene, name: str) -> Scene:
-    note = world.notes.objects.get(name)
-    if note is None or note.contents is None:
-        return world
-    objects = {**world.notes.objects, name: replace(note, contents=None)}
+    objects = {**world.notes.objects, name: replace(world.notes.objects[name], contents=None)}
     return Scene.assemble(world.posed, replace(world.notes, objects=objects))

@@ -120,6 +120,7 @@ class Motions:
         default_factory=lambda: {"grasps": 0.0, "plan": 0.0, "stances": 0.0, "checks": 0.0}
     )
     _known: dict[Hashable, object] = field(default_factory=dict)
+    _worlds: dict[int, Scene] = field(default_factory=dict)
 
     def length(self, start: Float[Array, " nq"], goal: Float[Array, " nq"]) -> float:
         """Return a lower bound of the cost of any motion between configurations."""
@@ -127,12 +128,17 @@ class Motions:
 
     def grasps(self, state: JobState, name: str) -> tuple[Grasp, ...]:
         """Return the grasps of an object to choose from; a lid on it leaves others than before."""
-        key = ("grasps", id(state.world), name)
+        key = ("grasps", self._world(state), name)
         if key not in self._known:
             began = time.perf_counter()
             self._known[key] = self.given.get(name) or tuple(islice(self._reached(state, name), self.n_grasps))
             self.seconds["grasps"] += time.perf_counter() - began
         return self._known[key]  # type: ignore[return-value]
+
+    def _world(self, state: JobState) -> int:
+        """Return the id of the world of a state, which is kept alive: keys contain ids."""
+        self._worlds[id(state.world)] = state.world
+        return id(state.world)
 
     def _reached(self, state: JobState, name: str) -> Iterator[Grasp]:
         """Yield sampled grasps of an object that the arm reaches where it is, if nothing else is there."""
@@ -154,7 +160,7 @@ class Motions:
         turn around on the way.
         """
         here = pose_key(state.pose(name))
-        key = ("ik", id(state.world), name, id(grasp), X_WO, here)
+        key = ("ik", self._world(state), name, id(grasp), X_WO, here)
         if key not in self._known:
             now = None if X_WO == here else self.configuration(state, name, grasp, here)
             near = self.q_home if now is None else now
@@ -167,7 +173,7 @@ class Motions:
 
     def stance(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Stance | Refusal:
         """Return the stance of a grasp at a pose, in the absence of everything else that the job may move."""
-        key = ("stance", id(state.world), name, id(grasp), X_WO, pose_key(state.pose(name)))
+        key = ("stance", self._world(state), name, id(grasp), X_WO, pose_key(state.pose(name)))
         if key not in self._known:
             q = self.configuration(state, name, grasp, X_WO)
             began = time.perf_counter()
