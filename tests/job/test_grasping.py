@@ -82,4 +82,4 @@ def test_misuse_is_named(tabletop: Scene) -> None:
     with pytest.raises(SettingError, match="at least 1"):
         gp.grasps(tabletop, "green", n=0)
     with pytest.raises(SettingError, match="direction"):
-        gp.Grasp(X_TO=np.eye(4), approach=[0.0, 0.0, 0.0])
+        gp.Grasp(X_TO=np.eye(4), approach=np.zeros(3))

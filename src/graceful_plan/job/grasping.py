@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.grasp import GraspHolds, load_facets
@@ -62,10 +61,10 @@ class Grasp:
         quality: Share of the pads' capacity that the weight leaves free, at most 1; NaN if unknown.
     """
 
-    X_TO: ArrayLike
+    X_TO: Float[Array, "4 4"]
     fingers: float | Mapping[str, float] | None = None
     opening: float | None = None
-    approach: ArrayLike | None = field(default=None)
+    approach: Float[Array, " xyz"] | None = None
     quality: float = float("nan")
 
     def __post_init__(self) -> None:
