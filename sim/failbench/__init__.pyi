@@ -14,6 +14,8 @@ from failbench.fault.registry import faults as faults
 from failbench.fault.registry import reactions as reactions
 from failbench.front_validation import FrontValidation as FrontValidation
 from failbench.front_validation import validate_front as validate_front
+from failbench.job_validation import JobValidation as JobValidation
+from failbench.job_validation import validate_job as validate_job
 from failbench.mobile.driving import drive_base as drive_base
 from failbench.pictures.playback import replay as replay
 from failbench.recording.healthy import HealthyHarm as HealthyHarm

@@ -157,9 +157,14 @@ def _check_rate(rate: float) -> None:
         raise SettingError("rate", rate, "failures per hour, a finite number >= 0")
 
 
+def strikes(fault: Fault, scene: Scene) -> bool:
+    """Tell whether a fault can do harm in a scene: a fault of the gripper only while it holds an object."""
+    return scene.carried is not None or set(fault.targets or fault.TARGETS) != {"gripper"}
+
+
 def _check_droppable(faults: Sequence[Fault], scene: Scene) -> None:
     """Raise SettingError if all faults are of the gripper and it holds no object."""
-    if scene.carried is None and all(set(fault.targets or fault.TARGETS) == {"gripper"} for fault in faults):
+    if not any(strikes(fault, scene) for fault in faults):
         raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
 
 

@@ -34,6 +34,17 @@ from graceful_plan.costs.motion import JointLength as JointLength
 from graceful_plan.costs.objective import Objective as Objective
 from graceful_plan.costs.objective import evaluate as evaluate
 from graceful_plan.exceptions import GracefulPlanError as GracefulPlanError
+from graceful_plan.job.actions import Action as Action
+from graceful_plan.job.actions import Clear as Clear
+from graceful_plan.job.actions import CloseLid as CloseLid
+from graceful_plan.job.actions import Deed as Deed
+from graceful_plan.job.actions import Wait as Wait
+from graceful_plan.job.grasping import Grasp as Grasp
+from graceful_plan.job.grasping import grasps as grasps
+from graceful_plan.job.job_planning import plan_job as plan_job
+from graceful_plan.job.jobs import Job as Job
+from graceful_plan.job.motions import Refusal as Refusal
+from graceful_plan.job.placing import placements as placements
 from graceful_plan.judge.verification import VerificationSettings as VerificationSettings
 from graceful_plan.judge.verification import verify as verify
 from graceful_plan.mobile.control.dwa import DWA as DWA

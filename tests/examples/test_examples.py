@@ -19,7 +19,15 @@ def _load(name):
     return module
 
 
-SHORT = ("own_robot", "perception_loop", "custom_cost", "compare_planners", "tune_weight", "validate_plan")
+SHORT = (
+    "own_robot",
+    "perception_loop",
+    "custom_cost",
+    "compare_planners",
+    "tune_weight",
+    "validate_plan",
+    "fragile_last",
+)
 
 
 @pytest.mark.parametrize("name", SHORT)
@@ -103,3 +111,10 @@ def test_a_pedestrian_on_a_map_is_avoided(capsys, tmp_path):
     results = _load("map_with_people").main(tmp_path / "floor.png", iterations=30_000)
     assert results["with regard for time"].verdict.checks["passing_by"].passed
     assert "drives into 'ben'" in capsys.readouterr().out and (tmp_path / "floor.png").exists()
+
+
+@pytest.mark.long
+def test_a_whole_task_is_planned_and_compared_with_the_opposite_order(capsys):
+    result = _load("fragile_last").main(iterations=8)
+    assert [step.kind for step in result.unwrap()] == ["pick", "place"] * 2
+    assert "order" in capsys.readouterr().out

@@ -1,0 +1,1 @@
+"""Whole tasks: grasps, placements, actions, and the search for the sequence of least cost."""

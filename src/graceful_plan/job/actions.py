@@ -1,0 +1,254 @@
+"""Actions of a job: their preconditions, choices, motions and effects.
+
+An own action is a class with the two methods `candidates` and `motion` (and `bound`, if it has one); pass an instance
+to `Job.allow`. Preconditions are checked in `candidates`; effects are the state that `motion` returns.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError
+from graceful_plan.job.grasping import Grasp
+from graceful_plan.job.job_state import JobState, PoseKey, pose_key
+from graceful_plan.job.motions import JobMotion, Motions, Refusal
+from graceful_plan.path import is_real
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Deed:
+    """One or more named stretches of motion and the state after them.
+
+    Args:
+        steps: Name, object and pieces of each stretch, such as ("pick", "vase", [...]).
+        state: The state of the world afterwards.
+    """
+
+    steps: Sequence[tuple[str, str, Sequence[JobMotion]]]
+    state: JobState
+
+
+class Action(ABC):
+    """Something that a job may do."""
+
+    name: str
+    """The object that it is about."""
+
+    @abstractmethod
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
+        """Yield the choices with which the action is possible in a state, as far as that is known without planning.
+
+        Args:
+            state: The state.
+            motions: Plans and caches motions.
+        """
+
+    @abstractmethod
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        """Plan the action; return its motions and the state afterwards, or why it is not possible."""
+
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return a lower bound of the cost; 0 by default."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class Carry:
+    """A choice of a transport: the grasp and the pose to which the object goes."""
+
+    grasp: Grasp
+    to: PoseKey
+
+    def __hash__(self) -> int:
+        return hash((id(self.grasp), self.to))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Transport(Action):
+    """Carry an object from where it stands to a given pose, or to any of several.
+
+    Args:
+        name: The object.
+        to: Poses to choose from.
+        verb: Name of the second step: "place", "clear" or "close_lid".
+    """
+
+    name: str
+    to: tuple[PoseKey, ...]
+    verb: str = "place"
+
+    def is_done(self, state: JobState) -> bool:
+        """Tell whether the object stands at any of the poses."""
+        return ("joined", self.name) not in state.facts and pose_key(state.pose(self.name)) in self.to
+
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Carry]:
+        """Yield grasps that reach the object where it is and at any of the poses."""
+        if ("joined", self.name) in state.facts or self.is_done(state):
+            return
+        here = pose_key(state.pose(self.name))
+        for grasp in motions.grasps(state, self.name):
+            if motions.configuration(state, self.name, grasp, here) is None:
+                continue
+            for X in self.to:
+                if X != here and motions.configuration(state, self.name, grasp, X) is not None:
+                    yield Carry(grasp, X)
+
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return the length of straight motions in joint space to the object and on to its place."""
+        first, last = self.ends(state, choice, motions)
+        return motions.length(state.q, first) + motions.length(first, last)
+
+    def ends(self, state: JobState, choice: Hashable, motions: Motions) -> tuple[Array, Array]:
+        """Return the configurations that hold the object where it is and at its place."""
+        assert isinstance(choice, Carry)
+        here = pose_key(state.pose(self.name))
+        both = [motions.configuration(state, self.name, choice.grasp, X) for X in (here, choice.to)]
+        assert both[0] is not None and both[1] is not None
+        return both[0], both[1]
+
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        """Pick the object up, carry it, put it down."""
+        assert isinstance(choice, Carry)
+        found = motions.carried(state, self.name, choice.grasp, choice.to)
+        if isinstance(found, Refusal):
+            return found
+        before, after, then = found
+        return Deed(steps=[("pick", self.name, before), (self.verb, self.name, after)], state=then)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Clear:
+    """Allow to put an object elsewhere: out of the way of others, or for another grasp. For `Job.allow`.
+
+    Args:
+        name: The object.
+        on: Body on which it may be put; by default the one on which it stands.
+        in_region: Region as in `placements`, instead of all of the body.
+        n: Number of placements to choose from.
+    """
+
+    name: str
+    on: str | None = None
+    in_region: ArrayLike | None = None
+    n: int = 4
+
+
+@final
+@dataclass(frozen=True)
+class CloseLid:
+    """Allow to put a lid on a vessel; its contents then stay inside, and the lid is carried with it. For `Job.allow`.
+
+    Args:
+        vessel: The vessel.
+        lid: The lid, a separate object.
+        X_VL: Pose of the lid on the vessel; by default upright, centred on top of it.
+    """
+
+    vessel: str
+    lid: str
+    X_VL: ArrayLike | None = None
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Clearing(Action):
+    """Put an object out of the way, unless it has arrived at its goal or was put away before.
+
+    Args:
+        name: The object.
+        to: Poses to choose from.
+        goals: Transports to goals.
+    """
+
+    name: str
+    to: tuple[PoseKey, ...]
+    goals: Sequence[Transport]
+
+    @property
+    def _transport(self) -> Transport:
+        return Transport(self.name, self.to, "clear")
+
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
+        """Yield grasps and placements."""
+        if not any(goal.name == self.name and goal.is_done(state) for goal in self.goals):
+            yield from self._transport.candidates(state, motions)
+
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return the bound of carrying it."""
+        return self._transport.bound(state, choice, motions)
+
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        """Carry it."""
+        return self._transport.motion(state, choice, motions)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Closing(Action):
+    """Put a lid on a vessel where it stands."""
+
+    name: str
+    vessel: str
+    X_VL: Float[Array, "4 4"]
+
+    def _transport(self, state: JobState) -> Transport:
+        return Transport(self.name, (pose_key(state.pose(self.vessel) @ self.X_VL),), "close_lid")
+
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
+        """Yield grasps of the lid, unless the vessel is closed."""
+        if ("joined", self.name) not in state.facts:
+            yield from self._transport(state).candidates(state, motions)
+
+    def bound(self, state: JobState, choice: Hashable, motions: Motions) -> float:
+        """Return the bound of carrying the lid."""
+        return self._transport(state).bound(state, choice, motions)
+
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        """Carry the lid to the vessel; both are one object afterwards."""
+        deed = self._transport(state).motion(state, choice, motions)
+        if isinstance(deed, Refusal):
+            return deed
+        then = deed.state.joined(self.vessel, self.name).emptied(self.vessel)
+        return Deed(steps=deed.steps, state=then.knowing("joined", self.name))
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Wait(Action):
+    """Allow to wait until a moving entity has passed. For `Job.allow`.
+
+    Args:
+        max_seconds: Longest wait at a time [s].
+    """
+
+    max_seconds: float
+    name: str = "wait"
+    STEPS: ClassVar[int] = 4
+    """Number of waits to choose from, evenly spaced."""
+
+    def __post_init__(self) -> None:
+        if not (is_real(self.max_seconds) and 0.0 < self.max_seconds < np.inf):
+            raise SettingError("max_seconds", self.max_seconds, "a finite number above 0 [s]")
+
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[float]:
+        """Yield durations, if there are moving entities and the last action was no wait."""
+        if state.world.moving and ("waited", str(state.clock)) not in state.facts:
+            yield from (self.max_seconds * (k + 1) / self.STEPS for k in range(self.STEPS))
+
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        """Stay at rest."""
+        assert isinstance(choice, float)
+        piece = motions.still("wait", state.scene(), state.q, choice)
+        then = state.after(state.q, choice)
+        return Deed(steps=[("wait", self.name, [piece])], state=then.knowing("waited", str(then.clock)))

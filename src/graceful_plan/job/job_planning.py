@@ -1,0 +1,275 @@
+"""plan_job(): sample the choices, search over sequences of actions, improve the motions of the best one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import Objective
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.job.actions import Action, Clear, Clearing, CloseLid, Closing, Transport
+from graceful_plan.job.job_result import JobResult, JobStatus, Step
+from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
+from graceful_plan.job.jobs import Job, Where
+from graceful_plan.job.motions import JobMotion, Motions, added
+from graceful_plan.job.placing import lid_pose, placements, support_of
+from graceful_plan.job.reasons import reasons
+from graceful_plan.job.search import Node, SequenceSearch
+from graceful_plan.planners.planner import Budget
+from graceful_plan.query.arguments import checked_cancelled, checked_objective, checked_seed, checked_time_limit
+from graceful_plan.query.endpoints.configurations import Configuration
+from graceful_plan.query.endpoints.goals import start_configuration
+from graceful_plan.result import CostBreakdown, TracePoint
+from graceful_plan.scene.roles import rigid_pose
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_GRASPS = 4
+"""Default number of grasps of each object to choose from."""
+_SEARCHED = 0.7
+"""Share of the time limit for the search; the rest improves the motions of the best sequence."""
+_IMPROVING = 12
+"""Iterations with which each planned motion of the best sequence is improved, if there is no time limit."""
+_CONTENDERS, _CONTENDERS_COST = 3, 1.5
+"""Largest number of sequences whose motions are improved, and of their cost relative to that of the best."""
+_TOO_SHORT = 0.05
+"""Time below which nothing is improved [s]."""
+DEFAULT_TIME_LIMIT = 20.0
+"""Time limit of `plan_job` without a time limit and without a number of iterations [s]."""
+
+
+def plan_job(
+    job: Job,
+    w: float | None = None,
+    *,
+    start: Configuration | None = None,
+    objective: Objective | None = None,
+    grasps: int = _GRASPS,
+    time_limit: float | None = None,
+    iterations: int | None = None,
+    seed: int = 0,
+    cancelled: Callable[[], bool] | None = None,
+) -> JobResult:
+    """Plan a whole task so that a failure at any moment of it does little harm.
+
+    The cost of a sequence is the sum of the costs of its motions, each in the state of the world in which it is made:
+    an object that was put down can be harmed by later motions, and a closed vessel spills nothing.
+
+    Args:
+        job: The job.
+        w: Safety weight, as in `plan`.
+        start: Configuration at the start; the keyframe "ready", else the middle of the joint ranges, by default.
+        objective: Objective of all motions, as in `plan`.
+        grasps: Number of grasps of each object to choose from.
+        time_limit: Time limit [s]; 20 by default, unlimited if `iterations` is given.
+        iterations: Number of actions to plan. Without a time limit, the result then depends only on the seed.
+        seed: Seed of all random numbers.
+        cancelled: As in `plan`.
+
+    Returns:
+        The result; SOLVED only if all motions passed the independent judge and all goals are met. It is the cheapest
+        sequence over the grasps, placements and motions found, if `exhaustive`.
+
+    Raises:
+        GracefulPlanError: For misuse.
+    """
+    if not isinstance(job, Job):
+        raise SettingError("job", job, "a Job")
+    if not job.goals:
+        raise SettingError("job", job, "a job with a goal: place()")
+    checked_seed(seed)
+    limit = DEFAULT_TIME_LIMIT if time_limit is None and iterations is None else time_limit
+    return JobSession(job, checked_objective(objective, w), grasps=grasps, seed=seed, start=start).answer(
+        limit, iterations, cancelled, ()
+    )
+
+
+@final
+class JobSession:
+    """The choices of a job, sampled once, with the motions planned so far."""
+
+    def __init__(
+        self, job: Job, objective: Objective, *, grasps: int, seed: int = 0, start: Configuration | None = None
+    ) -> None:
+        self._job, self._objective, self._n, self._seed = job, objective, grasps, seed
+        self._q = start_configuration(_default_start(job.scene) if start is None else start, job.scene)
+        self._goals: list[Transport] | None = None
+
+    def answer(
+        self,
+        limit: float | None,
+        iterations: int | None,
+        cancelled: Callable[[], bool] | None,
+        order: tuple[str, ...],
+    ) -> JobResult:
+        """Search and improve; see `plan_job`."""
+        budget = Budget(
+            checked_time_limit(limit, iterations), iterations, checked_cancelled(cancelled), time.perf_counter()
+        )
+        for name in order:
+            if name not in self._job.goals:
+                raise UnknownNameError("goal of the job", name, self._job.goals)
+        search = self.search(order)
+        motions = self._motions
+        limited = np.isfinite(budget.time_limit)
+        motions.limited, motions.cancelled = limited and iterations is None, budget.cancelled
+        motions.left = lambda: budget.time_limit - budget.elapsed
+        trace: list[TracePoint] = []
+
+        def improved(node: Node) -> None:
+            cost = _cost(node, self._objective.w)
+            trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
+
+        def over(planned: int) -> bool:
+            late = budget.elapsed > budget.time_limit * (1.0 if search.best is None else _SEARCHED)
+            return budget.cancelled() or late or (iterations is not None and planned >= iterations)
+
+        search.run(over, improved)
+        stats = {**motions.seconds, "actions": float(search.planned)}
+        if search.best is None:
+            status = JobStatus.INFEASIBLE if search.exhausted and not search.unsure else JobStatus.TIMEOUT
+            if budget.cancelled():
+                status = JobStatus.CANCELLED
+            stats["total_time"] = budget.elapsed
+            return JobResult(status=status, detail=reasons(search), stats=stats, again=self.answer)
+        steps, cost = self._improved(search, budget, iterations)
+        trace.append(TracePoint(time=budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact))
+        stats["total_time"] = budget.elapsed
+        return JobResult(
+            status=JobStatus.SOLVED,
+            steps=steps,
+            cost=cost,
+            lower_bound=min(cost.total, self._straight_bound(search)),
+            exhaustive=search.exhausted and not search.unsure,
+            trace=tuple(trace),
+            stats=stats,
+            again=self.answer,
+        )
+
+    def search(self, order: tuple[str, ...] = ()) -> SequenceSearch:
+        """Return a new search that shares choices and motions with earlier ones."""
+        if self._goals is None:
+            self._goals = self._sample()
+        return SequenceSearch(self._state, self._goals, self._actions, self._motions, order)
+
+    def _straight_bound(self, search: SequenceSearch) -> float:
+        """Return the bound that holds for all motions, not only for those that were planned."""
+        start = Node(state=self._state)
+        return min((edge.least for edge in search.edges(start)), default=0.0)
+
+    def _sample(self) -> list[Transport]:
+        """Sample placements, and set up the actions; return those of the goals."""
+        job, scene = self._job, self._job.scene
+        movable = {*job.goals}
+        for action in job.allowed:
+            movable |= {action.name} if isinstance(action, Clear) else set()
+            movable |= {action.lid, action.vessel} if isinstance(action, CloseLid) else set()
+        names = tuple(sorted(movable))
+        self._state = JobState(world=scene, q=self._q)
+        empty = self._state.parked(names)
+        supports = {name: {support} if (support := support_of(scene, name)) else set() for name in names}
+        goals = []
+        for name, goal in job.goals.items():
+            to = self._places(name, goal, empty)
+            supports[name] |= self._under(name, to)
+            goals.append(Transport(name, to))
+        actions: list[Action] = list(goals)
+        for action in job.allowed:
+            if isinstance(action, Clear):
+                on = action.on or (support_of(scene, action.name) if action.in_region is None else None)
+                where = Where(on=on, in_region=action.in_region, n=action.n)
+                to = self._places(action.name, where, empty)
+                supports[action.name] |= self._under(action.name, to)
+                actions.append(Clearing(action.name, to, goals))
+            elif isinstance(action, CloseLid):
+                X_VL = (
+                    lid_pose(scene, action.vessel, action.lid)
+                    if action.X_VL is None
+                    else rigid_pose("X_VL", action.X_VL)
+                )
+                supports[action.lid] |= {action.vessel}
+                actions.append(Closing(action.lid, action.vessel, X_VL))
+            elif isinstance(action, Action):
+                actions.append(action)
+        self._actions = tuple(actions)
+        self._motions = Motions(
+            objective=self._objective,
+            movable=names,
+            supports={name: tuple(sorted(bodies)) for name, bodies in supports.items()},
+            given=job.own_grasps,
+            n_grasps=self._n,
+            q_home=self._q,
+            seed=self._seed,
+        )
+        return goals
+
+    def _places(self, name: str, where: Where, empty: JobState) -> tuple[PoseKey, ...]:
+        if where.at is not None:
+            return (pose_key(where.at),)
+
+        def sampled(scene: Scene) -> Float[Array, "placement 4 4"]:
+            return placements(scene, name, on=where.on, in_region=where.in_region, n=where.n, seed=self._seed)
+
+        found = sampled(self._job.scene)
+        if len(found) < where.n:
+            # Where other things stand now, there may be space once they are moved.
+            others = empty.moved(name, self._state.pose(name)).scene()
+            found = np.concatenate([found, sampled(others)])[: where.n]
+        return tuple(pose_key(X) for X in found)
+
+    def _under(self, name: str, to: Sequence[PoseKey]) -> set[str]:
+        under = {support_of(self._state.moved(name, pose_of(X)).scene(), name) for X in to}
+        return {body for body in under if body is not None}
+
+    def _improved(
+        self, search: SequenceSearch, budget: Budget, iterations: int | None
+    ) -> tuple[tuple[Step, ...], CostBreakdown]:
+        """Improve the motions of the best sequences in the time that is left; return the best then.
+
+        The search compares first motions; of sequences that are nearly as good, another one may be the best at the
+        end.
+        """
+        assert search.best is not None
+        most = _CONTENDERS_COST * search.best.cost
+        contenders = sorted((node for node in search.complete if node.cost <= most), key=lambda node: node.cost)
+        found = []
+        for k, node in enumerate(contenders[:_CONTENDERS]):
+            share = (budget.time_limit - budget.elapsed) / (min(len(contenders), _CONTENDERS) - k)
+            steps = self._better(node, budget, budget.elapsed + share, iterations)
+            found.append((steps, added([step.cost for step in steps], self._objective.w)))
+        return min(found, key=lambda one: one[1].total)
+
+    def _better(self, node: Node, budget: Budget, end: float, iterations: int | None) -> tuple[Step, ...]:
+        """Plan the motions of a sequence again, the costliest first, until a time of the budget's clock [s]."""
+        flat = [(kind, name, list(motions)) for deed in node.deeds for kind, name, motions in deed.steps]
+        free = [(motions, k) for _, _, motions in flat for k, motion in enumerate(motions) if self._is_open(motion)]
+        free.sort(key=lambda at: -at[0][at[1]].cost.total)
+        for done, (motions, k) in enumerate(free):
+            left = end - budget.elapsed
+            if budget.cancelled() or left < _TOO_SHORT:
+                break
+            seconds = left / (len(free) - done)
+            motions[k] = self._motions.better(motions[k], seconds, None if iterations is None else _IMPROVING)
+        w = self._objective.w
+        return tuple(
+            Step(kind=kind, name=name, pieces=tuple(motions), cost=added([motion.cost for motion in motions], w))
+            for kind, name, motions in flat
+        )
+
+    def _is_open(self, piece: JobMotion) -> bool:
+        """Tell whether a motion may be better by another route: it is planned and no straight one without harm."""
+        q = piece.trajectory.q
+        return piece.label in ("transit", "carry") and piece.cost.total > 1.001 * float(np.linalg.norm(q[-1] - q[0]))
+
+
+def _cost(node: Node, w: float) -> CostBreakdown:
+    return added([p.cost for deed in node.deeds for _, _, pieces in deed.steps for p in pieces], w)
+
+
+def _default_start(scene: Scene) -> Configuration:
+    return "ready" if "ready" in scene.keyframes else scene.limits.position.mean(axis=1)

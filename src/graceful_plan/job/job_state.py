@@ -1,0 +1,210 @@
+"""The state of the world during a job, as a value: poses of bodies, facts, configuration of the arm, and time.
+
+Frames: W world, O object, V vessel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.constraints.axes import Upright
+from graceful_plan.constraints.standing import KeepStanding
+from graceful_plan.exceptions import UnsupportedError
+from graceful_plan.job.grasping import JOINED, Grasp
+from graceful_plan.job.gripper import find_gripper
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+PoseKey = tuple[float, ...]
+"""A pose as 16 numbers, row by row: hashable."""
+
+_FAR = 100.0
+"""Where bodies are put that shall not be in the way [m]."""
+_KEPT = 512
+"""Arranged scenes that are cached per scene."""
+
+
+def pose_key(X: Float[Array, "4 4"]) -> PoseKey:
+    """Return a pose as numbers that can be compared and hashed."""
+    return tuple(float(x) for x in np.asarray(X).ravel())
+
+
+def pose_of(key: PoseKey) -> Float[Array, "4 4"]:
+    """Return the pose of a key."""
+    return np.array(key).reshape(4, 4)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JobState:
+    """A state of the world between two actions, with an empty gripper.
+
+    Args:
+        world: Scene of the job; lids that were closed are parts of their vessels in it.
+        q: Configuration of the arm [rad or m].
+        where: Pose in W of each body that is elsewhere than in `world`.
+        facts: What else has become true, such as ("closed", "kettle"); actions read and add them.
+        clock: Time since the start of the job [s]; it counts only in scenes with moving entities.
+    """
+
+    world: Scene
+    q: Float[Array, " nq"]
+    where: Mapping[str, PoseKey] = field(default_factory=lambda: MappingProxyType({}))
+    facts: frozenset[tuple[str, ...]] = frozenset()
+    clock: float = 0.0
+
+    @cached_property
+    def surroundings(self) -> tuple[object, ...]:
+        """Key of everything but the arm: equal keys mean equal surroundings."""
+        time = (self.clock,) if self.world.moving else ()
+        return id(self.world), tuple(sorted(self.where.items())), self.facts, time
+
+    @cached_property
+    def key(self) -> tuple[object, ...]:
+        """Key of the whole state."""
+        return (*self.surroundings, self.q.tobytes())
+
+    def pose(self, name: str) -> Float[Array, "4 4"]:
+        """Return where a body is."""
+        return pose_of(self.where[name]) if name in self.where else _initial_pose(self.world, name)
+
+    def scene(self, opening: float | None = None) -> Scene:
+        """Return the scene with an empty gripper, opened to a distance of the pads [m]; None for the largest."""
+        return self._now(_arranged(self.world, tuple(sorted(self.where.items())), None, opening))
+
+    def holding(self, name: str, grasp: Grasp, support: tuple[str, ...] = ()) -> Scene:
+        """Return the scene with an object in the gripper, which may touch its supports at the ends of a motion."""
+        others = tuple((body, X) for body, X in sorted(self.where.items()) if body != name)
+        return self._now(_arranged(self.world, others, (name, grasp, support), None))
+
+    def _now(self, scene: Scene) -> Scene:
+        if not scene.moving or not self.clock:
+            return scene
+        return scene.with_moving(*(entity.later(-self.clock) for entity in scene.moving.values()))
+
+    def moved(self, name: str, X_WO: Float[Array, "4 4"]) -> JobState:
+        """Return the state with a body elsewhere."""
+        return replace(self, where=MappingProxyType({**self.where, name: pose_key(X_WO)}))
+
+    def after(self, q: Float[Array, " nq"], seconds: float) -> JobState:
+        """Return the state with the arm elsewhere, some time later."""
+        return replace(self, q=q, clock=self.clock + seconds)
+
+    def knowing(self, *fact: str) -> JobState:
+        """Return the state in which one more fact is true."""
+        return replace(self, facts=self.facts | {fact})
+
+    def in_world(self, world: Scene) -> JobState:
+        """Return the state in a changed scene with the same bodies, such as other severities."""
+        return replace(self, world=world)
+
+    def parked(self, names: tuple[str, ...]) -> JobState:
+        """Return the state with bodies far away, to see what would be possible without them."""
+        far = {name: _FAR + k for k, name in enumerate(sorted(names))}
+        where = {name: pose_key(_shifted(self.pose(name), x)) for name, x in far.items()}
+        return replace(self, where=MappingProxyType({**self.where, **where}))
+
+    def joined(self, onto: str, name: str) -> JobState:
+        """Return the state in which a body lies on another and moves with it: a lid, a thing on a tray.
+
+        It is no longer a separate entity. Carried objects with something on them are kept upright.
+        """
+        X_VL = np.linalg.inv(self.pose(onto)) @ self.pose(name)
+        where = {body: X for body, X in self.where.items() if body != name}
+        return replace(self, world=_joined(self.world, onto, name, pose_key(X_VL)), where=MappingProxyType(where))
+
+    def emptied(self, name: str) -> JobState:
+        """Return the state in which nothing can leave an object: it is closed or empty."""
+        note = self.world.notes.objects.get(name)
+        return self if note is None or note.contents is None else replace(self, world=_emptied(self.world, name))
+
+
+def _shifted(X: Float[Array, "4 4"], x: float) -> Float[Array, "4 4"]:
+    X = X.copy()
+    X[0, 3] = x
+    return X
+
+
+@per_scene
+def _initial_pose(scene: Scene, name: str) -> Float[Array, "4 4"]:
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.home_qpos
+    mujoco.mj_kinematics(scene.model, data)
+    body = scene.model.body(name).id
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
+    return X
+
+
+@per_scene(most=_KEPT)
+def _arranged(
+    world: Scene,
+    where: tuple[tuple[str, PoseKey], ...],
+    held: tuple[str, Grasp, tuple[str, ...]] | None,
+    opening: float | None,
+) -> Scene:
+    """Return a scene with bodies elsewhere, and an object in the gripper or the gripper open."""
+    # Moved last, so that tables of the robot and the object are computed once for all arrangements.
+    scene = _gripped(world, held, opening)
+    return scene.edit(move={name: pose_of(X) for name, X in where}) if where else scene
+
+
+@per_scene(most=_KEPT)
+def _gripped(world: Scene, held: tuple[str, Grasp, tuple[str, ...]] | None, opening: float | None) -> Scene:
+    if held is not None:
+        name, grasp, support = held
+        scene = world.attach(name, X_TO=grasp.X_TO, fingers=grasp.fingers, support=support)
+        loose = _loose_geoms(scene)
+        # A loose load stays on the object only if the object is kept upright, in a healthy motion as well.
+        kept = [Upright(), *(KeepStanding(geom) for geom in loose)] if loose else []
+        return scene.with_constraints(*scene.notes.constraints, *kept) if kept else scene
+    try:
+        gripper = find_gripper(world)
+    except UnsupportedError:
+        return world.with_state({})  # a new scene: cached values must not be the scene itself
+    return world.with_state(gripper.fingers(gripper.range[1] if opening is None else opening))
+
+
+def _loose_geoms(scene: Scene) -> list[str]:
+    """Return the first geom of each body that lies on the carried object."""
+    model = scene.model
+    loose = [b for b in sorted(scene.held_bodies) if model.body(b).name.endswith(JOINED)]
+    return [model.geom(int(model.body_geomadr[b])).name for b in loose]
+
+
+@per_scene
+def _joined(world: Scene, onto: str, name: str, X_VL: PoseKey) -> Scene:
+    spec, quaternion = world.spec.copy(), np.empty(4)
+    X = pose_of(X_VL)
+    mujoco.mju_mat2Quat(quaternion, X[:3, :3].ravel())
+    spec.copy_during_attach = True
+    lid = spec.body(name)
+    for joint in list(lid.joints):
+        spec.delete(joint)
+    for k, geom in enumerate(lid.geoms):
+        geom.name = geom.name or f"{name}_geom{k}"
+    lid.pos, lid.quat = np.zeros(3), [1.0, 0.0, 0.0, 0.0]
+    frame = spec.body(onto).add_frame(pos=X[:3, 3], quat=quaternion)
+    frame.attach_body(lid, "", JOINED)
+    spec.delete(spec.body(name))
+    notes = world.notes
+    entities = {body: note for body, note in notes.entities.items() if body != name}
+    objects = {label: note for label, note in notes.objects.items() if note.body != name}
+    overrides = {body: value for body, value in notes.overrides.items() if body != name}
+    state = {label: value for label, value in notes.state.items() if label != name}
+    # The keyframes are those of the notes; a spec of other bodies has none any more.
+    notes = replace(notes, entities=entities, objects=objects, overrides=overrides, state=state)
+    return Scene.build(spec, notes)
+
+
+@per_scene
+def _emptied(world: Scene, name: str) -> Scene:
+    objects = {**world.notes.objects, name: replace(world.notes.objects[name], contents=None)}
+    return Scene.assemble(world.posed, replace(world.notes, objects=objects))

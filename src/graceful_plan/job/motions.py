@@ -1,0 +1,374 @@
+"""The motions of which actions consist, planned once for each pair of ends and state of the world.
+
+A *stance* is a configuration in which the gripper holds an object where it stands, with two straight motions from it:
+up with the object, and back without it. Backwards, they lower the object and approach it. Going the same way at the
+same times, they have the same accelerations, so they keep the same constraints.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.constraints.scene_constraints import default_constraints
+from graceful_plan.costs.motion import JointLength
+from graceful_plan.costs.objective import Objective, evaluate
+from graceful_plan.job.grasping import Grasp, grasps
+from graceful_plan.job.job_state import JobState, PoseKey, pose_key, pose_of
+from graceful_plan.judge.exact import Judge
+from graceful_plan.judge.verification import verify
+from graceful_plan.plan import plan
+from graceful_plan.query.cartesian.straight import plan_cartesian
+from graceful_plan.query.endpoints.ik import solve_ik
+from graceful_plan.query.endpoints.usable import free_of_collision
+from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus
+from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+_LIFTS = (0.08, 0.03)
+"""Heights by which an object is lifted before it is carried, the first that is possible [m]."""
+_BACK = 0.08
+"""Way of the open gripper from a grasp [m]."""
+_STRAIGHT_DOWN = -0.99
+"""Vertical component of an approach from which lifting and retreating are the same motion."""
+_GRIPPING = 0.5
+"""Time in which the gripper opens or closes [s], at rest."""
+_SAMPLED = 3
+"""Grasps that are sampled for each one to choose from, because the arm does not reach all of them."""
+_ITERATIONS = 6
+"""Iterations of `plan` for a motion of a candidate sequence."""
+_AT_MOST = 4000
+"""Iterations in which `plan` has to find a first motion, if it finds none with `_ITERATIONS`."""
+_SECONDS = 0.25
+"""Time limit of `plan` for such a motion if the job has a time limit [s]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JobMotion:
+    """A motion with its scene: the carried object, and the poses of all others.
+
+    `label` is "transit", "approach", "grip", "lift", "carry", "lower", "release", "retreat" or "wait".
+    """
+
+    label: str
+    scene: Scene
+    trajectory: Trajectory
+    cost: CostBreakdown
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refusal:
+    """Reason why an action is not possible: the object, a sentence, and the bodies in the way.
+
+    `unsure` says that no motion was found in time, so that there may be one.
+    """
+
+    name: str
+    why: str
+    blockers: frozenset[str] = frozenset()
+    unsure: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stance:
+    """A configuration that holds an object where it stands, with the straight motions up and back from it."""
+
+    q: Float[Array, " nq"]
+    approach: Trajectory
+    lift: Trajectory
+    lower: Trajectory
+    retreat: Trajectory
+
+
+@dataclass(eq=False)
+class Motions:
+    """Plans pieces of motion and caches them.
+
+    Args:
+        objective: Objective of all motions.
+        movable: Bodies that the job may move.
+        supports: Bodies on which each of them may stand, and which it may touch at the ends of a motion.
+        given: Grasps of some of them, instead of sampled ones.
+        n_grasps: Number of grasps to sample of each.
+        q_home: Configuration near which stances are sought.
+        seed: Seed of all random numbers.
+        limited: Whether motions get little time instead of few iterations.
+        left: Time that is left of the job's time limit [s].
+        cancelled: As in `plan`.
+    """
+
+    objective: Objective
+    movable: tuple[str, ...]
+    supports: Mapping[str, tuple[str, ...]]
+    given: Mapping[str, tuple[Grasp, ...]]
+    n_grasps: int
+    q_home: Float[Array, " nq"]
+    seed: int = 0
+    limited: bool = False
+    left: Callable[[], float] = lambda: np.inf
+    cancelled: Callable[[], bool] | None = None
+    seconds: dict[str, float] = field(
+        default_factory=lambda: {"grasps": 0.0, "plan": 0.0, "stances": 0.0, "checks": 0.0}
+    )
+    _known: dict[Hashable, object] = field(default_factory=dict)
+    _worlds: dict[int, Scene] = field(default_factory=dict)
+
+    def length(self, start: Float[Array, " nq"], goal: Float[Array, " nq"]) -> float:
+        """Return a lower bound of the cost of any motion between configurations."""
+        return float(np.linalg.norm(goal - start)) if self.objective.motion == JointLength() else 0.0
+
+    def grasps(self, state: JobState, name: str) -> tuple[Grasp, ...]:
+        """Return the grasps of an object to choose from; a lid on it leaves others than before."""
+        key = ("grasps", self._world(state), name)
+        if key not in self._known:
+            began = time.perf_counter()
+            self._known[key] = self.given.get(name) or tuple(islice(self._reached(state, name), self.n_grasps))
+            self.seconds["grasps"] += time.perf_counter() - began
+        return self._known[key]  # type: ignore[return-value]
+
+    def _world(self, state: JobState) -> int:
+        """Return the id of the world of a state, which is kept alive: keys contain ids."""
+        self._worlds[id(state.world)] = state.world
+        return id(state.world)
+
+    def _reached(self, state: JobState, name: str) -> Iterator[Grasp]:
+        """Yield sampled grasps of an object that the arm reaches where it is, if nothing else is there."""
+        alone, X_WO = state.parked(self._others(state, None)).scene(), state.pose(name)
+        for grasp in grasps(state.world, name, n=_SAMPLED * self.n_grasps, seed=self.seed):
+            goal = PoseGoal(grasp.tool_at(X_WO))
+            if len(self._solved(goal, alone, self.q_home)):
+                yield grasp
+
+    def _solved(self, goal: PoseGoal, scene: Scene, near: Float[Array, " nq"]) -> Float[Array, "n nq"]:
+        return solve_ik(
+            goal, scene, near, free=lambda q: free_of_collision(q, scene), count=1, rounds=2, seed=self.seed
+        ).q
+
+    def configuration(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Float[Array, " nq"] | None:
+        """Return a configuration that holds an object at a pose; None if none is free, even without other things.
+
+        Where the object is now, it is near that at home; elsewhere it is near the one now, so that the arm need not
+        turn around on the way.
+        """
+        here = pose_key(state.pose(name))
+        key = ("ik", self._world(state), name, id(grasp), X_WO, here)
+        if key not in self._known:
+            now = None if X_WO == here else self.configuration(state, name, grasp, here)
+            near = self.q_home if now is None else now
+            began = time.perf_counter()
+            held = self._alone(state, name).holding(name, grasp, self.supports.get(name, ()))
+            found = self._solved(PoseGoal(grasp.tool_at(pose_of(X_WO))), held, near)
+            self._known[key] = found[0] if len(found) else None
+            self.seconds["stances"] += time.perf_counter() - began
+        return self._known[key]  # type: ignore[return-value]
+
+    def stance(self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey) -> Stance | Refusal:
+        """Return the stance of a grasp at a pose, in the absence of everything else that the job may move."""
+        key = ("stance", self._world(state), name, id(grasp), X_WO, pose_key(state.pose(name)))
+        if key not in self._known:
+            q = self.configuration(state, name, grasp, X_WO)
+            began = time.perf_counter()
+            self._known[key] = (
+                Refusal(name=name, why=f"no configuration holds {name!r} there by this grasp")
+                if q is None
+                else self._made(state, name, grasp, q)
+            )
+            self.seconds["stances"] += time.perf_counter() - began
+        return self._known[key]  # type: ignore[return-value]
+
+    def _made(self, state: JobState, name: str, grasp: Grasp, q: Float[Array, " nq"]) -> Stance | Refusal:
+        alone = self._alone(state, name)
+        held = alone.holding(name, grasp, self.supports.get(name, ()))
+        up, why = None, ""
+        for height in _LIFTS:
+            above = PoseGoal.from_tool(q, held, translation=[0.0, 0.0, height])
+            result = plan_cartesian(q, above, held, objective=self.objective)
+            up, why = result.trajectory, result.detail
+            if result.status is PlanStatus.SOLVED and up is not None:
+                break
+        else:
+            return Refusal(name=name, why=f"{name!r} cannot be lifted there by this grasp: {why}")
+        X_WT = PoseGoal.from_tool(q, held).X_WT
+        way = X_WT[:3, :3] @ np.asarray(grasp.X_TO)[:3, :3] @ np.asarray(grasp.approach)
+        if way[2] < _STRAIGHT_DOWN:
+            return _stance(q, up, up)
+        opened = alone.parked((name,)).scene(grasp.opening)
+        back = plan_cartesian(
+            q, PoseGoal.from_tool(q, opened, translation=-_BACK * way), opened, objective=self.objective
+        )
+        if back.status is not PlanStatus.SOLVED:
+            return Refusal(name=name, why=f"the gripper cannot leave {name!r} there: {back.detail}")
+        return _stance(q, up, back.unwrap())
+
+    def _alone(self, state: JobState, name: str) -> JobState:
+        return state.parked(self._others(state, name))
+
+    def _others(self, state: JobState, name: str | None) -> tuple[str, ...]:
+        return tuple(body for body in self.movable if body != name and ("joined", body) not in state.facts)
+
+    def checked(self, label: str, name: str, scene: Scene, trajectory: Trajectory) -> JobMotion | Refusal:
+        """Verify and price a given motion in a scene."""
+        key = ("checked", id(scene), id(trajectory))
+        if key not in self._known:
+            began = time.perf_counter()
+            verdict = verify(trajectory, scene, constraints=default_constraints(scene))
+            if verdict.passed:
+                made: JobMotion | Refusal = JobMotion(
+                    label=label, scene=scene, trajectory=trajectory, cost=evaluate(trajectory, scene, self.objective)
+                )
+            else:
+                blockers = self._blockers(scene, trajectory.q)
+                told = "; ".join(f"{check}: {verdict.checks[check].detail}" for check in verdict.failures)
+                made = Refusal(name=name, why=f"{label} of {name!r}: {told}", blockers=blockers)
+            self._known[key] = (made, scene, trajectory)  # kept alive: ids are keys
+            self.seconds["checks"] += time.perf_counter() - began
+        return self._known[key][0]  # type: ignore[index,no-any-return]
+
+    def still(self, label: str, scene: Scene, q: Float[Array, " nq"], seconds: float = _GRIPPING) -> JobMotion:
+        """Return a piece at rest."""
+        none = np.zeros((2, len(q)))
+        trajectory = Trajectory(np.array([0.0, seconds]), np.stack([q, q]), none, none, scene.joints)
+        return JobMotion(
+            label=label, scene=scene, trajectory=trajectory, cost=evaluate(trajectory, scene, self.objective)
+        )
+
+    def planned(
+        self, label: str, name: str, scene: Scene, start: Float[Array, " nq"], goal: Float[Array, " nq"]
+    ) -> JobMotion | Refusal:
+        """Plan a motion between configurations."""
+        key = ("planned", id(scene), start.tobytes(), goal.tobytes())
+        if key not in self._known:
+            began = time.perf_counter()
+            result = self._plan(start, goal, scene, self._effort)
+            if result.status is PlanStatus.TIMEOUT and self.left() > 0.0:
+                more = {"iterations": _AT_MOST, "time_limit": self.left(), "stop": "first"}
+                result = self._plan(start, goal, scene, more)
+            if result.status is PlanStatus.SOLVED and result.trajectory is not None:
+                made: JobMotion | Refusal = JobMotion(
+                    label=label, scene=scene, trajectory=result.trajectory, cost=result.cost
+                )
+            else:
+                blockers = self._blockers(scene, np.stack([start, goal]))
+                why = f"{label} of {name!r}: {result.status.name}: {result.detail}"
+                unsure = result.status in (PlanStatus.TIMEOUT, PlanStatus.CANCELLED)
+                made = Refusal(name=name, why=why, blockers=blockers, unsure=unsure)
+            self.seconds["plan"] += time.perf_counter() - began
+            if isinstance(made, Refusal) and made.unsure and (self.limited or self._is_cancelled):
+                return made  # with more time, there may be a motion
+            self._known[key] = (made, scene)
+        return self._known[key][0]  # type: ignore[index,no-any-return]
+
+    def better(self, motion: JobMotion, seconds: float, iterations: int | None) -> JobMotion:
+        """Return a motion with the same ends planned with more effort, if it is better."""
+        key = ("better", id(motion))
+        if key not in self._known:
+            began = time.perf_counter()
+            q = motion.trajectory.q
+            effort = {"iterations": iterations} if iterations is not None else {"time_limit": seconds}
+            result = self._plan(q[0], q[-1], motion.scene, effort, seed=self.seed + 1)
+            found = motion
+            if result.status is PlanStatus.SOLVED and result.trajectory is not None:
+                if result.cost.total < motion.cost.total:
+                    found = replace(motion, trajectory=result.trajectory, cost=result.cost)
+            self._known[key] = (found, motion)
+            self.seconds["plan"] += time.perf_counter() - began
+        return self._known[key][0]  # type: ignore[index,no-any-return]
+
+    @property
+    def _is_cancelled(self) -> bool:
+        return self.cancelled is not None and self.cancelled()
+
+    @property
+    def _effort(self) -> dict[str, Any]:
+        limit = max(min(_SECONDS, self.left()), 0.02)
+        return {"time_limit": limit} if self.limited else {"iterations": _ITERATIONS}
+
+    def _plan(
+        self,
+        start: Float[Array, " nq"],
+        goal: Float[Array, " nq"],
+        scene: Scene,
+        effort: dict[str, Any],
+        seed: int | None = None,
+    ) -> PlanResult:
+        seed = self.seed if seed is None else seed
+        return plan(start, goal, scene, objective=self.objective, seed=seed, cancelled=self.cancelled, **effort)
+
+    def carried(
+        self, state: JobState, name: str, grasp: Grasp, X_WO: PoseKey
+    ) -> tuple[list[JobMotion], list[JobMotion], JobState] | Refusal:
+        """Plan to move an object to a pose: the pieces until it is lifted, those after, and the state then."""
+        here = pose_key(state.pose(name))
+        ends = []
+        for X in (here, X_WO):
+            stance = self.stance(state, name, grasp, X)
+            if isinstance(stance, Refusal):
+                return stance
+            ends.append(stance)
+        first, last = ends
+        opened, held = state.scene(grasp.opening), state.holding(name, grasp, self.supports.get(name, ()))
+        placed = state.moved(name, pose_of(X_WO))
+        free = placed.scene(grasp.opening)
+        # Cheap checks first: straight motions are given, the two others are planned.
+        steps: Sequence[Callable[[], JobMotion | Refusal]] = (
+            lambda: self.checked("approach", name, opened, first.approach),
+            lambda: self.checked("lift", name, held, first.lift),
+            lambda: self.checked("lower", name, held, last.lower),
+            lambda: self.checked("retreat", name, free, last.retreat),
+            lambda: self.planned("transit", name, state.scene(), state.q, first.retreat.q[-1]),
+            lambda: self.planned("carry", name, held, first.lift.q[-1], last.lift.q[-1]),
+        )
+        made = {}
+        for step in steps:
+            piece = step()
+            if isinstance(piece, Refusal):
+                return piece
+            made[piece.label] = piece
+        before = [made["transit"], made["approach"], self.still("grip", opened, first.q), made["lift"]]
+        after = [made["carry"], made["lower"], self.still("release", free, last.q), made["retreat"]]
+        seconds = sum(piece.trajectory.duration for piece in (*before, *after))
+        return before, after, placed.after(last.retreat.q[-1], seconds)
+
+    def _blockers(self, scene: Scene, q: Float[Array, "n nq"]) -> frozenset[str]:
+        model = scene.model
+        mine = {name: model.body(name).id for name in self.movable if name in _bodies(scene)}
+        held = scene.carried.body if scene.carried is not None else None
+        judge = Judge(scene)
+        touches = judge.violations(list(judge.touches(q)), len(q))
+        met = {int(model.body_rootid[model.geom_bodyid[g]]) for t in touches for g in (t.first, t.second)}
+        return frozenset(name for name, body in mine.items() if body in met and name != held)
+
+
+def _bodies(scene: Scene) -> set[str]:
+    return {scene.model.body(b).name for b in range(scene.model.nbody)}
+
+
+def _stance(q: Float[Array, " nq"], lift: Trajectory, back: Trajectory) -> Stance:
+    return Stance(q=q, approach=_reversed(back), lift=lift, lower=_reversed(lift), retreat=back)
+
+
+def _reversed(motion: Trajectory) -> Trajectory:
+    """Return a motion backwards."""
+    return Trajectory(motion.t[-1] - motion.t[::-1], motion.q[::-1], -motion.qd[::-1], motion.qdd[::-1], motion.joints)
+
+
+def added(costs: Iterable[CostBreakdown], w: float) -> CostBreakdown:
+    """Return the sum of costs."""
+    motion = impact = 0.0
+    entities: dict[str, float] = {}
+    components: dict[str, float] = {}
+    for cost in costs:
+        motion, impact = motion + cost.motion, impact + cost.impact
+        for total, part in ((entities, cost.impact_by_entity), (components, cost.impact_by_component)):
+            for name, value in part.items():
+                total[name] = total.get(name, 0.0) + value
+    return CostBreakdown(motion=motion, impact=impact, w=w, impact_by_entity=entities, impact_by_component=components)

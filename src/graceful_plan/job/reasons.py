@@ -1,0 +1,54 @@
+"""Reasons why a job is impossible: the object, the obstacle and the remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from graceful_plan.job.actions import Transport
+from graceful_plan.job.job_state import pose_key, pose_of
+from graceful_plan.job.placing import occupant
+from graceful_plan.job.search import SequenceSearch
+
+
+def reasons(search: SequenceSearch) -> str:
+    """Return why the goals of a search without a result cannot be met, one sentence for each."""
+    told = [why for goal in search.goals if not goal.is_done(search.start) and (why := _reason(goal, search))]
+    return "; ".join([*told, *_cycle(search)])
+
+
+def _reason(goal: Transport, search: SequenceSearch) -> str | None:
+    state, motions, name = search.start, search.motions, goal.name
+    grasps = motions.grasps(state, name)
+    if not grasps:
+        return f"{name!r}: the gripper has no grasp of it"
+    if not goal.to:
+        return f"{name!r}: there is no free placement"
+    here = pose_key(state.pose(name))
+    if all(motions.configuration(state, name, grasp, here) is None for grasp in grasps):
+        return f"{name!r}: the arm reaches no grasp of it where it stands"
+    others = state.parked(tuple(body for body in motions.movable if body != name)).scene()
+    taken = [occupant(others, name, pose_of(X)) for X in goal.to]
+    if all(taken):
+        return f"{name!r}: its place is taken by {taken[0]!r}; allow Clear({taken[0]!r})"
+    if not any(True for _ in goal.candidates(state, motions)):
+        reached = any(motions.configuration(state, name, g, X) is not None for g in grasps for X in goal.to)
+        if not reached:
+            return f"{name!r}: the arm reaches no placement of it"
+        return f"{name!r}: no grasp reaches both where it stands and a placement; allow Clear({name!r})"
+    refusal = search.refusals.get(name)
+    return None if refusal is None else refusal.why
+
+
+def _cycle(search: SequenceSearch) -> Iterator[str]:
+    """Yield a sentence about goals that block each other, if there are some."""
+    goals = {goal.name for goal in search.goals}
+    blocked = {name: sorted(refusal.blockers & goals) for name, refusal in search.refusals.items()}
+    for name in sorted(goals):
+        path = [name]
+        while following := blocked.get(path[-1]):
+            if following[0] == name:
+                yield f"{' and '.join(map(repr, path))} block each other; allow Clear({name!r})"
+                return
+            if following[0] in path:
+                break
+            path.append(following[0])

@@ -1,0 +1,185 @@
+"""Search over sequences of actions: anytime, lazy, best first.
+
+A node is a state of the world with the cost of reaching it; an edge is an action with a choice, such as a grasp and a
+placement. Edges are planned only when they are the best left. They are ordered by an estimate: what carrying the same
+object between the same places has cost before, or else their lower bound times the mean ratio of costs to bounds. An
+edge is discarded once its lower bound shows that it cannot lead to a cheaper sequence. Until the first sequence is
+complete, the deepest node comes first.
+
+References:
+    C. Dellin and S. Srinivasa, "A Unifying Formalism for Shortest Path Problems with Expensive Edge Evaluations via
+    Lazy Best-First SequenceSearch over Paths with Edge Selectors", ICAPS 2016.
+    M. Likhachev et al., "ARA*: Anytime A* with Provable Bounds on Sub-Optimality", NeurIPS 2003: first a quick
+    solution, then better ones with a bound.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from graceful_plan.job.actions import Action, Carry, Deed, Transport
+from graceful_plan.job.job_state import JobState, pose_key
+from graceful_plan.job.motions import Motions, Refusal, added
+
+_TIME_PRICE = 1e-3
+"""Price of time [1/s], so that of sequences with equal costs the shortest one is chosen: waiting costs nothing else."""
+_RATIO = 2.0
+"""Ratio of cost to lower bound that is assumed before any edge is planned."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Node:
+    """A state with the deeds that lead to it and their total cost."""
+
+    state: JobState
+    deeds: tuple[Deed, ...] = ()
+    cost: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Edge:
+    """An action that is possible in the state of a node, not planned yet; `least` bounds the cost of its sequences."""
+
+    node: Node
+    action: Action
+    choice: Hashable
+    bound: float
+    least: float
+
+
+@dataclass(eq=False)
+class SequenceSearch:
+    """A search for the cheapest sequence of actions after which all goals are met.
+
+    Args:
+        start: State at the start.
+        goals: Transports whose objects must have arrived in the end.
+        actions: All actions.
+        motions: Plans and caches motions.
+        order: Names of goal objects in the order in which they must be placed; empty for any order.
+    """
+
+    start: JobState
+    goals: Sequence[Transport]
+    actions: Sequence[Action]
+    motions: Motions
+    order: tuple[str, ...] = ()
+    best: Node | None = None
+    complete: list[Node] = field(default_factory=list)
+    """Nodes of all complete sequences that were found."""
+    planned: int = 0
+    refusals: dict[str, Refusal] = field(default_factory=dict)
+    exhausted: bool = False
+    """Whether no edges are left."""
+    unsure: bool = False
+    """Whether a motion was not found in time, so that there may be more sequences."""
+    _open: list[tuple[float, int, Edge]] = field(default_factory=list)
+    _carried: dict[Hashable, float] = field(default_factory=dict)
+    _ratios: list[float] = field(default_factory=list)
+    _number: int = 0
+
+    def run(self, over: Callable[[int], bool], improved: Callable[[Node], None] = lambda _: None) -> None:
+        """Search until all sequences are compared, or `over` returns True, given the number of planned edges."""
+        seen: dict[object, float] = {}
+        self._expand(Node(state=self.start), seen, improved)
+        while self._open:
+            if over(self.planned):
+                return
+            _, _, edge = heapq.heappop(self._open)
+            if self.best is not None and edge.least >= self.best.cost:
+                continue
+            node = self.child(edge)
+            if node is not None:
+                self._expand(node, seen, improved)
+        self.exhausted = True
+
+    @property
+    def lower_bound(self) -> float:
+        """The least cost that a sequence over the choices at hand can have."""
+        least = min((edge.least for _, _, edge in self._open), default=float("inf"))
+        return least if self.best is None else min(least, self.best.cost)
+
+    def child(self, edge: Edge) -> Node | None:
+        """Plan an edge; return the node that it leads to, or None if the action is not possible."""
+        self.planned += 1
+        deed = edge.action.motion(edge.node.state, edge.choice, self.motions)
+        if isinstance(deed, Refusal):
+            self.refusals[deed.name] = deed
+            self.unsure = self.unsure or deed.unsure
+            return None
+        pieces = [piece for _, _, some in deed.steps for piece in some]
+        seconds = sum(piece.trajectory.duration for piece in pieces)
+        cost = added([piece.cost for piece in pieces], self.motions.objective.w).total + _TIME_PRICE * seconds
+        transit = sum(piece.cost.total for piece in pieces if piece.label == "transit")
+        self._carried[_memory(edge)] = cost - transit
+        if edge.bound > 0.0:
+            self._ratios.append(cost / edge.bound)
+        return Node(state=deed.state, deeds=(*edge.node.deeds, deed), cost=edge.node.cost + cost)
+
+    def edges(self, node: Node) -> Iterator[Edge]:
+        """Yield the actions that are possible in the state of a node."""
+        for action in self.actions:
+            if not self._in_order(node.state, action):
+                continue
+            for choice in action.candidates(node.state, self.motions):
+                bound = action.bound(node.state, choice, self.motions)
+                rest = self._rest(node.state, but=action.name)
+                yield Edge(node=node, action=action, choice=choice, bound=bound, least=node.cost + bound + rest)
+
+    def is_complete(self, state: JobState) -> bool:
+        """Tell whether all goals are met."""
+        return all(goal.is_done(state) for goal in self.goals)
+
+    def _expand(self, node: Node, seen: dict[object, float], improved: Callable[[Node], None]) -> None:
+        if node.cost >= seen.get(node.state.key, float("inf")):
+            return
+        seen[node.state.key] = node.cost
+        if self.is_complete(node.state):
+            self.complete.append(node)
+            if self.best is None or node.cost < self.best.cost:
+                first = self.best is None
+                self.best = node
+                if first:  # from now on the most promising edge comes first, not the deepest
+                    self._open = [(self._estimate(edge), k, edge) for _, k, edge in self._open]
+                    heapq.heapify(self._open)
+                improved(node)
+            return
+        for edge in self.edges(node):
+            self._number += 1
+            deep = 0.0 if self.best is not None else 1e6 * len(node.deeds)
+            heapq.heappush(self._open, (self._estimate(edge) - deep, self._number, edge))
+
+    def _in_order(self, state: JobState, action: Action) -> bool:
+        if action.name not in self.order or not any(action is goal for goal in self.goals):
+            return True
+        earlier = self.order[: self.order.index(action.name)]
+        return all(goal.is_done(state) for goal in self.goals if goal.name in earlier)
+
+    def _rest(self, state: JobState, but: str) -> float:
+        """Return a lower bound of carrying all other objects that are not at their goals yet."""
+        total = 0.0
+        for goal in self.goals:
+            if goal.name == but or goal.is_done(state):
+                continue
+            lengths = []
+            for choice in goal.candidates(state, self.motions):
+                first, last = goal.ends(state, choice, self.motions)
+                lengths.append(self.motions.length(first, last))
+            total += min(lengths, default=0.0)  # it may be possible after a regrasp
+        return total
+
+    def _estimate(self, edge: Edge) -> float:
+        ratio = sum(self._ratios) / len(self._ratios) if self._ratios else _RATIO
+        known = self._carried.get(_memory(edge))
+        rest = edge.least - edge.node.cost - edge.bound
+        return edge.node.cost + (ratio * edge.bound if known is None else known) + ratio * rest
+
+
+def _memory(edge: Edge) -> Hashable:
+    """Return what edges of about the same cost share: the object, the grasp, from where to where, open or closed."""
+    if not isinstance(edge.choice, Carry):
+        return id(edge.action), edge.choice
+    here = pose_key(edge.node.state.pose(edge.action.name))
+    return edge.action.name, id(edge.choice.grasp), here, edge.choice.to, id(edge.node.state.world)

@@ -1,0 +1,34 @@
+"""Jobs of benchmarks/jobs, planned once for all tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import pytest
+from places import ROOT
+
+import graceful_plan as gp
+from graceful_plan.job.job_result import JobResult
+from graceful_plan.scene.scene import Scene
+
+JOBS = ROOT / "benchmarks" / "jobs"
+
+
+@cache
+def job_scene(name: str) -> Scene:
+    return gp.load_scene(JOBS / f"{name}.yaml")
+
+
+def order_job() -> gp.Job:
+    return gp.Job(job_scene("order")).place("dome", at=[0.5, 0.12, 0.4]).place("crate", at=[0.5, 0.48, 0.4])
+
+
+@cache
+def ordered(w: float) -> JobResult:
+    return gp.plan_job(order_job(), w, grasps=1, iterations=40)
+
+
+@pytest.fixture
+def in_order() -> Callable[[float], JobResult]:
+    return ordered

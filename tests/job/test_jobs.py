@@ -1,0 +1,252 @@
+"""Whole tasks: laws of the steps, exhaustive search, crossovers in w and in counts, and jobs that are impossible."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from conftest import job_scene, order_job
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.job.actions import Deed, Transport
+from graceful_plan.job.job_planning import JobSession
+from graceful_plan.job.job_result import JobFailed, JobResult, JobStatus
+from graceful_plan.job.job_state import JobState, pose_key
+from graceful_plan.job.motions import Motions, Refusal
+from graceful_plan.job.search import Node, SequenceSearch
+
+_CAREFUL = 3.0
+"""A weight at which the fragile object comes last."""
+
+
+def _cheapest(search: SequenceSearch, node: Node) -> float:
+    """Return the cost of the cheapest sequence by trying all of them, without bounds."""
+    if search.is_complete(node.state):
+        return node.cost
+    children = (search.child(edge) for edge in search.edges(node))
+    return min((_cheapest(search, child) for child in children if child is not None), default=np.inf)
+
+
+def _lid_job() -> gp.Job:
+    return gp.Job(job_scene("lid")).place("kettle", at=[0.5, 0.3, 0.4]).allow(gp.CloseLid("kettle", "lid"))
+
+
+def _clear_job(count: int) -> gp.Job:
+    job = gp.Job(job_scene("clear_once")).allow(gp.Clear(name="laptop", on="side_table", n=1))
+    for i in range(count):
+        job.place(f"mug{i + 1}", at=[0.5, 0.25 + 0.11 * i, 0.4])
+    return job
+
+
+@pytest.mark.parametrize("w", [0.0, _CAREFUL])
+def test_every_motion_is_verified_and_begins_where_the_last_one_ended(
+    in_order: Callable[[float], JobResult], w: float
+) -> None:
+    result = in_order(w)
+    assert result.status is JobStatus.SOLVED and result.exhaustive
+    pieces = [piece for step in result.unwrap() for piece in step.pieces]
+    np.testing.assert_allclose(pieces[0].trajectory.q[0], job_scene("order").keyframes["ready"])
+    for piece, following in pairwise(pieces):
+        np.testing.assert_allclose(piece.trajectory.q[-1], following.trajectory.q[0], atol=1e-9)
+    for piece in pieces:
+        assert gp.verify(piece.trajectory, piece.scene).passed, piece.label
+    total = sum(gp.evaluate(p.trajectory, p.scene, gp.Objective(w=w)).total for p in pieces)
+    assert result.cost.total == pytest.approx(total, rel=1e-6)
+    assert 0.0 < result.lower_bound <= result.cost.total
+
+
+def test_objects_are_where_they_shall_be_in_what_follows(in_order: Callable[[float], JobResult]) -> None:
+    steps = in_order(_CAREFUL).unwrap()
+    for step, goal in zip(steps[1::2], ([0.5, 0.48, 0.4], [0.5, 0.12, 0.4]), strict=True):
+        lower = next(piece for piece in step.pieces if piece.label == "lower")
+        placed = lower.scene.data_at(lower.trajectory.q[-1]).body(step.name).xpos
+        np.testing.assert_allclose(placed, goal, atol=2e-3)
+        after = step.pieces[-1].scene
+        np.testing.assert_allclose(after.data_at(step.pieces[-1].trajectory.q[-1]).body(step.name).xpos, goal)
+        assert step.name in after.entities and after.carried is None
+
+
+def test_the_fragile_object_comes_last_if_harm_counts(in_order: Callable[[float], JobResult]) -> None:
+    assert in_order(0.0).order == ("dome", "crate")
+    careful = in_order(_CAREFUL)
+    assert careful.order == ("crate", "dome")
+    other = careful.why(order=["dome", "crate"], iterations=20)
+    assert other.difference > 0.0 and other.other.order == ("dome", "crate")
+    assert other.other.cost.impact_by_entity["dome"] > careful.cost.impact_by_entity["dome"]
+
+
+@pytest.mark.parametrize("w", [0.0, _CAREFUL])
+def test_exhaustive_search_finds_no_cheaper_order(w: float) -> None:
+    session = JobSession(order_job(), gp.Objective(w=w), grasps=1)
+    search = session.search()
+    search.run(lambda _: False)
+    assert search.exhausted and search.best is not None
+    assert search.best.cost == pytest.approx(_cheapest(search, Node(state=search.start)))
+    assert search.lower_bound == pytest.approx(search.best.cost)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("job", [_lid_job, lambda: _clear_job(1), lambda: _clear_job(2)], ids=["lid", "one", "two"])
+def test_exhaustive_search_finds_nothing_cheaper(job: Callable[[], gp.Job]) -> None:
+    search = JobSession(job(), gp.Objective(w=1.0), grasps=2).search()
+    search.run(lambda _: False)
+    assert search.best is not None
+    assert search.best.cost == pytest.approx(_cheapest(search, Node(state=search.start)))
+
+
+@pytest.mark.long
+def test_the_lid_pays_from_some_weight_on() -> None:
+    kinds = [[step.kind for step in gp.plan_job(_lid_job(), w, grasps=3, iterations=60).unwrap()] for w in (0.1, 3.0)]
+    assert "close_lid" not in kinds[0] and "close_lid" in kinds[1]
+
+
+@pytest.mark.long
+def test_clearing_once_pays_from_some_count_on() -> None:
+    kinds = [[s.kind for s in gp.plan_job(_clear_job(n), 0.3, grasps=1, iterations=60).unwrap()] for n in (1, 3)]
+    assert "clear" not in kinds[0] and "clear" in kinds[1]
+
+
+def test_same_seed_same_result(in_order: Callable[[float], JobResult]) -> None:
+    one, other = in_order(0.0), gp.plan_job(order_job(), 0.0, grasps=1, iterations=40)
+    for a, b in zip(one.unwrap(), other.unwrap(), strict=True):
+        for first, second in zip(a.pieces, b.pieces, strict=True):
+            np.testing.assert_array_equal(first.trajectory.q, second.trajectory.q)
+
+
+# --- impossible jobs --------------------------------------------------------------------------------------------------
+
+
+def test_an_object_without_a_grasp_is_named() -> None:
+    scene = job_scene("order").add_box("trunk", [0.1, 0.1, 0.1], [0.5, 0.1, 0.5])
+    result = gp.plan_job(gp.Job(scene).place("trunk", at=[0.5, 0.3, 0.5]), iterations=20)
+    assert result.status is JobStatus.INFEASIBLE and not result.steps and result.cost.total == np.inf
+    assert "'trunk'" in result.detail and "grasp" in result.detail
+    with pytest.raises(JobFailed, match="trunk"):
+        result.unwrap()
+
+
+def test_what_blocks_a_goal_is_named_with_the_remedy() -> None:
+    job = gp.Job(job_scene("order")).place("crate", at=[0.5, -0.45, 0.4])
+    result = gp.plan_job(job, 0.0, grasps=1, iterations=20)
+    assert result.status is JobStatus.INFEASIBLE and not result.steps
+    assert "'crate'" in result.detail and "Clear('dome')" in result.detail
+
+
+def test_goals_that_block_each_other_are_named_and_clearing_helps() -> None:
+    job = gp.Job(job_scene("order")).place("crate", at=[0.5, -0.45, 0.4]).place("dome", at=[0.5, -0.2, 0.4])
+    result = gp.plan_job(job, 0.0, grasps=1, iterations=20)
+    assert result.status is JobStatus.INFEASIBLE
+    assert "'crate' and 'dome' block each other" in result.detail
+    solved = gp.plan_job(job.allow(gp.Clear(name="crate", n=4)), 0.0, grasps=1, iterations=20)
+    assert [step.kind for step in solved.unwrap()][:2] == ["pick", "clear"] and len(solved.steps) == 6
+
+
+def test_a_place_out_of_reach_is_told() -> None:
+    result = gp.plan_job(gp.Job(job_scene("order")).place("crate", at=[1.5, 0.0, 0.4]), iterations=20)
+    assert result.status is JobStatus.INFEASIBLE and "'crate'" in result.detail and "reach" in result.detail
+
+
+def test_partial_sequences_are_not_returned() -> None:
+    result = gp.plan_job(order_job(), 0.0, grasps=1, iterations=1)
+    assert result.status is JobStatus.TIMEOUT and not result.steps
+    cancelled = gp.plan_job(order_job(), 0.0, grasps=1, iterations=9, cancelled=lambda: True)
+    assert cancelled.status is JobStatus.CANCELLED and not cancelled.steps
+
+
+def test_misuse_is_named() -> None:
+    job = gp.Job(job_scene("order"))
+    with pytest.raises(UnknownNameError, match="kettle"):
+        job.place("kettle", at=[0.5, 0.0, 0.4])
+    with pytest.raises(SettingError, match="either"):
+        job.place("crate")
+    with pytest.raises(SettingError, match="goal"):
+        gp.plan_job(job)
+    with pytest.raises(SettingError, match="without a goal"):
+        order_job().place("crate", at=[0.5, 0.0, 0.4])
+    with pytest.raises(SettingError, match="empty gripper"):
+        gp.Job(job_scene("order").attach("crate", X_TO=gp.FROM_ABOVE))
+
+
+# --- own actions, states ----------------------------------------------------------------------------------------------
+
+
+class _Cover(gp.Action):
+    """Have the arm at a keyframe, where a person covers an entity: it can no longer be harmed."""
+
+    def __init__(self, name: str, at: np.ndarray) -> None:
+        self.name, self.at = name, at
+
+    def candidates(self, state: JobState, motions: Motions) -> Iterator[Hashable]:
+        if ("covered", self.name) not in state.facts:
+            yield "here"
+
+    def motion(self, state: JobState, choice: Hashable, motions: Motions) -> Deed | Refusal:
+        piece = motions.planned("transit", self.name, state.scene(), state.q, self.at)
+        if isinstance(piece, Refusal):
+            return piece
+        covered = state.in_world(state.world.with_severity({self.name: 0.0})).knowing("covered", self.name)
+        then = covered.after(self.at, piece.trajectory.duration)
+        return Deed(steps=[("cover", self.name, [piece])], state=then)
+
+
+@pytest.mark.long
+def test_an_own_action_is_used_if_it_pays() -> None:
+    start = job_scene("order").keyframes["ready"]
+    job = order_job().allow(_Cover("dome", start + 0.01))
+    assert [step.kind for step in gp.plan_job(job, 30.0, grasps=1, iterations=30).unwrap()].count("cover") == 1
+    assert [step.kind for step in gp.plan_job(job, 0.0, grasps=1, iterations=30).unwrap()].count("cover") == 0
+
+
+def test_a_closed_lid_is_part_of_the_vessel_and_keeps_the_contents() -> None:
+    scene = job_scene("lid")
+    state = JobState(world=scene, q=scene.keyframes["ready"])
+    on_top = state.pose("kettle").copy()
+    on_top[2, 3] += 0.12
+    closed = state.moved("lid", on_top).joined("kettle", "lid").emptied("kettle")
+    model = closed.world.model
+    assert model.body_subtreemass[model.body("kettle").id] == pytest.approx(0.93)
+    assert "lid" not in closed.world.entities and "kettle" in closed.world.entities
+    (grasp, *_) = gp.grasps(closed.world, "kettle", n=1)
+    assert state.holding("kettle", grasp).contents is not None
+    held = closed.holding("kettle", grasp)
+    assert held.contents is None
+    data = held.data_at(scene.keyframes["ready"])
+    X_VL = np.linalg.inv(state.pose("kettle")) @ on_top
+    lid, kettle = data.body("lid@joined"), data.body("kettle")
+    np.testing.assert_allclose(lid.xpos, kettle.xpos + kettle.xmat.reshape(3, 3) @ X_VL[:3, 3], atol=1e-9)
+
+
+def test_states_with_equal_surroundings_have_equal_keys() -> None:
+    scene = job_scene("order")
+    state = JobState(world=scene, q=scene.keyframes["ready"])
+    elsewhere = state.moved("crate", np.eye(4))
+    assert elsewhere.surroundings != state.surroundings
+    assert elsewhere.surroundings == state.moved("crate", np.eye(4)).surroundings
+    np.testing.assert_array_equal(elsewhere.pose("crate"), np.eye(4))
+    np.testing.assert_allclose(state.pose("crate")[:3, 3], [0.5, -0.2, 0.4])
+
+
+@pytest.mark.long
+def test_the_arm_waits_until_a_person_has_passed() -> None:
+    person = gp.MovingEntity(
+        "person",
+        "adult",
+        size=[0.2, 0.2, 0.8],
+        t=[0.0, 6.0, 8.0],
+        position=[[0.9, 0.1, 0.8], [0.9, 0.1, 0.8], [4, 0, 0.8]],
+    )
+    scene = job_scene("order").with_moving(person)
+    job = gp.Job(scene).place("crate", at=[0.5, 0.48, 0.4]).allow(gp.Wait(max_seconds=8.0))
+    kinds = [[step.kind for step in gp.plan_job(job, w, grasps=1, iterations=30).unwrap()] for w in (0.0, 10.0)]
+    assert kinds[0] == ["pick", "place"] and "wait" in kinds[1]
+
+
+def test_a_lid_on_a_vessel_has_not_arrived_elsewhere() -> None:
+    scene = job_scene("lid")
+    state = JobState(world=scene, q=scene.keyframes["ready"])
+    goal = Transport("lid", (pose_key(state.pose("lid")),))
+    assert goal.is_done(state)
+    assert not goal.is_done(state.joined("kettle", "lid").knowing("joined", "lid"))
