@@ -254,10 +254,9 @@ def slow_details(scene, settings, q, qd):
         d2 = (V[1, 1] * E[0] ** 2 - 2.0 * V[0, 1] * E[0] * E[1] + V[0, 0] * E[1] ** 2) / det
         off, narrow = d2 / (3.0 + d2), det / (V[0, 0] + V[1, 1])
         hh = c[2] - low
-        stays = 1.0 - S(k.leave + 2.0 * k.leave_offset * (off - 0.5)
+        leaves.append(S(k.leave + 2.0 * k.leave_offset * (off - 0.5)
                         + 0.5 * k.leave_narrow * math.log((hh * hh + 1e-6) / (3.0 * narrow))
-                        + k.leave_speed * math.sqrt(sp2 + 1e-4) + 2.0 * k.leave_tilt * tilt)  # fmt: skip
-        leaves.append(1.0 - stays * sums[0] / (sums[0] + 1e-6))
+                        + k.leave_speed * math.sqrt(sp2 + 1e-4) + 2.0 * k.leave_tilt * tilt))  # fmt: skip
         away.append(-off * E / math.sqrt(E @ E + 1e-6))
         mass.append(sum(t["F"] for t in level))
     leaving = [f * p for f, p in zip(mass, leaves, strict=True)]

@@ -165,7 +165,7 @@ static inline V leaves(const DropTables& drop, const Flight<V>& flight, const Mo
               0.5 * k.leave_narrow * logarithm((height * height + 1e-6) * (xx + yy) * reciprocal(3.0 * det));
   Chance<V> chance;
   chance.below(u);
-  return 1.0 - (1.0 - chance.value()) * m.area * share;
+  return chance.value();
 }
 
 // --- steps 1 and 2 for all levels -----------------------------------------------------------------------------------

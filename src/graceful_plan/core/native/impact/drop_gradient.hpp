@@ -256,8 +256,7 @@ static inline Moments<V> back_leaves(Backward<V>& back, const Moments<V>& m, V d
   const Below<V> T(k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * flight.speed +
                    2.0 * k.leave_tilt * flight.tilt +
                    0.5 * k.leave_narrow * logarithm(soft * (xx + yy) * reciprocal(3.0 * det)));
-  const V d_u = d_T * m.area * share * T.u, d_log = 0.5 * k.leave_narrow * d_u,
-          d_height = d_log * 2.0 * height * reciprocal(soft);
+  const V d_u = d_T * T.u, d_log = 0.5 * k.leave_narrow * d_u, d_height = d_log * 2.0 * height * reciprocal(soft);
   d_flight.speed += k.leave_speed * d_u, d_flight.tilt += 2.0 * k.leave_tilt * d_u;
   d_flight.c.z += d_height, d_flight.low -= d_height;
   const V along = d_away.x * ex + d_away.y * ey;
@@ -272,8 +271,7 @@ static inline Moments<V> back_leaves(Backward<V>& back, const Moments<V>& m, V d
   const V d_xy = -2.0 * (d_quadric * ex * ey + d_det * xy);
   d_ex -= 2.0 * ex * d_xx + ey * d_xy, d_ey -= 2.0 * ey * d_yy + ex * d_xy;
   d.x = d_ex * share, d.y = d_ey * share, d.xx = d_xx * share, d.yy = d_yy * share, d.xy = d_xy * share;
-  d.area = -share * share *
-           (d_ex * m.x + d_ey * m.y + d_xx * m.xx + d_yy * m.yy + d_xy * m.xy + d_T * (1.0 - T.value) * 1e-6);
+  d.area = -share * share * (d_ex * m.x + d_ey * m.y + d_xx * m.xx + d_yy * m.yy + d_xy * m.xy);
   return d;
 }
 

@@ -75,8 +75,7 @@ kernel (native/impact/flight, drop.hpp, own_loss.hpp, entity_damage.hpp) follows
       per level: S0 = sum area + 1e-6;  E = sum area (centre)/S0;  V = sum area (second moments)/S0 - E E^T + 1e-5 I
       det = max(Vxx Vyy - Vxy^2, 1e-11);  d2 = (Vyy Ex^2 - 2 Vxy Ex Ey + Vxx Ey^2)/det;  off = d2/(3 + d2)
       narrow = det/(Vxx + Vyy)
-      T_l = 1 - (1 - S(g0 + 2 gd (off - 1/2) + gt/2 ln((hh^2 + 1e-6)/(3 narrow)) + gv sp + 2 gti tilt)) sum area/S0
-                                                            P(it does not stay); 1 where nothing supports it
+      T_l = S(g0 + 2 gd (off - 1/2) + gt/2 ln((hh^2 + 1e-6)/(3 narrow)) + gv sp + 2 gti tilt)      P(it does not stay)
       n_l = -off E/sqrt(Ex^2 + Ey^2 + 1e-6)                                     direction in which it leaves
       M_k = F_k T_l
 

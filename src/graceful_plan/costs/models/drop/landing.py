@@ -91,8 +91,7 @@ def _support(
     leaves = k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * speed + 2.0 * k.leave_tilt * shape.tilt
     leaves += 0.5 * k.leave_narrow * np.log((height * height + 1e-6) / (3.0 * narrow))
     away = -off / np.sqrt(Ex * Ex + Ey * Ey + 1e-6)
-    stays = (1.0 - step(leaves)) * S0 / (S0 + _LEAST_AREA)
-    return 1.0 - stays, np.stack([away * Ex, away * Ey], axis=-1)
+    return step(leaves), np.stack([away * Ex, away * Ey], axis=-1)
 
 
 # --- the landing and the falls ----------------------------------------------------------------------------------------
