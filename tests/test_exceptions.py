@@ -25,6 +25,7 @@ from graceful_plan.exceptions import (
     names_file,
     naming,
 )
+from graceful_plan.job.job_result import JobResult, JobStatus
 from graceful_plan.result import PlanningFailed, PlanResult, PlanStatus
 
 _OPTIONAL = {"gymnasium", "matplotlib", "pyarrow", "ray", "selenium", "viser"}
@@ -36,6 +37,7 @@ _EXAMPLES: dict[object, object] = {
     object: ("a", 1),
     Path: Path("a") / "b",
     PlanResult: PlanResult(status=PlanStatus.INFEASIBLE, detail="no way"),
+    JobResult: JobResult(status=JobStatus.INFEASIBLE, detail="no grasp"),
     HealthyHarm: HealthyHarm(carried="mug", spilled=0.2, by_entity={"mug": 1.0}),
     tuple[str, ...]: ("b", "a"),
     tuple[int, ...]: (2, 3),

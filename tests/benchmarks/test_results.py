@@ -14,7 +14,9 @@ sys.path.insert(0, str(ROOT))
 from benchmarks import report
 from benchmarks import run as runner
 
-FILES = sorted(file.stem for file in report.RESULTS.glob("*.md") if file != report.INDEX)
+FILES = sorted(
+    file.stem for file in report.RESULTS.glob("*.md") if file != report.INDEX and not file.stem.endswith("_bound")
+)
 SOURCES = [file for folder in ("src", "sim") for file in (ROOT / folder).rglob("*") if file.suffix in (".py", ".yaml")]
 CITATION = re.compile(r"benchmarks/results/\w+\.md")
 HEAD = re.compile(

@@ -35,6 +35,7 @@ ROOTED = re.compile(rf"(?<![\w./<-])(?:{ROOTS})/[\w./-]+\.(?:{ENDINGS})\b")
 
 OTHERS = {
     *("build/", "dist/", "site/", "graceful_plan_demo/", "prevented/", "constrained_runs/", "policy_runs/"),
+    *("libero_runs/", "libero_scenes/"),
     *("comparison/report.html", "comparison/journal.jsonl", "best_known.yaml", "via_point.py"),
     *("ompl_planning.yaml", "scene0001.yaml", "request0001.yaml"),
 }

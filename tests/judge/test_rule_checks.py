@@ -86,6 +86,7 @@ def test_loads_on_pads_equal_those_of_a_slow_twin(half: list[float]) -> None:
         friction=0.8,
         torsion=0.004,
         force=60.0,
+        approach=2.0,
     )
     frames = FrameMotion.along(motion, task.scene)
     loads = []

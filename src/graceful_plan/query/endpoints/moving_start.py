@@ -32,7 +32,7 @@ Array = np.ndarray
 
 _SHORTEST = 1e-3
 """Least length of a lead-in [rad]: timing merges vertices that are closer than 1e-5."""
-_LONGER = (1.0001, 1.05, 1.6, 3.0)
+_LONGER = (1.0001, 1.05, 1.6, 3.0, 6.0, 12.0)
 """Lengths of lead-ins to try, relative to the braking distance within the limits of the joints; without a carried
 object whose specific force is limited, only the first two."""
 _SAMPLES = 9
