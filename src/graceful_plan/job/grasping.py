@@ -8,7 +8,7 @@ discarded. Surroundings do not count here, because they change during a job.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -20,6 +20,7 @@ from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.job.gripper import ParallelGripper, find_gripper
 from graceful_plan.path import is_real
 from graceful_plan.query.arguments import checked_seed
+from graceful_plan.scene.elements import Fingers
 from graceful_plan.scene.model_parts import colliding_geoms, subtree
 from graceful_plan.scene.roles import held_note, rigid_pose
 from graceful_plan.scene.scene import Scene
@@ -62,7 +63,7 @@ class Grasp:
     """
 
     X_TO: Float[Array, "4 4"]
-    fingers: float | Mapping[str, float] | None = None
+    fingers: Fingers | None = None
     opening: float | None = None
     approach: Float[Array, " xyz"] | None = None
     quality: float = float("nan")
