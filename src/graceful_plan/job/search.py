@@ -8,7 +8,7 @@ complete, the deepest node comes first.
 
 References:
     C. Dellin and S. Srinivasa, "A Unifying Formalism for Shortest Path Problems with Expensive Edge Evaluations via
-    Lazy Best-First SequenceSearch over Paths with Edge Selectors", ICAPS 2016.
+    Lazy Best-First Search over Paths with Edge Selectors", ICAPS 2016.
     M. Likhachev et al., "ARA*: Anytime A* with Provable Bounds on Sub-Optimality", NeurIPS 2003: first a quick
     solution, then better ones with a bound.
 """
