@@ -149,7 +149,9 @@ def plan(
     # Compiling counts against a time limit that the caller has set, not against the default one.
     budget = Budget(limit, iterations, checked_cancelled(cancelled), started + (time_limit is None) * ready.total)
     passed, tolerance = checked_via(via, scene), checked_start_tolerance(start_tolerance)
-    begun = find_start(start, asked, tolerance, share, max_wait=request.max_wait, stops=bool(passed))
+    begun = find_start(
+        start, asked, tolerance, share, late=lambda: budget.over, max_wait=request.max_wait, stops=bool(passed)
+    )
     if isinstance(begun, PlanResult):
         return _with_times(begun, ready.total, started)
     real, lead = begun

@@ -105,7 +105,7 @@ def replan(
     if not kept.passed:
         stop()  # first, since planning may use up the time
     found = plan(
-        _takeover(motion, at, stop, rest.path if leads else None),
+        _takeover(motion, at, None if kept.passed and leads else stop, rest.path if leads else None),
         motion.q[-1] if goal is None else goal,
         at_time(scene, at),
         objective=bound.objective,
@@ -161,11 +161,14 @@ def _kept(motion: Trajectory, rest: Trajectory, scene: Scene, constraints: tuple
     return verify(rest, scene, start=begun, constraints=held.constraints, clearance=proof, before=motion)
 
 
-def _takeover(motion: Trajectory, at: float, stop: Callable[[], PlanResult], onward: Path | None) -> Takeover:
-    """Return the start of the new motion, whose time is 0 at `at`."""
-    return Takeover(
-        state=motion.at(float(at)),
-        before=motion.later(-at),
-        stop=lambda: None if (found := stop().trajectory) is None else found.later(-at),
-        onward=onward,
-    )
+def _takeover(motion: Trajectory, at: float, stop: Callable[[], PlanResult] | None, onward: Path | None) -> Takeover:
+    """Return the start of the new motion, whose time is 0 at `at`.
+
+    A stop along the present motion takes long to find, so it is not looked for where that motion is kept anyway.
+    """
+
+    def halt() -> Trajectory | None:
+        found = None if stop is None else stop().trajectory
+        return None if found is None else found.later(-at)
+
+    return Takeover(state=motion.at(float(at)), before=motion.later(-at), stop=halt, onward=onward)

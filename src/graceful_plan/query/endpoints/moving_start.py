@@ -8,7 +8,7 @@ is the path of another stop.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +51,7 @@ def find_start(
     tolerance: float,
     speed: float,
     *,
+    late: Callable[[], bool],
     max_wait: float = 0.0,
     stops: bool = False,
 ) -> tuple[RealStart, LeadIn | None] | PlanResult:
@@ -61,6 +62,7 @@ def find_start(
         constraints: Constraints and scene.
         tolerance: See `real_start`.
         speed: Fraction of the velocity limits to use.
+        late: Whether no time is left; it ends the search for a stop.
         max_wait: Longest wait before the motion [s], which a moving robot cannot do.
         stops: Whether the motion stops before it goes on, without a lead-in.
 
@@ -87,7 +89,7 @@ def find_start(
     velocity = velocity / np.maximum(excess * (1.0 + _ROUNDING), 1.0)
     q, turns = without_turns(q, scene)
     takeover = None if takeover is None else takeover.without_turns(turns)
-    return _stoppable(State(q, velocity), turns, constraints, speed, takeover, stops=stops)
+    return _stoppable(State(q, velocity), turns, constraints, speed, takeover, late=late, stops=stops)
 
 
 def _checked(state: State, scene: Scene) -> tuple[Array, Array]:
@@ -103,6 +105,7 @@ def _stoppable(
     speed: float,
     takeover: Takeover | None,
     *,
+    late: Callable[[], bool],
     stops: bool,
 ) -> tuple[RealStart, LeadIn | None] | PlanResult:
     """Return the lead-in by the first stop that the judge passes, or with `stops` that stop; else why there is none."""
@@ -111,6 +114,8 @@ def _stoppable(
     before = None if takeover is None else takeover.before
     why = ""
     for stop, is_straight in _stops(state, held, speed, takeover):
+        if late():
+            return PlanResult(status=PlanStatus.TIMEOUT, detail="start: the robot moves, and no stop was found in time")
         verdict = verify(
             stop,
             scene,
