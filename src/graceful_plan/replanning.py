@@ -34,8 +34,8 @@ Array = np.ndarray
 
 TIME_LIMIT = 0.1
 """Default time limit of a call [s]: ten times that of a first verified motion on bundled scenes."""
-_REMEMBERED = 10.0
-"""Time before the takeover from which on the swing of contents is computed [s]; in a mug it decays by two thirds."""
+_REMEMBERED = 60.0
+"""Time before the takeover from which on the swing of contents is computed [s]; in a mug it decays to 1 in 400."""
 
 
 def replan(

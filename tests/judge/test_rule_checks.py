@@ -122,3 +122,19 @@ def test_nan_is_a_violation(task: gp.Task) -> None:
     rule = CustomRule(name="Odd", residual=residual, told=lambda worst: f"{worst}")
     check = rule_checks(_motion(task), task.scene, [rule])["odd"]
     assert not check.passed and check.first is not None and check.first > 0.0
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_the_rest_of_a_motion_spills_as_the_whole_one_does(share: float) -> None:
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    line = gp.Path(np.stack([task.start, np.atleast_2d(task.goal)[0]]))
+    motion = gp.retime(line, task.scene.limits, task.scene.joints, speed=0.5)
+    rest = motion.since(share * motion.duration)
+    whole = gp.verify(motion, task.scene).checks["contents"]
+    assert whole.first > share * motion.duration  # it spills while the arm brakes
+    begun = motion.at(rest.t[0])
+    part = gp.verify(rest, task.scene, start=begun, before=motion).checks["contents"]
+    assert part.worst == pytest.approx(whole.worst, abs=1e-3)
+    assert part.first == pytest.approx(whole.first, abs=0.01)
+    calm = gp.verify(rest, task.scene, start=begun).checks["contents"]
+    assert calm.worst < 0.5 * whole.worst

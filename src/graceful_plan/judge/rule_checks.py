@@ -21,6 +21,7 @@ from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.torque_check import MANY, torque_check
 from graceful_plan.path import Path
 from graceful_plan.result import Check
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.rules.grip import AdhesiveGrip
 from graceful_plan.scene.rules.rules import (
     FRAMES,
@@ -80,12 +81,17 @@ class FrameMotion:
             shortest = float(np.diff(motion.t).min(initial=np.inf))
             dt = min(max(0.5 * shortest, motion.duration / _SHORT, _DT[0]), _DT[1])
             t = np.linspace(motion.t[0], motion.t[-1], max(2, int(np.ceil(motion.duration / dt)) + 1))
-            q = motion.at_places(np.interp(t, motion.t, np.arange(len(motion))))[1]
-            return cls(scene, q, t, timed=True)
+            return cls.at_times(motion, scene, t)
         done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion.q, axis=0), axis=1))])
         at = np.linspace(0.0, done[-1], max(2, int(np.ceil(done[-1] / _SPACING)) + 1))
         q = np.stack([np.interp(at, done, column) for column in motion.q.T], axis=1)
         return cls(scene, q, at, timed=False)
+
+    @classmethod
+    def at_times(cls, motion: Trajectory, scene: Scene, t: Float[Array, " n"]) -> FrameMotion:
+        """Sample a motion at equal steps of time [s]; it rests at its ends before and after."""
+        q = motion.at_places(np.interp(t, motion.t, np.arange(len(motion))))[1]
+        return cls(scene, q, t, timed=True)
 
     @cached_property
     def poses(self) -> dict[str, Float[Array, "n 4 4"]]:
@@ -134,7 +140,7 @@ def rule_checks(
         if isinstance(rule, TorqueRule):
             checks[key] = torque_check(motion, scene, rule.share, MANY)
         elif isinstance(rule, ContentsRule) and before is not None and isinstance(motion, Trajectory):
-            checks[key] = _contents(rule, FrameMotion.along(before.spliced(motion), scene), since=float(motion.t[0]))
+            checks[key] = _contents_after(rule, before, motion, scene)
         else:
             checks[key] = _check(rule, frames)
     return checks
@@ -175,8 +181,14 @@ def _speed(rule: SpeedRule, frames: FrameMotion) -> Check:
     return _limit(speed, t[:-1], rule.limit * (1.0 + _SPEED), "speed of the tool [m/s]")
 
 
-def _contents(rule: ContentsRule, frames: FrameMotion, since: float = -np.inf) -> Check:
-    """Check that contents stay in from a time on [s]; liquids swing from the beginning on."""
+def _contents(rule: ContentsRule, frames: FrameMotion, earlier: Float[Array, "m xyz"] | None = None) -> Check:
+    """Check that contents stay in.
+
+    Args:
+        rule: The rule.
+        frames: The motion.
+        earlier: Felt acceleration at the same steps before the motion, by which a liquid swings [m/s^2].
+    """
     vessel, X_WO, t = rule.vessel, frames.poses["object"], frames.at
     axis = _along(X_WO, vessel.axis)
     felt = frames.felt(vessel.p_BS)
@@ -185,11 +197,36 @@ def _contents(rule: ContentsRule, frames: FrameMotion, since: float = -np.inf) -
         felt = np.concatenate([felt, np.tile(felt[-1], (rest, 1))])
         axis = np.concatenate([axis, np.tile(axis[-1], (rest, 1))])
         t = np.concatenate([t, t[-1] + frames.dt * np.arange(1, rest + 1)])
+        if earlier is not None:
+            felt[0] = felt[1]  # the robot does not start from rest
         if vessel.repose == 0.0 and felt[0].any():
-            felt = _swung(felt, vessel, frames.dt)
+            known = felt[:0] if earlier is None else earlier
+            felt = _swung(np.concatenate([known, felt]), vessel, frames.dt)[len(known) :]
     left = np.minimum(vessel.capacity(_angle(axis, felt)) / vessel.volume, 1.0)
-    counts = t >= since
-    return _limit((1.0 - left)[counts], t[counts], 1.0 - rule.part, "share of the contents above the rim")
+    return _limit(1.0 - left, t, 1.0 - rule.part, "share of the contents above the rim")
+
+
+def _contents_after(rule: ContentsRule, before: Trajectory, motion: Trajectory, scene: Scene) -> Check:
+    """Check that contents stay in after another motion, by which a liquid swings."""
+    begins, dt = float(motion.t[0]), _DT[1]
+    t = begins + dt * np.arange(max(2, int(np.ceil(motion.duration / dt)) + 1))
+    earlier = _felt_earlier(scene, before, begins, tuple(rule.vessel.p_BS.tolist()))
+    return _contents(rule, FrameMotion.at_times(motion, scene, t), earlier)
+
+
+@per_layout(most=2)
+def _felt_earlier(
+    scene: Scene, before: Trajectory, until: float, point: tuple[float, ...]
+) -> Float[Array, "m xyz"] | None:
+    """Return the felt acceleration at a point of the object along a motion, in steps up to a time, which is left out.
+
+    Many candidates follow the same motion. None if it has no three steps.
+    """
+    steps = int((until - before.t[0]) / _DT[1])
+    if steps < 3:
+        return None
+    t = until - _DT[1] * np.arange(steps, -1, -1)
+    return FrameMotion.at_times(before, scene, t).felt(np.array(point))[:-1]
 
 
 def _swung(felt: Float[Array, "n xyz"], vessel: Vessel, dt: float) -> Float[Array, "n xyz"]:
