@@ -26,7 +26,7 @@ def main(seconds: float = 6.0, iterations: int | None = None) -> tuple[gp.Trajec
         began, rests = time.perf_counter(), bool(now > motion.t[-1])
         limit, at = None if iterations else LIMITS[rests], now + LIMITS[rests] + AHEAD
         goals = goals[::-1] if rests and np.allclose(motion.q[-1], goals[0]) else goals  # arrived
-        scene = scene.edit(move=measured(now))  # only the moved body is compiled again
+        scene = scene.edit(move=measured(now))  # no model is copied
         result = gp.replan(motion, scene, at=at, goal=goals[0], speed=SPEED, time_limit=limit, iterations=iterations)
         took += [time.perf_counter() - began]
         if result.trajectory is not None and (iterations or now + took[-1] < at):  # a late result is of no use
