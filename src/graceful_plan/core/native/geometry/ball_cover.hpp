@@ -78,9 +78,8 @@ class BallCover {
     if (able.empty()) return {point};
     const size_t n = std::min(able.size(), candidates_);
     std::vector<size_t> deepest = able, chosen;
-    std::partial_sort(deepest.begin(), deepest.begin() + n, deepest.end(), [&](size_t a, size_t b) {
-      return depth_[a] != depth_[b] ? depth_[a] > depth_[b] : a < b;
-    });
+    std::partial_sort(deepest.begin(), deepest.begin() + n, deepest.end(),
+                      [&](size_t a, size_t b) { return depth_[a] != depth_[b] ? depth_[a] > depth_[b] : a < b; });
     chosen.assign(deepest.begin(), deepest.begin() + n);
     const double step = n > 1 ? double(able.size() - 1) / double(n - 1) : 0;
     for (size_t k = 0; k < n; ++k) chosen.push_back(able[std::min(able.size() - 1, size_t(double(k) * step))]);
