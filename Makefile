@@ -20,7 +20,7 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make demo   plan 'tabletop' with and without impact; pictures in graceful_plan_demo/"
-	@echo "make test   run the tests, about 6 minutes on two cores"
+	@echo "make test   run the tests, about 5 minutes on two cores"
 	@echo "make test-long  run further and longer tests"
 	@echo "make test-robots  run tests with robots from packages (370 MB)"
 	@echo "make test-policies  run tests of policies with Stable-Baselines3 and torch (200 MB)"
@@ -30,7 +30,7 @@ help:
 	@echo "make audit  check dependencies for known vulnerabilities; needs the network"
 	@echo "make lint   check style and types"
 	@echo "make docs   build the site into site/; every warning is an error"
-	@echo "make bench  run the benchmarks, about 75 minutes"
+	@echo "make bench  run the benchmarks, about 85 minutes"
 	@echo "make bench-libero  run the benchmark in scenes of LIBERO (1.5 GB in an environment of its own), about an hour"
 	@echo "make bench-stale  list benchmark results that are older than the code they measure"
 	@echo "make wheel  build a wheel into dist/"

@@ -1,4 +1,4 @@
-"""A perception loop at 20 Hz: an arm carries coffee to and fro while a box moves through its way."""
+"""A perception loop with a period of 0.05 s: an arm carries coffee to and fro while a box moves through its way."""
 
 import time
 
