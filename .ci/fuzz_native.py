@@ -42,6 +42,7 @@ REFUSALS = (ValueError, TypeError, RuntimeError, MemoryError, OverflowError, Ind
 SLOW = 10.0
 """Time after which a call counts as hanging [s]."""
 MAY_BE_INFINITE = {
+    ("ball_cover", "depth"),
     ("Core", "room"),
     ("PoseCost", "distance"),
     ("PoseCost", "angle"),
@@ -252,6 +253,11 @@ CELLS = {
 
 def situations() -> None:
     """Plan with every model, planner and kind of bound that has a native kernel."""
+    # Directly, because covers of meshes may be cached on disk.
+    points = np.random.default_rng(0).random((9, 3))
+    _native.heights(points=points, planes=np.array([[0.0, 0.0, 1.0, -0.5], [1.0, 0.0, 0.0, -1.0]]))
+    order = np.arange(9, dtype=np.int32)
+    _native.ball_cover(points=points, reach=np.full(9, 0.1), depth=np.zeros(9), order=order, first=9, candidates=4)
     for name, faults in (("dining_table", "drop_only"), ("tabletop", "service_robot")):
         task = next(iter(gp.load_scene(name).tasks.values()))
         impact = gp.ImpactCost(gp.FailureMixture(faults=faults))

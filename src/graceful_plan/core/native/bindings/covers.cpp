@@ -29,6 +29,8 @@ Array<int32_t> ball_cover(Reals points, Reals reach, Reals depth, Integers order
 
 std::pair<Array<double>, Array<int32_t>> heights(Reals points, Reals planes) {
   require(points.size() % 3 == 0 && planes.size() % 4 == 0 && planes.size() > 0, "points and planes");
+  require_numbers(points, points.size(), "points");
+  require_numbers(planes, planes.size(), "planes");
   const size_t n = points.size() / 3;
   double* height;
   int32_t* face;
