@@ -133,6 +133,9 @@ def verify(
     if motion.q.shape[1] != nq:
         raise ShapeError("motion", motion.q.shape, f"(n, {nq})")
     _check_step(step)
+    if not (is_real(start_tolerance) and 0.0 <= start_tolerance < np.inf):
+        raise SettingError("start_tolerance", start_tolerance, "a finite number >= 0")
+    start_tolerance = float(start_tolerance)
     q_start, leaving = _start(start, nq)
     rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
     too_long = _too_long(motion, scene, step)
