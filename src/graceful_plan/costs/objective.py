@@ -11,7 +11,7 @@ sub-steps of at most `COST_STEP`.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
@@ -337,12 +337,12 @@ class SceneObjective:
         return EdgeSamples(q0, q1, self.scene.limits.velocity, self.paces, step)
 
     def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
-        impact, by_entity, by_component = 0.0, Counter[str](), Counter[str]()
+        impact, by_entity, by_component = 0.0, defaultdict[str, float](float), defaultdict[str, float](float)
         for factor, cost in terms_of(self.objective.impact):
             if not isinstance(cost, ImpactCost):
                 total = factor * float(weight @ checked_state(cost, batch))
                 impact += total
-                by_entity[type(cost).__name__] += total  # type: ignore[assignment]  # counters may hold floats
+                by_entity[type(cost).__name__] += total
                 continue
             exposure = sum(
                 np.tensordot(weight[k : k + _AT_A_TIME], cost.probability(batch[k : k + _AT_A_TIME]), axes=1)
@@ -350,8 +350,10 @@ class SceneObjective:
             )
             parts = factor * exposure * cost.severity_table(self.scene)
             impact += float(parts.sum())
-            by_entity.update(dict(zip(cost.harmed_entities(self.scene), parts.sum(axis=0).tolist(), strict=True)))
-            by_component.update(dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)))
+            for entity, part in zip(cost.harmed_entities(self.scene), parts.sum(axis=0).tolist(), strict=True):
+                by_entity[entity] += part
+            for component, part in zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True):
+                by_component[component] += part
         return CostBreakdown(
             motion=motion,
             impact=impact,
