@@ -16,12 +16,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.grasp import GraspHolds, load_facets
+from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.job.gripper import ParallelGripper, find_gripper
+from graceful_plan.job.placed import Placed
 from graceful_plan.path import is_real
 from graceful_plan.query.arguments import checked_seed
 from graceful_plan.scene.elements import Fingers
-from graceful_plan.scene.model_parts import colliding_geoms, subtree
 from graceful_plan.scene.roles import held_note, rigid_pose
 from graceful_plan.scene.scene import Scene
 
@@ -147,26 +148,14 @@ class _Candidate:
     opening: float
 
 
-class _Thing:
-    """The object where it stands: geoms, poses and its upward direction, all in O."""
+class _Thing(Placed):
+    """The object where it stands, with its upward direction, centre of mass and underside in O."""
 
     def __init__(self, scene: Scene, body: str) -> None:
-        self.model, self.data = scene.model, mujoco.MjData(scene.model)
-        self.data.qpos[:] = scene.home_qpos
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-        b = int(self.model.body(body).id)
-        self.geoms = colliding_geoms(self.model, subtree(self.model, b))
-        R_WO, self.p_WO = self.data.xmat[b].reshape(3, 3), self.data.xpos[b].copy()
-        self.R_WO = R_WO.copy()
+        super().__init__(scene, body)
+        R_WO, p_WO = self.X_WO[:3, :3], self.X_WO[:3, 3]
         self.up = R_WO[2].copy()
-        self.X_OG = np.stack(
-            [
-                _rigid(R_WO.T @ self.data.geom_xmat[g].reshape(3, 3), R_WO.T @ (self.data.geom_xpos[g] - self.p_WO))
-                for g in self.geoms
-            ]
-        )
-        self.centre = R_WO.T @ (self.data.subtree_com[b] - self.p_WO)
+        self.centre = R_WO.T @ (self.data.subtree_com[self.body] - p_WO)
         self.underside = min(
             float(self.up @ (X[:3, 3] + X[:3, :3] @ self.model.geom_aabb[g, :3]))
             - float(np.abs(self.up @ X[:3, :3]) @ self.model.geom_aabb[g, 3:])
@@ -181,9 +170,7 @@ class _Thing:
         low = low - np.einsum("gi,gi->g", np.abs(np.einsum("i,gij->gj", self.up, X_OG[:, :3, :3])), box[:, 3:])
         if float(low.min()) < self.underside + _FLOOR:
             return False
-        for k, g in enumerate(gripper.geoms):
-            self.data.geom_xpos[g] = self.R_WO @ X_OG[k, :3, 3] + self.p_WO
-            self.data.geom_xmat[g] = (self.R_WO @ X_OG[k, :3, :3]).ravel()
+        self.move(gripper.geoms, self.X_WO @ X_OG)
         reach = self.model.geom_rbound
         for g in gripper.geoms:
             for own in self.geoms:
@@ -366,7 +353,7 @@ def _hold(
     of_tool = np.stack([gripper.closing, gripper.approach, np.cross(gripper.closing, gripper.approach)], axis=1)
     of_object = np.stack([closing, approach, np.cross(closing, approach)], axis=1)
     R_TO = of_tool @ of_object.T
-    return _rigid(R_TO, gripper.pads - R_TO @ place)
+    return pose_matrix(R_TO, gripper.pads - R_TO @ place)
 
 
 def _load_left(held: Scene, up: Float[Array, " xyz"]) -> float:
@@ -377,9 +364,3 @@ def _load_left(held: Scene, up: Float[Array, " xyz"]) -> float:
         return float("nan")
     gravity = float(np.linalg.norm(held.model.opt.gravity))
     return 1.0 - float((facets @ up * gravity / room).max())
-
-
-def _rigid(R: Float[Array, "3 3"], p: Float[Array, " xyz"]) -> Float[Array, "4 4"]:
-    X = np.eye(4)
-    X[:3, :3], X[:3, 3] = R, p
-    return X

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.couplings import followers
 from graceful_plan.scene.model_parts import colliding_geoms, subtree
@@ -78,9 +79,9 @@ def find_gripper(scene: Scene) -> ParallelGripper:
         )
     data = Placement(scene).place(scene.home_qpos[scene.qpos_adr])
     site = data.site(scene.tool)
-    X_WT = _pose(site.xmat, site.xpos)
+    X_WT = pose_matrix(site.xmat, site.xpos)
     geoms = colliding_geoms(model, hand)
-    X_TG = np.stack([np.linalg.inv(X_WT) @ _pose(data.geom_xmat[g], data.geom_xpos[g]) for g in geoms])
+    X_TG = np.stack([np.linalg.inv(X_WT) @ pose_matrix(data.geom_xmat[g], data.geom_xpos[g]) for g in geoms])
     fingers = [
         [geoms.index(g) for g in geoms if int(model.geom_bodyid[g]) in subtree(model, int(body))]
         for body in model.jnt_bodyid[slides]
@@ -147,9 +148,3 @@ def _boxes(
     box = scene.model.geom_aabb[list(geoms)].reshape(-1, 6)
     centre = np.einsum("gij,gj->gi", X_TG[:, :3, :3], box[:, :3]) + X_TG[:, :3, 3]
     return centre, np.einsum("gij,gj->gi", np.abs(X_TG[:, :3, :3]), box[:, 3:])
-
-
-def _pose(R: Float[Array, "..."], p: Float[Array, " xyz"]) -> Float[Array, "4 4"]:
-    X = np.eye(4)
-    X[:3, :3], X[:3, 3] = np.reshape(R, (3, 3)), p
-    return X
