@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from grippers import CUP, SLIDES, armed, linkage
+from grippers import CUP, JAW, JAW_DRIVE, SLIDES, armed, linkage
 
 import graceful_plan as gp
 from graceful_plan.constraints.grasp import GraspHolds
@@ -68,9 +68,12 @@ def test_other_grippers_hold_by_their_pads(scene: Scene) -> None:
         assert gripper.range[0] < _BLOCK < grasp.opening < gripper.range[1]
 
 
-def test_a_cup_has_no_pads() -> None:
-    with pytest.raises(UnsupportedError, match="no joint"):
-        gp.grasps(armed(CUP), "block")
+@pytest.mark.parametrize(
+    ("scene", "why"), [(armed(CUP), "no joint"), (armed(JAW, drive=JAW_DRIVE), "is fixed")], ids=["cup", "jaw"]
+)
+def test_grippers_without_two_pads_that_move_need_given_grasps(scene: Scene, why: str) -> None:
+    with pytest.raises(UnsupportedError, match=why):
+        gp.grasps(scene, "block")
 
 
 def test_a_mesh_is_grasped_like_the_primitive_it_equals(tabletop: Scene) -> None:

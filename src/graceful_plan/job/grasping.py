@@ -92,7 +92,7 @@ def grasps(scene: Scene, name: str, *, n: int = 16, seed: int = 0) -> tuple[Gras
     which the object can be grasped, those nearest to its centre of mass first.
 
     Args:
-        scene: A scene with an empty gripper; its tool is between two pads.
+        scene: A scene with an empty gripper; its tool is between two pads that move.
         name: Object of the scene, or any body whose parent is the world.
         n: Largest number of grasps.
         seed: Seed of the directions across round geoms and of the points on meshes.
@@ -111,6 +111,10 @@ def grasps(scene: Scene, name: str, *, n: int = 16, seed: int = 0) -> tuple[Gras
     thing = _Thing(scene, note.body)
     found = [] if (own := declared_grasp(scene, name)) is None else [own]
     gripper = find_gripper(scene)
+    if gripper.has_fixed_pad:
+        raise UnsupportedError(
+            f"a pad of {scene.name!r} is fixed, and grasps are sampled for two that move: give a list"
+        )
     for candidate in _in_turns(_contacts(thing, gripper, rng), thing, gripper):
         if len(found) >= n:
             break
@@ -139,10 +143,8 @@ def declared_grasp(scene: Scene, name: str) -> Grasp | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Candidate:
-    """A place between the pads: middle and closing axis in O, with the width there and the approach."""
+    """A place between the pads, with the width there, the opening that leads to it and the approach in O."""
 
-    middle: Float[Array, " xyz"]
-    closing: Float[Array, " xyz"]
     approach: Float[Array, " xyz"]
     width: float
     X_TO: Float[Array, "4 4"]
@@ -270,9 +272,7 @@ def _in_turns(
                 X_TO = _hold(place, closing, approach, gripper, between)
                 if not thing.is_free(gripper.geoms, X_TG, X_TO):
                     continue
-                one = _Candidate(
-                    middle=place, closing=closing, approach=approach, width=width, X_TO=X_TO, opening=opening
-                )
+                one = _Candidate(approach=approach, width=width, X_TO=X_TO, opening=opening)
                 sides.setdefault(side, []).append((arm, number, one))
                 number += 1
     queues = [sorted(side, key=lambda row: row[:2]) for side in sides.values()]

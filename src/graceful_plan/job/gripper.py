@@ -59,6 +59,12 @@ class Gripper:
         """Least and largest opening [m]."""
         return max(float(self.gaps[0]), 0.0), float(self.gaps[-1])
 
+    @property
+    def has_fixed_pad(self) -> bool:
+        """Whether one pad does not move, so that it touches the object before the other one closes."""
+        moving = colliding_geoms(self.hand.model, moving_bodies(self.hand))
+        return not set(moving).issuperset(self.pads.geoms)
+
     def _joints(self, opening: float) -> dict[int, float]:
         return self.stroke.at(float(np.interp(opening, self.gaps, _SHARES)))
 
@@ -85,7 +91,7 @@ def find_gripper(scene: Scene) -> Gripper:
     hand, qpos = hand_of(scene), scene.home_qpos
     stroke = find_stroke(hand, qpos)
     if not stroke.joints:
-        raise UnsupportedError(f"the gripper of {scene.name!r} has no joint with limits that opens it")
+        raise UnsupportedError(f"the gripper of {scene.name!r} has no joint with limits: give grasps by list")
     pads = find_pads(hand, qpos, stroke)
     gaps = np.array([pads.gap(hand.posed(qpos, stroke.at(share))) for share in _SHARES.tolist()])
     data = hand.posed(qpos, stroke.at(0.5))
