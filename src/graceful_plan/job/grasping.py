@@ -19,7 +19,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.grasp import GraspHolds, load_facets
 from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import SettingError, UnsupportedError
-from graceful_plan.job.gripper import Gripper, find_gripper
+from graceful_plan.job.gripper import ParallelGripper, find_gripper
 from graceful_plan.job.placed import Placed
 from graceful_plan.path import is_real
 from graceful_plan.query.arguments import checked_seed
@@ -186,7 +186,7 @@ class _Thing(Placed):
 
 
 def _contacts(
-    thing: _Thing, gripper: Gripper, rng: np.random.Generator
+    thing: _Thing, gripper: ParallelGripper, rng: np.random.Generator
 ) -> Iterator[tuple[Float[Array, " xyz"], Float[Array, " xyz"], float, int]]:
     """Yield closing axis and middle in O, width, and index of the geom of antipodal contacts.
 
@@ -254,7 +254,7 @@ def _farthest_hit(
 def _in_turns(
     contacts: Iterator[tuple[Float[Array, " xyz"], Float[Array, " xyz"], float, int]],
     thing: _Thing,
-    gripper: Gripper,
+    gripper: ParallelGripper,
 ) -> Iterator[_Candidate]:
     """Yield candidates from all sides in turns, in each the nearest to the centre of mass first."""
     sides: dict[tuple[object, ...], list[tuple[float, int, _Candidate]]] = {}
@@ -309,7 +309,7 @@ def _places(
     closing: Float[Array, " xyz"],
     middle: Float[Array, " xyz"],
     approach: Float[Array, " xyz"],
-    gripper: Gripper,
+    gripper: ParallelGripper,
 ) -> Iterator[Float[Array, " xyz"]]:
     """Yield places of the middle of the pads along a geom.
 
@@ -352,7 +352,7 @@ def _hold(
     place: Float[Array, " xyz"],
     closing: Float[Array, " xyz"],
     approach: Float[Array, " xyz"],
-    gripper: Gripper,
+    gripper: ParallelGripper,
     between: Float[Array, " xyz"],
 ) -> Float[Array, "4 4"]:
     """Return X_TO such that the middle `between` the pads, in T, is at a place of the object."""

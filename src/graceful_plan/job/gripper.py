@@ -26,8 +26,8 @@ _SHARES = np.linspace(0.0, 1.0, 33)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Gripper:
-    """Two pads, at least one of which moves; vectors are in the tool frame T.
+class ParallelGripper:
+    """Two pads that face each other, at least one of which moves; vectors are in the tool frame T.
 
     | field    | meaning                                                                          | unit | shape   |
     |----------|----------------------------------------------------------------------------------|------|---------|
@@ -82,7 +82,7 @@ class Gripper:
 
 
 @per_layout
-def find_gripper(scene: Scene) -> Gripper:
+def find_gripper(scene: Scene) -> ParallelGripper:
     """Return the gripper of a scene.
 
     Raises:
@@ -111,7 +111,7 @@ def find_gripper(scene: Scene) -> Gripper:
     fingers = {*colliding_geoms(hand.model, moving_bodies(hand)), *pads.geoms}
     palm = [k for k, g in enumerate(geoms) if g not in fingers]
     behind = [float(approach @ (between - middle[k]) - np.abs(approach) @ half[k]) for k in palm]
-    return Gripper(
+    return ParallelGripper(
         hand=hand,
         qpos=qpos,
         stroke=stroke,
