@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grippers import CUP, JAW, JAW_DRIVE, SLIDES, armed, linkage
 
 import graceful_plan as gp
 from graceful_plan.constraints.grasp import GraspHolds
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.job.gripper import find_gripper
 from graceful_plan.scene.rules.grip import find_grip
 from graceful_plan.scene.scene import Scene
 
 _CUBE = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.03, 0.03) for z in (-0.03, 0.03)])
+_BLOCK = 0.04
+"""Width of the block of `armed` [m]."""
 _MESH_ROUNDING = 1e-6
 """Vertices of meshes are single precision [m]."""
 
@@ -51,6 +54,26 @@ def test_grasps_keep_the_constraint_and_have_the_width_between_the_pads(name: st
         (finger,) = grasp.fingers.values()
         assert 2.0 * grip.half[0] == pytest.approx(2.0 * finger, abs=2e-4)
         assert 0.05 <= grasp.quality <= 1.0 and grasp.opening > 2.0 * finger
+
+
+@pytest.mark.parametrize("scene", [linkage(), armed(SLIDES)], ids=["linkage", "mirrored slides"])
+def test_other_grippers_hold_by_their_pads(scene: Scene) -> None:
+    gripper = find_gripper(scene)
+    found = gp.grasps(scene, "block", n=6)
+    assert len(found) == 6
+    for grasp in found:
+        held = scene.attach("block", X_TO=grasp.X_TO, fingers=grasp.fingers)
+        assert 2.0 * find_grip(held).half[0] == pytest.approx(_BLOCK, abs=2e-4)
+        assert grasp.quality > 0.9 and grasp.opening == pytest.approx(_BLOCK + 0.02)
+        assert gripper.range[0] < _BLOCK < grasp.opening < gripper.range[1]
+
+
+@pytest.mark.parametrize(
+    ("scene", "why"), [(armed(CUP), "no joint"), (armed(JAW, drive=JAW_DRIVE), "is fixed")], ids=["cup", "jaw"]
+)
+def test_grippers_without_two_pads_that_move_need_given_grasps(scene: Scene, why: str) -> None:
+    with pytest.raises(UnsupportedError, match=why):
+        gp.grasps(scene, "block")
 
 
 def test_a_mesh_is_grasped_like_the_primitive_it_equals(tabletop: Scene) -> None:

@@ -1,4 +1,4 @@
-"""Grasps of an object by a parallel gripper: antipodal contacts on its geoms, with opening, approach and quality.
+"""Grasps of an object between two pads: antipodal contacts on its geoms, with opening, approach and quality.
 
 Frames: W world, T tool, O object, G geom. Each colliding geom of the object is grasped by itself, so the wall of a cup
 and the handle of a pot each give grasps; a grasp in which the gripper would touch other parts of the object is
@@ -8,20 +8,22 @@ discarded. Surroundings do not count here, because they change during a job.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.grasp import GraspHolds, load_facets
+from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.job.gripper import ParallelGripper, find_gripper
+from graceful_plan.job.placed import Placed
 from graceful_plan.path import is_real
 from graceful_plan.query.arguments import checked_seed
 from graceful_plan.scene.elements import Fingers
-from graceful_plan.scene.model_parts import colliding_geoms, subtree
 from graceful_plan.scene.roles import held_note, rigid_pose
 from graceful_plan.scene.scene import Scene
 
@@ -90,7 +92,7 @@ def grasps(scene: Scene, name: str, *, n: int = 16, seed: int = 0) -> tuple[Gras
     which the object can be grasped, those nearest to its centre of mass first.
 
     Args:
-        scene: A scene with an empty gripper of two fingers on slides.
+        scene: A scene with an empty gripper; its tool is between two pads that move.
         name: Object of the scene, or any body whose parent is the world.
         n: Largest number of grasps.
         seed: Seed of the directions across round geoms and of the points on meshes.
@@ -109,6 +111,10 @@ def grasps(scene: Scene, name: str, *, n: int = 16, seed: int = 0) -> tuple[Gras
     thing = _Thing(scene, note.body)
     found = [] if (own := declared_grasp(scene, name)) is None else [own]
     gripper = find_gripper(scene)
+    if gripper.has_fixed_pad:
+        raise UnsupportedError(
+            f"a pad of {scene.name!r} is fixed, and grasps are sampled for two that move: give a list"
+        )
     for candidate in _in_turns(_contacts(thing, gripper, rng), thing, gripper):
         if len(found) >= n:
             break
@@ -137,55 +143,39 @@ def declared_grasp(scene: Scene, name: str) -> Grasp | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Candidate:
-    """A place between the pads: middle and closing axis in O, with the width there and the approach."""
+    """A place between the pads, with the width there, the opening that leads to it and the approach in O."""
 
-    middle: Float[Array, " xyz"]
-    closing: Float[Array, " xyz"]
     approach: Float[Array, " xyz"]
     width: float
     X_TO: Float[Array, "4 4"]
     opening: float
 
 
-class _Thing:
-    """The object where it stands: geoms, poses and its upward direction, all in O."""
+class _Thing(Placed):
+    """The object where it stands, with its upward direction, centre of mass and underside in O."""
 
     def __init__(self, scene: Scene, body: str) -> None:
-        self.model, self.data = scene.model, mujoco.MjData(scene.model)
-        self.data.qpos[:] = scene.home_qpos
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-        b = int(self.model.body(body).id)
-        self.geoms = colliding_geoms(self.model, subtree(self.model, b))
-        R_WO, self.p_WO = self.data.xmat[b].reshape(3, 3), self.data.xpos[b].copy()
-        self.R_WO = R_WO.copy()
+        super().__init__(scene, body)
+        R_WO, p_WO = self.X_WO[:3, :3], self.X_WO[:3, 3]
         self.up = R_WO[2].copy()
-        self.X_OG = np.stack(
-            [
-                _rigid(R_WO.T @ self.data.geom_xmat[g].reshape(3, 3), R_WO.T @ (self.data.geom_xpos[g] - self.p_WO))
-                for g in self.geoms
-            ]
-        )
-        self.centre = R_WO.T @ (self.data.subtree_com[b] - self.p_WO)
+        self.centre = R_WO.T @ (self.data.subtree_com[self.body] - p_WO)
         self.underside = min(
             float(self.up @ (X[:3, 3] + X[:3, :3] @ self.model.geom_aabb[g, :3]))
             - float(np.abs(self.up @ X[:3, :3]) @ self.model.geom_aabb[g, 3:])
             for g, X in zip(self.geoms, self.X_OG, strict=True)
         )
 
-    def is_free(self, gripper: ParallelGripper, X_TO: Float[Array, "4 4"], opening: float) -> bool:
+    def is_free(self, geoms: Sequence[int], X_TG: Float[Array, "geom 4 4"], X_TO: Float[Array, "4 4"]) -> bool:
         """Tell whether the open gripper keeps off the object and above its underside."""
-        X_OG = np.linalg.inv(X_TO) @ gripper.poses(opening)
-        box = self.model.geom_aabb[list(gripper.geoms)]
+        X_OG = np.linalg.inv(X_TO) @ X_TG
+        box = self.model.geom_aabb[list(geoms)]
         low = (X_OG[:, :3, 3] + np.einsum("gij,gj->gi", X_OG[:, :3, :3], box[:, :3])) @ self.up
         low = low - np.einsum("gi,gi->g", np.abs(np.einsum("i,gij->gj", self.up, X_OG[:, :3, :3])), box[:, 3:])
         if float(low.min()) < self.underside + _FLOOR:
             return False
-        for k, g in enumerate(gripper.geoms):
-            self.data.geom_xpos[g] = self.R_WO @ X_OG[k, :3, 3] + self.p_WO
-            self.data.geom_xmat[g] = (self.R_WO @ X_OG[k, :3, :3]).ravel()
+        self.move(geoms, self.X_WO @ X_OG)
         reach = self.model.geom_rbound
-        for g in gripper.geoms:
+        for g in geoms:
             for own in self.geoms:
                 away = float(np.linalg.norm(self.data.geom_xpos[g] - self.data.geom_xpos[own]))
                 if away > reach[g] + reach[own] + _CLEAR:
@@ -268,22 +258,21 @@ def _in_turns(
 ) -> Iterator[_Candidate]:
     """Yield candidates from all sides in turns, in each the nearest to the centre of mass first."""
     sides: dict[tuple[object, ...], list[tuple[float, int, _Candidate]]] = {}
-    number = 0
+    number, at = 0, cache(gripper.at)
     for closing, middle, width, k in contacts:
         if not gripper.range[0] < width < gripper.range[1] - 2.0 * _CLEAR:
             continue
+        opening = min(width + 2.0 * _AIR, gripper.range[1])
+        X_TG, (_, between) = at(opening)[0], at(width)
         for approach in _approaches(closing, thing.up):
             for place in _places(thing, k, closing, middle, approach, gripper):
                 arm = place - thing.centre
                 arm = round(float(np.linalg.norm(arm - closing * (closing @ arm))), 6)  # rounding breaks no ties
                 side = (k, *np.round(approach, 1).tolist(), *np.round(np.abs(closing), 1).tolist())
-                X_TO = _hold(place, closing, approach, gripper)
-                opening = min(width + 2.0 * _AIR, gripper.range[1])
-                if not thing.is_free(gripper, X_TO, opening):
+                X_TO = _hold(place, closing, approach, gripper, between)
+                if not thing.is_free(gripper.geoms, X_TG, X_TO):
                     continue
-                one = _Candidate(
-                    middle=place, closing=closing, approach=approach, width=width, X_TO=X_TO, opening=opening
-                )
+                one = _Candidate(approach=approach, width=width, X_TO=X_TO, opening=opening)
                 sides.setdefault(side, []).append((arm, number, one))
                 number += 1
     queues = [sorted(side, key=lambda row: row[:2]) for side in sides.values()]
@@ -360,13 +349,17 @@ def _support(kind: int, half: Float[Array, " xyz"], way: Float[Array, " xyz"]) -
 
 
 def _hold(
-    place: Float[Array, " xyz"], closing: Float[Array, " xyz"], approach: Float[Array, " xyz"], gripper: ParallelGripper
+    place: Float[Array, " xyz"],
+    closing: Float[Array, " xyz"],
+    approach: Float[Array, " xyz"],
+    gripper: ParallelGripper,
+    between: Float[Array, " xyz"],
 ) -> Float[Array, "4 4"]:
-    """Return X_TO such that the pads are around a place of the object."""
+    """Return X_TO such that the middle `between` the pads, in T, is at a place of the object."""
     of_tool = np.stack([gripper.closing, gripper.approach, np.cross(gripper.closing, gripper.approach)], axis=1)
     of_object = np.stack([closing, approach, np.cross(closing, approach)], axis=1)
     R_TO = of_tool @ of_object.T
-    return _rigid(R_TO, gripper.pads - R_TO @ place)
+    return pose_matrix(R_TO, between - R_TO @ place)
 
 
 def _load_left(held: Scene, up: Float[Array, " xyz"]) -> float:
@@ -377,9 +370,3 @@ def _load_left(held: Scene, up: Float[Array, " xyz"]) -> float:
         return float("nan")
     gravity = float(np.linalg.norm(held.model.opt.gravity))
     return 1.0 - float((facets @ up * gravity / room).max())
-
-
-def _rigid(R: Float[Array, "3 3"], p: Float[Array, " xyz"]) -> Float[Array, "4 4"]:
-    X = np.eye(4)
-    X[:3, :3], X[:3, 3] = R, p
-    return X

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -89,6 +91,15 @@ def plan_job(
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Choices:
+    """The transports to goals and all actions, with sampled placements, and the motions planned so far."""
+
+    goals: list[Transport]
+    actions: tuple[Action, ...]
+    motions: Motions
+
+
 @final
 class JobSession:
     """The choices of a job, sampled once, with the motions planned so far."""
@@ -97,8 +108,8 @@ class JobSession:
         self, job: Job, objective: Objective, *, grasps: int, seed: int = 0, start: Configuration | None = None
     ) -> None:
         self._job, self._objective, self._n, self._seed = job, objective, grasps, seed
-        self._q = start_configuration(_default_start(job.scene) if start is None else start, job.scene)
-        self._goals: list[Transport] | None = None
+        q = start_configuration(_default_start(job.scene) if start is None else start, job.scene)
+        self._state = JobState(world=job.scene, q=q)
 
     def answer(
         self,
@@ -115,7 +126,7 @@ class JobSession:
             if name not in self._job.goals:
                 raise UnknownNameError("goal of the job", name, self._job.goals)
         search = self.search(order)
-        motions = self._motions
+        motions = search.motions
         limited = np.isfinite(budget.time_limit)
         motions.limited, motions.cancelled = limited and iterations is None, budget.cancelled
         motions.left = lambda: budget.time_limit - budget.elapsed
@@ -153,24 +164,23 @@ class JobSession:
 
     def search(self, order: tuple[str, ...] = ()) -> SequenceSearch:
         """Return a new search that shares choices and motions with earlier ones."""
-        if self._goals is None:
-            self._goals = self._sample()
-        return SequenceSearch(self._state, self._goals, self._actions, self._motions, order)
+        choices = self._choices
+        return SequenceSearch(self._state, choices.goals, choices.actions, choices.motions, order)
 
     def _straight_bound(self, search: SequenceSearch) -> float:
         """Return the bound that holds for all motions, not only for those that were planned."""
         start = Node(state=self._state)
         return min((edge.least for edge in search.edges(start)), default=0.0)
 
-    def _sample(self) -> list[Transport]:
-        """Sample placements, and set up the actions; return those of the goals."""
+    @cached_property
+    def _choices(self) -> _Choices:
+        """Sampled when they are first used, within the time limit."""
         job, scene = self._job, self._job.scene
         movable = {*job.goals}
         for action in job.allowed:
             movable |= {action.name} if isinstance(action, Clear) else set()
             movable |= {action.lid, action.vessel} if isinstance(action, CloseLid) else set()
         names = tuple(sorted(movable))
-        self._state = JobState(world=scene, q=self._q)
         empty = self._state.parked(names)
         supports = {name: {support} if (support := support_of(scene, name)) else set() for name in names}
         goals = []
@@ -196,17 +206,16 @@ class JobSession:
                 actions.append(Closing(action.lid, action.vessel, X_VL))
             elif isinstance(action, Action):
                 actions.append(action)
-        self._actions = tuple(actions)
-        self._motions = Motions(
+        motions = Motions(
             objective=self._objective,
             movable=names,
             supports={name: tuple(sorted(bodies)) for name, bodies in supports.items()},
             given=job.own_grasps,
             n_grasps=self._n,
-            q_home=self._q,
+            q_home=self._state.q,
             seed=self._seed,
         )
-        return goals
+        return _Choices(goals=goals, actions=tuple(actions), motions=motions)
 
     def _places(self, name: str, where: Where, empty: JobState) -> tuple[PoseKey, ...]:
         if where.at is not None:
@@ -254,7 +263,7 @@ class JobSession:
             if budget.cancelled() or left < _TOO_SHORT:
                 break
             seconds = left / (len(free) - done)
-            motions[k] = self._motions.better(motions[k], seconds, None if iterations is None else _IMPROVING)
+            motions[k] = self._choices.motions.better(motions[k], seconds, None if iterations is None else _IMPROVING)
         w = self._objective.w
         return tuple(
             Step(kind=kind, name=name, pieces=tuple(motions), cost=added([motion.cost for motion in motions], w))

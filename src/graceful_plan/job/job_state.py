@@ -16,6 +16,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.axes import Upright
 from graceful_plan.constraints.standing import KeepStanding
+from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.job.grasping import JOINED, Grasp
 from graceful_plan.job.gripper import find_gripper
@@ -134,13 +135,8 @@ def _shifted(X: Float[Array, "4 4"], x: float) -> Float[Array, "4 4"]:
 
 @per_scene
 def _initial_pose(scene: Scene, name: str) -> Float[Array, "4 4"]:
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.home_qpos
-    mujoco.mj_kinematics(scene.model, data)
-    body = scene.model.body(name).id
-    X = np.eye(4)
-    X[:3, :3], X[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
-    return X
+    body = scene.data_at(scene.home_qpos[scene.qpos_adr]).body(name)
+    return pose_matrix(body.xmat, body.xpos)
 
 
 @per_scene(most=_KEPT)

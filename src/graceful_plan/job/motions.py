@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
@@ -28,6 +29,7 @@ from graceful_plan.query.cartesian.straight import plan_cartesian
 from graceful_plan.query.endpoints.ik import solve_ik
 from graceful_plan.query.endpoints.usable import free_of_collision
 from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus
+from graceful_plan.scene.loading.naming import lookup
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
@@ -340,16 +342,13 @@ class Motions:
 
     def _blockers(self, scene: Scene, q: Float[Array, "n nq"]) -> frozenset[str]:
         model = scene.model
-        mine = {name: model.body(name).id for name in self.movable if name in _bodies(scene)}
+        # Lids that were closed are no bodies of their own.
+        mine = {name: body for name in self.movable if (body := lookup(model, mujoco.mjtObj.mjOBJ_BODY, name)) >= 0}
         held = scene.carried.body if scene.carried is not None else None
         judge = Judge(scene)
         touches = judge.violations(list(judge.touches(q)), len(q))
         met = {int(model.body_rootid[model.geom_bodyid[g]]) for t in touches for g in (t.first, t.second)}
         return frozenset(name for name, body in mine.items() if body in met and name != held)
-
-
-def _bodies(scene: Scene) -> set[str]:
-    return {scene.model.body(b).name for b in range(scene.model.nbody)}
 
 
 def _stance(q: Float[Array, " nq"], lift: Trajectory, back: Trajectory) -> Stance:

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.core.frames import pose_matrix
 from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.job.placed import Placed
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.query.arguments import checked_seed
-from graceful_plan.scene.model_parts import colliding_geoms, subtree
+from graceful_plan.scene.model_parts import colliding_geoms
 from graceful_plan.scene.roles import held_note
 from graceful_plan.scene.scene import Scene
 
@@ -130,25 +132,14 @@ def occupant(scene: Scene, name: str, X_WO: Float[Array, "4 4"]) -> str | None:
     return _Standing(scene, name).blocker(X_WO, None, -_OVERLAP)
 
 
-class _Standing:
+class _Standing(Placed):
     """An object that stands in a scene."""
 
     def __init__(self, scene: Scene, body: str) -> None:
-        self.scene, self.model, self.data = scene, scene.model, mujoco.MjData(scene.model)
-        self.data.qpos[:] = scene.home_qpos
-        mujoco.mj_kinematics(self.model, self.data)
-        b = int(self.model.body(body).id)
-        own = subtree(self.model, b)
-        self.geoms = colliding_geoms(self.model, own)
-        others = [i for i in range(self.model.nbody) if i not in own and i not in scene.robot_bodies]
+        super().__init__(scene, body)
+        others = set(range(self.model.nbody)) - self.bodies - scene.robot_bodies
         self.others = colliding_geoms(self.model, others)
-        self.X_WO = np.eye(4)
-        self.X_WO[:3, :3], self.X_WO[:3, 3] = self.data.xmat[b].reshape(3, 3), self.data.xpos[b]
-        X_OW = np.linalg.inv(self.X_WO)
-        X_WG = np.tile(np.eye(4), (len(self.geoms), 1, 1))
-        X_WG[:, :3, :3] = self.data.geom_xmat[list(self.geoms)].reshape(-1, 3, 3)
-        X_WG[:, :3, 3] = self.data.geom_xpos[list(self.geoms)]
-        self.X_OG = X_OW @ X_WG
+        X_OW, X_WG = np.linalg.inv(self.X_WO), self.X_WO @ self.X_OG
         box = self.model.geom_aabb[list(self.geoms)].reshape(-1, 6)
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
         corners = box[:, None, :3] + signs * box[:, None, 3:]
@@ -169,9 +160,7 @@ class _Standing:
 
     def blocker(self, X_WO: Float[Array, "4 4"], but: str | None, apart: float) -> str | None:
         """Return a body that is nearer than a distance [m] to the object at a pose, other than its support."""
-        for g, X_OG in zip(self.geoms, self.X_OG, strict=True):
-            X = X_WO @ X_OG
-            self.data.geom_xpos[g], self.data.geom_xmat[g] = X[:3, 3], X[:3, :3].ravel()
+        self.move(self.geoms, X_WO @ self.X_OG)
         for other in self.others:
             body = self.model.body(self.model.geom_bodyid[other]).name
             if body == but:
@@ -195,11 +184,9 @@ def _tops(thing: _Standing, on: str | None) -> Iterator[_Top]:
         round_ = kind == int(_GEOM.mjGEOM_CYLINDER)
         if round_ and axis != 2:
             continue
-        X = np.eye(4)
         first, second = R[:, (axis + 1) % 3], R[:, (axis + 2) % 3]
-        X[:3, :3] = np.stack([first, second, np.cross(first, second)], axis=1)
         height = float(size[1] if round_ else size[axis])
-        X[:3, 3] = p + np.array([0.0, 0.0, height])
+        X = pose_matrix(np.stack([first, second, np.cross(first, second)], axis=1), p + [0.0, 0.0, height])
         half = float(size[0]) if round_ else (float(size[(axis + 1) % 3]), float(size[(axis + 2) % 3]))
         yield _Top(body=model.body(model.geom_bodyid[g]).name, X_WG=X, half=half)
 

@@ -120,12 +120,13 @@ class SequenceSearch:
 
     def edges(self, node: Node) -> Iterator[Edge]:
         """Yield the actions that are possible in the state of a node."""
+        missing = self._missing(node.state)
         for action in self.actions:
             if not self._in_order(node.state, action):
                 continue
+            rest = sum(least for name, least in missing.items() if name != action.name)
             for choice in action.candidates(node.state, self.motions):
                 bound = action.bound(node.state, choice, self.motions)
-                rest = self._rest(node.state, but=action.name)
                 yield Edge(node=node, action=action, choice=choice, bound=bound, least=node.cost + bound + rest)
 
     def is_complete(self, state: JobState) -> bool:
@@ -157,18 +158,15 @@ class SequenceSearch:
         earlier = self.order[: self.order.index(action.name)]
         return all(goal.is_done(state) for goal in self.goals if goal.name in earlier)
 
-    def _rest(self, state: JobState, but: str) -> float:
-        """Return a lower bound of carrying all other objects that are not at their goals yet."""
-        total = 0.0
+    def _missing(self, state: JobState) -> dict[str, float]:
+        """Return a lower bound of carrying each object that is not at its goal yet."""
+        found = {}
         for goal in self.goals:
-            if goal.name == but or goal.is_done(state):
-                continue
-            lengths = []
-            for choice in goal.candidates(state, self.motions):
-                first, last = goal.ends(state, choice, self.motions)
-                lengths.append(self.motions.length(first, last))
-            total += min(lengths, default=0.0)  # it may be possible after a regrasp
-        return total
+            if not goal.is_done(state):
+                ends = (goal.ends(state, choice, self.motions) for choice in goal.candidates(state, self.motions))
+                # Without a candidate, it may be possible after a regrasp.
+                found[goal.name] = min((self.motions.length(*pair) for pair in ends), default=0.0)
+        return found
 
     def _estimate(self, edge: Edge) -> float:
         ratio = sum(self._ratios) / len(self._ratios) if self._ratios else _RATIO

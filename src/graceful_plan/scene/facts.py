@@ -212,8 +212,8 @@ class SceneFacts:
     def _chain(self, frame: str | None) -> Chain:
         name = self.tool if frame is None else frame
         if name not in self._chains:
-            planned = {joint: k for k, joint in enumerate(self.joint_ids)}
-            self._chains[name] = Chain(self.posed, planned, self.home_qpos, self.tool, self.carried, name)
+            zero = self.data_at(np.zeros(len(self.joints)))
+            self._chains[name] = Chain(zero, self.joint_ids, self.tool, self.carried, name)
         return self._chains[name]
 
     @cached_property

@@ -172,15 +172,20 @@ def positions_at(
 
 
 def _share_at(hand: Hand, qpos: Float[Array, " model_nq"], stroke: Stroke, metres: float) -> float:
-    gap = _gap(hand, hand.posed(qpos, stroke.at(_HALF)))
+    pads = find_pads(hand, qpos, stroke)
 
     def at(share: float) -> float:
-        return gap(hand.posed(qpos, stroke.at(share)))
+        return pads.gap(hand.posed(qpos, stroke.at(share)))
 
     most, least = at(1.0), at(0.0)
     if not least - _BESIDE <= metres <= most + _BESIDE:
         raise SettingError("opening", metres, f"between {max(least, 0.0):.3g} and {most:.3g} m")
     return _threshold(lambda share: at(share) <= metres)
+
+
+def find_pads(hand: Hand, qpos: Float[Array, " model_nq"], stroke: Stroke) -> Pads:
+    """Return the pads of a gripper; raises UnsupportedError if the tool is not between two."""
+    return Pads(hand, hand.posed(qpos, stroke.at(_HALF)))
 
 
 def _threshold(is_closed: Callable[[float], bool]) -> float:
@@ -213,51 +218,70 @@ def gap_between(model: mujoco.MjModel, data: mujoco.MjData, some: Collection[int
     return min(gaps, default=_FAR)
 
 
-def _gap(hand: Hand, half: mujoco.MjData) -> Callable[[mujoco.MjData], float]:
-    """Return a function that measures the distance between the two pads beside the tool [m].
+class Pads:
+    """The two pads beside the tool.
 
-    The first pad is the moving body nearest to the tool when the gripper is half open, the second the nearest body on
-    the other side of the tool.
+    The first is on the moving body nearest to the tool when the gripper is half open, the second on the nearest body on
+    the other side of the tool. `closing` is the unit vector from the second to the first in the tool frame T, and
+    `geoms` are their geoms nearest to the tool.
+
+    Args:
+        hand: The gripper.
+        half: Its state when it is half open.
 
     Raises:
         UnsupportedError: If there are none.
     """
-    model, moving = hand.model, set(moving_bodies(hand))
-    probe = _Probe(hand)
-    bodies = {int(model.body_weldid[b]) for b in hand.bodies}
-    geoms = {
-        root: [g for g in colliding_geoms(model, hand.bodies) if int(model.body_weldid[model.geom_bodyid[g]]) == root]
-        for root in bodies
-    }
-    near = {root: probe.nearest(half, mine) for root, mine in geoms.items() if mine}
-    first = min((r for r in near if r in moving), key=lambda r: near[r].distance, default=None)
-    away = np.zeros(3) if first is None else near[first].offset
-    length = float(np.linalg.norm(away))
-    closing = away / length if length > 0.0 else away
-    across = [
-        root
-        for root, there in near.items()
-        if root != first and (there.distance <= _ON or there.offset @ closing <= -_CONE * np.linalg.norm(there.offset))
-    ]
-    if first is None or length == 0.0 or not across:
-        site = model.site(hand.tool).name
-        raise UnsupportedError(f"the tool {site!r} is not between two fingers, so that an opening cannot be measured")
-    second = min(across, key=lambda r: near[r].distance)
-    if second not in moving and near[second].distance > _ON:  # the direction of a fixed jaw does not change
-        closing = -near[second].offset / np.linalg.norm(near[second].offset)
 
-    def measured(data: mujoco.MjData) -> float:
-        pads = [probe.nearest(data, geoms[root]).offset for root in (first, second)]
-        R = data.site_xmat[hand.tool].reshape(3, 3) @ half.site_xmat[hand.tool].reshape(3, 3).T
-        return float((pads[0] - pads[1]) @ (R @ closing))
+    def __init__(self, hand: Hand, half: mujoco.MjData) -> None:
+        model, moving = hand.model, set(moving_bodies(hand))
+        self._probe = probe = _Probe(hand)
+        bodies = {int(model.body_weldid[b]) for b in hand.bodies}
+        geoms = {
+            root: [
+                g for g in colliding_geoms(model, hand.bodies) if int(model.body_weldid[model.geom_bodyid[g]]) == root
+            ]
+            for root in bodies
+        }
+        near = {root: probe.nearest(half, mine) for root, mine in geoms.items() if mine}
+        first = min((r for r in near if r in moving), key=lambda r: near[r].distance, default=None)
+        away = np.zeros(3) if first is None else near[first].offset
+        length = float(np.linalg.norm(away))
+        closing = away / length if length > 0.0 else away
+        across = [
+            root
+            for root, there in near.items()
+            if root != first
+            and (there.distance <= _ON or there.offset @ closing <= -_CONE * np.linalg.norm(there.offset))
+        ]
+        if first is None or length == 0.0 or not across:
+            site = model.site(hand.tool).name
+            raise UnsupportedError(
+                f"the tool {site!r} is not between two fingers, so that an opening cannot be measured"
+            )
+        second = min(across, key=lambda r: near[r].distance)
+        if second not in moving and near[second].distance > _ON:  # the direction of a fixed jaw does not change
+            closing = -near[second].offset / np.linalg.norm(near[second].offset)
+        self.closing: Float[Array, " xyz"] = closing @ half.site_xmat[hand.tool].reshape(3, 3)
+        self.geoms = near[first].geom, near[second].geom
+        self._groups = geoms[first], geoms[second]
 
-    return measured
+    def offsets(self, data: mujoco.MjData) -> Float[Array, "2 xyz"]:
+        """Return the vectors from the tool to the nearest points of the pads, in T [m]."""
+        found = np.stack([self._probe.nearest(data, group).offset for group in self._groups])
+        return np.asarray(found @ data.site_xmat[self._probe.tool].reshape(3, 3))
+
+    def gap(self, data: mujoco.MjData) -> float:
+        """Return the distance between the pads [m]."""
+        first, second = self.offsets(data)
+        return float((first - second) @ self.closing)
 
 
 class _Near(NamedTuple):
     distance: float
     offset: Float[Array, " xyz"]
     """From the tool to the nearest point, in W [m]; if the tool is inside, to the nearest point of the surface."""
+    geom: int
 
 
 class _Probe:
@@ -277,5 +301,5 @@ class _Probe:
         for geom in geoms:
             ends = np.zeros(6)
             distance = mujoco.mj_geomDistance(self.model, data, self.geom, geom, _FAR, ends)
-            found.append(_Near(float(distance), ends[3:] - place))
+            found.append(_Near(float(distance), ends[3:] - place, geom))
         return min(found, key=lambda near: near.distance)

@@ -36,41 +36,51 @@ _FAR = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Grip:
-    """Two pads that press on the carried body from opposite sides; vectors are in the body's frame B.
-
-    The friction of each contact lies inside an ellipsoid: tangential force over `friction`, and torsion over `torsion`,
-    relative to the normal force. MuJoCo's elliptic cones have this shape, and soft fingers approximately (Howe and
-    Cutkosky 1996).
+class Hold:
+    """What holds the carried body; vectors are in the body's frame B.
 
     | field    | meaning                                                                        | unit | shape |
     |----------|--------------------------------------------------------------------------------|------|-------|
     | mass     | of the carried object                                                          | kg   |       |
-    | p_GC     | from the midpoint of the pads to the object's centre of mass                   | m    | 3     |
+    | p_GC     | from the middle of what holds it to the object's centre of mass                | m    | 3     |
     | p_BC     | the object's centre of mass                                                    | m    | 3     |
-    | axes     | rows: the closing direction of the fingers, and two axes across it             |      | 3 3   |
-    | half     | half the distance between the pads, then half the size of the contact area     |      |       |
-    |          | along the two axes across                                                      | m    | 3     |
+    | axes     | rows: the direction of the normal force, and two axes across it                |      | 3 3   |
     | friction | coefficient                                                                    |      |       |
-    | torsion  | torque about the closing axis per unit of normal force                         | m    |       |
-    | force    | total force of both fingers; NaN if the model does not define it               | N    |       |
-    | approach | how far the pads approach each other over the stroke, at the present rate      | m    |       |
+    | torsion  | torque about the first axis per unit of normal force                           | m    |       |
+    | force    | largest normal force; NaN if the model does not define it                      | N    |       |
     """
 
     mass: float
     p_GC: Float[Array, " xyz"]
     p_BC: Float[Array, " xyz"]
     axes: Float[Array, "3 xyz"]
-    half: Float[Array, " 3"]
     friction: float
     torsion: float
     force: float
-    approach: float
 
     @property
     def moments(self) -> Float[Array, "3 xyz"]:
         """Rows that map the specific force of the carried body to the moment about each axis [kg m]."""
         return self.mass * np.cross(self.axes, self.p_GC)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Grip(Hold):
+    """Two pads that press on the carried body from opposite sides, along the closing direction of the fingers.
+
+    The friction of each contact lies inside an ellipsoid: tangential force over `friction`, and torsion over `torsion`,
+    relative to the normal force. MuJoCo's elliptic cones have this shape, and soft fingers approximately (Howe and
+    Cutkosky 1996). `p_GC` begins at the midpoint of the pads, and `force` is the total of both fingers.
+
+    | field    | meaning                                                                        | unit | shape |
+    |----------|--------------------------------------------------------------------------------|------|-------|
+    | half     | half the distance between the pads, then half the size of the contact area     |      |       |
+    |          | along the two axes across                                                      | m    | 3     |
+    | approach | how far the pads approach each other over the stroke, at the present rate      | m    |       |
+    """
+
+    half: Float[Array, " 3"]
+    approach: float
 
     @property
     def pressed(self) -> tuple[bool, bool]:
@@ -85,34 +95,14 @@ class Grip:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class AdhesiveGrip:
-    """A disc that holds the carried body by adhesion; vectors are in the body's frame B.
+class AdhesiveGrip(Hold):
+    """A disc that holds the carried body by adhesion.
 
-    | field    | meaning                                                                        | unit | shape |
-    |----------|--------------------------------------------------------------------------------|------|-------|
-    | mass     | of the carried object                                                          | kg   |       |
-    | p_GC     | from the centre of the disc to the object's centre of mass                     | m    | 3     |
-    | p_BC     | the object's centre of mass                                                    | m    | 3     |
-    | axes     | rows: from the object to the disc, and two axes across it                      |      | 3 3   |
-    | radius   | of the disc                                                                    | m    |       |
-    | friction | coefficient                                                                    |      |       |
-    | torsion  | torque about the axis per unit of normal force: friction on the whole disc     | m    |       |
-    | force    | breaking force                                                                 | N    |       |
+    `p_GC` begins at the centre of the disc, the first of `axes` points from the object to the disc, `torsion` is that
+    of friction on the whole disc, and `force` is the breaking force. `radius` is that of the disc [m].
     """
 
-    mass: float
-    p_GC: Float[Array, " xyz"]
-    p_BC: Float[Array, " xyz"]
-    axes: Float[Array, "3 xyz"]
     radius: float
-    friction: float
-    torsion: float
-    force: float
-
-    @property
-    def moments(self) -> Float[Array, "3 xyz"]:
-        """Rows that map the specific force of the carried body to the moment about each axis [kg m]."""
-        return self.mass * np.cross(self.axes, self.p_GC)
 
 
 def find_hold(scene: Scene) -> Grip | AdhesiveGrip:
