@@ -27,6 +27,7 @@ from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import check_whole, make_jobs, thread_count
 from failbench.simulated.world import SimSettings, build_world
+from failbench.surroundings.registry import scene_with_intruder
 from failbench.validation import Motion, Scenarios, chosen_faults
 from graceful_plan import Scene
 from graceful_plan.array_types import Float
@@ -117,7 +118,10 @@ def choose(
     check_whole("rounds", most, 1, _ROUNDS)
     check_whole("seed", seed, 0)
     check_confidence(confidence)
-    faults, cores, world = chosen_faults(scenarios), thread_count(threads), build_world(scene, settings)
+    faults, cores = chosen_faults(scenarios), thread_count(threads)
+    for fault in faults:
+        scene = scene_with_intruder(fault, scene)
+    world = build_world(scene, settings)
     racers: dict[int, _Racer] = {}
     refused: dict[int, str] = {}
     last: ExecutionRefused | None = None
