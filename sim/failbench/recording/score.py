@@ -55,11 +55,12 @@ def energy_impact(
         own: Whether to add the loss of the carried object itself.
     """
     table = FragilityTable.shipped() if fragility is None else fragility
+    return math.fsum(impact_by_entity(rollout, scene, table, own=own, factor=damage_by_energy(table)).values())
 
-    def damage(category: str, event: ContactEvent) -> float:
-        return table.probability(category, event.striker, event.energy)
 
-    return math.fsum(impact_by_entity(rollout, scene, table, own=own, factor=damage).values())
+def damage_by_energy(fragility: FragilityTable) -> Callable[[str, ContactEvent], float]:
+    """Return the damage probability at the energy of a touch, as a factor for `impact_by_entity`."""
+    return lambda category, event: fragility.probability(category, event.striker, event.energy)
 
 
 def secondary_impact(rollout: Touches, scene: Scene) -> float:
