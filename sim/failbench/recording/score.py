@@ -99,6 +99,17 @@ def own_damage(rollout: Touches, scene: Scene, fragility: FragilityTable | None 
     return max(found, default=0.0)
 
 
+def greatest_touch(scene: Scene, *, own: bool = True) -> float:
+    """Return the greatest severity of a single touch.
+
+    Args:
+        scene: Scene with the severities.
+        own: Whether the loss of the carried object itself counts, see `own_loss`.
+    """
+    touches = [severity for entity in scene.entities.values() for severity in entity.severity.values()]
+    return max([*touches, scene.own_severity if own else 0.0])
+
+
 def impact_by_entity(
     rollout: Touches,
     scene: Scene,
