@@ -8,6 +8,8 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Wheels only, because a source distribution would run an unpinned build. Python compiles modules on first import, which
 # most of the 12,000 never see.
 PINNED := $(PIP) install -q --no-compile --require-hashes --only-binary :all:
+LOCK := $(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header \
+  --annotation-style line --no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 CXX_FILES := $(shell find src/graceful_plan/core/native src/graceful_plan/judge/native -type f)
 NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILES)
 
@@ -147,17 +149,13 @@ lock: $(VENV)/.python
 	$(PIP) install -q pip-tools
 	for set in "build requirements/build.in" "runtime pyproject.toml" "dev --extra dev -c requirements/runtime.txt pyproject.toml" \
 	  "docs --extra docs -c requirements/dev.txt pyproject.toml"; do \
-	  $(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
-	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -o requirements/$${set%% *}.txt $${set#* } || exit 1; \
+	  $(LOCK) -o requirements/$${set%% *}.txt $${set#* } || exit 1; \
 	done
-	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
-	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c requirements/dev.txt -o $(VENV)/all_checks.txt requirements/checks.in
+	$(LOCK) -c requirements/dev.txt -o $(VENV)/all_checks.txt requirements/checks.in
 	sed '/^yattag==/,/# via/d' $(VENV)/all_checks.txt > requirements/checks.txt
-	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
-	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -o requirements/libero.txt requirements/libero.in
+	$(LOCK) -o requirements/libero.txt requirements/libero.in
 	sed '/^websockets==/,/# via/d' requirements/runtime.txt > $(VENV)/others.txt
-	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
-	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c $(VENV)/others.txt -o requirements/viewer.txt requirements/viewer.in
+	$(LOCK) -c $(VENV)/others.txt -o requirements/viewer.txt requirements/viewer.in
 
 clean:
 	rm -rf $(VENV) build dist site graceful_plan_demo .pytest_cache .ruff_cache .hypothesis

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import store, suite
 from benchmarks.store import read_lines
-from failbench.basics.statistics import estimate_probability
+from failbench.basics.statistics import Estimate, cluster_bootstrap, estimate_probability
 from failbench.policies import (
     OpenLoop,
     PolicyFactory,
@@ -227,13 +227,14 @@ def tables(done: Sequence[Episodes]) -> Iterator[str]:
     yield "|---|---:|---:|---:|---:|---:|"
     base = per_task["w = 0"]
     for c, row in rows.items():
-        harm = float(np.mean([_mean(one.harm) for one in row]))
-        pooled, low, high = _ratio(base, per_task[c])
+        harm = float(np.mean([_mean(one.harm.values()) for one in row]))
+        less = _ratio(base, per_task[c])
         some = base > 0.0
         median = float(np.median(base[some] / np.maximum(per_task[c][some], 1e-12)))
         duration = np.mean([one.duration for one in row])
         yield (
-            f"| {c} | {harm:.2f} | {duration:.2f} s | {1.0 / pooled:.2f} | {pooled:.2f} [{low:.2f}, {high:.2f}] "
+            f"| {c} | {harm:.2f} | {duration:.2f} s | {1.0 / less.mean:.2f} "
+            f"| {less.mean:.2f} [{less.low:.2f}, {less.high:.2f}] "
             f"| {median:.2f} |"
         )
     yield ""
@@ -257,20 +258,18 @@ def _by_fault(rows: Mapping[str, Sequence[Episodes]]) -> Iterator[str]:
         often = max(sorted(set(kinds)), key=kinds.count) if kinds else "-"
         seen = np.isfinite(delays)
         after = f"{np.median(delays[seen]):.2f}" if seen.any() else "-"
-        harms = " | ".join(
-            f"{_mean({str(i): one.harm[fault] for i, one in enumerate(row)}):.1f}" for row in rows.values()
-        )
+        harms = " | ".join(f"{_mean(one.harm[fault] for one in row):.1f}" for row in rows.values())
         yield f"| {fault.split('/')[0]} | {seen.sum()} of {len(seen)} | {after} | {often} | {harms} |"
     yield ""
 
 
-def _mean(values: Mapping[str, float]) -> float:
-    return float(np.nanmean(list(values.values())))
+def _mean(values: Iterable[float]) -> float:
+    return float(np.nanmean(list(values)))
 
 
 def _harm(one: Episodes) -> float:
     """Return a number in proportion to the harm of faults per executed task."""
-    return _mean(one.harm) * one.duration
+    return _mean(one.harm.values()) * one.duration
 
 
 def _by_task(tasks: Sequence[str], values: Sequence[float]) -> np.ndarray:
@@ -279,8 +278,10 @@ def _by_task(tasks: Sequence[str], values: Sequence[float]) -> np.ndarray:
     )
 
 
-def _ratio(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
+def _ratio(first: np.ndarray, second: np.ndarray) -> Estimate:
     """Return the ratio of the means with an interval from a bootstrap over tasks."""
-    drawn = np.random.default_rng(0).integers(len(first), size=(2000, len(first)))
-    ratios = first[drawn].sum(axis=1) / np.maximum(second[drawn].sum(axis=1), 1e-12)
-    return float(first.sum() / max(second.sum(), 1e-12)), *np.quantile(ratios, [0.025, 0.975]).tolist()
+
+    def ratio(pairs: np.ndarray) -> float:
+        return float(pairs[:, 0].sum() / max(pairs[:, 1].sum(), 1e-12))
+
+    return cluster_bootstrap(np.stack([first, second], axis=1), np.arange(len(first)), ratio, resamples=2000)

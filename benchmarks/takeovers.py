@@ -128,7 +128,7 @@ def _takeover(name: str, speed: float, motion: gp.Trajectory, seed: int) -> Take
     result = gp.replan(motion, scene, at=at, goal=goal, iterations=ITERATIONS, seed=seed)
     seconds = time.perf_counter() - began
     solved, trajectory = result.status is gp.PlanStatus.SOLVED, result.trajectory
-    step = duration = np.nan
+    step, duration = 0.0, np.nan
     beyond = collides = spills = False
     if trajectory is not None:
         step = float((np.abs(trajectory.qd[0] - state.qd) / scene.limits.velocity).max())
@@ -143,7 +143,7 @@ def _takeover(name: str, speed: float, motion: gp.Trajectory, seed: int) -> Take
         solved=solved,
         duration=duration,
         stopped_duration=_stopped(motion, scene, at, goal, seed),
-        step=step if trajectory is not None else 0.0,
+        step=step,
         beyond=beyond,
         collides=collides,
         spills=spills,

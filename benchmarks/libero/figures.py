@@ -143,7 +143,9 @@ def targets(heads: Sequence[Done], events: Events, resamples: int, asked: int) -
                 f"x less harm per task by {by} than {what}, in sum", summed(heads, OURS, by, base=base), wanted
             )
     yield _at_least(
-        "x less harm by contact to bystanders than w = 0, in sum", summed(heads, OURS, CONTACT, PARTS[1:2]), 4.0
+        "x less harm by contact to bystanders than w = 0, in sum",
+        summed(heads, OURS, CONTACT, PARTS[1:2]),
+        LESS_TO_BYSTANDERS,
     )
     more = longer(heads, OURS)
     yield report.Target(

@@ -16,8 +16,8 @@ import graceful_plan as gp
 from benchmarks.libero.scenes import NoTransport, Transport, kind_of, transport
 from benchmarks.store import read_lines
 from failbench.calibrations.failures import DROP
-from failbench.recording.records import ContactEvent, Rollout
-from failbench.recording.score import impact_by_entity
+from failbench.recording.records import Rollout
+from failbench.recording.score import damage_by_energy, impact_by_entity
 from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import make_jobs
 from graceful_plan.costs.models.mixture.mixture import FailureMixture
@@ -177,11 +177,7 @@ def _drops(carry: Transport, execution: fb.Execution, drops: int, seconds: float
         if rollout.status == "completed"
     ]
     state = trajectory.at(trajectory.t[0] + np.array([rollout.onset for rollout in rollouts]))
-    table = FragilityTable.shipped()
-
-    def damage(category: str, event: ContactEvent) -> float:
-        return table.probability(category, event.striker, event.energy)
-
+    damage = damage_by_energy(FragilityTable.shipped())
     predicted = [
         gp.evaluate(trajectory, scene, gp.Objective(impact=gp.ImpactCost(consequence=by))).impact / trajectory.duration
         for by in ("contact", "energy")

@@ -19,6 +19,7 @@ import numpy as np
 
 import graceful_plan as gp
 from graceful_plan.query.endpoints.ik import solve_ik
+from graceful_plan.scene.model_parts import subtree
 
 Array = np.ndarray
 
@@ -149,15 +150,8 @@ def _bodies(model: mujoco.MjModel) -> Iterator[str]:
     for b in range(1, model.nbody):
         name = model.body(b).name
         if int(model.body_parentid[b]) == 0 and not name.startswith(_ROBOT):
-            below = [g for g in range(model.ngeom) if _under(model, int(model.geom_bodyid[g]), b) and collides[g]]
-            if below:
+            if collides[np.isin(model.geom_bodyid, list(subtree(model, b)))].any():
                 yield name
-
-
-def _under(model: mujoco.MjModel, body: int, root: int) -> bool:
-    while body > root:
-        body = int(model.body_parentid[body])
-    return body == root
 
 
 def _found(table: Sequence[tuple[str, str]], name: str) -> str:
@@ -189,8 +183,8 @@ def _turned(X: Array, angle: float) -> Array:
 
 def _geoms(scene: gp.Scene, body: str) -> list[int]:
     """Return the geoms of a body and of those below it."""
-    model, root = scene.model, int(scene.model.body(body).id)
-    return [g for g in range(model.ngeom) if _under(model, int(model.geom_bodyid[g]), root)]
+    model = scene.model
+    return np.flatnonzero(np.isin(model.geom_bodyid, list(subtree(model, int(model.body(body).id))))).tolist()
 
 
 def _boxes(scene: gp.Scene, geoms: Sequence[int], data: mujoco.MjData) -> tuple[Array, Array]:
@@ -201,9 +195,15 @@ def _boxes(scene: gp.Scene, geoms: Sequence[int], data: mujoco.MjData) -> tuple[
     return centre - half, centre + half
 
 
+def _extent(scene: gp.Scene, geoms: Sequence[int], data: mujoco.MjData) -> tuple[Array, Array]:
+    """Return the lower and upper corner of the box around all geoms [m]."""
+    low, high = _boxes(scene, geoms, data)
+    return low.min(axis=0), high.max(axis=0)
+
+
 def _middle(scene: gp.Scene, body: str) -> Array:
-    low, high = _boxes(scene, _geoms(scene, body), scene.data_at(scene.keyframes["exported"]))
-    return 0.5 * (low.min(axis=0) + high.max(axis=0))[:2]
+    low, high = _extent(scene, _geoms(scene, body), scene.data_at(scene.keyframes["exported"]))
+    return 0.5 * (low + high)[:2]
 
 
 def _table(scene: gp.Scene) -> str:
@@ -262,8 +262,7 @@ class _Hand:
         """Return the pose at which both fingers touch alike, and their opening; None if the hand cannot be there."""
         if not self._free(X_WT):
             return None
-        touched = [self._touches(X_WT, finger) for finger in self.finger]
-        first, second = touched
+        first, second = (self._touches(X_WT, finger) for finger in self.finger)
         if first is None or second is None:
             return None
         axis = self._closing(X_WT)
@@ -322,7 +321,7 @@ def _goals(empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, 
     """Return configurations that hold the object straight above a place, turned about the vertical."""
     X_WO, data = _pose(empty, body), empty.data_at(empty.keyframes["exported"])
     geoms = _geoms(empty, body)
-    low, high = (x[0] for x in (c.reshape(1, 3) for c in _extent(empty, geoms, data)))
+    low, high = _extent(empty, geoms, data)
     found = []
     for k in range(_GOAL_YAWS):
         turned = _turned(X_WO, 2.0 * np.pi * k / _GOAL_YAWS)
@@ -333,11 +332,6 @@ def _goals(empty: gp.Scene, scene: gp.Scene, body: str, X_TO: Array, at: Array, 
         if len(found) >= 4:
             break
     return np.array(found).reshape(-1, len(start))
-
-
-def _extent(scene: gp.Scene, geoms: Sequence[int], data: mujoco.MjData) -> tuple[Array, Array]:
-    low, high = _boxes(scene, geoms, data)
-    return low.min(axis=0), high.max(axis=0)
 
 
 def _highest(scene: gp.Scene, own: Sequence[int], data: mujoco.MjData, at: Array, half: float) -> float:

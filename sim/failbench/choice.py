@@ -21,12 +21,13 @@ from failbench.basics.errors import ExecutionRefused
 from failbench.basics.statistics import Estimate, check_confidence, estimate_difference, estimate_mean
 from failbench.fault.fault import Fault
 from failbench.recording.healthy import whole_execution
-from failbench.recording.score import observed_impact
+from failbench.recording.score import greatest_touch, observed_impact
 from failbench.report import FAILURES_PER_HOUR
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run_rollouts
 from failbench.rollouts.sampling import check_whole, make_jobs, thread_count
 from failbench.simulated.world import SimSettings, build_world
+from failbench.surroundings.registry import scene_with_intruder
 from failbench.validation import Motion, Scenarios, chosen_faults
 from graceful_plan import Scene
 from graceful_plan.array_types import Float
@@ -117,7 +118,10 @@ def choose(
     check_whole("rounds", most, 1, _ROUNDS)
     check_whole("seed", seed, 0)
     check_confidence(confidence)
-    faults, cores, world = chosen_faults(scenarios), thread_count(threads), build_world(scene, settings)
+    faults, cores = chosen_faults(scenarios), thread_count(threads)
+    for fault in faults:
+        scene = scene_with_intruder(fault, scene)
+    world = build_world(scene, settings)
     racers: dict[int, _Racer] = {}
     refused: dict[int, str] = {}
     last: ExecutionRefused | None = None
@@ -157,8 +161,7 @@ class _Racer:
         self._failures = rate * execution.duration / 3600.0
         scene = execution.world.scene
         self._certain = max(0.0, 1.0 - self._failures) * execution.healthy.harm
-        severities = [s for entity in scene.entities.values() for s in entity.severity.values()]
-        self.greatest = self._failures * max([*severities, scene.own_severity])
+        self.greatest = self._failures * greatest_touch(scene)
         self.harm: Float[Array, " n"] = np.zeros(0)
 
     def race(self, faults: Sequence[Fault], number: int, *, seed: int, horizon: float, threads: int) -> None:

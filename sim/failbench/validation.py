@@ -30,6 +30,7 @@ from failbench.recording.records import Job, Rollout
 from failbench.recording.score import (
     Touches,
     energy_impact,
+    greatest_touch,
     impact_by_entity,
     own_damage,
     own_loss,
@@ -218,8 +219,7 @@ def _report(
     shares = _shares(scene, rollouts, table, own=own)
     healthy = execution.healthy
     executions = [whole_execution(rollout, healthy) for rollout in rollouts]
-    touches = [s for entity in scene.entities.values() for s in entity.severity.values()]
-    greatest = max([*touches, scene.own_severity if own else 0.0])
+    greatest = greatest_touch(scene, own=own)
 
     def mean(values: ArrayLike, bound: float = greatest, among: Bool[Array, " n"] = valid) -> Estimate:
         observed = np.asarray(values, dtype=float)[among]

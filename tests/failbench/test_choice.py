@@ -8,6 +8,7 @@ import pytest
 import failbench
 import graceful_plan as gp
 from failbench.fault.registry import GripperFailure
+from failbench.surroundings.registry import PersonWalksIn
 from graceful_plan.exceptions import SettingError
 
 DROPS = [GripperFailure()]
@@ -63,6 +64,13 @@ def test_motions_that_cannot_be_executed_are_left_out(motions):
     assert "motion 0" in str(found)
     with pytest.raises(failbench.ExecutionRefused):
         failbench.choose([wild], scene, DROPS)
+
+
+def test_people_who_walk_in_are_simulated(motions):
+    scene, three = motions
+    found = failbench.choose(three[1:2], scene, PersonWalksIn(), seconds=0.0, rounds=1, threads=1)
+    report = failbench.validate(three[1], scene, PersonWalksIn(), n=16, threads=1)
+    assert found.harm[0].mean == pytest.approx(report.observed_per_task.mean, rel=1e-9)
 
 
 def test_misuse_is_refused(motions):

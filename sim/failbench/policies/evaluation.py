@@ -17,6 +17,7 @@ from failbench.policies.report import PolicyFigures, PolicyReport
 from failbench.policies.rollouts import PolicyRollout, roll_out
 from failbench.policies.task import PolicyTask
 from failbench.recording.records import Job
+from failbench.recording.score import greatest_touch
 from failbench.report import FAILURES_PER_HOUR
 from failbench.rollouts.sampling import MOST, Draws, check_whole, draw, thread_count
 from failbench.validation import Scenarios, chosen_faults
@@ -96,7 +97,7 @@ def evaluate(
         if progress is not None:
             progress(n * (2 + i), total)
     scene = task.scene
-    greatest = max([*(s for e in scene.entities.values() for s in e.severity.values()), scene.own_severity])
+    greatest = greatest_touch(scene)
     twins = np.array([rollout.harm(scene) for rollout in healthy])
     return PolicyReport(
         task=task.name,

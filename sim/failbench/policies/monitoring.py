@@ -106,17 +106,19 @@ def _varied_model(world: World, seed: int, share: float) -> mujoco.MjModel:
     return model
 
 
+_Sample = tuple[float, Array, Array, Array, float]
+"""Time, positions, speeds, torques and opening."""
+
+
 class _Sensors:
     """Readings of one episode as they arrive: with errors, late, and sometimes not at all."""
 
     def __init__(self, errors: SensorErrors, period: float, seed: int) -> None:
         self._errors, self._rng = errors, np.random.default_rng([seed, 3])
-        self._waiting: deque[tuple[float, Array, Array, Array, float] | None] = deque(
-            [None] * round(errors.delay / period)
-        )
+        self._waiting: deque[_Sample | None] = deque([None] * round(errors.delay / period))
 
-    def read(self, seen: Observation) -> tuple[float, Array, Array, Array, float] | None:
-        """Return time, positions, speeds, torques and opening of the sample that arrives now; None if it is lost."""
+    def read(self, seen: Observation) -> _Sample | None:
+        """Return the sample that arrives now; None if it is lost."""
         e, rng, n = self._errors, self._rng, len(seen.q)
         sample = (
             seen.time + e.jitter * float(rng.uniform(-1.0, 1.0)),
@@ -190,40 +192,34 @@ def healthy_records(
         PolicyError: If the policy does not follow a planned motion.
     """
     errors = SensorErrors() if sensors is None else sensors
-    found: list[gp.MonitorRecord] = []
-    for seed in seeds:
-        rows: list[tuple[float, Array, Array, Array, float]] = []
-        motions: list[gp.Trajectory] = []
+    return [_recorded(task, factory, seed, errors) for seed in seeds]
 
-        def make(
-            task: PolicyTask,
-            seed: int,
-            rows: list[tuple[float, Array, Array, Array, float]] = rows,
-            motions: list[gp.Trajectory] = motions,
-        ) -> Policy:
-            policy = factory(task, seed)
-            motions.append(_motion(policy))
-            readings = _Sensors(errors, task.settings.period, seed)
 
-            def act(seen: Observation) -> Array:
-                sample = readings.read(seen)
-                if sample is not None:
-                    rows.append(sample)
-                return np.asarray(policy(seen))
+def _recorded(task: PolicyTask, factory: PolicyFactory, seed: int, errors: SensorErrors) -> gp.MonitorRecord:
+    rows: list[_Sample] = []
+    motions: list[gp.Trajectory] = []
 
-            return Acting(act)
+    def make(task: PolicyTask, seed: int) -> Policy:
+        policy = factory(task, seed)
+        motions.append(_motion(policy))
+        readings = _Sensors(errors, task.settings.period, seed)
 
-        roll_out(task, make, [seed])
-        t, q, qd, torque, opening = (np.array(column) for column in zip(*rows, strict=True))
-        found.append(
-            gp.MonitorRecord(
-                trajectory=motions[0],
-                scene=task.scene,
-                t=motions[0].t[0] + t,
-                q=q,
-                qd=qd,
-                torque=torque,
-                opening=opening,
-            )
-        )
-    return found
+        def act(seen: Observation) -> Array:
+            sample = readings.read(seen)
+            if sample is not None:
+                rows.append(sample)
+            return np.asarray(policy(seen))
+
+        return Acting(act)
+
+    roll_out(task, make, [seed])
+    t, q, qd, torque, opening = (np.array(column) for column in zip(*rows, strict=True))
+    return gp.MonitorRecord(
+        trajectory=motions[0],
+        scene=task.scene,
+        t=motions[0].t[0] + t,
+        q=q,
+        qd=qd,
+        torque=torque,
+        opening=opening,
+    )

@@ -1,7 +1,7 @@
 """Recovery after a detected fault: stop, or stop and replan.
 
-Detection is modelled as perfect but delayed by `delay` after the onset, whatever the fault. Real delays depend on the
-monitor, so evaluate several delays.
+`recovering` models detection as perfect but delayed by `delay` after the onset, whatever the fault. Real delays depend
+on the monitor, so evaluate several delays, or a monitor: `failbench.policies.monitoring`.
 """
 
 from __future__ import annotations

@@ -55,11 +55,12 @@ def energy_impact(
         own: Whether to add the loss of the carried object itself.
     """
     table = FragilityTable.shipped() if fragility is None else fragility
+    return math.fsum(impact_by_entity(rollout, scene, table, own=own, factor=damage_by_energy(table)).values())
 
-    def damage(category: str, event: ContactEvent) -> float:
-        return table.probability(category, event.striker, event.energy)
 
-    return math.fsum(impact_by_entity(rollout, scene, table, own=own, factor=damage).values())
+def damage_by_energy(fragility: FragilityTable) -> Callable[[str, ContactEvent], float]:
+    """Return the damage probability at the energy of a touch, as a factor for `impact_by_entity`."""
+    return lambda category, event: fragility.probability(category, event.striker, event.energy)
 
 
 def secondary_impact(rollout: Touches, scene: Scene) -> float:
@@ -96,6 +97,17 @@ def own_damage(rollout: Touches, scene: Scene, fragility: FragilityTable | None 
         for event in (*touches, *rollout.landings)
     ]
     return max(found, default=0.0)
+
+
+def greatest_touch(scene: Scene, *, own: bool = True) -> float:
+    """Return the greatest severity of a single touch.
+
+    Args:
+        scene: Scene with the severities.
+        own: Whether the loss of the carried object itself counts, see `own_loss`.
+    """
+    touches = [severity for entity in scene.entities.values() for severity in entity.severity.values()]
+    return max([*touches, scene.own_severity if own else 0.0])
 
 
 def impact_by_entity(

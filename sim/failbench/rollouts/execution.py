@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -10,11 +11,11 @@ from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
 from failbench.basics.errors import ExecutionRefused
-from failbench.recording.contact_query import CARRIED, ROBOT, ContactQuery
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
 from failbench.rollouts.driven import TICK, WheelPlan, wheel_plan
 from failbench.rollouts.healthy_commands import joint_commands, motion_commands
 from failbench.rollouts.healthy_run import HealthyRun, drive, join, settled, simulate
+from failbench.rollouts.healthy_touches import HealthyTouches
 from failbench.simulated.moving_entities import EntityPoses
 from failbench.simulated.rolling import PLANAR
 from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
@@ -137,25 +138,15 @@ class Execution:
         walk = EntityPoses(model, walkers, rng)
         rows, varies = walk.rows(time), any(walker.spread > 0.0 or walker.growth > 0.0 for walker in walkers)
         for left in reversed(range(_DRAWS)):
-            if not varies or not self._touches_healthy(rows, step):
+            if not varies or not self._touches.any(rows, step):
                 break
             walk = EntityPoses(model, walkers, rng if left else None)
             rows = walk.rows(time)
         return walk.reacted(rows, self.dt, self.world.settings.people, self.states_tool(step))
 
-    def _touches_healthy(self, rows: Float[Array, "step_and_next mocap"], step: int) -> bool:
-        """Whether a moving entity would touch the healthy robot at a checkpoint, except where its prediction does."""
-        query, names = ContactQuery(self.world), list(self.world.scene.entities)
-        known = {entity for _, entity in self.baseline}
-        ids = [names.index(walker.name) for walker in self.world.walkers if walker.name not in known]
-        for k in range(0, len(rows), CHECKPOINT):
-            state = self.states[min((step + k) // CHECKPOINT, len(self.states) - 1)]
-            query.place(np.concatenate([state[1 : 1 + self.world.model.nq], rows[k]]))
-            owners = query.owners()
-            met = np.isin(owners, ids).any(axis=1) & np.isin(owners, (ROBOT, CARRIED)).any(axis=1)
-            if met.any():
-                return True
-        return False
+    @cached_property
+    def _touches(self) -> HealthyTouches:
+        return HealthyTouches(self.world, self.states, self.baseline)
 
     def states_tool(self, step: int) -> Float[Array, " 3"]:
         """Return the planned tool position before a step, in W [m]."""

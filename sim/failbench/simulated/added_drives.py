@@ -52,10 +52,10 @@ def with_drives(scene: Scene, timestep: float) -> Scene:
     hand = hand_of(scene)
     stroke = find_stroke(hand, scene.home_qpos)
     idle = bool(stroke.joints) and driven.isdisjoint(hand.joints)
-    grip = None if scene.notes.held is None else scene.notes.held.grip
+    grip = adhesion_of(scene)
     if not bare and not idle and grip is None:
         return scene
-    spec, inertia, frequency = scene.spec.copy(), _inertia(scene), _BANDWIDTH / timestep
+    spec, inertia, frequency = scene.spec.copy(), inertia_at(model, scene.home_qpos), _BANDWIDTH / timestep
     for joint in bare:
         moment = float(inertia[model.jnt_dofadr[joint], model.jnt_dofadr[joint]])
         _add_servo(spec, model.joint(joint).name, frequency**2 * moment, 2.0 * frequency * moment)
@@ -64,6 +64,11 @@ def with_drives(scene: Scene, timestep: float) -> Scene:
     elif idle:
         _add_finger_servos(spec, scene, hand, stroke, inertia)
     return Scene.build(spec, scene.notes)
+
+
+def adhesion_of(scene: Scene) -> Adhesion | None:
+    """Return the vacuum cup or magnet that holds the carried object; None if there is none."""
+    return None if scene.notes.held is None else scene.notes.held.grip
 
 
 def _add_adhesion(spec: mujoco.MjSpec, scene: Scene, grip: Adhesion) -> None:
@@ -144,10 +149,10 @@ def _pressing(scene: Scene, hand: Hand, stroke: Stroke) -> tuple[float, float]:
     return grip.force, grip.approach
 
 
-def _inertia(scene: Scene) -> Float[Array, "nv nv"]:
-    """Return the inertia matrix at the home position."""
-    model, data = scene.model, mujoco.MjData(scene.model)
-    data.qpos[:] = scene.home_qpos
+def inertia_at(model: mujoco.MjModel, qpos: Float[Array, " qpos"]) -> Float[Array, "nv nv"]:
+    """Return the inertia matrix in a state."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from failbench.simulated.added_drives import ADHESION
+from failbench.simulated.added_drives import ADHESION, adhesion_of
 from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
 from graceful_plan.scene.fingers import Hand, clear_share, find_stroke, moving_bodies
@@ -37,7 +37,7 @@ class Gripper(NamedTuple):
 def find_gripper(scene: Scene) -> Gripper:
     """Find the gripper, as the scene does. Only position servos count as its actuators."""
     model, hand = scene.model, hand_of(scene)
-    if scene.notes.held is not None and scene.notes.held.grip is not None:
+    if adhesion_of(scene) is not None:
         return _adhesive(scene)
     stroke = find_stroke(hand, scene.home_qpos)
     actuators = [a for a in range(model.nu) if _acts_on(model, a, hand.joints) and model.actuator_biasprm[a, 1] < 0.0]
@@ -74,7 +74,7 @@ def clear_opening(scene: Scene) -> float:
     Returns:
         Opening from closed (0) to open (1); 0 without a carried object or a gripper.
     """
-    if scene.carried is None or (scene.notes.held is not None and scene.notes.held.grip is not None):
+    if scene.carried is None or adhesion_of(scene) is not None:
         return 0.0
     model = scene.model
     data = scene.data_at(np.array([model.qpos0[a] for a in scene.qpos_adr]))

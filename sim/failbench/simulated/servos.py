@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from failbench.simulated.added_drives import inertia_at
 from failbench.simulated.gripper import Gripper, clear_opening
 from failbench.simulated.robot import Robot
 from failbench.simulated.rolling import PLANAR, driven_joints, kept_joints, lifted, same_side
@@ -68,7 +69,7 @@ def tuned_robot(
     model.eq_solref[tied] = [2.0 * timestep, 1.0]
     model.eq_solimp[tied] = STIFF
     if control == "torque":
-        inertia = _inertia(model, scene)[dofs]
+        inertia = np.diag(inertia_at(model, lifted(scene, model, scene.home_qpos)))[dofs]
         model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED
         model.actuator_gainprm[actuators, 0] = 1.0
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE
@@ -140,13 +141,3 @@ def _limit_forces(model: mujoco.MjModel, scene: Scene, actuators: list[int], gri
         if not model.actuator_forcelimited[actuator]:
             model.actuator_forcelimited[actuator] = 1
             model.actuator_forcerange[actuator] = -force, force
-
-
-def _inertia(model: mujoco.MjModel, scene: Scene) -> Float[Array, " nv"]:
-    """Return the diagonal of the inertia matrix at the home position."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = lifted(scene, model, scene.home_qpos)
-    mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    return np.diag(full).copy()

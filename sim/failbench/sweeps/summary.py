@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from failbench.basics.chunks import Rows
 from failbench.basics.statistics import estimate_mean, estimate_probability
+from failbench.recording.score import greatest_touch
 from failbench.scenario import Scenario
 from graceful_plan import Scene, documents
 
@@ -23,8 +24,7 @@ def families(scenarios: Iterable[Scenario]) -> str:
 def rollouts(rows: Rows, scene: Scene) -> str:
     """Return a table of the rollouts' mean outcomes, overall and per entity, with 95 % intervals."""
     valid = [row for row in rows["rollouts"] if row["status"] == "completed"]
-    touches = [s for entity in scene.entities.values() for s in entity.severity.values()]
-    worst = max([*touches, scene.own_severity])
+    worst = greatest_touch(scene)
     lines: list[list[object]] = []
     for name, bound in (
         ("observed_impact", worst),

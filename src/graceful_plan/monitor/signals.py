@@ -15,9 +15,9 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
+from graceful_plan.judge.torque_check import joint_torques
 from graceful_plan.path import real_array
 from graceful_plan.scene.scene import Scene
-from graceful_plan.timing.dynamics import RobotDynamics
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -147,12 +147,11 @@ def reading_rows(name: str, value: object, size: int) -> Float[Array, " n"]:
 
 def _expected_torque(trajectory: Trajectory, scene: Scene) -> Callable[[float], Float[Array, " nq"]]:
     """Return a function from time [s] to the joint torques that the motion needs [N m or N]."""
-    dynamics = RobotDynamics(scene)
     count = max(2, int(np.ceil(trajectory.duration / _MODEL_STEP)) + 1)
     times = np.linspace(trajectory.t[0], trajectory.t[-1], count)
     state = trajectory.at(times)
     state.qd[-1] = state.qdd[-1] = 0.0
-    table = np.array([dynamics(*row) for row in zip(state.q, state.qd, state.qdd, strict=True)])
+    table = joint_torques(state.q, state.qd, state.qdd, scene)
     start, step = float(times[0]), float(times[1] - times[0])
 
     def at(t: float) -> Float[Array, " nq"]:

@@ -10,6 +10,7 @@ from motions import execution
 import failbench as fb
 import graceful_plan as gp
 from failbench.recording.contact_query import CARRIED, ROBOT, ContactQuery
+from failbench.rollouts.healthy_touches import HealthyTouches
 from failbench.simulated.moving_entities import EntityPoses, append_entity_states
 from graceful_plan.exceptions import SettingError
 
@@ -118,6 +119,25 @@ def test_pedestrians_who_would_touch_the_healthy_robot_are_drawn_again():
         child, owners = list(beside.world.scene.entities).index("walker"), query.owners()
         assert not ((owners == child).any(axis=1) & np.isin(owners, (ROBOT, CARRIED)).any(axis=1)).any()
     assert 0 < touched < 20 and np.std(places, axis=0).min() > 0.1  # the others keep their first draw
+
+
+def test_touches_are_those_of_all_checkpoints():
+    beside = done(spread=0.1, x=-0.7)
+    touches, query = HealthyTouches(beside.world, beside.states, frozenset()), ContactQuery(beside.world)
+    ids = [list(beside.world.scene.entities).index(name) for name in ("walker", "cat")]
+    rng, nq, found = np.random.default_rng(0), beside.world.model.nq, []
+    for step in range(0, 60 * 5, 7):
+        rows = np.tile(EntityPoses(beside.world.model, beside.world.walkers).rows(np.array([0.5])), (23, 1))
+        rows[:, :2], rows[:, 3:5] = rng.uniform(-0.8, 0.8, 2), rng.uniform(-0.8, 0.8, 2)
+        meets = False
+        for k in range(0, len(rows), 5):
+            state = beside.states[min((step + k) // 5, len(beside.states) - 1)]
+            query.place(np.concatenate([state[1 : 1 + nq], rows[k]]))
+            owners = query.owners()
+            meets |= bool((np.isin(owners, ids).any(axis=1) & np.isin(owners, (ROBOT, CARRIED)).any(axis=1)).any())
+        assert touches.any(rows, step) == meets
+        found.append(meets)
+    assert 0 < sum(found) < len(found)
 
 
 @pytest.mark.parametrize("people", ["stop", "aside"])
