@@ -54,7 +54,7 @@ class Grip:
     | friction | coefficient                                                                    |      |       |
     | torsion  | torque about the closing axis per unit of normal force                         | m    |       |
     | force    | total force of both fingers; NaN if the model does not define it               | N    |       |
-    | approach | how far the pads approach each other over the stroke, at the present rate      | m    |       |
+    | approach | approach of the pads to each other over the stroke, at the present rate        | m    |       |
     """
 
     mass: float
@@ -195,7 +195,7 @@ def hand_of(scene: Scene) -> Hand:
 
 
 def told_of_pads(scene: Scene) -> str:
-    """Tell how far the fingers are from the carried object in the state in which the scene keeps them."""
+    """Tell the distances of the fingers from the carried object at home."""
     assert scene.carried is not None
     model = scene.model
     hand = hand_of(scene)
