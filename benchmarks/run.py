@@ -51,7 +51,7 @@ SUBJECTS = (
 """In the order of the index. Each is a module of `benchmarks.subjects` with TITLE, QUESTION, HEADLINE, DEPENDS_ON and
 run(options)."""
 APART = ("libero",)
-"""Subjects that only run when they are named; they need packages in an environment of their own."""
+"""Subjects that only run when they are named; they need packages in a separate environment."""
 
 
 def main(arguments: list[str] | None = None) -> int:

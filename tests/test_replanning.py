@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from planned_tasks import planned
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnsupportedError
@@ -12,8 +13,7 @@ from jackals import jackal
 
 @pytest.fixture(scope="module")
 def block() -> tuple[gp.Task, gp.Trajectory]:
-    task = gp.load_scene("tabletop").tasks["lift_to_goal"]
-    return task, gp.plan(task.start, task.goal, task.scene, speed=0.6, iterations=60).unwrap()
+    return planned("tabletop", "lift_to_goal", speed=0.6, iterations=60)
 
 
 def blocked(task: gp.Task, motion: gp.Trajectory, at: float, half: float = 0.02) -> gp.Scene:
@@ -72,8 +72,7 @@ def test_too_late_to_stop_there_is_no_trajectory(block: tuple[gp.Task, gp.Trajec
 
 
 def test_contents_that_swing_already_are_taken_into_account() -> None:
-    task = gp.load_scene("desk").tasks["bring_coffee"]
-    motion = gp.plan(task.start, task.goal, task.scene, w=0.0, speed=0.4, iterations=40).unwrap()
+    task, motion = planned("desk", "bring_coffee", w=0.0, speed=0.4, iterations=40)
     for share in (0.3, 0.8):
         at = share * motion.duration
         result = gp.replan(motion, task.scene, at=at, w=0.0, iterations=10)

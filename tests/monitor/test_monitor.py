@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planned_tasks import planned
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
@@ -17,8 +18,8 @@ _SPEED, _TORQUE = 0.01, 0.3  # noise of healthy readings [rad/s, N m]
 
 @pytest.fixture(scope="module")
 def motion() -> tuple[gp.Scene, gp.Trajectory]:
-    task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
-    return task.scene, gp.plan(task.start, task.goal, task.scene, iterations=50, speed=0.5).unwrap()
+    task, trajectory = planned("tabletop_l1", "green_to_blue", iterations=50, speed=0.5)
+    return task.scene, trajectory
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planned_tasks import planned
 
 import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError, UnsupportedError
@@ -18,14 +19,12 @@ COUNT = 8
 
 @pytest.fixture(scope="module")
 def block() -> tuple[gp.Task, gp.Trajectory]:
-    task = gp.load_scene("tabletop").tasks["lift_to_goal"]
-    return task, gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=40).unwrap()
+    return planned("tabletop", "lift_to_goal", w=0.0, iterations=40)
 
 
 @pytest.fixture(scope="module")
 def coffee() -> tuple[gp.Task, gp.Trajectory]:
-    task = gp.load_scene("desk").tasks["bring_coffee"]
-    return task, gp.plan(task.start, task.goal, task.scene, w=0.0, speed=0.5, iterations=40).unwrap()
+    return planned("desk", "bring_coffee", w=0.0, speed=0.5, iterations=40)
 
 
 def assert_continues(trajectory: gp.Trajectory, state: gp.State, scene: gp.Scene) -> None:

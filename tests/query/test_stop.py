@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from planned_tasks import planned
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
@@ -12,14 +13,12 @@ from graceful_plan.query.stop import _grid  # pyright: ignore[reportPrivateUsage
 
 @pytest.fixture(scope="module")
 def book() -> tuple[gp.Task, gp.Trajectory]:
-    task = gp.load_scene("desk").tasks["put_book_away"]
-    return task, gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=40).unwrap()
+    return planned("desk", "put_book_away", w=0.0, iterations=40)
 
 
 @pytest.fixture(scope="module")
 def coffee() -> tuple[gp.Task, gp.Trajectory]:
-    task = gp.load_scene("desk").tasks["bring_coffee"]
-    return task, gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=40).unwrap()
+    return planned("desk", "bring_coffee", w=0.0, iterations=40)
 
 
 def test_one_joint_brakes_at_its_limit(book: tuple[gp.Task, gp.Trajectory]) -> None:

@@ -16,9 +16,11 @@ _STEP = 1e-6
 """Of central differences [rad or m]."""
 
 
-def _scenes() -> list[Scene]:
-    tasks = [gp.load_scene(name).tasks for name in ("desk", "kitchen_counter")]
-    return [next(iter(found.values())).scene for found in tasks] + [gp.load_scene(gp.mobile_scenes()[0])]
+@pytest.fixture(params=["desk", "kitchen_counter", gp.mobile_scenes()[0]], scope="module")
+def scene(request: pytest.FixtureRequest) -> Scene:
+    """Scenes of an arm with an object in the gripper, and one of a robot that drives."""
+    found = gp.load_scene(request.param)
+    return found if found.base else next(iter(found.tasks.values())).scene
 
 
 def _random(scene: Scene, n: int) -> np.ndarray:
@@ -26,7 +28,6 @@ def _random(scene: Scene, n: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(lower, upper, (n, len(scene.joints)))
 
 
-@pytest.mark.parametrize("scene", _scenes(), ids=lambda scene: scene.name)
 def test_every_frame_is_where_mujoco_puts_it(scene: Scene) -> None:
     model, q = scene.model, _random(scene, 3)
     frames = [(model.body(b).name, "body") for b in range(1, model.nbody)]
@@ -42,7 +43,6 @@ def test_every_frame_is_where_mujoco_puts_it(scene: Scene) -> None:
             np.testing.assert_allclose(X[:3, :3], at.xmat.reshape(3, 3), atol=_TOLERANCE, err_msg=name)
 
 
-@pytest.mark.parametrize("scene", _scenes(), ids=lambda scene: scene.name)
 def test_jacobians_are_the_derivatives_of_poses(scene: Scene) -> None:
     q = _random(scene, 4)
     for frame in (None, *([scene.carried.body] if scene.carried else [])):

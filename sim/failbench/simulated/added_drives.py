@@ -138,7 +138,7 @@ def _tie_fingers(spec: mujoco.MjSpec, scene: Scene, stroke: Stroke) -> bool:
 
 
 def _pressing(scene: Scene, hand: Hand, stroke: Stroke) -> tuple[float, float]:
-    """Return the total force of the fingers [N], and how far pads approach each other over the stroke [m]."""
+    """Return the total force of the fingers [N], and the approach of the pads over the stroke [m]."""
     try:
         grip = find_grip(scene)
     except UnsupportedError:

@@ -54,7 +54,7 @@ _SIDES = 12
 @final
 @dataclass(frozen=True)
 class GraspHolds(SpecificForceConstraint):
-    """Keep the load on a grasp within what it can carry, for a healthy robot.
+    """Keep the load on a grasp within its capacity, for a healthy robot.
 
     Two pads carry it by friction and pressure, whatever the joints of the fingers; an `Adhesion` carries it up to its
     breaking force.

@@ -34,7 +34,7 @@ Array = np.ndarray
 _GRASPS = 4
 """Default number of grasps of each object to choose from."""
 _SEARCHED = 0.7
-"""Share of the time limit for the search; the rest improves the motions of the best sequence."""
+"""Share of the time limit for the search; the rest improves the motions of the best sequences."""
 _IMPROVING = 12
 """Iterations with which each planned motion of the best sequence is improved, if there is no time limit."""
 _CONTENDERS, _CONTENDERS_COST = 3, 1.5
@@ -102,7 +102,7 @@ class _Choices:
 
 @final
 class JobSession:
-    """The choices of a job, sampled once, with the motions planned so far."""
+    """The choices of a job, sampled once, with all planned motions."""
 
     def __init__(
         self, job: Job, objective: Objective, *, grasps: int, seed: int = 0, start: Configuration | None = None

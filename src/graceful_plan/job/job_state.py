@@ -28,7 +28,7 @@ PoseKey = tuple[float, ...]
 """A pose as 16 numbers, row by row: hashable."""
 
 _FAR = 100.0
-"""Where bodies are put that shall not be in the way [m]."""
+"""Distance to which bodies are moved that shall not be in the way [m]."""
 _KEPT = 512
 """Arranged scenes that are cached per scene."""
 
@@ -51,7 +51,7 @@ class JobState:
         world: Scene of the job; lids that were closed are parts of their vessels in it.
         q: Configuration of the arm [rad or m].
         where: Pose in W of each body that is elsewhere than in `world`.
-        facts: What else has become true, such as ("closed", "kettle"); actions read and add them.
+        facts: Further facts, such as ("joined", "lid"); actions read and add them.
         clock: Time since the start of the job [s]; it counts only in scenes with moving entities.
     """
 
@@ -107,7 +107,7 @@ class JobState:
         return replace(self, world=world)
 
     def parked(self, names: tuple[str, ...]) -> JobState:
-        """Return the state with bodies far away, to see what would be possible without them."""
+        """Return the state with bodies far away, for questions about the world without them."""
         far = {name: _FAR + k for k, name in enumerate(sorted(names))}
         where = {name: pose_key(_shifted(self.pose(name), x)) for name, x in far.items()}
         return replace(self, where=MappingProxyType({**self.where, **where}))

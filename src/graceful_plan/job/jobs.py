@@ -37,7 +37,7 @@ class Where:
 
 @final
 class Job:
-    """A whole task: where objects shall be in the end, and which actions are allowed besides carrying them there.
+    """A whole task: where objects shall be in the end, and further allowed actions.
 
     Args:
         scene: A scene of an arm with an empty gripper.
@@ -92,7 +92,7 @@ class Job:
         return self
 
     def allow(self, *actions: Clear | CloseLid | Action) -> Job:
-        """Allow actions besides carrying objects to their goals; return the job."""
+        """Allow actions other than carrying objects to their goals; return the job."""
         for action in actions:
             if not isinstance(action, Clear | CloseLid | Action):
                 raise SettingError("actions", action, "Clear, CloseLid, Wait or own Actions")

@@ -1,4 +1,4 @@
-"""Compile what a call of `plan` needs of a scene: covers and kernels of the robot, impact, constraints, judge."""
+"""Compile a scene for calls of `plan`: covers and kernels of the robot, impact, constraints, judge."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def surely_collides(motion: Trajectory, scene: Scene) -> bool:
 def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tuple[Trajectory, str, bool]]:
     """Yield stops, the quickest first; last the rest of the motion itself.
 
-    Each comes with what there is to say about it, and whether it is the last one.
+    Each comes with its detail for the result, and whether it is the last one.
     """
     rest = motion.since(at)
     moves = motion.t[0] < at < motion.t[-1] and len(motion) > 1

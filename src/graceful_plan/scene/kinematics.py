@@ -20,7 +20,7 @@ Array = np.ndarray
 
 _OBJ = mujoco.mjtObj
 _KINDS = (_OBJ.mjOBJ_SITE, _OBJ.mjOBJ_BODY, _OBJ.mjOBJ_GEOM)
-"""What a frame can be, in the order of preference where several have the same name."""
+"""Kinds of frames; of several with the same name, the first kind counts."""
 
 
 class Chain:

@@ -28,6 +28,7 @@ from failbench.policies import (
 from failbench.policies.policy import PolicyError
 from failbench.recording.records import Job
 from graceful_plan.exceptions import SettingError
+from graceful_plan.timing.dynamics import RobotDynamics
 
 SENSORS = SensorErrors()
 
@@ -107,8 +108,6 @@ def test_sensors_delay_lose_and_blur_samples(task):
 def test_torques_of_a_healthy_robot_are_those_of_its_dynamics(task):
     record = healthy_records(task, following, [0], sensors=replace(SENSORS, torque=0.0))[0]
     state = task.straight.at(np.array([0.7]))
-    from graceful_plan.timing.dynamics import RobotDynamics
-
     wanted = RobotDynamics(task.scene)(state.q[0], state.qd[0], state.qdd[0])
     row = int(np.abs(record.t - 0.7).argmin())
     assert np.abs(record.torque[row - 5 : row + 5].mean(axis=0) - wanted).max() < 3.0  # of 87 N m

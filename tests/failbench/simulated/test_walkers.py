@@ -99,7 +99,7 @@ def test_the_same_seed_gives_the_same_walk_and_another_one_another():
 
 
 def test_pedestrians_who_would_touch_the_healthy_robot_are_drawn_again():
-    """A child with an uncertain place beside the arm: what it touches at the onset is no consequence of a failure."""
+    """A child with an uncertain place beside the arm: its contacts at the onset are no consequence of a failure."""
     here = execution().trajectory.at(np.array(0.5)).q
     scene = execution().world.scene
     tool = scene.data_at(here).site_xpos[scene.model.site(scene.tool).id]

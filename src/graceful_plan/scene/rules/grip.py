@@ -76,7 +76,7 @@ class Grip(Hold):
     |----------|--------------------------------------------------------------------------------|------|-------|
     | half     | half the distance between the pads, then half the size of the contact area     |      |       |
     |          | along the two axes across                                                      | m    | 3     |
-    | approach | how far the pads approach each other over the stroke, at the present rate      | m    |       |
+    | approach | approach of the pads to each other over the stroke, at the present rate        | m    |       |
     """
 
     half: Float[Array, " 3"]
@@ -185,7 +185,7 @@ def hand_of(scene: Scene) -> Hand:
 
 
 def told_of_pads(scene: Scene) -> str:
-    """Tell how far the fingers are from the carried object in the state in which the scene keeps them."""
+    """Tell the distances of the fingers from the carried object at home."""
     assert scene.carried is not None
     model = scene.model
     hand = hand_of(scene)

@@ -1,11 +1,9 @@
-"""Jobs of benchmarks/jobs, planned once for all tests."""
+"""Jobs in the scenes of benchmarks/jobs; those in the scene `order` are planned once for all tests of a module."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 
-import pytest
 from places import ROOT
 
 import graceful_plan as gp
@@ -27,8 +25,3 @@ def order_job() -> gp.Job:
 @cache
 def ordered(w: float) -> JobResult:
     return gp.plan_job(order_job(), w, grasps=1, iterations=40)
-
-
-@pytest.fixture
-def in_order() -> Callable[[float], JobResult]:
-    return ordered
