@@ -43,6 +43,7 @@ SUBJECTS = (
     "own_loss",
     "prevention",
     "policies",
+    "stops",
     "driven_tasks",
     "mobile_prevention",
     "failbench_speed",

@@ -54,7 +54,6 @@ from graceful_plan.monitor.limits import MonitorLimits as MonitorLimits
 from graceful_plan.monitor.limits import MonitorRecord as MonitorRecord
 from graceful_plan.monitor.monitor import Monitor as Monitor
 from graceful_plan.monitor.monitor import Notice as Notice
-from graceful_plan.monitor.prepared_stops import PreparedStops as PreparedStops
 from graceful_plan.path import Path as Path
 from graceful_plan.plan import plan as plan
 from graceful_plan.planners import CHOMP as CHOMP
@@ -71,6 +70,7 @@ from graceful_plan.query.cartesian.straight import plan_cartesian as plan_cartes
 from graceful_plan.query.inverse import IKSolutions as IKSolutions
 from graceful_plan.query.inverse import solve_ik as solve_ik
 from graceful_plan.query.preparation import prepare as prepare
+from graceful_plan.query.prepared_stops import plan_stops as plan_stops
 from graceful_plan.query.stop import plan_stop as plan_stop
 from graceful_plan.replanning import replan as replan
 from graceful_plan.result import CostBreakdown as CostBreakdown
@@ -99,6 +99,7 @@ from graceful_plan.scene.scene import Scene as Scene
 from graceful_plan.scene.scene import Task as Task
 from graceful_plan.scene.sensed.cloud import PointCloud as PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap as HeightMap
+from graceful_plan.timing.prepared_stops import PreparedStops as PreparedStops
 from graceful_plan.timing.retiming import retime as retime
 from graceful_plan.timing.trajectory import State as State
 from graceful_plan.timing.trajectory import Trajectory as Trajectory

@@ -21,9 +21,9 @@ from graceful_plan.query.answer import BestVerified
 from graceful_plan.query.arguments import (
     checked_callback,
     checked_cancelled,
+    checked_flag,
     checked_objective,
     checked_planner,
-    checked_refine,
     checked_risk,
     checked_seed,
     checked_speed,
@@ -41,10 +41,10 @@ from graceful_plan.query.candidates.search import Callback
 from graceful_plan.query.endpoints.configurations import Configuration
 from graceful_plan.query.endpoints.endpoints import find_endpoints
 from graceful_plan.query.endpoints.goals import Goal, poses_of
-from graceful_plan.query.endpoints.lead_in import Takeover
 from graceful_plan.query.endpoints.moving_start import find_start
 from graceful_plan.query.endpoints.real_start import START_TOLERANCE
 from graceful_plan.query.preparation import prepared
+from graceful_plan.query.prepared_stops import plan_stops, stops_check
 from graceful_plan.query.request import Request, Stop
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
@@ -56,7 +56,7 @@ Array = np.ndarray
 
 
 def plan(
-    start: Configuration | State | Takeover,
+    start: Configuration | State,
     goal: Goal,
     scene: Scene,
     w: float | None = None,
@@ -75,6 +75,7 @@ def plan(
     start_tolerance: float = START_TOLERANCE,
     constraints: Iterable[Constraint] | None = None,
     verification: VerificationSettings | None = None,
+    stoppable: bool = False,
     callback: Callback | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> PlanResult:
@@ -115,6 +116,9 @@ def plan(
             and that the contents of a carried vessel stay in it (`KeepContents`). An empty list turns all off.
         verification: Resolution of the judge; default: checks at most 2 mm apart, with exact geometry where bounding
             spheres do not prove that the state is free.
+        stoppable: Whether to plan stops along the motion, too: `result.stops`, one every 0.1 s. The check "stops" of
+            the verdict warns where none keeps the constraints and ends before the motion does; see `plan_stops`. The
+            stops are planned after the time limit, in about a hundredth of a second each, with contents a tenth.
         callback: Called with the first path at its estimated cost, then with every better verified motion; without
             `refine`, with better paths, too. Once it returns True, the call ends with a verified motion.
         cancelled: Called every few milliseconds, e.g. `threading.Event().is_set`. Once it returns True, the call ends
@@ -141,7 +145,7 @@ def plan(
         speed=share,
         max_wait=checked_wait(max_wait, scene),
         verification=checked_verification(verification),
-        refine=checked_refine(refine),
+        refine=checked_flag("refine", refine),
         stop=checked_stop(stop, limited=not (time_limit is None and iterations is None)),
         callback=checked_callback(callback),
     )
@@ -149,6 +153,7 @@ def plan(
     # Compiling counts against a time limit that the caller has set, not against the default one.
     budget = Budget(limit, iterations, checked_cancelled(cancelled), started + (time_limit is None) * ready.total)
     passed, tolerance = checked_via(via, scene), checked_start_tolerance(start_tolerance)
+    also_stops = checked_flag("stoppable", stoppable)
     begun = find_start(
         start, asked, tolerance, share, late=lambda: budget.over, max_wait=request.max_wait, stops=bool(passed)
     )
@@ -166,7 +171,8 @@ def plan(
             cancelled=budget.cancelled,
             **settings,
         )
-        return real.completed(plan_through((real.q, passed, goal), leg, request, budget, seed), request)
+        result = real.completed(plan_through((real.q, passed, goal), leg, request, budget, seed), request)
+        return _with_stops(result, asked, budget) if also_stops else result
     try:
         ends = find_endpoints(
             real.q, goal, asked, rng, objective=bound, seed=seed, cancelled=budget.cancelled, late=budget.is_late
@@ -189,6 +195,7 @@ def plan(
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     result = _with_notes(result, [*notes, *ends.notes, *_waived(asked)])
+    result = _with_stops(result, asked, budget) if also_stops else result
     return _with_times(result, ready.total, started)
 
 
@@ -199,6 +206,22 @@ def _with_notes(result: PlanResult, notes: Sequence[str]) -> PlanResult:
 def _with_times(result: PlanResult, compiled: float, started: float) -> PlanResult:
     times = {"compile_time": compiled, "total_time": time.perf_counter() - started}
     return replace(result, stats={**result.stats, **times})
+
+
+def _with_stops(result: PlanResult, held: SceneConstraints, budget: Budget) -> PlanResult:
+    """Return the result with stops along its trajectory, and a warning where there are none."""
+    if result.status is not PlanStatus.SOLVED or result.trajectory is None:
+        return result
+    began = time.perf_counter()
+    stops = plan_stops(result.trajectory, held.scene, constraints=held.constraints, cancelled=budget.cancelled)
+    check = stops_check(stops)
+    found = replace(
+        result,
+        stops=stops,
+        verdict=replace(result.verdict, checks={**result.verdict.checks, "stops": check}),
+        stats={**result.stats, "stops_time": time.perf_counter() - began},
+    )
+    return found if check.passed else _with_notes(found, [check.detail])
 
 
 def _waived(held: SceneConstraints) -> list[str]:

@@ -171,4 +171,4 @@ def _takeover(motion: Trajectory, at: float, stop: Callable[[], PlanResult] | No
         found = None if stop is None else stop().trajectory
         return None if found is None else found.later(-at)
 
-    return Takeover(state=motion.at(float(at)), before=motion.later(-at), stop=halt, onward=onward)
+    return Takeover(motion.at(float(at)), before=motion.later(-at), stop=halt, onward=onward)

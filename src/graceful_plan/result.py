@@ -11,6 +11,7 @@ import numpy as np
 
 from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.path import Path
+from graceful_plan.timing.prepared_stops import PreparedStops
 from graceful_plan.timing.trajectory import Trajectory
 
 _WORST = 4
@@ -87,12 +88,12 @@ class Verdict:
     The motion is always verified, its cost only if there is a check "cost": `plan` has it recomputed for Algorithm 1,
     `ImpactCost("box_overlap")`, and for no other model. The check "passing_by" of a robot that comes near
     moving entities only warns: it relies on a prediction, and people give way. So does "torque": masses of models are
-    often rough. The constraint `TorqueWithin` adds a check that fails.
+    often rough. The constraint `TorqueWithin` adds a check that fails. "stops" of `plan(stoppable=True)` warns, too.
     """
 
     checks: Mapping[str, Check] = field(default_factory=dict)
 
-    WARNS: ClassVar[frozenset[str]] = frozenset({"passing_by", "torque"})
+    WARNS: ClassVar[frozenset[str]] = frozenset({"passing_by", "stops", "torque"})
 
     @property
     def passed(self) -> bool:
@@ -170,6 +171,8 @@ class PlanResult:
     """Index of the goal that is reached, among several."""
     stats: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the call, such as seconds per stage and iterations."""
+    stops: PreparedStops | None = None
+    """Stops along the trajectory, with `plan(stoppable=True)`."""
 
     def __str__(self) -> str:
         """Describe the outcome in a few lines."""

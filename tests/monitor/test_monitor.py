@@ -203,20 +203,3 @@ def test_driving_robots_are_refused(limits):
     trajectory = gp.Trajectory(np.array([0.0, 1.0]), still, still, still, scene.joints)
     with pytest.raises(UnsupportedError):
         gp.Monitor(trajectory, scene, limits)
-
-
-def test_prepared_stops_begin_as_the_motion_goes_on(motion):
-    scene, trajectory = motion
-    stops = gp.PreparedStops(trajectory, scene, every=0.15)
-    assert len(stops.stops) == int(np.ceil(trajectory.duration / 0.15))
-    for t in (0.05, 0.31):
-        stop = stops.after(t)
-        assert t <= stop.t[0] <= t + 0.15
-        ideal = trajectory.at(float(stop.t[0]))
-        np.testing.assert_allclose(stop.q[0], ideal.q, atol=1e-9)
-        np.testing.assert_allclose(stop.qd[0], ideal.qd, atol=1e-6)
-        assert not stop.qd[-1].any()
-    assert stops.after(trajectory.duration) is trajectory
-    for every in (0.0, np.nan):
-        with pytest.raises(SettingError):
-            gp.PreparedStops(trajectory, scene, every=every)

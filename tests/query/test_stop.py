@@ -65,8 +65,18 @@ def test_at_rest_there_is_nothing_to_stop(book: tuple[gp.Task, gp.Trajectory]) -
     task, motion = book
     after = gp.plan_stop(motion, task.scene, at=motion.t[-1] + 1.0).unwrap()
     np.testing.assert_array_equal(after.q, motion.q[-1:])
-    before = gp.plan_stop(motion, task.scene, at=motion.t[0] - 1.0).unwrap()
-    assert before.duration == pytest.approx(motion.duration)  # the robot has not begun to move
+    for at in (motion.t[0] - 1.0, motion.t[0]):  # the robot has not begun to move, and need not
+        before = gp.plan_stop(motion, task.scene, at=float(at)).unwrap()
+        np.testing.assert_array_equal(before.q, motion.q[:1])
+        assert before.duration == 0.0 and before.t[0] == at
+
+
+def test_a_motion_that_begins_at_speed_can_be_stopped_at_once(book: tuple[gp.Task, gp.Trajectory]) -> None:
+    task, motion = book
+    rest = motion.since(0.4 * motion.duration)
+    stop = gp.plan_stop(rest, task.scene, at=float(rest.t[0])).unwrap()
+    np.testing.assert_allclose(stop.qd[0], rest.qd[0], atol=1e-9)
+    assert stop.duration < 0.8 * rest.duration
 
 
 def test_in_a_scene_that_has_changed_the_stop_may_collide(book: tuple[gp.Task, gp.Trajectory]) -> None:

@@ -12,6 +12,7 @@ from failbench.fault.drives import BRAKE_TORQUE, DRIVE, FRICTION, add_friction, 
 from failbench.fault.fault import REACTION, Fault
 from failbench.simulated.simulation import Simulation
 from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.path import is_real
 
 STOPS = (0, 1)
 """Supported stop categories of IEC 60204-1."""
@@ -28,9 +29,13 @@ class ProtectiveStop(Fault):
             joint that needs longest decelerates at the rate of the degree. The servos then hold the joints, as closed
             brakes would. With 0, the power is cut and the brakes close at once, each joint on its own. The degree then
             has no effect.
+        prepared: Time between the beginnings of stops that are planned ahead along the motion and keep contents and
+            grasp, see `graceful_plan.plan_stops` [s]. The robot follows the next of them instead of braking; degree
+            and ramp then have no effect. None: it brakes. For category 1 only.
     """
 
     category: int = 1
+    prepared: float | None = None
 
     NAME: ClassVar[str] = "protective_stop"
     CATEGORY: ClassVar[str] = REACTION
@@ -44,6 +49,12 @@ class ProtectiveStop(Fault):
         super().__post_init__()
         if self.category not in STOPS:
             raise SettingError("category", self.category, f"one of {', '.join(map(str, STOPS))}")
+        if self.prepared is None:
+            return
+        if not (is_real(self.prepared) and 0.0 < self.prepared < np.inf):
+            raise SettingError("prepared", self.prepared, "a finite time > 0 s, or None")
+        if self.category == 0:
+            raise SettingError("prepared", self.prepared, "None with category 0: brakes follow no path")
 
     def apply(self, plant: Simulation, level: float) -> None:
         """Brake by the chosen stop category."""
@@ -55,6 +66,10 @@ class ProtectiveStop(Fault):
             raise UnsupportedError(
                 "a driving base cannot brake along its path here: use category 0, or strike joints of its arm"
             )
+        if self.prepared is not None:
+            time = plant.dt * np.arange(plant.step, plant.step + len(plant.ahead))
+            plant.ahead[:, plant.robot.actuators[plant.joints]] = plant.stopped(self.prepared, time)[:, plant.joints]
+            return
         time, pace, change = self._pace(plant, level)
         plant.ahead[:, plant.robot.actuators[plant.joints]] = plant.paced(time, pace, change)[:, plant.joints]
 

@@ -22,6 +22,7 @@ from failbench.simulated.rest import PERIOD
 from failbench.simulated.states import CHECKPOINT, STATE
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float, UInt8
+from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.placement import Placement
 
 Array = np.ndarray
@@ -94,6 +95,12 @@ class Sent:
         """Return joint commands for the straight motion from the onset on, at another pace."""
         assert self.straight_on is not None
         return self.straight_on.commands(time, pace)
+
+    def stopped(self, every: float, onset: float, time: Array) -> Array:
+        """Refuse stops planned ahead: the future motion of a policy is not known."""
+        raise UnsupportedError(
+            "a policy has no planned motion to stop along: leave out prepared=, or use the recovery PreparedStop"
+        )
 
 
 class Episode:

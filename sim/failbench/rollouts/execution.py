@@ -16,6 +16,7 @@ from failbench.rollouts.driven import TICK, WheelPlan, wheel_plan
 from failbench.rollouts.healthy_commands import joint_commands, motion_commands
 from failbench.rollouts.healthy_run import HealthyRun, drive, join, settled, simulate
 from failbench.rollouts.healthy_touches import HealthyTouches
+from failbench.rollouts.stops_ahead import StopsAhead
 from failbench.simulated.moving_entities import EntityPoses
 from failbench.simulated.rolling import PLANAR
 from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
@@ -114,6 +115,22 @@ class Execution:
         trajectory, rate = self.trajectory, pace[:, None]
         q, qd, qdd = trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration))
         return joint_commands(self.world, q, qd * rate, qdd * rate**2 + qd * change[:, None])
+
+    def stopped(self, every: float, onset: float, time: Float[Array, " n"]) -> Float[Array, "n driven"]:
+        """Return the healthy controller's joint commands for the next stop planned ahead after an onset.
+
+        Args:
+            every: Time between the beginnings of two stops [s].
+            onset: Time after the start of the trajectory [s].
+            time: Times after the onset [s].
+        """
+        trajectory, now = self.trajectory, float(self.trajectory.t[0]) + onset
+        braked = trajectory.spliced(self._stops.every(every).after(now))
+        return joint_commands(self.world, *braked.at(now + time))
+
+    @cached_property
+    def _stops(self) -> StopsAhead:
+        return StopsAhead(self.trajectory, self.world.scene)
 
     def planned(self, time: Float[Array, " n"]) -> Float[Array, "n nq"]:
         """Return the planned joint positions at times after the start of the trajectory [s]."""

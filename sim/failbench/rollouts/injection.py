@@ -74,6 +74,10 @@ class Commanded(Protocol):
         """Return the joint commands for the motion at another pace."""
         ...
 
+    def stopped(self, every: float, onset: float, time: Array) -> Array:
+        """Return the joint commands for the next stop planned ahead after an onset."""
+        ...
+
 
 class Injection:
     """One fault in one simulation.
@@ -129,6 +133,7 @@ class Injection:
             xfrc=np.zeros((0, 6)) if xfrc is None else xfrc,
             planned=lambda time: execution.planned(onset * execution.dt + time),
             paced=lambda time, pace, change: execution.paced(onset * execution.dt + time, pace, change),
+            stopped=lambda every, time: execution.stopped(every, onset * execution.dt, time),
             fields={name: fields[name] for name in fault.FIELDS},
         )
         self._world = execution.world

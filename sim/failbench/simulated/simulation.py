@@ -43,6 +43,8 @@ class Simulation:
     | walk        | poses of moving entities before each step and after the last, see `walkers.EntityPoses`         |
     | xfrc        | force and torque on each body in W; they act until changed                               |
     | planned     | function that returns the planned joint positions at times since the onset [s]           |
+    | stopped     | function that returns joint commands of the next stop planned ahead after the onset, for  |
+    |             | the time between two such stops [s] and times since the onset [s]                        |
     | step        | steps since the onset                                                                    |
     | lag         | delay of a base's commanded speeds, in steps                                             |
     | memory      | state that the fault keeps between calls                                                 |
@@ -67,6 +69,7 @@ class Simulation:
     walk: Array = field(default_factory=lambda: np.zeros((0, 0)))
     xfrc: Array = field(default_factory=lambda: np.zeros((0, 6)))
     planned: Callable[[Array], Array] = lambda time: np.zeros((len(time), 0))
+    stopped: Callable[[float, Array], Array] = lambda every, time: np.zeros((len(time), 0))
     step: int = 0
     lag: int = 0
     memory: dict[str, Any] = field(default_factory=dict)

@@ -106,11 +106,11 @@ def checked_stop(stop: object, *, limited: bool) -> Stop:
     return stop  # type: ignore[return-value]
 
 
-def checked_refine(refine: object) -> bool:
-    """Return whether to turn paths into smooth motions."""
-    if not isinstance(refine, bool | np.bool_):
-        raise SettingError("refine", refine, "True or False")
-    return bool(refine)
+def checked_flag(name: str, value: object) -> bool:
+    """Return a setting that is True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise SettingError(name, value, "True or False")
+    return bool(value)
 
 
 def checked_start_tolerance(tolerance: object) -> float:

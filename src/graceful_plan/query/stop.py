@@ -33,7 +33,7 @@ Array = np.ndarray
 _POINTS = 80
 """Grid points of a stop."""
 _FIRST = 0.01
-"""First guess of the time along the motion within which the robot stops [s]; doubled until it is enough."""
+"""Least first guess of the time along the motion within which the robot stops [s]."""
 _CLOSE = 1e-3
 """Relative excess of the path speed at which the search ends; the stop is slowed down by it."""
 _SLACK = 1.01
@@ -41,6 +41,8 @@ _SLACK = 1.01
 1: where the motion is at a limit itself, there would be no room for rounding otherwise."""
 _FASTEST = 1.05
 """Largest path speed of the timing; a stop only becomes slower."""
+_BEYOND, _LEAST, _MOST = 1.05, 1.3, 4.0
+"""Excess of a guess of the place of the stop over an extrapolation; least and largest ratio to the last guess."""
 _MOST_TRIALS = 30
 _LEAST_SHARE = 0.05
 """Least share of the bracket by which a trial narrows it."""
@@ -117,7 +119,7 @@ def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tu
     Each comes with its detail for the result, and whether it is the last one.
     """
     rest = motion.since(at)
-    moves = motion.t[0] < at < motion.t[-1] and len(motion) > 1
+    moves = at < motion.t[-1] and len(motion) > 1
     found = False
     for stop in _quicker(motion, at, held, rest.duration) if moves else ():
         found = True
@@ -129,11 +131,12 @@ def _stops(motion: Trajectory, at: float, held: SceneConstraints) -> Iterator[tu
 def _quicker(motion: Trajectory, at: float, held: SceneConstraints, left: float) -> Iterator[Trajectory]:
     """Yield the quickest stop of each level, which take longer from level to level, and fades in between."""
     fades = iter([share * left for share in _FADES] if held.felt else ())
-    after = next(fades, np.inf)
+    after, near = next(fades, np.inf), 0.0
     for level in held.steady_levels:
-        stop = _quickest(motion, at, held, level)
-        if stop is None:
+        quickest = quickest_stop(motion, at, held, level, near=near)
+        if quickest is None:
             break
+        stop, near = quickest
         while 2.0 * after < stop.duration:
             yield from _faded(motion, at, after, held)
             after = next(fades, np.inf)
@@ -143,42 +146,64 @@ def _quicker(motion: Trajectory, at: float, held: SceneConstraints, left: float)
         after = next(fades, np.inf)
 
 
-def _quickest(
-    motion: Trajectory, at: float, held: SceneConstraints, level: SpecificForceLevels | None
-) -> Trajectory | None:
-    """Return the quickest stop within the limits of one level; None if it takes as long as the motion."""
-    speed = float(np.linalg.norm(motion.at(at).qd))
+def quickest_stop(
+    motion: Trajectory,
+    at: float,
+    held: SceneConstraints,
+    level: SpecificForceLevels | None = None,
+    *,
+    near: float = 0.0,
+) -> tuple[Trajectory, float] | None:
+    """Return the quickest stop within the limits of one level, which is not verified.
+
+    Args:
+        motion: The motion.
+        at: Time at which the stop begins [s].
+        held: Constraints and scene.
+        level: Limits on the specific force; None for none.
+        near: Guess of the time that the motion takes to the place of the stop [s].
+
+    Returns:
+        The stop, and the time that the motion takes to its place [s]; None if the stop takes as long as the motion.
+    """
+    velocity = motion.at(at).qd
+    speed = float(np.linalg.norm(velocity))
     left = float(motion.t[-1]) - at
     if speed < 1e-9:
         still = motion.at(np.array([at]))
-        return Trajectory(np.array([at]), still.q, 0.0 * still.qd, 0.0 * still.qdd, motion.joints)
+        return Trajectory(np.array([at]), still.q, 0.0 * still.qd, 0.0 * still.qdd, motion.joints), 0.0
+    # On a straight line, a robot that brakes comes half as far as it would without braking.
+    straight = 0.5 * float((np.abs(velocity) / held.scene.limits.acceleration).max())
 
     def ending(after: float) -> tuple[Trajectory | None, float]:
         stop = _timed(motion, at, after, held, level)
         return stop, 0.0 if stop is None else float(np.linalg.norm(stop.qd[0])) / speed
 
-    short, long, slower = 0.0, _FIRST, 0.0
+    # The square of the speed is about proportional to the way on which it can be lost.
+    short, long, aim = 0.0, max(_FIRST, straight, near), _SLACK + 0.5 * _CLOSE
+    lacking = exceeding = aim**2
     while (found := ending(min(long, left)))[1] < _SLACK:
         if long >= left:
             return None
-        short, long, slower = long, 2.0 * long, found[1]
-    long, aim = min(long, left), _SLACK + 0.5 * _CLOSE
+        lacking = aim**2 - found[1] ** 2
+        short, long = long, long * float(np.clip(_BEYOND * aim**2 / max(found[1], _FIRST) ** 2, _LEAST, _MOST))
+    long, exceeding, below = min(long, left), found[1] ** 2 - aim**2, None
     for _ in range(_MOST_TRIALS):
         if found[1] < _SLACK + _CLOSE:
             break
-        # The square of the speed is about proportional to the way on which it can be lost.
-        share = (aim**2 - slower**2) / (found[1] ** 2 - slower**2)
+        share = lacking / (lacking + exceeding)
         middle = short + float(np.clip(share, _LEAST_SHARE, 1.0 - _LEAST_SHARE)) * (long - short)
         trial = ending(middle)
-        if trial[1] < _SLACK:
-            short, slower = middle, trial[1]
+        # An end that stays twice counts half, so that both ends approach (the Illinois method).
+        again, below = below is (trial[1] < _SLACK), trial[1] < _SLACK
+        if below:
+            short, lacking, exceeding = middle, aim**2 - trial[1] ** 2, exceeding * (0.5 if again else 1.0)
         else:
-            long, found = middle, trial
+            long, found, lacking, exceeding = middle, trial, lacking * (0.5 if again else 1.0), trial[1] ** 2 - aim**2
     stop, excess = found
     if stop is None or excess > _SLACK + 10.0 * _CLOSE:
         return None
-    stop = slowed(stop, excess)
-    return stop.later(at)
+    return slowed(stop, excess).later(at), long
 
 
 def _timed(

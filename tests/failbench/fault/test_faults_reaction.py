@@ -8,8 +8,10 @@ from breaking import WELD, Nothing, Record, healthy_run
 from mujoco.batch import MODEL_FIELDS
 
 import failbench
+import graceful_plan as gp
 from failbench import Job, rollout_steps, run_rollouts
 from failbench.fault.registry import DEGREES, ProtectiveStop, faults, from_document, reactions, to_document
+from failbench.rollouts import stops_ahead
 from failbench.testing import check_fault
 from graceful_plan.exceptions import SettingError
 
@@ -108,3 +110,45 @@ def test_a_stop_has_a_json_form_and_refuses_other_categories():
     with pytest.raises(SettingError, match=r"category = 2.*0, 1"):
         ProtectiveStop(category=2)
     assert dataclasses.replace(ProtectiveStop(), degree="critical").amount == 2.0
+
+
+# --- stops planned ahead ----------------------------------------------------------------------------------------------
+
+
+def test_a_prepared_stop_follows_the_stop_that_was_planned():
+    done, every = healthy_run(), 0.1
+    record = Record(ProtectiveStop(prepared=every), when=0.5, horizon=1.0)
+    onset = record.onset_step * record.dt
+    planned = gp.plan_stops(done.trajectory, done.world.scene, every=every).after(done.trajectory.t[0] + onset)
+    wanted = done.trajectory.spliced(planned).at(done.trajectory.t[0] + onset + record.t).q
+    assert np.abs(record.q - wanted).max() < 0.02  # the servos' lag
+    assert record.q[-1] == pytest.approx(planned.q[-1], abs=5e-3)
+    assert np.abs(record.qd[-1]).max() < 0.01
+    assert np.abs(record.q[-1] - record.q0).max() > 0.01  # it was moving
+
+
+def test_degree_and_ramp_do_not_change_a_prepared_stop():
+    hard, soft = (
+        Record(ProtectiveStop(prepared=0.2, degree=degree, ramp=ramp), when=0.4, horizon=0.3)
+        for degree, ramp in (("critical", 0.0), ("minor", 0.1))
+    )
+    assert np.array_equal(hard.command, soft.command)
+
+
+def test_prepared_stops_are_planned_once_for_all_rollouts_and_threads(monkeypatch):
+    done = dataclasses.replace(healthy_run())
+    planned = []
+    monkeypatch.setattr(stops_ahead, "plan_stops", lambda *a, **k: planned.append(k) or gp.plan_stops(*a, **k))
+    jobs = [Job(fault=ProtectiveStop(prepared=0.2), onset=0.1 * k, seed=k) for k in range(6)]
+    assert {one.status for one in run_rollouts(done, jobs, horizon=0.1, threads=2, batch=1)} == {"completed"}
+    assert planned == [{"every": 0.2}]
+
+
+def test_prepared_stops_have_a_json_form_and_refuse_impossible_settings():
+    fault = ProtectiveStop(prepared=0.1)
+    assert from_document(to_document(fault)) == fault
+    for prepared in (0.0, -1.0, np.nan, np.inf, "0.1"):
+        with pytest.raises(SettingError, match="prepared"):
+            ProtectiveStop(prepared=prepared)
+    with pytest.raises(SettingError, match="category 0"):
+        ProtectiveStop(prepared=0.1, category=0)

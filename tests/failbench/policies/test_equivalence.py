@@ -14,6 +14,7 @@ from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.single import rollout_steps
 from failbench.simulated.states import CHECKPOINT
+from graceful_plan.exceptions import UnsupportedError
 
 _ROBOT = 1e-9
 """Tolerance for joints [rad]."""
@@ -89,3 +90,12 @@ def test_a_stop_brakes_straight_ahead(easy):
     assert np.abs(moved).max() > 0.02
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
     assert np.corrcoef(moved, fast)[0, 1] > 0.99
+
+
+def test_a_policy_has_no_motion_to_prepare_stops_along(easy):
+    batch = EpisodeBatch(easy, 1)
+    stop = reactions()["protective_stop"](prepared=0.1)
+    episode = batch.begin(0, np.random.default_rng(0), Job(fault=stop, onset=0.1, seed=0))
+    with pytest.raises(UnsupportedError, match="planned motion"):
+        while episode.time < 0.2:
+            batch.advance({0: ("joint_velocity", np.full_like(easy.start, 0.1))})

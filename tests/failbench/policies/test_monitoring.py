@@ -80,7 +80,7 @@ def test_the_same_seed_gives_the_same_episode(task, watch):
 def test_reactions_stop_the_arm_after_the_notice(task, watch, kind):
     motion = task.straight
     recovery = (
-        PreparedStop(motion=motion, stops=gp.PreparedStops(motion, task.scene, every=0.1, constraints=[]))
+        PreparedStop(motion=motion, stops=gp.plan_stops(motion, task.scene, every=0.1, constraints=[]))
         if kind == "prepared"
         else kind()
     )

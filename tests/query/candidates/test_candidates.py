@@ -12,7 +12,7 @@ import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query import answer as answer_module
-from graceful_plan.query.arguments import checked_refine, checked_stop
+from graceful_plan.query.arguments import checked_flag, checked_stop
 from graceful_plan.query.candidates.candidates import rounds
 from graceful_plan.result import Check, PlanStatus, Verdict
 
@@ -108,7 +108,7 @@ def test_misuse_names_the_setting() -> None:
             checked_stop(stop, limited=True)
     for refine in ("yes", None, 1):
         with pytest.raises(SettingError, match="refine = "):
-            checked_refine(refine)
+            checked_flag("refine", refine)
 
 
 # --- results ----------------------------------------------------------------------------------------------------------

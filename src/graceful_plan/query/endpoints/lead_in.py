@@ -17,29 +17,34 @@ Array = np.ndarray
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Takeover:
-    """The start of a motion that takes over from another one.
+class Takeover(State):
+    """The state of a robot that leaves another motion.
 
-    | field  | meaning                                                                      |
-    |--------|------------------------------------------------------------------------------|
-    | state  | where and how fast the robot is                                              |
-    | before | the motion up to there, which ends at time 0; liquids swing by it            |
-    | stop   | computes a stop along that motion, from time 0 on; None if there is none     |
-    | onward | the rest of that motion's path, from which descents may start; None for none |
+    Args:
+        state: Position and velocity.
+        before: The motion up to there, which ends at time 0; liquids swing by it.
+        stop: Computes a stop along that motion, from time 0 on; None if there is none.
+        onward: The rest of that motion's path, from which descents may start; None for none.
     """
 
-    state: State
     before: Trajectory
     stop: Callable[[], Trajectory | None]
-    onward: Path | None = None
+    onward: Path | None
+
+    def __new__(
+        cls, state: State, before: Trajectory, stop: Callable[[], Trajectory | None], onward: Path | None = None
+    ) -> Takeover:
+        """Keep the motion with the state, which is an immutable tuple."""
+        self = super().__new__(cls, *state)
+        self.before, self.stop, self.onward = before, stop, onward
+        return self
 
     def without_turns(self, turns: Float[Array, " nq"]) -> Takeover:
         """Return the same start with whole turns of the joints subtracted everywhere [rad]."""
         if not turns.any():
             return self
         return Takeover(
-            state=self.state._replace(q=self.state.q - turns),
+            State(self.q - turns, self.qd, self.qdd),
             before=_less(self.before, turns),
             stop=lambda: None if (stop := self.stop()) is None else _less(stop, turns),
             onward=None if self.onward is None else Path(self.onward.q - turns),

@@ -46,7 +46,7 @@ _ROUNDING = 1e-9
 
 
 def find_start(
-    start: Configuration | State | Takeover,
+    start: Configuration | State,
     constraints: SceneConstraints,
     tolerance: float,
     speed: float,
@@ -58,7 +58,7 @@ def find_start(
     """Return where to begin planning, and the lead-in if the robot moves; if it cannot stop, return why.
 
     Args:
-        start: Configuration, keyframe, or state.
+        start: Configuration, keyframe, or state; a `Takeover` has the motion that the robot leaves.
         constraints: Constraints and scene.
         tolerance: See `real_start`.
         speed: Fraction of the velocity limits to use.
@@ -72,10 +72,9 @@ def find_start(
     """
     scene = constraints.scene
     takeover = start if isinstance(start, Takeover) else None
-    state = start.state if isinstance(start, Takeover) else start
-    if not isinstance(state, State):
-        return real_start(start_configuration(state, scene), constraints, tolerance, speed), None
-    q, velocity = _checked(state, scene)
+    if not isinstance(start, State):
+        return real_start(start_configuration(start, scene), constraints, tolerance, speed), None
+    q, velocity = _checked(start, scene)
     if np.abs(velocity).max() <= REST:
         real = real_start(q, constraints, tolerance, speed)
         return replace(real, takeover=None if takeover is None else takeover.without_turns(real.turns)), None
