@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from graceful_plan.constraints.constraint import Constraint
-from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
-from graceful_plan.query.stop import plan_stop, quickest_stop
+from graceful_plan.query.stop import plan_stop
 from graceful_plan.result import Check
 from graceful_plan.scene.scene import Scene, checked_scene
 from graceful_plan.timing.prepared_stops import PreparedStops
@@ -30,8 +29,8 @@ def plan_stops(
 ) -> PreparedStops:
     """Plan the quickest verified stops along a motion ahead, and find where there are none.
 
-    A moment lacks a stop if a robot within its limits could stand still more than `every` before the motion ends, but
-    no verified stop that begins there does. Along full vessels, stops are often as long as the motion.
+    A moment lacks a stop if no verified stop that begins there ends more than `every` before the motion does, although
+    straight braking at the acceleration limits would. Along full vessels, stops are often as long as the motion.
 
     Args:
         motion: The motion.
@@ -51,10 +50,10 @@ def plan_stops(
     if not is_real(every) or not 0.0 < every < np.inf:
         raise SettingError("every", every, "a finite time > 0 s")
     kept = None if constraints is None else tuple(constraints)
-    limits = SceneConstraints(checked_scene(scene), ())
+    checked_scene(scene)
     times = np.arange(float(motion.t[0]), float(motion.t[-1]), every).tolist()
     stops = [None if cancelled() else plan_stop(motion, scene, at=t, constraints=kept).trajectory for t in times]
-    missing = [_is_missing(stop, motion, t, every, limits) for t, stop in zip(times, stops, strict=True)]
+    missing = [_is_missing(stop, motion, t, every, scene) for t, stop in zip(times, stops, strict=True)]
     return PreparedStops(motion=motion, every=every, stops=tuple(stops), gaps=_stretches(times, missing))
 
 
@@ -72,15 +71,13 @@ def stops_check(prepared: PreparedStops) -> Check:
     return Check(passed=False, worst=longest, limit=motion.duration, first=prepared.gaps[0][0], detail=told)
 
 
-def _is_missing(stop: Trajectory | None, motion: Trajectory, t: float, every: float, limits: SceneConstraints) -> bool:
-    """Return whether the limits of the robot would allow a much earlier standstill than its stop."""
+def _is_missing(stop: Trajectory | None, motion: Trajectory, t: float, every: float, scene: Scene) -> bool:
+    """Return whether straight braking would end much earlier than a stop."""
     if stop is None:
         return True
     latest = float(motion.t[-1]) - every
-    if stop.t[-1] <= latest or t > latest:
-        return False
-    quickest = quickest_stop(motion, t, limits)
-    return quickest is not None and bool(quickest[0].t[-1] < latest)
+    braking = float((np.abs(motion.at(t).qd) / scene.limits.acceleration).max())
+    return bool(t + braking < latest < stop.t[-1])
 
 
 def _stretches(times: Sequence[float], missing: Sequence[bool]) -> tuple[tuple[float, float], ...]:

@@ -133,7 +133,7 @@ def _quicker(motion: Trajectory, at: float, held: SceneConstraints, left: float)
     fades = iter([share * left for share in _FADES] if held.felt else ())
     after, near = next(fades, np.inf), 0.0
     for level in held.steady_levels:
-        quickest = quickest_stop(motion, at, held, level, near=near)
+        quickest = _quickest(motion, at, held, level, near)
         if quickest is None:
             break
         stop, near = quickest
@@ -146,13 +146,12 @@ def _quicker(motion: Trajectory, at: float, held: SceneConstraints, left: float)
         after = next(fades, np.inf)
 
 
-def quickest_stop(
+def _quickest(
     motion: Trajectory,
     at: float,
     held: SceneConstraints,
-    level: SpecificForceLevels | None = None,
-    *,
-    near: float = 0.0,
+    level: SpecificForceLevels | None,
+    near: float,
 ) -> tuple[Trajectory, float] | None:
     """Return the quickest stop within the limits of one level, which is not verified.
 
