@@ -89,11 +89,13 @@ def run(options: suite.Options) -> str:
         [
             MEASURED,
             report.targets(_targets(found)),
+            _without(found),
             "### Losses and harm\n",
             report.table(("object", "speed", "n", "goes on", *_each("loses"), *_each("harm")), _harm_rows(found)),
             "### Time and way to standstill, medians\n",
             report.table(
-                ("object", "speed", "no stop", *_each("[s]"), *_each("[m]"), "to plan [ms]"), _way_rows(found)
+                ("object", "speed", "no stop", *_each("[s]"), "planned: 90 % [s]", *_each("[m]"), "to plan [ms]"),
+                _way_rows(found),
             ),
         ]
     )
@@ -199,6 +201,17 @@ def _targets(found: Sequence[Moment]) -> Iterator[report.Target]:
     )
 
 
+def _without(found: Sequence[Moment]) -> str:
+    lost = [one for one in found if one.stops["category 1"].loses]
+    none = sum(one.none for one in lost)
+    return (
+        f"{none} of the {len(lost)} moments at which the stop of category 1 loses something lack a stop: there the "
+        f"robot goes on to a later one, or to the end of the motion. Over all {len(found)} moments, the planned stop takes "
+        f"{np.median([_more(one, lambda stop: stop.seconds) for one in found]):.2f} s and "
+        f"{np.median([_more(one, lambda stop: stop.way) for one in found]):.2f} m longer in the median.\n"
+    )
+
+
 def _more(one: Moment, of: Callable[[Stopped], float]) -> float:
     return of(one.stops["planned"]) - of(one.stops["category 1"])
 
@@ -235,6 +248,7 @@ def _way_rows(found: Sequence[Moment]) -> Iterator[tuple[str, ...]]:
             speed,
             report.percent(float(np.mean([one.none for one in mine]))),
             *(f"{np.median([one.stops[kind].seconds for one in mine]):.2f}" for kind in STOPS),
+            f"{np.percentile([one.stops['planned'].seconds for one in mine], 90):.2f}",
             *(f"{np.median([one.stops[kind].way for one in mine]):.3f}" for kind in STOPS),
             f"{1e3 * np.median([one.planning for one in mine]):.0f}",
         )

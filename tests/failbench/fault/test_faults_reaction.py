@@ -152,3 +152,14 @@ def test_prepared_stops_have_a_json_form_and_refuse_impossible_settings():
             ProtectiveStop(prepared=prepared)
     with pytest.raises(SettingError, match="category 0"):
         ProtectiveStop(prepared=0.1, category=0)
+
+
+@pytest.mark.long
+def test_a_prepared_stop_keeps_the_coffee_that_a_straight_brake_spills():
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    motion = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=40, speed=0.5).unwrap()
+    when = failbench.AtFraction(0.5)
+    stops = [ProtectiveStop(when=when), ProtectiveStop(when=when, prepared=0.1)]
+    braked, prepared = (failbench.validate(motion, task.scene, stop, n=1, horizon=1.5, threads=1) for stop in stops)
+    assert braked.spilled.mean > 0.05
+    assert prepared.spilled.mean == 0.0 and prepared.observed.mean < braked.observed.mean
